@@ -465,13 +465,13 @@ def test_control_points_outside_every_frame(survey: Survey, refused: Refused) ->
     lon, lat = (float(survey.rows()[0][k]) for k in ("lon_deg", "lat_deg"))
     gcp = survey.run.with_name("gcp.csv")
     header = "name,lon_deg,lat_deg,height_ellipsoidal_m,image,col,row\n"
-    gcp.write_text(f"{header}far,{lon + 0.01},{lat},520,,,\n")
+    gcp.write_text(f"{header}far,{lon + 0.01},{lat},520,F0001.jpg,100,100\n")
     assert survey.mosaic("--gcp", gcp) == 0
     texts = [w["text"] for w in summary(survey.run)["warnings"] if w["code"] == "control-outside"]
-    assert len(texts) == 1 and "far" in texts[0]
+    assert len(texts) == 1 and texts[0].startswith("1 of 1 control and check points") and "far" in texts[0]
     shutil.rmtree(survey.run)
     gcp.write_text(f"{header}A,{lon},{lat},520,F0001.jpg,4800,100\n")
-    refused(survey.mosaic("--gcp", gcp), survey.run, gcp, "'A'", "F0001.jpg", "480 x 360")
+    refused(survey.mosaic("--gcp", gcp), survey.run, gcp, "'A'", "F0001.jpg", "480 x 360", "--gcp-optional")
 
 
 def test_a_camera_file_for_another_frame_size(survey: Survey, refused: Refused) -> None:

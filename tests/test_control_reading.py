@@ -48,7 +48,8 @@ def read(tmp_path: Path) -> Read:
         path = tmp_path / "gcp_list.txt"
         path.write_bytes(content.encode() if isinstance(content, str) else content)
         frames = NOWHERE if near is None else np.array([near, (near[0] + 1e-3, near[1])])
-        return read_control(path, FrameNames(names), frames)
+        file = read_control(path, FrameNames(names), frames)
+        return file.points, list(file.notes)
 
     return reader
 
@@ -215,7 +216,7 @@ def test_a_vertical_datum_in_the_header_counts(read: Read, tmp_path: Path) -> No
         assert "height-datum-assumed" not in [w.code for w in notes]
 
 
-def test_names_with_blanks_without_extension_and_unknown_ones(read: Read) -> None:
+def test_names_with_blanks_without_extension_and_unknown_ones(read: Read, tmp_path: Path) -> None:
     text = (
         "EPSG:2180\n"
         "340607.768 548220.879 70.8 1 2 DSC 0001.JPG p1\n"
@@ -224,15 +225,13 @@ def test_names_with_blanks_without_extension_and_unknown_ones(read: Read) -> Non
         "340644.813 548180.885 70.0 7 8 DSC 0009.JPG p2\n"
         "340644.813 548180.885 70.0 9 10 DSC 0001 b.jpg p2 checked twice\n"
     )
-    (one, two), notes = read(text)
+    one, two = read(text)[0]
     assert one.images == (
         ("DSC 0001.JPG", 1.0, 2.0), ("DSC 0001 b.JPG", 3.0, 4.0), ("IMG_4881.JPG", 5.0, 6.0)
     )  # fmt: skip
     assert (one.name, two.name) == ("p1", "p2")
     assert two.images == (("DSC 0001 b.JPG", 9.0, 10.0),)
-    assert [w.text for w in notes if w.code == "control-image-missing"] == [
-        "gcp_list.txt: 1 of 5 measurements are in images that aren't here (DSC 0009.JPG)"
-    ]
+    assert read_control(tmp_path / "gcp_list.txt", FrameNames(FRAMES)).absent == (("p2", "DSC 0009.JPG"),)
     table = "name x y z col row image\np1 340607.768 548220.879 70.8 1 2 DSC 0001.JPG\n"
     assert read(f"EPSG:2180\n{table}")[0][0].images == (("DSC 0001.JPG", 1.0, 2.0),)
     with pytest.raises(InputError, match=r"'x' may be any of x\.jpg, x\.tif"):

@@ -343,7 +343,7 @@ def test_a_point_in_ten_thousands_of_images_is_one_point(tmp_path: Path) -> None
     names = FrameNames(f"{i}.jpg" for i in range(30_000))
     found = []
     assert seconds(lambda: found.append(read_control(path, names))) < 4.0
-    points, _ = found[0]
+    points = found[0].points
     assert len(points) == 1 and points[0].images[29_999] == ("29999.jpg", 1.0, 2.0)
 
 

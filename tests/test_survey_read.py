@@ -296,22 +296,24 @@ def test_control_points_of_two_kinds(tmp_path: Path) -> None:
         f"{east:.4f} {north:.4f} 331.5 20.5 41 dji_0002 gcp1\n"
         f"{east + 10:.4f} {north:.4f} 332 1 2 other.JPG CHK-7\n"
     )
-    (one, two), warnings = read_control(odm, frames)
+    file = read_control(odm, frames)
+    one, two = file.points
     assert (one.name, one.check, two.name, two.check) == ("gcp1", False, "CHK-7", True)
     assert (one.lon_deg, one.lat_deg) == pytest.approx((9.1238617, 48.7654321), abs=1e-9)
     assert one.images == (("DJI_0001.JPG", 60.5, 40.25), ("DJI_0002.JPG", 20.5, 41.0))
     assert (two.images, one.sd_horizontal_m, one.sd_vertical_m) == ((), 0.03, 0.05)
     assert one.sd_assumed and two.sd_assumed
-    assert [w.code for w in warnings] == ["height-datum-assumed", "control-image-missing"]
+    assert [w.code for w in file.notes] == ["height-datum-assumed"]
+    assert file.absent == (("CHK-7", "other.JPG"),)
     table = tmp_path / "points.csv"
     table.write_text(
         "point,lat,lon,height_ellipsoidal_m,type,sd_vertical\n"
         "P1,48.7,9.1,300,check,0.01\nP2,48.8,9.2,301,control,\n"
     )
-    points, warnings = read_control(table, frames)
+    points = read_control(table, frames).points
     assert [(p.name, p.check, p.sd_vertical_m) for p in points] == [("P1", True, 0.01), ("P2", False, 0.05)]
     assert [p.sd_assumed for p in points] == [False, True]
-    assert warnings == []
+    assert read_control(table, frames).notes == ()
     for text, message in (
         ("point,lat,lon,h\nP1,48,9,1\nP1,48,9,2\n", "line 3: point 'P1' has moved"),
         ("point,lat,lon,h,type\nP1,48,9,1,maybe\n", "kind 'maybe' is unknown"),
@@ -337,7 +339,8 @@ def test_a_control_point_whose_lines_differ_a_little_lies_in_their_mean(tmp_path
         + steady.format("a.jpg")
         + steady.format("b.jpg")
     )
-    (one, two), warnings = read_control(odm, frames)
+    file = read_control(odm, frames)
+    (one, two), warnings = file.points, file.notes
     back = MapProjection(UTM).map_from_geodetic(one.lon_deg, one.lat_deg)
     assert back == pytest.approx((east + 0.1, north), abs=2e-3)
     assert one.height_ellipsoidal_m == pytest.approx(70.0 + 0.5 / 3.0)

@@ -93,7 +93,7 @@ def _errors_at(run: Path, summary: dict[str, Any], path: Path) -> dict[str, Any]
     tied = {name for name, status in zip(names, adjusted.status, strict=True) if status == "tied"}
     points = tuple(
         replace(point, check=True, images=tuple(image for image in point.images if image[0] in tied))
-        for point in read_control(path, FrameNames(names))[0]
+        for point in read_control(path, FrameNames(names)).points
     )
     control = ground_control(replace(survey, control=points), ground)
     block = Block(names, adjusted.cameras, adjusted.poses, ground, ties, (), (), 1.0, control=control)

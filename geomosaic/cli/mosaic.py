@@ -120,6 +120,9 @@ def mosaic(
         float | None, typer.Option(help="ellipsoidal height of flat ground [by the frames]", metavar="M")
     ] = None,
     gcp: Annotated[Path | None, typer.Option(help="control and check points", metavar="F")] = None,
+    gcp_optional: Annotated[
+        bool, typer.Option("--gcp-optional", help="go on without control where no point of --gcp can be used")
+    ] = False,
     accuracy: Annotated[
         float | None,
         typer.Option(
@@ -210,6 +213,7 @@ def mosaic(
             "dem": dem,
             "dem_offset_m": dem_offset,
             "gcp": gcp,
+            "gcp_optional": gcp_optional or None,
             "crs": crs if align_to is None else _crs_of(align_to, crs),
             "pos_crs": pos_crs,
             "damaged": damaged,

@@ -32,7 +32,7 @@ class PlacementPos(Stage):
     id = "placement.pos"
     display_name = "Place frames by POS"
     group = "Placement"
-    version = 8
+    version = 9
     inputs: ClassVar[dict[str, type]] = {"levelled_survey": Survey, "prior_ground": GroundSurface}
     outputs: ClassVar[dict[str, type]] = {"prior_placement": Placement}
     formerly: ClassVar[dict[str, str]] = {"prior_placement": "placement"}
@@ -136,14 +136,17 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
 def _warn_of_control_outside(
     context: Context, survey: Survey, outlines: Sequence[NDArray[np.float64]], reach_m: float
 ) -> None:
-    """Names the control points that no frame can have seen, however wrong its position is."""
-    if not survey.control:
+    """Names the marked control points that no frame can have seen, however wrong its position is."""
+    control = [p for p in survey.control if p.images]
+    if not control:
         return
     seen = shapely.union_all([shapely.Polygon(o[:, :2]).buffer(reach_m) for o in outlines if len(o) >= 3])
-    lonlat = np.array([[p.lon_deg, p.lat_deg, p.height_ellipsoidal_m] for p in survey.control])
+    lonlat = np.array([[p.lon_deg, p.lat_deg, p.height_ellipsoidal_m] for p in control])
     at = survey.work_frame.enu_from_geodetic(*lonlat.T)
-    outside = [
-        p.name for p, x in zip(survey.control, at, strict=True) if not seen.covers(shapely.Point(x[:2]))
-    ]
+    outside = [p.name for p, x in zip(control, at, strict=True) if not seen.covers(shapely.Point(x[:2]))]
     if outside:
-        context.warn("control-outside", "", f"control points outside every frame: {some(outside)}")
+        text = (
+            f"{len(outside)} of {len(control)} control and check points lie outside every frame, although "
+            f"marked in images ({some(outside)}); check their coordinates and coordinate reference system"
+        )
+        context.warn("control-outside", "", text)

@@ -35,7 +35,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 20
+    version = 21
     wants_frames: ClassVar[bool] = True
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 
@@ -50,6 +50,9 @@ class SurveyRead(Stage):
             None, help="what to add to the DEM to have ellipsoidal heights", unit="m", ge=-12000, le=12000
         )
         gcp: Path | None = param(None, help="control and check points: gcp_list.txt or CSV")
+        gcp_optional: bool = param(
+            False, help="go on without control where no point of gcp can be used; it is an error otherwise"
+        )
         crs: str = param("auto", help="the map's CRS; auto is the UTM zone of the middle")
         pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
         attitude_convention: str = param("auto", help="what the POS file's angles mean", choices=CONVENTIONS)

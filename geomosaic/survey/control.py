@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +19,7 @@ from geomosaic.survey.accuracy import CONTROL, POSITION
 from geomosaic.survey.control_table import GIVE_CRS, control_table
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames, some
-from geomosaic.survey.places import NOWHERE, away_from, heights_of, places_of
+from geomosaic.survey.places import NOWHERE, heights_of, places_of
 from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import Table
@@ -30,9 +31,18 @@ LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a s
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 
 
-def read_control(
-    path: Path, frames: FrameNames, near: Floats = NOWHERE
-) -> tuple[tuple[ControlPoint, ...], list[Warn]]:
+@dataclass(frozen=True)
+class ControlFile:
+    """What a file of control points holds. absent: point and image of each mark in an image that is not in
+    the survey; notes: what was assumed."""
+
+    path: Path
+    points: tuple[ControlPoint, ...]
+    absent: tuple[tuple[str, str], ...]
+    notes: tuple[Warn, ...]
+
+
+def read_control(path: Path, frames: FrameNames, near: Floats = NOWHERE) -> ControlFile:
     """Control points with where they were measured in images, and what was assumed.
 
     A point is a check point if its `kind` says check, or its name starts with CHK. Without a name,
@@ -58,7 +68,7 @@ def read_control(
         problem = f"has {len(of):,} points, more than {_MOST_POINTS:,}"
         raise InputError(problem, file=path, mend="take the best of them")
     merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
-    seen, strangers = _measurements(table, of, frames)
+    seen, absent = _measurements(table, of, frames)
     stated_m = _stated_deviations_m(table)
     kinds = table.texts("kind")
     known_m = [place[2] for place, _ in merged.values() if not math.isnan(place[2])]
@@ -84,8 +94,13 @@ def read_control(
             sd_assumed=bool(np.isnan(sd_m).all()),
         )
         points.append(point)
-    notes = [_plan_only(path, points), _unsteady(path, merged), _strangers(path, table, strangers)]
-    return tuple(points), [*found.notes, *doubts, *(note for note in notes if note is not None)]
+    notes = [_plan_only(path, points), _unsteady(path, merged)]
+    return ControlFile(
+        path=path,
+        points=tuple(points),
+        absent=tuple(absent),
+        notes=(*found.notes, *doubts, *(note for note in notes if note is not None)),
+    )
 
 
 def _stated_deviations_m(table: Table) -> Floats:
@@ -148,87 +163,27 @@ def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]
     return Warn("control-spread", "", text)
 
 
-def _strangers(path: Path, table: Table, strangers: Sequence[str]) -> Warn | None:
-    """One line for all measurements in images that aren't here."""
-    if not strangers:
-        return None
-    text = (
-        f"{path.name}: {len(strangers)} of {len(table.lines)} measurements are in images that aren't here "
-        f"({some(dict.fromkeys(strangers))})"
-    )
-    return Warn("control-image-missing", "", text)
-
-
 def _measurements(
     table: Table, of: Mapping[str, Sequence[int]], frames: FrameNames
-) -> tuple[dict[str, list[tuple[str, float, float]]], list[str]]:
-    """Where each point was measured, by its name and lines, and the images that aren't here."""
+) -> tuple[dict[str, list[tuple[str, float, float]]], list[tuple[str, str]]]:
+    """Where each point was measured, by its name and lines, and those in images that are not here."""
     names = {i: name for name, rows in of.items() for i in rows}
     cols, rows = table.numbers("col").tolist(), table.numbers("row").tolist()
     seen: dict[str, list[tuple[str, float, float]]] = {}
-    strangers: list[str] = []
+    absent: list[tuple[str, str]] = []
     for i, image in enumerate(table.texts("image")):
         if image is None:
             continue
         frame = frames.find(image)
         if frame is None:
-            strangers.append(image)
+            absent.append((names[i], image))
             continue
         for column, value in (("col", cols[i]), ("row", rows[i])):
             if math.isnan(value):
                 mend = "fill it in or remove the line"
                 raise InputError(f"line {table.lines[i]}: no {column}", file=table.path, mend=mend)
         seen.setdefault(names[i], []).append((frame, cols[i], rows[i]))
-    return seen, strangers
-
-
-def check_control(
-    path: Path, points: Sequence[ControlPoint], lonlat: Floats, sizes_px: Mapping[str, tuple[int, int]]
-) -> None:
-    """Measurements lie in their images, and some point lies near the frames.
-
-    Args: lonlat: (n, 2) of the frames whose position is known; sizes_px: width and height of each frame by
-        name.
-    Raises: `InputError` naming the first point that is wrong.
-    """
-    for point in points:
-        for frame, col, row in point.images:
-            width, height = sizes_px[frame]
-            if not (0.0 <= col <= width and 0.0 <= row <= height):
-                raise InputError(
-                    f"point '{point.name}' is measured at {col:g}, {row:g} in {frame}, "
-                    f"which has {width} x {height} pixels",
-                    file=path,
-                    mend="count pixels of the frame as it was taken, columns first",
-                )
-    if not points or not len(lonlat):
-        return
-    away_m, reach_m = away_from(lonlat, np.array([[p.lon_deg, p.lat_deg] for p in points]))
-    i = int(np.argmin(away_m))
-    if away_m[i] > reach_m:
-        raise InputError(
-            f"all control points lie far from the frames, the nearest, '{points[i].name}', "
-            f"{away_m[i] / 1000.0:.1f} km from their middle",
-            file=path,
-            mend="check the coordinate reference system and the order of the columns",
-        )
-
-
-def lonlat_of_control(path: Path, points: Sequence[ControlPoint]) -> Floats:
-    """Longitudes and latitudes (n, 2) of the points that can stand in for the positions of all frames.
-
-    Raises: `InputError` where fewer than two points for control are measured in the images.
-    """
-    used = [p for p in points if p.images and not p.check]
-    if len(used) < LEAST_POINTS:
-        raise InputError(
-            f"no frame has a position, and {len(used) or 'no'} control point{'s'[: len(used) != 1]} "
-            f"{'is' if len(used) == 1 else 'are'} measured in the images: they can't be put on a map",
-            file=path,
-            mend="measure at least 2 control points (3 for heights), or leave --gcp away for a mosaic in a "
-            "local frame",
-        )
-    return np.array([[p.lon_deg, p.lat_deg] for p in used])
+    return seen, absent
 
 
 def _is_check(kind: str | None, name: str, line: int, path: Path) -> bool:

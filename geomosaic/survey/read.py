@@ -19,7 +19,8 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS, map_crs, utm_crs
 from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.cameras import CameraChoice, cameras_from_file, cameras_from_headers
-from geomosaic.survey.control import LEAST_POINTS, check_control, lonlat_of_control, read_control
+from geomosaic.survey.control import read_control
+from geomosaic.survey.control_use import check_marks, lonlat_of_control, used_control
 from geomosaic.survey.elevation import check_dem, read_elevation
 from geomosaic.survey.folder import frame_files, unused_folders
 from geomosaic.survey.header import FrameHeader
@@ -43,10 +44,6 @@ from geomosaic.survey.strays import (
 from geomosaic.survey.usable import Inspect, Usable, inspect_all, usable
 
 Floats = NDArray[np.float64]
-_LEANS: Final = (
-    "no frame has a position, and two control points alone don't determine how the block leans about the "
-    "line through them: a third one, off it, does"
-)
 Progress = Callable[[int, int, str], None]
 _LOCAL: Final = (
     "no frame has a position and there are no control points: the mosaic lies in a local frame, in units of "
@@ -61,6 +58,7 @@ def check_survey_files(
     camera: Path | None = None,
     dem: Path | None = None,
     gcp: Path | None = None,
+    gcp_optional: bool = False,
     crs: str = "auto",
     pos_crs: str | None = None,
     attitude_convention: str = "auto",
@@ -79,7 +77,9 @@ def check_survey_files(
         check_dem(dem)
     if gcp is not None:
         with suppress(AmbiguousCrsError):
-            read_control(gcp, FrameNames(files.values()))
+            control = read_control(gcp, FrameNames(files.values()))
+            if not gcp_optional:
+                check_marks(control)
 
 
 def read_survey(
@@ -90,6 +90,7 @@ def read_survey(
     dem: Path | None = None,
     dem_offset_m: float | None = None,
     gcp: Path | None = None,
+    gcp_optional: bool = False,
     crs: str = "auto",
     pos_crs: str | None = None,
     attitude_convention: str = "auto",
@@ -108,7 +109,8 @@ def read_survey(
     CRS is `LOCAL_CRS`.
 
     Args: pos, camera, dem, gcp: files as docs/inputs.md describes them; dem_offset_m: what is added to
-    the DEM's values to have ellipsoidal heights; crs: the map's, `auto` for the UTM zone of the
+    the DEM's values to have ellipsoidal heights; gcp_optional: a gcp of which no point can be used is a
+    warning; crs: the map's, `auto` for the UTM zone of the
     middle; pos_crs: of x and y in pos; attitude_convention: one of `attitude.CONVENTIONS`; damaged: one of
     `usable.DAMAGED`; leave_out: one of `strays.LEAVE_OUT`; strict: frames that can't be used, frames without
     a line in pos and lines without a frame are errors; inspect: `damage.wholeness` of many frames;
@@ -139,14 +141,16 @@ def read_survey(
     check_extent(headers, observed.positions)
     located = [p for p in observed.positions if p.known]
     near = lonlat_of(located) if located else NOWHERE
-    control, control_warnings = ((), []) if gcp is None else read_control(gcp, FrameNames(names), near)
-    if not located and gcp is not None:
-        used = lonlat_of_control(gcp, control)
-        there = np.median(used, axis=0)
-        if len(used) == LEAST_POINTS:
-            control_warnings.append(Warn("control-few", "", _LEANS))
+    control: tuple[ControlPoint, ...] = ()
+    control_warnings: list[Warn] = []
+    if gcp is not None:
+        sizes = {h.name: (h.width_px, h.height_px) for h in headers}
+        points = read_control(gcp, FrameNames(names), near)
+        control, control_warnings = used_control(points, near, sizes, optional=gcp_optional)
+    local = not located and not control
+    if not located and control:
+        there = np.median(lonlat_of_control(control), axis=0)
         observed = observe(headers, table, anywhere=(float(there[0]), float(there[1])))
-    local = not located and gcp is None
     _check_local(local, folder, crs, dem)
 
     def lenses(of: Sequence[FrameHeader], wanted: Sequence[str | None]) -> CameraChoice:
@@ -161,9 +165,6 @@ def read_survey(
     if dem is not None:
         under = [n for n, p in zip(names, observed.positions, strict=True) if p.known or not located]
         elevation, heights, dem_warnings = read_elevation(dem, dem_offset_m, under, lonlat)
-    if gcp is not None:
-        sizes = {h.name: (h.width_px, h.height_px) for h in headers}
-        check_control(gcp, control, near, sizes)
     middle = np.median(lonlat, axis=0)
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
     work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, control, heights))
