@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ Bools = NDArray[np.bool_]
 _DISAGREES = tuned(5.0, "deviations", "beyond: a control point is called wrong")
 _SHIFTED = sourced(3.0, "stated deviations", "beyond: a common shift is a fault", "3 in 1000 by chance")
 _AXES = ("east", "north", "up")
+_DISAGREE: Final = {"control": "control-disagrees", "check": "check-disagrees"}
+_SHIFT: Final = {"control": "control-shifted", "check": "check-shifted"}
 
 
 def known_residuals_m(points: Sequence[ControlResidual]) -> Floats:
@@ -76,7 +79,7 @@ def _warnings_of(kind: str, points: Sequence[ControlResidual]) -> list[Warn]:
         for name, away_m in named
     ]
     return [
-        *(Warn(f"{kind}-disagrees", "", text) for text in blunder_lines),
+        *(Warn(_DISAGREE[kind], "", text) for text in blunder_lines),
         *_shifted(kind, rest, shift_m, scatter_m),
         *_far(kind, rest, off_m[~wrong] - shift_m),
     ]
@@ -95,7 +98,7 @@ def _shifted(kind: str, points: Sequence[ControlResidual], shift_m: Floats, scat
         f"stated deviations, and scatter by {scatter_m:.2f} m about it; check the datum and height system of "
         f"the positions and of these points{', or use them as control' if kind == 'check' else ''}"
     )
-    return [Warn(f"{kind}-shifted", "", text)]
+    return [Warn(_SHIFT[kind], "", text)]
 
 
 def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Warn]:
@@ -113,7 +116,7 @@ def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Wa
         f"{f', and fewer than {LEAST} points do not show which is wrong' if few else ''}; "
         "check their coordinates and their marks in the images"
     )
-    return [Warn(f"{kind}-disagrees", "", text)]
+    return [Warn(_DISAGREE[kind], "", text)]
 
 
 def _length(off_m: Floats) -> float:
