@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.model import Adjusted, ControlResidual, GroundPlaces
+from geomosaic.adjustment.model import Adjusted, GroundPlaces
 from geomosaic.constants import sourced, tuned
+from geomosaic.quality.check_points import CheckPoints, check_points
 
 Floats = NDArray[np.float64]
 NOT_STATED: Final = float("nan")
@@ -97,11 +98,11 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float) -> Accuracy:
     has the errors of two frames in it, as a distance between places of two frames does.
     """
     local_m2 = 2.0 * (np.nan_to_num(seam_px) * pixel_m / _MEDIAN_LENGTH) ** 2
-    measured = [c for c in adjusted.control if c.check and np.isfinite(c.residual_m[:2]).all()]
-    places = adjusted.places
+    places, figures = adjusted.places, check_points(adjusted.control)
     absolute = _estimated(places, local_m2 / 2.0)
-    if len(measured) >= _FEW_CHECK_POINTS:
-        absolute = _measured(measured)
+    if figures is not None and figures.count >= _FEW_CHECK_POINTS:
+        used = [c for c in adjusted.control if c.check and c.name not in figures.blunders]
+        absolute = _measured(figures, np.mean([c.surveyed_sd_m**2 for c in used], axis=0))
     return Accuracy(absolute, _relative(places, local_m2))
 
 
@@ -126,19 +127,17 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     return Requirement(rmse_m, NOT_STATED, max(_PERMILLE, scale_permille), "what GNSS positions give")
 
 
-def _measured(points: list[ControlResidual]) -> AbsoluteAccuracy:
-    """By the check points' errors, whose own accuracy is added ({_ASPRS})."""
-    error_m = -np.array([c.residual_m for c in points])
-    surveyed_m2 = np.array([c.surveyed_sd_m**2 for c in points])
-    mean_m = np.nanmean(error_m, axis=0)
-    square_m2 = np.nanmean(error_m**2, axis=0) + np.nanmean(surveyed_m2, axis=0)
+def _measured(figures: CheckPoints, surveyed_m2: Floats) -> AbsoluteAccuracy:
+    """By the check points' errors, blunders left out; surveyed_m2 (3,), the mean variance of their own
+    coordinates, is added (ASPRS, edition 2)."""
+    square_m2 = figures.rmse_m**2 + surveyed_m2
     return AbsoluteAccuracy(
         rmse_h_m=float(np.sqrt(square_m2[:2].sum())),
         rmse_v_m=float(np.sqrt(square_m2[2])),
         how="measured",
-        check_points=len(points),
-        shift_m=mean_m,
-        scatter_m=np.sqrt(np.nanmean((error_m - mean_m) ** 2, axis=0)),
+        check_points=figures.count,
+        shift_m=-figures.mean_shift_m,
+        scatter_m=figures.scatter_m,
     )
 
 

@@ -148,6 +148,14 @@ CRITERIA: Mapping[str, Criterion] = {
         "check its coordinates and where it was marked",
         "the limit is three deviations of one point, and of many what none of them exceeds by chance",
     ),
+    "blunders": Criterion(
+        0.0,
+        np.inf,
+        "points",
+        "control or check points contradict the others",
+        "check the coordinates and the marks of the points that the warnings name",
+        "a point that contradicts the others is wrong, or the map is there",
+    ),
     "check points": Criterion(
         3.0,
         np.inf,
@@ -188,6 +196,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         NOTED,
         "the frames' rows were read one after the other while the camera turned, in a way that no tag states",
         "a camera with a global shutter or a gyroscope in its tags, or control points",
+    ),
+    "control-unused": (
+        "doubtful",
+        "no control or check point could be used",
+        "mark the points in images of this survey, or leave --gcp out",
     ),
     "lens-strayed": (
         "doubtful",

@@ -9,10 +9,12 @@ import numpy as np
 from scipy.stats import norm
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.adjustment.procedure.control_agreement import control_blunders
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.trim import OFF_PX
 from geomosaic.quality.accuracy import Accuracy, Requirement
+from geomosaic.quality.check_points import check_points
 from geomosaic.quality.criteria import CRITERIA, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
@@ -63,13 +65,15 @@ class Verdict:
 @dataclass(frozen=True)
 class Seen:
     """What is known of a mosaic without its truth. parts: frames that hang together by tie points; used:
-    frames that gave pixels; doubt: of the ground and of what was matched."""
+    frames that gave pixels; doubt: of the ground and of what was matched; warned: codes of the run's
+    warnings."""
 
     seams: SeamCheck
     patterns: tuple[ResidualPattern, ...]
     parts: Sequence[Sequence[int]]
     used: Collection[int]
     doubt: LandDoubt
+    warned: Collection[str] = ()
 
 
 def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Requirement) -> Verdict:
@@ -78,7 +82,7 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
     figures |= _held_together(adjusted, seen.parts, seen.used)
     of_land = {"ground unknown": seen.doubt.ground_share, "surface unsure": seen.doubt.surface_share}
     figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
-    warned = {w.code for w in adjusted.warnings}
+    warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     evidence = (
         *(_judged(name, value) for name, value in figures.items()),
         *_against(accuracy, required),
@@ -168,18 +172,21 @@ def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dic
 
 def _control(points: Sequence[ControlResidual]) -> dict[str, float]:
     """Control points by what none of as many exceeds by chance; the shift of check points in common by its
-    stated deviation."""
+    stated deviation; and how many points contradict the others."""
     found = {}
-    used = [np.abs(c.residual_m / c.sd_m) for c in points if not c.check]
-    known = np.concatenate(used) if used else np.zeros(0)
+    used, checks = ([p for p in points if p.check == check] for check in (False, True))
+    wrong = [control_blunders(some) for some in (used, checks)]
+    if points:
+        found["blunders"] = float(sum(its.sum() for its in wrong))
+    good = [p for p, its in zip(used, wrong[0], strict=True) if not its]
+    known = np.concatenate([np.abs(p.residual_m / p.sd_m) for p in good]) if good else np.zeros(0)
     known = known[np.isfinite(known)]
     if known.size:
         found["control points"] = float(known.max() / norm.isf(norm.sf(_ONE_POINT) / known.size))
-    checks = [c for c in points if c.check and np.isfinite(c.residual_m).all()]
-    if len(checks) >= _IN_COMMON:
-        shift_m = np.median([c.residual_m for c in checks], axis=0)
+    figures = check_points(points)
+    if figures is not None and figures.count >= _IN_COMMON:
         sd_m = np.median([c.sd_m for c in checks], axis=0)
-        found["check points"] = float(np.abs(shift_m / sd_m)[:2].max())
+        found["check points"] = float(np.abs(figures.mean_shift_m / sd_m)[:2].max())
     return found
 
 

@@ -108,6 +108,7 @@ class QualityVerdict(Stage):
             land_doubt(
                 inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"], adjusted.ground
             ),
+            {warning["code"] for warning in context.summary().get("warnings", ())},
         )
         known = seams.length_px[np.isfinite(seams.length_px)]
         median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
