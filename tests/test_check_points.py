@@ -17,29 +17,26 @@ from geomosaic.quality.check_points import check_points
 from geomosaic.survey.accuracy import POSITION
 
 STATED_M = 1.21
+SURVEYED_M = np.full(3, 0.02)
 SHIFT_M = np.array([0.8, 1.8, -0.3])
 
 
 def points(count: int, off_m: dict[int, list[float]] | None = None, **how: object) -> list[ControlResidual]:
     """Check points that a map shifted by 2 m leaves, with 0.02 m of scatter, and blunders (e, n, u)."""
     noise = np.random.default_rng(count).normal(0.0, 0.02, (count, 3))
-    sd_m = np.full(3, how.get("sd_m", STATED_M))
-    return [
-        ControlResidual(
-            f"P{k}", not how.get("control"), 4, SHIFT_M + noise[k] + (off_m or {}).get(k, 0.0), sd_m
-        )
-        for k in range(count)
-    ]
+    sd_m, check = np.full(3, how.get("sd_m", STATED_M)), not how.get("control")
+    residual_m = [SHIFT_M + noise[k] + (off_m or {}).get(k, 0.0) for k in range(count)]
+    return [ControlResidual(f"P{k}", check, 4, off, sd_m, SURVEYED_M) for k, off in enumerate(residual_m)]
 
 
 def test_figures_by_hand() -> None:
     """East 1, 3, 2: mean 2, root mean square about it sqrt(2/3), about 0 sqrt(14/3)."""
     east, north, up = [1.0, 3.0, 2.0], [-1.0, -1.0, -1.0], [0.1, 0.1, 4.0]
     sd_m = [np.ones(3), np.ones(3), np.array([1.0, 1.0, POSITION["none"].sd_vertical_m])]
-    some = [
-        ControlResidual("abc"[k], True, 2, np.array([east[k], north[k], up[k]]), sd_m[k]) for k in range(3)
-    ]
-    found = check_points([*some, ControlResidual("control", False, 2, np.full(3, 9.0), np.ones(3))])
+    residual_m = np.array([east, north, up]).T
+    some = [ControlResidual("abc"[k], True, 2, residual_m[k], sd_m[k], SURVEYED_M) for k in range(3)]
+    control = ControlResidual("control", False, 2, np.full(3, 9.0), np.ones(3), SURVEYED_M)
+    found = check_points([*some, control])
     assert found is not None and (found.count, found.blunders) == (3, ())
     assert found.mean_shift_m == pytest.approx([2.0, -1.0, 0.1]), "c has no surveyed height"
     assert found.scatter_m == pytest.approx([(2.0 / 3.0) ** 0.5, 0.0, 0.0])
@@ -118,7 +115,7 @@ def test_of_four_points_none_is_named() -> None:
 def test_many_equal_warnings_are_one_line() -> None:
     """Points ten times less precise than stated: none is a blunder, all that disagree are counted."""
     noise = np.random.default_rng(4).normal(0.0, 1.0, (28, 3))
-    some = [ControlResidual(f"P{k}", True, 3, n, np.full(3, 0.1)) for k, n in enumerate(noise)]
+    some = [ControlResidual(f"P{k}", True, 3, n, np.full(3, 0.1), SURVEYED_M) for k, n in enumerate(noise)]
     (warning,) = control_warnings(some)
     off = noise - noise.mean(axis=0)
     far = [f"P{k}" for k in np.flatnonzero((np.abs(off) > 0.5).any(axis=1))]
