@@ -93,6 +93,11 @@ class AccuracyCells:
         """The cells' own."""
         return accuracy_grid(self.ownership.grid, self.by)
 
+    @cached_property
+    def propagation(self) -> GroundPropagation:
+        """From poses to the ground, whose slope is taken over a cell."""
+        return GroundPropagation(self.adjusted, self.ground, self.grid.gsd_m)
+
     def blocks(self) -> Iterator[AccuracyBlock]:
         """All of it, row by row."""
         for row in range(0, self.grid.height_px, _BLOCK):
@@ -110,8 +115,7 @@ class AccuracyCells:
             size = window.width, window.height
             ground = ground_window(grid.crs, self.work_frame, self.ground, *corner, grid.gsd_m, *size)
             points_m = ground.points_m()
-            propagation = GroundPropagation(self.adjusted, self.ground, grid.gsd_m)
-            found = propagation.at(points_m[shown], owner[shown] - 1)
+            found = self.propagation.at(points_m[shown], owner[shown] - 1)
             out[0, shown], out[1, shown] = found.horizontal_m, found.vertical_m
             out[2, shown] = self._sources(window, points_m)[shown]
         return AccuracyBlock(window.row, window.col, *out)

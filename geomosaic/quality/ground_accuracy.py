@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -127,6 +128,26 @@ class GroundPropagation:
     ground: GroundSurface
     span_m: float
 
+    @cached_property
+    def lens_m2(self) -> float:
+        """Variance of heights in m² by the lens: the median of what `Adjusted.places` state beyond the poses of
+        the nearest tied frames; 0 where they are not stated."""
+        places, moves = self.adjusted.places, moves_with_ground(self.adjusted, self.ground)
+        if places is None or not moves.any():
+            return 0.0
+        tied, positions_m = np.flatnonzero(moves), self.adjusted.poses.positions_m
+        apart = places.places_m[:, None, :2] - positions_m[tied, :2]
+        frame = tied[np.square(apart).sum(axis=-1).argmin(axis=1)]
+        level = np.zeros((len(frame), 2))
+        risen = self._risen(places.places_m - positions_m[frame], level, frame)
+        stated = np.diagonal(places.covariance_m2)[2::3]
+        return float(max(np.median(stated - risen), 0.0))
+
+    def _risen(self, sight_m: Floats, slope: Floats, frame: Ints) -> Floats:
+        """Variances (n,) of the heights at the ends of sights (n, 3) by shift and turn of their frames."""
+        rise = np.einsum("ni,nij->nj", _normals(slope), sight_jacobians(sight_m))[:, None]
+        return _variances(rise, pose_covariances(self.adjusted)[frame])[:, 0]
+
     def at(self, places_m: Floats, frame: Ints) -> GroundDeviations:
         """Deviations at places (n, 3) of the work frame that the frames (n,) show."""
         east, north, _ = places_m.T
@@ -139,8 +160,7 @@ class GroundPropagation:
         height_sd_m = height_deviations(self.ground, self.adjusted.ground, east, north)
         of_height = np.nan_to_num(height_sd_m) ** 2 * np.square(by_height[:, :2]).sum(axis=1)
         horizontal = (_variances(by_pose, covariance).sum(axis=1) + of_height) / 2.0
-        rise = np.einsum("ni,nij->nj", _normals(slope), ends)[:, None]
-        risen = np.where(moves, _variances(rise, covariance)[:, 0], 0.0)
+        risen = np.where(moves, self._risen(sight_m, slope, frame) + self.lens_m2, 0.0)
         return GroundDeviations(np.sqrt(horizontal), np.sqrt(risen + height_sd_m**2))
 
 

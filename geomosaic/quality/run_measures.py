@@ -12,9 +12,9 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
+from rasterio import Affine
 from rasterio.features import geometry_mask
 from rasterio.windows import Window
-from rasterio.windows import transform as window_transform
 
 from geomosaic.constants import sourced
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
@@ -132,7 +132,8 @@ def _volume(rasters: RunRasters, polygon: Any) -> Volume | None:
         window = _window(surface, shapely.get_coordinates(polygon))
         if not (window.width and window.height):
             return None
-        transform = window_transform(window, surface.transform)
+        of = surface.transform
+        transform = Affine(of.a, 0.0, of.c + of.a * window.col_off, 0.0, of.e, of.f + of.e * window.row_off)
         shape = int(window.height), int(window.width)
         rows, cols = np.nonzero(geometry_mask([polygon], shape, transform, invert=True))
         east, north = transform.a * (cols + 0.5) + transform.c, transform.e * (rows + 0.5) + transform.f
@@ -148,12 +149,17 @@ def _volume(rasters: RunRasters, polygon: Any) -> Volume | None:
 
 def _window(raster: Raster, at_m: Floats) -> Window:
     """The pixels about places, as far as the raster goes."""
-    inverse = ~raster.transform
-    cols, rows = inverse * tuple(at_m.T)
+    cols, rows = _pixels(raster, at_m)
     first_col, first_row = max(int(np.floor(cols.min())), 0), max(int(np.floor(rows.min())), 0)
     width = max(min(int(np.floor(cols.max())) + 1, raster.width) - first_col, 0)
     height = max(min(int(np.floor(rows.max())) + 1, raster.height) - first_row, 0)
     return Window(first_col, first_row, width, height)
+
+
+def _pixels(raster: Raster, at_m: Floats) -> tuple[Floats, Floats]:
+    """Cols and rows (n,) of places (n, 2) in a north-up raster."""
+    to_map = raster.transform
+    return (at_m[:, 0] - to_map.c) / to_map.a, (at_m[:, 1] - to_map.f) / to_map.e
 
 
 def _sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
@@ -164,7 +170,7 @@ def _sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
     with reading(Path(raster.name), OWN.problem, OWN.mend):
         values = raster.read(band, window=window, masked=True)
     known = np.asarray(values.astype(np.float64).filled(np.nan))
-    cols, rows = ~raster.transform * tuple(at_m.T)
+    cols, rows = _pixels(raster, at_m)
     col, row = (
         np.floor(cols).astype(np.intp) - window.col_off,
         np.floor(rows).astype(np.intp) - window.row_off,
