@@ -2,12 +2,13 @@
 
     .venv/bin/python tools/bench_accuracy_raster.py [--out DIR] [--only NAME ...] [--seeds N]
 
-A place of the map shows what its frame's true ray meets on the true ground. The frame is the one that sources.tif
-names; its image coordinates come from the run's pose, lens and ground, the ray from the true pose and lens. Figures
-are root mean squares of error over stated deviation, 1 where the raster is true, by source of the height: in plan
-(both axes), and of heights. A block's places share most of their error, so that one survey says little: figures over
-all seeds are what counts; `within` leaves out the mean shift, which all places share. Results go to standard output
-as Markdown and to OUT/accuracy_raster.json; exit code 1 if a class of all surveys together misses 0.8 to 1.25.
+A place of the map shows what its frame's true ray meets on the true ground. The frame is the one that
+sources.tif names; its image coordinates come from the run's pose, lens and ground, the ray from the true pose
+and lens. Figures are root mean squares of error over stated deviation, 1 where the raster is true, by source
+of the height: in plan (both axes), and of heights. Places of a block share most of their error, so that one
+survey says little: figures over all seeds count. `within` leaves out the mean shift, which all places share.
+Results go to standard output as Markdown and to OUT/accuracy_raster.json; exit code 1 if a class of all
+surveys together misses 0.8 to 1.25 in plan.
 """
 
 from __future__ import annotations
@@ -226,11 +227,8 @@ def _together(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def _line(row: dict[str, Any]) -> str:
     names = ("survey", "class", "cells", "plan", "plan_within", "plan_sd_m", "up", "up_sd_m")
     values = (row.get(name) for name in names)
-    return (
-        "| "
-        + " | ".join("" if v is None else f"{v:.2f}" if isinstance(v, float) else f"{v}" for v in values)
-        + " |"
-    )
+    texts = ("" if v is None else f"{v:.2f}" if isinstance(v, float) else f"{v}" for v in values)
+    return f"| {' | '.join(texts)} |"
 
 
 def main() -> int:
@@ -244,9 +242,8 @@ def main() -> int:
     parser.add_argument("--first-seed", type=int, default=1)
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    print(
-        "| survey | class | cells | plan | within | stated, m | up | stated, m |\n|---|---|---|---|---|---|---|---|"
-    )
+    print("| survey | class | cells | plan | within | stated, m | up | stated, m |")
+    print("|---" * 8 + "|")
     rows: list[dict[str, Any]] = []
     for case in CASES:
         if asked.only and case.name not in asked.only:

@@ -130,8 +130,8 @@ class GroundPropagation:
 
     @cached_property
     def lens_m2(self) -> float:
-        """Variance of heights in m² by the lens: the median of what `Adjusted.places` state beyond the poses of
-        the nearest tied frames; 0 where they are not stated."""
+        """Variance of heights in m² by the lens: the median of what `Adjusted.places` state beyond the poses
+        of the nearest tied frames; 0 where they are not stated."""
         places, moves = self.adjusted.places, moves_with_ground(self.adjusted, self.ground)
         if places is None or not moves.any():
             return 0.0
