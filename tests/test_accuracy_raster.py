@@ -12,7 +12,7 @@ from mosaic_scenes import CAMERA, HOME
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from scipy.spatial.transform import Rotation as Turn
 
-from geomosaic.adjustment.model import Adjusted, ImageResiduals
+from geomosaic.adjustment.model import Adjusted, GroundPlaces, ImageResiduals
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.export.accuracy import BANDS, write_accuracy
@@ -142,6 +142,20 @@ def test_the_turn_of_a_whole_block_is_a_turn_of_its_ground() -> None:
     assert horizontal == pytest.approx(np.sqrt(np.square(moved[..., :2]).mean(axis=(0, 2))), rel=0.02)
     risen = moved @ [-0.1, -0.05, 1.0]
     assert vertical == pytest.approx(risen.std(axis=0), rel=0.02)
+
+
+def test_heights_take_what_the_lens_adds_from_the_covariance_of_places() -> None:
+    """Poses leave heights open by 0.3 m, poses and lens by 0.5 m; what poses leave open alone is not counted
+    twice, and places in plan stay as they are."""
+    ground, poses_alone = plane("tie_surface", (0.0, 0.0), 0.0), np.diag([0.04, 0.04, 0.09, 0.0, 0.0, 0.0])
+    found = adjusted(ground, poses_alone)
+    at_m = np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]])
+    places = GroundPlaces(at_m, np.kron(np.eye(4), np.diag([0.04, 0.04, 0.25])))
+    for of, height_sd_m in ((found, 0.3), (replace(found, places=places), 0.5)):
+        _, horizontal, vertical = deviations(of, ground)
+        assert horizontal == pytest.approx(np.full(4, 0.2)) and vertical == pytest.approx(
+            np.full(4, height_sd_m)
+        )
 
 
 def test_what_is_only_assumed_level_has_no_vertical_deviation() -> None:

@@ -26,7 +26,8 @@ from geomosaic.quality.measured import Figure, Volume, area_of, length_of, rings
 Floats = NDArray[np.float64]
 ASSUMED: Final = (
     "errors that the whole map has in common cancel; what a vertex's deviation exceeds the map's least by, "
-    "the mismatch at seams and a pixel's rounding count as independent from vertex to vertex"
+    "the mismatch at seams and a pixel's rounding count as independent from vertex to vertex; the scale's "
+    "deviation is added"
 )
 _PER_AXIS = sourced(0.6006, "median mismatch", "a point's deviation along an axis", "1 / (2 sqrt(ln 2))")
 _ROUNDED = sourced(0.2887, "pixel", "deviation of a place read from pixels", "1 / sqrt(12)")
