@@ -24,7 +24,7 @@ from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.accuracy_grid import AccuracyCells, MatchedCells, held_by_ties
+from geomosaic.quality.accuracy_grid import AccuracyCells, MatchedCells, held_by_ties, standing_m
 from geomosaic.quality.ground_accuracy import GroundPropagation, HeightSource
 from geomosaic.surface.cells import Cells
 
@@ -172,13 +172,29 @@ def test_without_a_covariance_the_deviations_of_positions_and_attitudes_count() 
     assert horizontal == pytest.approx(expected, rel=1e-4)
 
 
-def test_a_matched_surface_on_surer_ground_is_as_sure_as_that() -> None:
+def test_a_matched_surface_has_its_own_deviation_or_that_of_the_ground_before() -> None:
     known = plane("tie_surface", (0.0, 0.0), 0.05)
-    woods = replace(known, kind="dense", sd_m=np.full(known.up_m.shape, 2.0))
-    roofs = replace(woods, up_m=known.up_m + 6.0)
-    for ground, expected in ((woods, 0.05), (roofs, 2.0)):
-        _, _, vertical = deviations(adjusted(known, np.zeros((6, 6))), ground)
+    for sd_m, expected in ((2.0, 2.0), (np.nan, 0.05)):
+        woods = replace(known, kind="dense", sd_m=np.full(known.up_m.shape, sd_m))
+        _, _, vertical = deviations(adjusted(known, np.zeros((6, 6))), woods)
         assert vertical == pytest.approx(np.full(4, expected))
+
+
+def test_what_may_stand_unseen_counts_beyond_the_matched_surface() -> None:
+    ground = plane("dense", (0.0, 0.0), 0.1)
+    roof = np.zeros((120, 100), dtype=np.float32)
+    roof[:30] = 6.0
+    matched = np.arange(100) >= np.full((120, 1), 20)
+    height_m = standing_m(roof, np.zeros_like(roof), matched)
+    assert height_m == pytest.approx(3.0)
+    bare, standing = (
+        next(iter(cells(ground, 8, MatchedCells(Cells(-40.0, -60.0, 1.0, 120, 100), matched, m)).blocks()))
+        for m in (0.0, height_m)
+    )
+    beyond, seen = bare.source == HeightSource.EXTRAPOLATED, np.isfinite(bare.source)
+    assert standing.vertical_m[beyond] == pytest.approx(np.hypot(bare.vertical_m[beyond], 3.0), rel=1e-5)
+    assert (standing.horizontal_m[beyond] > bare.horizontal_m[beyond]).all() and beyond.any()
+    assert standing.vertical_m[seen & ~beyond] == pytest.approx(bare.vertical_m[seen & ~beyond])
 
 
 def cells(

@@ -39,10 +39,15 @@ _WITHIN = tuned(
 
 @dataclass(frozen=True)
 class MatchedCells:
-    """Which cells (rows, cols) of a dense surface, or of the ground below it, were matched."""
+    """Which cells (rows, cols) of a dense surface, or of the ground below it, were matched.
+
+    standing_m: root mean square height of what stands on the ground, as far as a surface that shows it was
+    matched: what may stand unseen beyond.
+    """
 
     cells: Cells
     matched: Bools
+    standing_m: float = 0.0
 
     def sources(self, east: Floats, north: Floats) -> Bytes:
         """`HeightSource` at places of any shape: matched, filled, or extrapolated beyond the cells."""
@@ -115,9 +120,12 @@ class AccuracyCells:
             size = window.width, window.height
             ground = ground_window(grid.crs, self.work_frame, self.ground, *corner, grid.gsd_m, *size)
             points_m = ground.points_m()
-            found = self.propagation.at(points_m[shown], owner[shown] - 1)
+            source = self._sources(window, points_m)[shown]
+            standing_m = 0.0 if self.matched is None else self.matched.standing_m
+            standing_sd_m = np.where(source == HeightSource.EXTRAPOLATED, standing_m, 0.0)
+            found = self.propagation.at(points_m[shown], owner[shown] - 1, standing_sd_m)
             out[0, shown], out[1, shown] = found.horizontal_m, found.vertical_m
-            out[2, shown] = self._sources(window, points_m)[shown]
+            out[2, shown] = source
         return AccuracyBlock(window.row, window.col, *out)
 
     def _owners(self, window: Window) -> NDArray[np.intp]:
@@ -142,6 +150,12 @@ class AccuracyCells:
         found = self.matched.sources(points_m[..., 0], points_m[..., 1])
         found[~held & (found == HeightSource.FILLED)] = HeightSource.EXTRAPOLATED
         return found
+
+
+def standing_m(surface_m: Floats32, terrain_m: Floats32, matched: Bools) -> float:
+    """Root mean square height in m of a surface (rows, cols) above the ground below, where it was matched."""
+    over_m = (surface_m - terrain_m)[matched]
+    return float(np.sqrt(np.square(over_m, dtype=np.float64).mean())) if over_m.size else 0.0
 
 
 def held_by_ties(adjusted: Adjusted, ties: TiePoints, work_frame: LocalFrame, crs: str) -> Area:

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.ground.ground_choice import DEM_SD_M
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.ground_doubt import MATCHED
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -96,16 +95,9 @@ def ground_jacobians(sight_m: Floats, slope: Floats) -> Floats:
 
 
 def height_deviations(ground: GroundSurface, known: GroundSurface, east: Floats, north: Floats) -> Floats:
-    """Deviations (n,) in m of the ground's heights, NaN where none is known.
-
-    Of a matched surface and of the ground known before the lesser counts, the latter with the distance
-    between both.
-    """
+    """Deviations (n,) in m of the ground's heights, those known before where it states none, else NaN."""
     own = _stated(ground, east, north)
-    if ground.kind not in MATCHED:
-        return own
-    apart_m = ground.up_at(east, north) - known.up_at(east, north)
-    return np.asarray(np.fmin(own, np.hypot(apart_m, _stated(known, east, north))))
+    return np.asarray(np.where(np.isnan(own), _stated(known, east, north), own))
 
 
 def slopes_of(ground: GroundSurface, east: Floats, north: Floats, span_m: float) -> Floats:
@@ -148,8 +140,11 @@ class GroundPropagation:
         rise = np.einsum("ni,nij->nj", _normals(slope), sight_jacobians(sight_m))[:, None]
         return _variances(rise, pose_covariances(self.adjusted)[frame])[:, 0]
 
-    def at(self, places_m: Floats, frame: Ints) -> GroundDeviations:
-        """Deviations at places (n, 3) of the work frame that the frames (n,) show."""
+    def at(self, places_m: Floats, frame: Ints, standing_sd_m: Floats | float = 0.0) -> GroundDeviations:
+        """Deviations at places (n, 3) of the work frame that the frames (n,) show.
+
+        standing_sd_m (n,): by what may stand there unseen.
+        """
         east, north, _ = places_m.T
         sight_m = places_m - self.adjusted.poses.positions_m[frame]
         slope = slopes_of(self.ground, east, north, self.span_m)
@@ -158,6 +153,7 @@ class GroundPropagation:
         ends, by_height = sight_jacobians(sight_m), height_jacobians(sight_m, slope)
         by_pose = np.where(moves[:, None, None], ends, ground_jacobians(sight_m, slope))[:, :2]
         height_sd_m = height_deviations(self.ground, self.adjusted.ground, east, north)
+        height_sd_m = np.hypot(height_sd_m, standing_sd_m)
         of_height = np.nan_to_num(height_sd_m) ** 2 * np.square(by_height[:, :2]).sum(axis=1)
         horizontal = (_variances(by_pose, covariance).sum(axis=1) + of_height) / 2.0
         risen = np.where(moves, self._risen(sight_m, slope, frame) + self.lens_m2, 0.0)

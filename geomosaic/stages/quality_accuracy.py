@@ -15,7 +15,13 @@ from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.accuracy_grid import AccuracyBlock, AccuracyCells, MatchedCells, held_by_ties
+from geomosaic.quality.accuracy_grid import (
+    AccuracyBlock,
+    AccuracyCells,
+    MatchedCells,
+    held_by_ties,
+    standing_m,
+)
 from geomosaic.quality.ground_accuracy import HeightSource
 from geomosaic.quality.ground_doubt import MATCHED
 from geomosaic.surface.model import DenseSurface
@@ -89,9 +95,11 @@ def _matched(inputs: Mapping[str, Any]) -> MatchedCells | None:
     if surface is None or kind not in MATCHED:
         return None
     matched = surface.views > 0
-    if kind == TERRAIN and terrain is not None:
-        matched = matched & terrain.seen
-    return MatchedCells(surface.cells, matched)
+    if terrain is None:
+        return MatchedCells(surface.cells, matched)
+    if kind == TERRAIN:
+        return MatchedCells(surface.cells, matched & terrain.seen)
+    return MatchedCells(surface.cells, matched, standing_m(surface.up_m, terrain.up_m, matched))
 
 
 def _known(value: float) -> float | None:
