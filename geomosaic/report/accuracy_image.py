@@ -37,7 +37,8 @@ def accuracy_image(path: Path, origin: NDArray[np.float64]) -> MapImage | None:
     stops = np.linspace(0.0, 1.0, len(_COLOURS))
     channels = [np.interp(share, stops, channel) for channel in zip(*_COLOURS, strict=True)]
     drawn = np.dstack([*channels, np.where(known, 255, 0)]).astype(np.uint8)
-    box = (west - origin[0], south - origin[1], east - origin[0], north - origin[1])
+    east_0, north_0 = origin.tolist()
+    box = (west - east_0, south - north_0, east - east_0, north - north_0)
     note = f"1 σ along an axis, green {short(low, 'm')} to red {short(high, 'm')}"
     uri = data_uri("png", drawn, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     return MapImage("accuracy", "Accuracy in plan", uri, box, note=note, opacity=0.6)
