@@ -54,6 +54,9 @@ bench-surface: setup ## the dense surface of three simulated towns against their
 bench-accuracy: bench-monte-carlo bench-bundle ## accuracy on simulated surveys against their truth (about an hour)
 	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
 
+bench-accuracy-raster: setup ## accuracy.tif against the truth on simulated surveys (about an hour); ONLY="names"
+	$(PY) tools/bench_accuracy_raster.py $(if $(ONLY),--only $(ONLY)) --out out/bench-accuracy-raster
+
 bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao bound, 30 seeds (about 20 minutes)
 	$(PY) tools/bench_monte_carlo.py --out out/bench-monte-carlo
 
@@ -117,4 +120,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

@@ -102,7 +102,7 @@ def run(block: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def test_the_run_folder_holds_just_what_is_promised(run: Path) -> None:
     names = {p.name for p in run.iterdir()}
     promised = {"mosaic.tif", "layers.gpkg", "positions.csv", "run.mcap", "run.json", "report.html", "work"}
-    assert names == promised | {"sources.tif", "project.qgz", MARKER}
+    assert names == promised | {"accuracy.tif", "sources.tif", "project.qgz", MARKER}
     assert not [p for p in run.rglob("*") if ".part" in p.name or p.name.endswith("-journal")]
 
 
@@ -184,7 +184,7 @@ def test_run_json_keeps_its_promise(run: Path) -> None:
         "inputs",
     } <= (told_run.keys())
     assert all({"code", "frame", "text"} == w.keys() for w in told_run["warnings"])
-    assert len(told_run["timings_s"]) == 18 and told_run["timings_s"]["matching.sift"] > 0.0
+    assert len(told_run["timings_s"]) == 19 and told_run["timings_s"]["matching.sift"] > 0.0
     (camera,) = told_run["camera"]
     assert camera["focal_length_px"] == pytest.approx(500.0, abs=10.0) and camera["focal_length_px"] != 500.0
     assert len(told_run["inputs"]["survey.read.frames"]["files"]) == 8

@@ -23,7 +23,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
 from geomosaic.cli.mosaic import OPTIONAL, STAGES
-from geomosaic.doors.vector import read_polygons
+from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic import frame_part
@@ -324,7 +324,7 @@ def test_a_bomb_of_entities_and_a_log_of_sqlite_are_refused(tmp_path: Path) -> N
     (tmp_path / "bomb.kml").write_text(text)
     aoi = polygons(tmp_path / "area.gpkg", CRS, [box(0.0, 0.0, 9.0, 9.0)])
     before = sorted(p.name for p in tmp_path.iterdir())
-    assert len(read_polygons(aoi).geometries) == 1
+    assert len(read_shapes(aoi).geometries) == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == before, "SQLite has put nothing beside it"
     (tmp_path / "area.gpkg-wal").write_bytes(b"log")
     for file, problem in (
@@ -334,7 +334,7 @@ def test_a_bomb_of_entities_and_a_log_of_sqlite_are_refused(tmp_path: Path) -> N
         (tmp_path, "is no regular file but a folder"),
     ):
         with pytest.raises(InputError, match=problem):
-            read_polygons(file)
+            read_shapes(file)
 
 
 def test_an_area_that_crosses_itself_is_mended_and_told(tmp_path: Path, flown: Any) -> None:

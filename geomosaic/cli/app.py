@@ -10,6 +10,7 @@ from geomosaic import __version__
 from geomosaic.cli import recordings
 from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
+from geomosaic.cli.measure import measure
 from geomosaic.cli.misplacement import misplacement
 from geomosaic.cli.mosaic import mosaic, name_methods, run
 from geomosaic.cli.qgis_script import qgis_script
@@ -53,7 +54,19 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
         name_methods()
     if argv[:1] == ["strips"] and asks:
         name_strip_methods()
-    for command in (mosaic, strips, run, recipes, fetch, stages, evaluate, misplacement, doctor, qgis_script):
+    for command in (
+        mosaic,
+        strips,
+        run,
+        recipes,
+        fetch,
+        stages,
+        evaluate,
+        measure,
+        misplacement,
+        doctor,
+        qgis_script,
+    ):
         app.command()(command)
     app.registered_commands += recordings.app.registered_commands
     for group, help in _GENERATED.items():

@@ -57,6 +57,7 @@ STAGES = (
     "quality.compare",
     "quality.surface",
     "quality.verdict",
+    "quality.accuracy",
     "export.layers",
     "export.project",
     "mosaic.given",

@@ -1,4 +1,4 @@
-"""The one place where a file of outlines is opened: a regular local file of a listed driver, its polygons."""
+"""The one place where a file of shapes is opened: a local file of a listed driver; polygons or lines."""
 
 from __future__ import annotations
 
@@ -22,17 +22,39 @@ _MOST_VERTICES: Final = 2_000_000
 _MOST_FEATURES: Final = 1_000_000
 _TEXTS: Final = ("GeoJSON", "KML")
 _MOST_TEXT_BYTES: Final = 256 << 20  # GDAL reads them whole
-_NOT_THIS: Final = "give a GeoPackage, GeoJSON, Shapefile, FlatGeobuf or KML of polygons"
-_POLYGONS: Final = (ogr.wkbPolygon, ogr.wkbMultiPolygon)
-_MAY_HOLD_POLYGONS: Final = (
-    *(ogr.wkbUnknown, ogr.wkbGeometryCollection, *_POLYGONS),
-    *(ogr.wkbCurvePolygon, ogr.wkbMultiSurface, ogr.wkbSurface),
+_FORMATS: Final = "give a GeoPackage, GeoJSON, Shapefile, FlatGeobuf or KML"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is looked for in a file: its name, OGR's type of one, and those of layers that may hold some."""
+
+    name: str
+    single: int
+    layers: tuple[int, ...]
+
+    @property
+    def wanted(self) -> str:
+        """What a user is asked for."""
+        return f"{_FORMATS} of {self.name}s"
+
+
+_ANY: Final = (ogr.wkbUnknown, ogr.wkbGeometryCollection)
+POLYGON: Final = Kind(
+    "polygon",
+    ogr.wkbPolygon,
+    (*_ANY, ogr.wkbPolygon, ogr.wkbMultiPolygon, ogr.wkbCurvePolygon, ogr.wkbMultiSurface, ogr.wkbSurface),
+)
+LINE: Final = Kind(
+    "line",
+    ogr.wkbLineString,
+    (*_ANY, ogr.wkbLineString, ogr.wkbMultiLineString, ogr.wkbCompoundCurve, ogr.wkbMultiCurve, ogr.wkbCurve),
 )
 
 
 @dataclass(frozen=True)
-class Polygons:
-    """The polygons of a file's one layer that has some, and their CRS as WKT.
+class Shapes:
+    """The polygons or lines of a file's one layer that has some, and their CRS as WKT.
 
     geometries: shapely's, x before y, of straight edges, as valid as the file has them.
     """
@@ -41,53 +63,53 @@ class Polygons:
     crs: str
 
 
-def read_polygons(path: Path) -> Polygons:
-    """All polygons of a file, those within collections too; points and lines are passed over.
+def read_shapes(path: Path, kind: Kind = POLYGON) -> Shapes:
+    """All polygons, or lines, of a file, those within collections too; other geometries are ignored.
 
-    Raises: `FileError` for what is no regular local file or of none of `DRIVERS`, has no polygon or several
-    layers with some, no CRS, more than 2 million vertices, or can't be read.
+    Raises: `FileError` for what is no regular local file or of none of `DRIVERS`, has none of that kind or
+    several layers with some, no CRS, more than 2 million vertices, or can't be read.
     """
     if str(path).startswith("/vsi"):
-        raise FileError("is no path of a file on this machine", file=path, mend=_NOT_THIS)
-    check_regular(path, _NOT_THIS)
+        raise FileError("is no path of a file on this machine", file=path, mend=kind.wanted)
+    check_regular(path, kind.wanted)
     path = path.absolute()
     check_sidecars(path)
-    with _said(path):
-        dataset = open_vector(path)
+    with _said(path, kind):
+        dataset = open_vector(path, kind)
         layers = [dataset.GetLayerByIndex(i) for i in range(dataset.GetLayerCount())]
-        found = {layer.GetName(): (layer, _polygons(layer, path)) for layer in layers}
+        found = {layer.GetName(): (layer, _of_kind(layer, path, kind)) for layer in layers}
         found = {name: of for name, of in found.items() if of[1]}
         if not found:
-            raise FileError("has no polygon", file=path, mend=_NOT_THIS)
+            raise FileError(f"has no {kind.name}", file=path, mend=kind.wanted)
         if len(found) > 1:
             names = printable(", ".join(found))[:200]
             mend = "write the layer that is meant to a file of its own (ogr2ogr area.gpkg FILE LAYER)"
-            raise FileError(f"has polygons in {len(found)} layers ({names})", file=path, mend=mend)
-        ((layer, polygons),) = found.values()
+            raise FileError(f"has {kind.name}s in {len(found)} layers ({names})", file=path, mend=mend)
+        ((layer, shapes),) = found.values()
         reference = layer.GetSpatialRef()
         if reference is None or (reference.GetName() or "").lower().startswith(("undefined", "unknown")):
             mend = "say which its coordinates are (ogr2ogr -a_srs EPSG:n area.gpkg FILE)"
             raise FileError("has no coordinate reference system", file=path, mend=mend)
-        return Polygons(tuple(polygons), str(reference.ExportToWkt(["FORMAT=WKT2_2019"])))
+        return Shapes(tuple(shapes), str(reference.ExportToWkt(["FORMAT=WKT2_2019"])))
 
 
 @contextmanager
-def _said(path: Path) -> Iterator[None]:
+def _said(path: Path, kind: Kind) -> Iterator[None]:
     """Puts `FileError` in the place of what GDAL says, and keeps its warnings off the screen."""
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
         yield
     except (RuntimeError, shapely.errors.ShapelyError) as error:
-        raise FileError("can't be read as a file of polygons", file=path, mend=_NOT_THIS) from error
+        raise FileError(f"can't be read as a file of {kind.name}s", file=path, mend=kind.wanted) from error
     finally:
         gdal.PopErrorHandler()
 
 
-def open_vector(path: Path) -> Any:
-    """Polygons, or a run's own layers, as osgeo's dataset. Raises `FileError` for none of `DRIVERS`."""
+def open_vector(path: Path, kind: Kind = POLYGON) -> Any:
+    """Polygons or lines, or a run's own layers, as osgeo's dataset; `FileError` for none of `DRIVERS`."""
     driver = gdal.IdentifyDriverEx(str(path), gdal.OF_VECTOR, list(DRIVERS))
     if driver is None:
-        raise FileError("is no file of polygons that is read", file=path, mend=_NOT_THIS)
+        raise FileError(f"is no file of {kind.name}s that is read", file=path, mend=kind.wanted)
     if driver.ShortName in _TEXTS and path.stat().st_size > _MOST_TEXT_BYTES:
         raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=path, mend="write it as a GeoPackage")
     options = []
@@ -99,14 +121,14 @@ def open_vector(path: Path) -> Any:
     return gdal.OpenEx(str(path), gdal.OF_VECTOR, allowed_drivers=[driver.ShortName], open_options=options)
 
 
-def _polygons(layer: Any, path: Path) -> list[Any]:
-    if ogr.GT_Flatten(layer.GetGeomType()) not in _MAY_HOLD_POLYGONS:
+def _of_kind(layer: Any, path: Path, kind: Kind) -> list[Any]:
+    if ogr.GT_Flatten(layer.GetGeomType()) not in kind.layers:
         return []
     found: list[Any] = []
     vertices = 0
     for number, feature in enumerate(layer):
         geometry = feature.GetGeometryRef()
-        for part in () if geometry is None else _parts(geometry.GetLinearGeometry()):
+        for part in () if geometry is None else _parts(geometry.GetLinearGeometry(), kind):
             part.FlattenTo2D()
             found.append(shapely.from_wkb(bytes(part.ExportToWkb())))
             vertices += int(shapely.get_num_coordinates(found[-1]))
@@ -116,12 +138,12 @@ def _polygons(layer: Any, path: Path) -> list[Any]:
     return found
 
 
-def _parts(geometry: Any) -> Iterator[Any]:
-    """The polygons in a geometry, however deep."""
-    kind = ogr.GT_Flatten(geometry.GetGeometryType())
-    if kind == ogr.wkbPolygon:
+def _parts(geometry: Any, kind: Kind) -> Iterator[Any]:
+    """The polygons, or lines, in a geometry, however deep."""
+    found = ogr.GT_Flatten(geometry.GetGeometryType())
+    if found == kind.single:
         if not geometry.IsEmpty():
             yield geometry
     else:
-        for i in range(geometry.GetGeometryCount() if kind >= ogr.wkbMultiPoint else 0):
-            yield from _parts(geometry.GetGeometryRef(i))
+        for i in range(geometry.GetGeometryCount() if found >= ogr.wkbMultiPoint else 0):
+            yield from _parts(geometry.GetGeometryRef(i), kind)

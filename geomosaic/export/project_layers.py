@@ -11,7 +11,12 @@ from defusedxml.ElementTree import fromstring
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.looks import contours
 from geomosaic.export.project import Group, Shown
-from geomosaic.export.project_rasters import image_layer, source_layer, surface_layers
+from geomosaic.export.project_rasters import (
+    accuracy_layers,
+    image_layer,
+    source_layer,
+    surface_layers,
+)
 from geomosaic.export.styles import parts
 from geomosaic.export.web import on_map
 
@@ -61,6 +66,7 @@ def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, fl
         Group(title, tuple(shown[name] for name in names if name in shown), expanded=title != "Residuals")
         for title, names in _GROUPS.items()
     ]
+    groups.append(Group("Accuracy", tuple(accuracy_layers(package.parent))))
     groups.append(Group("Surface", (*contour_layers(package.parent), *surface_layers(package.parent))))
     groups.append(Group("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + rasters)))
     if bounds is not None:

@@ -1,5 +1,5 @@
-"""Rasters of a run in its QGIS project: the mosaic, which frame gave what, the surface lit from the
-north-west."""
+"""Rasters of a run in its QGIS project: the mosaic, which frame gave what, its accuracy, the surface lit
+from the north-west."""
 
 from __future__ import annotations
 
@@ -20,6 +20,13 @@ _HEIGHTS: Final = ("#00224d", "#414d6b", "#7b7b78", "#bbae6e", "#fde737")
 """Low to high: CIVIDIS, which the report draws heights in too."""
 _DOUBT: Final = ("#1a9641", "#a6d96a", "#ffffbf", "#fdae61", "#d7191c")
 """Sure to doubtful."""
+_SOURCES: Final = {
+    1: ("tie surface", "#1a9641"),
+    2: ("matched", "#2b83ba"),
+    3: ("filled", "#fdae61"),
+    4: ("extrapolated", "#d7191c"),
+}
+"""By band 3 of accuracy.tif: where a height comes from, and its colour."""
 _MULTIPLY: Final = "6"
 """QGIS' number of the way of blending that shades what lies below."""
 
@@ -82,6 +89,24 @@ def source_layer(path: Path) -> Shown:
             label=frames[number],
         )  # fmt: skip
     return _raster(path, "Which frame gives each pixel", crs, renderer, checked=False)
+
+
+def accuracy_layers(folder: Path) -> list[Shown]:
+    """Those of a run's accuracy.tif, if it has one: both deviations, and where heights come from."""
+    path = folder / "accuracy.tif"
+    if not path.is_file():
+        return []
+    with open_raster(path, OWN) as tiff:
+        crs, known = tiff.crs.to_wkt(), [_stretch(tiff.tags(band)) is not None for band in (1, 2)]
+    shown = [_coloured(path, "Accuracy in plan", 1, _DOUBT, id="accuracy_horizontal")] if known[0] else []
+    if known[1]:
+        shown.append(_coloured(path, "Accuracy of heights", 2, _DOUBT, id="accuracy_vertical"))
+    renderer = Element("rasterrenderer", type="paletted", band="3", alphaBand="-1", opacity="0.6")
+    palette = SubElement(renderer, "colorPalette")
+    for number, (label, colour) in _SOURCES.items():
+        SubElement(palette, "paletteEntry", value=f"{number}", color=colour, alpha="255", label=label)
+    title = "Where heights come from"
+    return [*shown, _raster(path, title, crs, renderer, checked=False, id="accuracy_sources")]
 
 
 def surface_layers(folder: Path) -> list[Shown]:

@@ -32,6 +32,7 @@ ASSETS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "layers.gpkg": ("Frames, tie points, seamlines", "application/geopackage+sqlite3", ("metadata",)),
     "positions.csv": ("Exterior orientation", "text/csv", ("metadata",)),
     "offsets.csv": ("Offsets between CCDs", "text/csv", ("metadata",)),
+    "accuracy.tif": ("Standard deviations of places", _COG, ("metadata",)),
     "sources.tif": ("Which frame made each pixel", _COG, ("metadata",)),
     "mosaic.pmtiles": ("Web map tiles", "application/vnd.pmtiles", ("visual",)),
     "report.html": ("Report", "text/html", ("metadata",)),

@@ -17,7 +17,7 @@ from rasterio import Affine
 from rasterio.features import rasterize
 
 from geomosaic.constants import tuned
-from geomosaic.doors.vector import read_polygons
+from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.mosaic.model import OutputGrid
@@ -114,9 +114,9 @@ class Outline:
 def read_outline(path: Path) -> Outline:
     """The polygons of a file as one geometry; those that cross themselves are mended.
 
-    Raises: `FileError` as `doors.vector.read_polygons`; `InputError` where the polygons hold nothing.
+    Raises: `FileError` as `doors.vector.read_shapes`; `InputError` where the polygons hold nothing.
     """
-    found = read_polygons(path)
+    found = read_shapes(path)
     mended = not bool(shapely.is_valid(np.array(found.geometries, dtype=object)).all())
     try:
         whole = _polygonal(shapely.union_all([shapely.make_valid(g) for g in found.geometries]))

@@ -21,6 +21,7 @@ from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.scores import CCIR_500_1, CRITERIA
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report import parts
+from geomosaic.report.accuracy_image import accuracy_image
 from geomosaic.report.comparison import comparison_rows, ssim_image
 from geomosaic.report.frame_layers import FrameLayers, map_footprints_m
 from geomosaic.report.glance import Glance, glance
@@ -40,10 +41,14 @@ _GROUND = {"flat": "flat ground", "dem": "the DEM", "tie_surface": "the tie poin
 
 @dataclass(frozen=True)
 class Beside:
-    """Other images of the mosaic's ground, to be swiped over it: by POS alone, and the reference."""
+    """Other images of the mosaic's ground, to be swiped over it: by POS alone, and the reference.
+
+    accuracy: accuracy.tif, a layer of the map.
+    """
 
     given: Glance | None = None
     reference: Glance | None = None
+    accuracy: Path | None = None
 
 
 def render_report(
@@ -140,6 +145,9 @@ def _images(
             "overlap", "Overlap count", overlap_image(image, footprints_m), box, note=counts, opacity=0.6
         )
     ]
+    accuracy = None if beside.accuracy is None else accuracy_image(beside.accuracy, origin)
+    if accuracy is not None:
+        out.append(accuracy)
     if surface is not None:
         west, south, east, north = surface.box_m
         lies = (west - origin[0], south - origin[1], east - origin[0], north - origin[1])

@@ -44,7 +44,7 @@ class ExportReport(Stage):
     optional_inputs: ClassVar[dict[str, type]] = {
         "comparison": Comparison, "verdict": Verdict, "surface_file": RunFile, "confidence_file": RunFile,
         "terrain_file": RunFile, "surface_comparison": SurfaceComparison, "given": GivenMosaic,
-        "reference_seen": ReferenceSeen,
+        "reference_seen": ReferenceSeen, "accuracy_file": RunFile,
     }  # fmt: skip
     outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
     results: ClassVar[tuple[str, ...]] = ("report.html", ACCURACY_REPORT, PDF)
@@ -68,7 +68,7 @@ class ExportReport(Stage):
             comparison=inputs.get("comparison"),
             verdict=inputs.get("verdict"),
             surface=_surface(inputs, context),
-            beside=Beside(*(inputs[name].image if name in inputs else None for name in _BESIDE)),
+            beside=_beside(inputs, context),
             summary=context.summary(),
             name=run_name(context),
         )
@@ -107,3 +107,9 @@ def _surface(inputs: Mapping[str, Any], context: Context) -> SurfaceSection | No
         context.path_of(inputs[name]) for name in ("surface_file", "confidence_file", "terrain_file")
     )
     return surface_section(surface, confidence, terrain, context.summary(), inputs.get("surface_comparison"))
+
+
+def _beside(inputs: Mapping[str, Any], context: Context) -> Beside:
+    given, reference = (inputs[name].image if name in inputs else None for name in _BESIDE)
+    accuracy = inputs.get("accuracy_file")
+    return Beside(given, reference, None if accuracy is None else context.path_of(accuracy))

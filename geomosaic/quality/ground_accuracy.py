@@ -1,0 +1,175 @@
+"""Standard deviations of a mosaic's pixels on the ground, propagated from poses and heights.
+
+A pixel shows what its frame's ray meets. With r the ray from the projection centre to the place, n the normal
+(-slope east, -slope north, 1) of the ground, a shift dC, a turn t and a height error dh move that place by
+
+    dX = (I - r n' / n'r) (dC + t x r) + r dh / n'r
+
+Ground that the block itself has estimated rises and tilts with the frames that it was estimated from. There
+dh counts from the moved ground: n'(dC + t x r) is an error of the height, and no horizontal displacement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.adjustment.ground.ground_choice import DEM_SD_M
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.projection.ground import GroundSurface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+DEM: Final = "dem"
+
+
+class HeightSource(IntEnum):
+    """Band 3 of accuracy.tif: where the height of a place comes from."""
+
+    TIE_SURFACE = 1
+    MATCHED = 2
+    FILLED = 3
+    EXTRAPOLATED = 4
+
+
+@dataclass(frozen=True)
+class GroundDeviations:
+    """Standard deviations (n,) of places in m.
+
+    horizontal_m: root of the mean of the variances east and north. vertical_m: of the height, NaN where the
+    ground is assumed level or its deviation is unknown.
+    """
+
+    horizontal_m: Floats
+    vertical_m: Floats
+
+
+def pose_covariances(adjusted: Adjusted) -> Floats:
+    """Covariances (f, 6, 6) of east, north, up (m) and the turns about them (rad): of the adjustment, else of
+    the deviations as if they were independent. NaN where nothing is known."""
+    if adjusted.pose_covariance is not None:
+        return adjusted.pose_covariance
+    poses = adjusted.poses
+    sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
+    sd[~np.isfinite(sd)] = np.nan
+    return np.asarray(np.where(np.eye(6, dtype=bool), sd[:, :, None] ** 2, 0.0))
+
+
+def moves_with_ground(adjusted: Adjusted, ground: GroundSurface) -> NDArray[np.bool_]:
+    """Frames (f,) whose errors the ground shares, since it was estimated from them."""
+    estimated = adjusted.pose_covariance is not None and ground.kind != DEM
+    return np.array([estimated and status == "tied" for status in adjusted.status], dtype=bool)
+
+
+def sight_jacobians(sight_m: Floats) -> Floats:
+    """Derivatives (n, 3, 6) of the ends of sights (n, 3) by shift and turn of their frames: [I, -[r]x]."""
+    east, north, up = sight_m.T
+    out = np.zeros((len(sight_m), 3, 6))
+    out[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    out[:, 0, 4], out[:, 0, 5] = up, -north
+    out[:, 1, 3], out[:, 1, 5] = -up, east
+    out[:, 2, 3], out[:, 2, 4] = north, -east
+    return out
+
+
+def height_jacobians(sight_m: Floats, slope: Floats) -> Floats:
+    """Derivatives (n, 3) of where sights (n, 3) meet the ground by the ground's height.
+
+    slope (n, 2): rise per m east and north. NaN where the ground faces away from the frame.
+    """
+    towards = np.einsum("ni,ni->n", sight_m, _normals(slope))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(towards[:, None] < 0.0, sight_m / towards[:, None], np.nan))
+
+
+def ground_jacobians(sight_m: Floats, slope: Floats) -> Floats:
+    """Derivatives (n, 3, 6) of where sights (n, 3) meet ground that stays, by shift and turn of frames."""
+    ends = sight_jacobians(sight_m)
+    along = np.einsum("ni,nij->nj", _normals(slope), ends)
+    return np.asarray(ends - height_jacobians(sight_m, slope)[:, :, None] * along[:, None, :])
+
+
+def height_deviations(ground: GroundSurface, known: GroundSurface, east: Floats, north: Floats) -> Floats:
+    """Deviations (n,) in m of the ground's heights, those known before where it states none, else NaN."""
+    own = _stated(ground, east, north)
+    return np.asarray(np.where(np.isnan(own), _stated(known, east, north), own))
+
+
+def slopes_of(ground: GroundSurface, east: Floats, north: Floats, span_m: float) -> Floats:
+    """Rise (n, 2) per m east and north over span_m; level on ground that shows walls, which stand between
+    level places."""
+    if ground.has_walls:
+        return np.zeros((len(east), 2))
+    half = span_m / 2.0
+    rise_east = ground.up_at(east + half, north) - ground.up_at(east - half, north)
+    rise_north = ground.up_at(east, north + half) - ground.up_at(east, north - half)
+    return np.stack([rise_east, rise_north], axis=-1) / span_m
+
+
+@dataclass(frozen=True)
+class GroundPropagation:
+    """Propagates the poses of an adjusted block to its ground. ground: what the mosaic lies on; span_m: over
+    which its slope is taken."""
+
+    adjusted: Adjusted
+    ground: GroundSurface
+    span_m: float
+
+    @cached_property
+    def lens_m2(self) -> float:
+        """Variance of heights in m² by the lens: the median of what `Adjusted.places` state beyond the poses
+        of the nearest tied frames; 0 where they are not stated."""
+        places, moves = self.adjusted.places, moves_with_ground(self.adjusted, self.ground)
+        if places is None or not moves.any():
+            return 0.0
+        tied, positions_m = np.flatnonzero(moves), self.adjusted.poses.positions_m
+        apart = places.places_m[:, None, :2] - positions_m[tied, :2]
+        frame = tied[np.square(apart).sum(axis=-1).argmin(axis=1)]
+        level = np.zeros((len(frame), 2))
+        risen = self._risen(places.places_m - positions_m[frame], level, frame)
+        stated = np.diagonal(places.covariance_m2)[2::3]
+        return float(max(np.median(stated - risen), 0.0))
+
+    def _risen(self, sight_m: Floats, slope: Floats, frame: Ints) -> Floats:
+        """Variances (n,) of the heights at the ends of sights (n, 3) by shift and turn of their frames."""
+        rise = np.einsum("ni,nij->nj", _normals(slope), sight_jacobians(sight_m))[:, None]
+        return _variances(rise, pose_covariances(self.adjusted)[frame])[:, 0]
+
+    def at(self, places_m: Floats, frame: Ints, standing_sd_m: Floats | float = 0.0) -> GroundDeviations:
+        """Deviations at places (n, 3) of the work frame that the frames (n,) show.
+
+        standing_sd_m (n,): by what may stand there unseen.
+        """
+        east, north, _ = places_m.T
+        sight_m = places_m - self.adjusted.poses.positions_m[frame]
+        slope = slopes_of(self.ground, east, north, self.span_m)
+        covariance = pose_covariances(self.adjusted)[frame]
+        moves = moves_with_ground(self.adjusted, self.ground)[frame]
+        ends, by_height = sight_jacobians(sight_m), height_jacobians(sight_m, slope)
+        by_pose = np.where(moves[:, None, None], ends, ground_jacobians(sight_m, slope))[:, :2]
+        height_sd_m = height_deviations(self.ground, self.adjusted.ground, east, north)
+        height_sd_m = np.hypot(height_sd_m, standing_sd_m)
+        of_height = np.nan_to_num(height_sd_m) ** 2 * np.square(by_height[:, :2]).sum(axis=1)
+        horizontal = (_variances(by_pose, covariance).sum(axis=1) + of_height) / 2.0
+        risen = np.where(moves, self._risen(sight_m, slope, frame) + self.lens_m2, 0.0)
+        return GroundDeviations(np.sqrt(horizontal), np.sqrt(risen + height_sd_m**2))
+
+
+def _stated(ground: GroundSurface, east: Floats, north: Floats) -> Floats:
+    sd_m = ground.sd_at(east, north)
+    return np.where(np.isnan(sd_m), DEM_SD_M, sd_m) if ground.kind == DEM else sd_m
+
+
+def _normals(slope: Floats) -> Floats:
+    return np.concatenate([-slope, np.ones((len(slope), 1))], axis=1)
+
+
+def _variances(jacobian: Floats, covariance: Floats) -> Floats:
+    """Diagonals (n, k) of J C J', J (n, k, 6), C (n, 6, 6); rounding must not make them negative."""
+    found = np.einsum("nki,nki->nk", jacobian @ covariance, jacobian)
+    return np.asarray(np.maximum(found, 0.0))

@@ -1,0 +1,181 @@
+"""What a finished run's rasters say of lines and polygons: their measures and deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+from rasterio import Affine
+from rasterio.features import geometry_mask
+from rasterio.windows import Window
+
+from geomosaic.constants import sourced
+from geomosaic.doors.raster import OWN, Raster, open_raster, reading
+from geomosaic.doors.vector import Shapes
+from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import check_on_earth
+from geomosaic.quality.measured import Figure, Volume, area_of, length_of, rings_of_polygon, volume_of
+
+Floats = NDArray[np.float64]
+ASSUMED: Final = (
+    "errors that the whole map has in common cancel; what a vertex's deviation exceeds the map's least by, "
+    "the mismatch at seams and a pixel's rounding count as independent from vertex to vertex; the scale's "
+    "deviation is added"
+)
+_PER_AXIS = sourced(0.6006, "median mismatch", "a point's deviation along an axis", "1 / (2 sqrt(ln 2))")
+_ROUNDED = sourced(0.2887, "pixel", "deviation of a place read from pixels", "1 / sqrt(12)")
+
+
+@dataclass(frozen=True)
+class RunRasters:
+    """A run's rasters: accuracy.tif, and where there is a surface its surface.tif and surface_confidence.tif.
+
+    summary: run.json.
+    """
+
+    accuracy: Path
+    summary: Mapping[str, Any]
+    surface: Path | None = None
+    confidence: Path | None = None
+
+
+@dataclass(frozen=True)
+class MeasuredPolygon:
+    """Its area; its volume, None without a surface under all of it."""
+
+    area: Figure
+    volume: Volume | None
+
+
+def measure_lines(rasters: RunRasters, lines: Shapes, file: Path) -> tuple[str, list[Figure]]:
+    """The map's CRS and the lengths of lines.
+
+    Raises: `InputError` naming `file` where they can't be brought to the map.
+    """
+    with open_raster(rasters.accuracy, OWN) as accuracy:
+        crs = CRS.from_user_input(accuracy.crs.to_wkt())
+        scale = _scale_sd(rasters.summary)
+        found = []
+        for line in on_map(lines, crs, file):
+            sd_m = relative_sd_m(accuracy, rasters.summary, shapely.get_coordinates(line))
+            found.append(length_of(line, sd_m, scale, crs))
+    return crs.name, found
+
+
+def measure_polygons(rasters: RunRasters, polygons: Shapes, file: Path) -> tuple[str, list[MeasuredPolygon]]:
+    """The map's CRS and the areas and volumes of polygons.
+
+    Raises: `InputError` naming `file` where they can't be brought to the map or cross themselves.
+    """
+    with open_raster(rasters.accuracy, OWN) as accuracy:
+        crs = CRS.from_user_input(accuracy.crs.to_wkt())
+        scale = _scale_sd(rasters.summary)
+        found = []
+        for number, polygon in enumerate(on_map(polygons, crs, file), start=1):
+            if not polygon.is_valid or polygon.area == 0.0:
+                mend = "correct it in a GIS (QGIS: Fix geometries)"
+                raise InputError(f"polygon {number} crosses itself or is empty", file=file, mend=mend)
+            sd_m = relative_sd_m(accuracy, rasters.summary, shapely.get_coordinates(polygon))
+            found.append(MeasuredPolygon(area_of(polygon, sd_m, scale, crs), _volume(rasters, polygon)))
+    return crs.name, found
+
+
+def on_map(shapes: Shapes, crs: CRS, file: Path) -> list[Any]:
+    """Shapes in a map's CRS, vertex by vertex: edges are straight there. Raises: `InputError`."""
+    check_on_earth(crs.to_wkt(), "measurement")
+    try:
+        way = Transformer.from_crs(shapes.crs, crs.to_2d(), always_xy=True)
+    except ProjError as error:
+        problem = f"PROJ knows no way from its coordinate reference system to the map's ({error})"
+        raise InputError(problem, file=file, mend="write it in one with an EPSG code") from error
+
+    def there(at: Floats) -> Floats:
+        return np.column_stack(way.transform(at[:, 0], at[:, 1]))
+
+    found = [shapely.transform(shape, there) for shape in shapes.geometries]
+    if not all(np.isfinite(shapely.get_coordinates(shape)).all() for shape in found):
+        mend = "check its coordinate reference system"
+        raise InputError("has coordinates that are nowhere on the run's map", file=file, mend=mend)
+    return found
+
+
+def relative_sd_m(accuracy: Raster, summary: Mapping[str, Any], at_m: Floats) -> Floats:
+    """Deviations (n,) in m, along an axis, of places (n, 2) against the rest of the map; NaN outside it.
+
+    The least deviation of accuracy.tif is what the whole map has in common.
+    """
+    stated = _sampled(accuracy, 1, at_m)
+    common_m = float(accuracy.tags(1).get("STATISTICS_MINIMUM", "nan"))
+    gsd_m = float(summary.get("mosaic", {}).get("gsd_m", 0.0))
+    seams_px = summary.get("metrics", {}).get("seams", {}).get("median_px") or 0.0
+    own_m = np.hypot(_PER_AXIS * float(seams_px), _ROUNDED) * gsd_m
+    return np.asarray(np.sqrt(np.maximum(stated**2 - common_m**2, 0.0) + own_m**2))
+
+
+def _scale_sd(summary: Mapping[str, Any]) -> float:
+    """Of the map's scale, as a share, as far as run.json states it."""
+    stated = summary.get("accuracy", {}).get("relative", {}).get("scale_permille")
+    return 1e-3 * float(stated) if isinstance(stated, int | float) and np.isfinite(stated) else 0.0
+
+
+def _volume(rasters: RunRasters, polygon: Any) -> Volume | None:
+    """Over the run's surface, None where that does not lie under all of the polygon."""
+    if rasters.surface is None or rasters.confidence is None:
+        return None
+    with open_raster(rasters.surface, OWN) as surface, open_raster(rasters.confidence, OWN) as confidence:
+        window = _window(surface, shapely.get_coordinates(polygon))
+        if not (window.width and window.height):
+            return None
+        of = surface.transform
+        transform = Affine(of.a, 0.0, of.c + of.a * window.col_off, 0.0, of.e, of.f + of.e * window.row_off)
+        shape = int(window.height), int(window.width)
+        rows, cols = np.nonzero(geometry_mask([polygon], shape, transform, invert=True))
+        east, north = transform.a * (cols + 0.5) + transform.c, transform.e * (rows + 0.5) + transform.f
+        inside = np.column_stack([east, north])
+        rings = [shapely.segmentize(shapely.LinearRing(r), transform.a) for r in rings_of_polygon(polygon)]
+        rim = np.concatenate([shapely.get_coordinates(ring)[:-1] for ring in rings])
+        heights = [np.column_stack([at, _sampled(surface, 1, at)]) for at in (inside, rim)]
+        sds = [_sampled(confidence, 1, at) for at in (inside, rim)]
+    if not len(inside) or not all(np.isfinite(height).all() for height in heights):
+        return None
+    return volume_of(heights[0], heights[1], sds[0], sds[1], abs(transform.a * transform.e))
+
+
+def _window(raster: Raster, at_m: Floats) -> Window:
+    """The pixels about places, as far as the raster goes."""
+    cols, rows = _pixels(raster, at_m)
+    first_col, first_row = max(int(np.floor(cols.min())), 0), max(int(np.floor(rows.min())), 0)
+    width = max(min(int(np.floor(cols.max())) + 1, raster.width) - first_col, 0)
+    height = max(min(int(np.floor(rows.max())) + 1, raster.height) - first_row, 0)
+    return Window(first_col, first_row, width, height)
+
+
+def _pixels(raster: Raster, at_m: Floats) -> tuple[Floats, Floats]:
+    """Cols and rows (n,) of places (n, 2) in a north-up raster."""
+    to_map = raster.transform
+    return (at_m[:, 0] - to_map.c) / to_map.a, (at_m[:, 1] - to_map.f) / to_map.e
+
+
+def _sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
+    """A band's values (n,) at places (n, 2) of the map, NaN where there are none."""
+    window, out = _window(raster, at_m), np.full(len(at_m), np.nan)
+    if not (window.width and window.height):
+        return out
+    with reading(Path(raster.name), OWN.problem, OWN.mend):
+        values = raster.read(band, window=window, masked=True)
+    known = np.asarray(values.astype(np.float64).filled(np.nan))
+    cols, rows = _pixels(raster, at_m)
+    col, row = (
+        np.floor(cols).astype(np.intp) - window.col_off,
+        np.floor(rows).astype(np.intp) - window.row_off,
+    )
+    within = (col >= 0) & (col < window.width) & (row >= 0) & (row < window.height)
+    out[within] = known[row[within], col[within]]
+    return out
