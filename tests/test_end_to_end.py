@@ -102,7 +102,8 @@ def run(block: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def test_the_run_folder_holds_just_what_is_promised(run: Path) -> None:
     names = {p.name for p in run.iterdir()}
     promised = {"mosaic.tif", "layers.gpkg", "positions.csv", "run.mcap", "run.json", "report.html", "work"}
-    assert names == promised | {"accuracy.tif", "sources.tif", "project.qgz", MARKER}
+    promised |= {"accuracy.tif", "accuracy_report.json", "sources.tif", "project.qgz", MARKER}
+    assert names == promised
     assert not [p for p in run.rglob("*") if ".part" in p.name or p.name.endswith("-journal")]
 
 

@@ -340,3 +340,4 @@ def test_accuracy_stands_in_the_metadata_with_equal_bytes(tmp_path: Path) -> Non
         add_metadata(path, said)
     assert gdal.OpenEx(str(files[0]), gdal.OF_VECTOR).GetMetadata() == said
     assert files[0].read_bytes() == files[1].read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.gpkg", "b.gpkg"]

@@ -131,8 +131,10 @@ def add_metadata(path: Path, entries: Mapping[str, str]) -> None:
     """
     from osgeo import gdal
 
-    option, date = "OGR_CURRENT_DATE", datetime.fromtimestamp(0.0, UTC)
-    gdal.SetThreadLocalConfigOption(option, f"{date:%Y-%m-%dT%H:%M:%S.000Z}")
+    date = datetime.fromtimestamp(0.0, UTC)
+    settings = {"OGR_CURRENT_DATE": f"{date:%Y-%m-%dT%H:%M:%S.000Z}", "GDAL_PAM_ENABLED": "NO"}
+    for option, value in settings.items():
+        gdal.SetThreadLocalConfigOption(option, value)
     try:
         file = gdal.OpenEx(str(path), gdal.OF_VECTOR | gdal.OF_UPDATE)
         if file is None:
@@ -142,7 +144,8 @@ def add_metadata(path: Path, entries: Mapping[str, str]) -> None:
     except RuntimeError as error:
         raise OSError(errno.EIO, " ".join(str(error).split())) from error
     finally:
-        gdal.SetThreadLocalConfigOption(option, None)
+        for option in settings:
+            gdal.SetThreadLocalConfigOption(option, None)
 
 
 @contextmanager
