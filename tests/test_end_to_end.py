@@ -208,7 +208,7 @@ def test_the_recording_is_read_by_others(run: Path) -> None:
     assert [s.stage_id for s in recording.stages][:3] == [
         "survey.read", "matching.flying_height", "projection.ground",
     ]  # fmt: skip
-    assert all(s.finished for s in recording.stages) and len(recording.stages) == 18
+    assert all(s.finished for s in recording.stages) and len(recording.stages) == 19
     chunk = pytest.importorskip("rerun.chunk", reason="Rerun isn't installed")
     paths = {c.entity_path for c in chunk.McapReader(run / "run.mcap").stream()}
     assert {"/images/mosaic", "/log"} <= paths

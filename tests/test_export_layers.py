@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pyogrio
 import pytest
 import shapely
 from mosaic_scenes import CAMERA, CRS, GSD_M, HOME, make_survey
@@ -337,7 +338,10 @@ def test_accuracy_stands_in_the_metadata_with_equal_bytes(tmp_path: Path) -> Non
     for path in files:
         with writing_geopackage(path, "EPSG:32632", 1e9) as package:
             package.add_layer("place", "One.", "Point", [shapely.Point(1.0, 2.0)], {"x": [1]})
-        add_metadata(path, said)
-    assert gdal.OpenEx(str(files[0]), gdal.OF_VECTOR).GetMetadata() == said
+        add_metadata(path, "place", said)
+    opened = gdal.OpenEx(str(files[0]), gdal.OF_VECTOR)
+    kept = opened.GetLayerByName("place").GetMetadata()
+    assert {name: kept[name] for name in said} == said
+    assert pyogrio.list_layers(files[1]).shape == (1, 2)
     assert files[0].read_bytes() == files[1].read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.gpkg", "b.gpkg"]

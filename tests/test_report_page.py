@@ -230,7 +230,7 @@ def test_both_stages_in_a_run_folder(run, tmp_path):
     given = {**inputs, "mosaic_file": mosaic_file, **compared}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("geomosaic.report.map_images.open_map", None)  # the reference isn't opened again
-        out = ExportReport().run(given, None, context)
+        out = ExportReport().run(given, ExportReport.Params(), context)
     assert out["report_file"].name == "report.html"
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "absolute RMSE" in page and seen.image.uri in page
@@ -263,5 +263,5 @@ def test_the_mosaic_is_reduced_for_the_report_while_it_is_exported(run, tmp_path
     monkeypatch.setattr("geomosaic.report.frames.glance", None)  # it isn't reduced again
     context = Context(tmp_path, stage_id="export.report", key="another", summary=run["summary"])
     inputs = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic")}
-    ExportReport().run({**inputs, **made}, None, context)
+    ExportReport().run({**inputs, **made}, ExportReport.Params(), context)
     assert small.uri in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -169,6 +169,6 @@ def test_the_stage_shows_the_runs_own_files(run, made_up, tmp_path):
         "terrain_file": "terrain.tif",
     }
     for given in (inputs, inputs | {name: context.run_file(file) for name, file in files.items()}):
-        ExportReport().run(given, None, context)
+        ExportReport().run(given, ExportReport.Params(), context)
         shown = (folder / "report.html").read_text(encoding="utf-8")
         assert ("click two places" in shown) == ("surface_file" in given)

@@ -69,7 +69,7 @@ def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
 
     told = [pair for step in reversed(recipe.steps) for pair in step.stage.conclusions(summary)]
     for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
-        if (output / file).exists() and not file.endswith(".aux.xml"):
+        if (output / file).exists() and not file.endswith((".aux.xml", "_report.json")):
             told.append(("recording" if file == RECORDING else Path(file).stem, f"{output / file}"))
     if summary["warnings"]:
         told.append(("warnings", f"{len(summary['warnings'])}, see above and run.json"))

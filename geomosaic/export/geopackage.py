@@ -124,10 +124,11 @@ def _style_table(layers: Sequence[_Layer], stamp: datetime) -> _Layer:
     return _Layer(_STYLES, "How layers are shown", "None", np.array([], dtype=object), columns, None)
 
 
-def add_metadata(path: Path, entries: Mapping[str, str]) -> None:
-    """Entries of a GeoPackage's metadata, as GIS show them of the file.
+def add_metadata(path: Path, layer: str, entries: Mapping[str, str]) -> None:
+    """Entries of the metadata of a GeoPackage's layer, as GIS show them.
 
-    Raises: `OSError` where it can't be written.
+    Of a layer, not of the file: of a file that has some, newer GDALs write a sidecar when they list its
+    layers. Raises: `OSError` where it can't be written.
     """
     from osgeo import gdal
 
@@ -139,7 +140,7 @@ def add_metadata(path: Path, entries: Mapping[str, str]) -> None:
         file = gdal.OpenEx(str(path), gdal.OF_VECTOR | gdal.OF_UPDATE)
         if file is None:
             raise OSError(errno.EIO, "the GeoPackage can't be opened again", str(path))
-        file.SetMetadata(dict(entries))
+        file.GetLayerByName(layer).SetMetadata(dict(entries))
         del file
     except RuntimeError as error:
         raise OSError(errno.EIO, " ".join(str(error).split())) from error

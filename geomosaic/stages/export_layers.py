@@ -56,7 +56,7 @@ class ExportLayers(Stage):
         with context.writing(LAYERS) as path:
             write_layers(path, survey, placement, inputs["ties"], adjusted, inputs["mosaic"])
             if "verdict" in inputs:
-                add_metadata(path, _stated(inputs["verdict"], inputs["mosaic"].grid.gsd_m))
+                add_metadata(path, "frames", _stated(inputs["verdict"], inputs["mosaic"].grid.gsd_m))
         return {"layers_file": context.run_file(LAYERS), "positions_file": context.run_file(POSITIONS)}
 
 
