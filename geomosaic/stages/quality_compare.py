@@ -60,7 +60,7 @@ class QualityCompare(Stage):
         if rmse_m is None or ce90_m is None:
             return []
         places = f"at {found['measured']} places of the reference"
-        return [("accuracy", f"{rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, {places}")]
+        return [("reference", f"{rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, {places}")]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Compares, reports the figures, and warns where too little could be measured."""
