@@ -22,7 +22,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.export import residual_layers
-from geomosaic.export.geopackage import add_metadata, writing_geopackage
+from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import COLUMNS, write_positions
@@ -338,7 +338,7 @@ def test_accuracy_stands_in_the_metadata_with_equal_bytes(tmp_path: Path) -> Non
     for path in files:
         with writing_geopackage(path, "EPSG:32632", 1e9) as package:
             package.add_layer("place", "One.", "Point", [shapely.Point(1.0, 2.0)], {"x": [1]})
-        add_metadata(path, "place", said)
+            package.describe("place", said)
     opened = gdal.OpenEx(str(files[0]), gdal.OF_VECTOR)
     kept = opened.GetLayerByName("place").GetMetadata()
     assert {name: kept[name] for name in said} == said

@@ -10,7 +10,7 @@ import errno
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -38,6 +38,7 @@ class _Layer:
     geometries: NDArray[np.object_]
     fields: dict[str, NDArray[Any]]
     style: Style | None
+    metadata: Mapping[str, str] | None = None
 
 
 class GeoPackage:
@@ -63,6 +64,12 @@ class GeoPackage:
         columns = {field: np.asarray(values) for field, values in fields.items()}
         shapes = np.array([*geometries], dtype=object)
         self._layers.append(_Layer(name, text, geometry_type, shapes, columns, style))
+
+    def describe(self, name: str, metadata: Mapping[str, str]) -> None:
+        """Metadata of a layer, as GIS show it. Of a file that has some of its own, GDAL writes a sidecar when
+        it lists the layers."""
+        number = [layer.name for layer in self._layers].index(name)
+        self._layers[number] = replace(self._layers[number], metadata=metadata)
 
     def write(self, path: Path, crs: str, stamp: datetime) -> None:
         """Raises: `RuntimeError` (pyogrio's)."""
@@ -99,6 +106,7 @@ def _write(path: Path, layer: _Layer, crs: str | None, *, append: bool) -> None:
         gdal_tz_offsets={field: np.full(len(v), _ZONE_UTC) for field, v in times.items()},
         dataset_options=None if append else {"VERSION": _VERSION},
         layer_options={"DESCRIPTION": layer.text, **of_geometry},
+        layer_metadata=dict(layer.metadata) if layer.metadata else None,
     )
 
 
@@ -122,31 +130,6 @@ def _style_table(layers: Sequence[_Layer], stamp: datetime) -> _Layer:
     }
     columns = {field: np.asarray(values) for field, values in fields.items()}
     return _Layer(_STYLES, "How layers are shown", "None", np.array([], dtype=object), columns, None)
-
-
-def add_metadata(path: Path, layer: str, entries: Mapping[str, str]) -> None:
-    """Entries of the metadata of a GeoPackage's layer, as GIS show them.
-
-    Of a layer, not of the file: of a file that has some, newer GDALs write a sidecar when they list its
-    layers. Raises: `OSError` where it can't be written.
-    """
-    from osgeo import gdal
-
-    date = datetime.fromtimestamp(0.0, UTC)
-    settings = {"OGR_CURRENT_DATE": f"{date:%Y-%m-%dT%H:%M:%S.000Z}", "GDAL_PAM_ENABLED": "NO"}
-    for option, value in settings.items():
-        gdal.SetThreadLocalConfigOption(option, value)
-    try:
-        file = gdal.OpenEx(str(path), gdal.OF_VECTOR | gdal.OF_UPDATE)
-        if file is None:
-            raise OSError(errno.EIO, "the GeoPackage can't be opened again", str(path))
-        file.GetLayerByName(layer).SetMetadata(dict(entries))
-        del file
-    except RuntimeError as error:
-        raise OSError(errno.EIO, " ".join(str(error).split())) from error
-    finally:
-        for option in settings:
-            gdal.SetThreadLocalConfigOption(option, None)
 
 
 @contextmanager

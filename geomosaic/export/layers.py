@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,13 @@ Floats = NDArray[np.float64]
 
 
 def write_layers(
-    path: Path, survey: Survey, placement: Placement, ties: TiePoints, adjusted: Adjusted, mosaic: Mosaic
+    path: Path,
+    survey: Survey,
+    placement: Placement,
+    ties: TiePoints,
+    adjusted: Adjusted,
+    mosaic: Mosaic,
+    stated: Mapping[str, str] | None = None,
 ) -> None:
     """Writes the GeoPackage, in the survey's map CRS. Every layer is there, if need be empty.
 
@@ -41,6 +47,7 @@ def write_layers(
     control: where points were surveyed; control_residuals: lines to there from where the images put them,
     true to scale. seamlines: where each frame gives the mosaic. trimmed: what frames see and the
     mosaic leaves out, a part a reason.
+    stated: what is said of the map's accuracy, metadata of frames.
     Raises: `OSError` if the file can't be written.
     """
     adjusted_orientation = orientations(survey, placement.poses, adjusted)
@@ -48,6 +55,7 @@ def write_layers(
     with writing_geopackage(path, survey.map_crs, max(times, default=None)) as package:
         layers = _Layers(package, survey, placement, adjusted, mosaic, adjusted_orientation)
         layers.frames()
+        package.describe("frames", stated or {})
         layers.footprints()
         layers.nadir_points()
         layers.moves()

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.export.geopackage import add_metadata
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
@@ -54,9 +53,9 @@ class ExportLayers(Stage):
             )
         context.check_cancelled()
         with context.writing(LAYERS) as path:
-            write_layers(path, survey, placement, inputs["ties"], adjusted, inputs["mosaic"])
-            if "verdict" in inputs:
-                add_metadata(path, "frames", _stated(inputs["verdict"], inputs["mosaic"].grid.gsd_m))
+            mosaic = inputs["mosaic"]
+            stated = _stated(inputs["verdict"], mosaic.grid.gsd_m) if "verdict" in inputs else None
+            write_layers(path, survey, placement, inputs["ties"], adjusted, mosaic, stated)
         return {"layers_file": context.run_file(LAYERS), "positions_file": context.run_file(POSITIONS)}
 
 
