@@ -12,7 +12,7 @@ True
 >>> run.figures["adjustment"]["reprojection_mean_px"] < 0.5
 True
 >>> sorted(run.files)[:3]
-['layers', 'mosaic', 'positions']
+['accuracy', 'accuracy_report', 'layers']
 """
 
 from __future__ import annotations
@@ -71,12 +71,12 @@ class Run:
         """Its results by name: mosaic, sources, layers, positions, report, recording, ..."""
         steps = self.summary["recipe"]["stages"]
         names = [name for step in steps for name in installed().get(step["stage"]).results]
-        found = {
-            "recording" if n == RECORDING else Path(n).stem: self.folder / n for n in (*names, RECORDING)
-        }
-        return {name: path for name, path in found.items() if path.exists()} | {
-            "summary": self.folder / RUN_JSON
-        }
+        found: dict[str, Path] = {}
+        for file in (*names, RECORDING):
+            name = "recording" if file == RECORDING else Path(file).stem
+            if (self.folder / file).exists():
+                found[file if name in found else name] = self.folder / file
+        return found | {"summary": self.folder / RUN_JSON}
 
     @cached_property
     def mosaic(self) -> DatasetReader:
