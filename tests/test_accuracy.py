@@ -123,9 +123,14 @@ def test_the_usual_requirement_is_what_the_inputs_can_give() -> None:
     assert gnss.permille == pytest.approx(1000.0 * 5.0 / spread_m)
     assert usual_requirement(adjusted(None, spread_m=3000.0), np.full(5, 2.0), 0.02).permille == 3.0
     rtk = usual_requirement(adjusted(None), np.full(5, 0.03), 0.02)
-    assert rtk.rmse_h_m == pytest.approx(0.06) and rtk.permille == pytest.approx(0.6)
+    assert rtk.rmse_h_m == pytest.approx(0.06) and rtk.permille == pytest.approx(1000.0 * 0.03 / spread_m)
+    wide = usual_requirement(adjusted(None, spread_m=3000.0), np.full(5, 0.03), 0.02)
+    assert wide.permille == pytest.approx(0.6)
     used = [replace(check((0.0, 0.0, 0.0)), check=False)] * 3
     assert usual_requirement(adjusted(None, *used), np.full(5, 5.0), 0.03).rmse_h_m == pytest.approx(0.09)
+    handheld = [replace(p, surveyed_sd_m=np.array([2.0, 2.5, 5.0])) for p in used]
+    by_hand = usual_requirement(adjusted(None, *handheld), np.full(5, 5.0), 0.03)
+    assert by_hand.rmse_h_m == pytest.approx(np.sqrt(2.0) * 2.5) and "control points" in by_hand.why
 
 
 @pytest.mark.parametrize(("rmse_m", "class_cm"), [(0.0312, 3.2), (0.03, 3.0), (0.996, 100.0), (3.557, 360.0)])

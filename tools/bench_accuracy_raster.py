@@ -99,8 +99,8 @@ def run(case: Case, out: Path, seed: int) -> tuple[Path, Path]:
     if not (folder / "truth" / "truth.json").exists():
         shutil.rmtree(folder, ignore_errors=True)
         _call("simulate", "frames", folder, *case.simulate, "--seed", seed)
-    told = ["--pos", folder / "pos.csv", "--camera", folder / "cameras.json", "--gsd", 0.1]
-    _call("mosaic", folder / "frames", "-o", folder / "run", *told, *case.mosaic, "--overwrite")
+    given = ["--pos", folder / "pos.csv", "--camera", folder / "cameras.json", "--gsd", 0.1]
+    _call("mosaic", folder / "frames", "-o", folder / "run", *given, *case.mosaic, "--overwrite")
     return folder, folder / "run"
 
 
@@ -123,8 +123,8 @@ def errors_of(folder: Path, run: Path) -> Errors:
     thin[::step, ::step] = True
     known = thin & (frame > 0) & np.isfinite(stated[0])
     at_m, of = points[known], frame[known] - 1
-    told = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
-    true_ground, camera = _true_ground(told, survey, at_m), Camera(**told["camera"])
+    truth = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
+    true_ground, camera = _true_ground(truth, survey, at_m), Camera(**truth["camera"])
     poses, met = _true_poses(folder, survey), np.full(at_m.shape, np.nan)
     for i in np.unique(of).tolist():
         mine = of == i
@@ -162,9 +162,9 @@ def judged(name: str, errors: Errors) -> list[dict[str, Any]]:
     return rows
 
 
-def _true_ground(told: dict[str, Any], survey: Survey, at_m: Floats) -> GroundSurface:
+def _true_ground(truth: dict[str, Any], survey: Survey, at_m: Floats) -> GroundSurface:
     """What frames look at, in the work frame: the relief, with buildings and trees where they stand."""
-    plan, relief = SurveyPlan(**told["plan"]), Relief(**told["relief"])
+    plan, relief = SurveyPlan(**truth["plan"]), Relief(**truth["relief"])
     stands = plan.buildings_stand or plan.trees_stand
     spacing = STANDING_M if stands else BARE_M
     low, high = at_m[:, :2].min(axis=0) - AROUND_M, at_m[:, :2].max(axis=0) + AROUND_M

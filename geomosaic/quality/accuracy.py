@@ -20,7 +20,7 @@ CE95 = sourced(1.7308, "times RMSE_H", "circle that holds 95 %", "NSSDA (FGDC-ST
 LE90 = sourced(1.6449, "times RMSE_V", "interval that holds 90 %", "normal distribution")
 LE95 = sourced(1.9600, "times RMSE_V", "interval that holds 95 %", "NSSDA (FGDC-STD-007.3)")
 LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservation is stated", _ASPRS)
-_FEW_CHECK_POINTS = tuned(3, "check points", "fewer say less than the covariance does")
+LEAST_POINTS = tuned(3, "check or control points", "fewer say less than the covariance does")
 _OVER_M = tuned(100.0, "m", "length of the distances that are stated beside the whole map's")
 _ABOUT = tuned((0.7, 1.4), "times that length", "distances that count; closer bounds find too few")
 _PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; less is called right elsewhere")
@@ -100,7 +100,7 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float) -> Accuracy:
     local_m2 = 2.0 * (np.nan_to_num(seam_px) * pixel_m / _MEDIAN_LENGTH) ** 2
     places, figures = adjusted.places, check_points(adjusted.control)
     absolute = _estimated(places, local_m2 / 2.0)
-    if figures is not None and figures.count >= _FEW_CHECK_POINTS:
+    if figures is not None and figures.count >= LEAST_POINTS:
         used = [c for c in adjusted.control if c.check and c.name not in figures.blunders]
         absolute = _measured(figures, np.mean([c.surveyed_sd_m**2 for c in used], axis=0))
     return Accuracy(absolute, _relative(places, local_m2))
@@ -109,22 +109,25 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float) -> Accuracy:
 def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float) -> Requirement:
     """What a map's inputs can give, where the user asks for nothing else.
 
-    Control points and RTK positions give three pixels, positions by GNSS 3 m and 3 per mille, or what their
-    stated deviations say where that is less.
+    Control points and RTK positions give three pixels, positions by GNSS 3 m in each coordinate and 3 per
+    mille, or what their stated deviations say where that is less.
 
     Args: position_sd_m (f,): stated horizontal deviations of the frames' positions.
     """
-    control = sum(not c.check for c in adjusted.control) >= _FEW_CHECK_POINTS
-    sd_m = float(np.median(position_sd_m)) if len(position_sd_m) else np.inf
-    three_pixels_m = _PIXELS * pixel_m
-    if control or sd_m < _RTK_M:
-        why = "three pixels, as control points give" if control else "three pixels, as RTK positions give"
-        return Requirement(three_pixels_m, NOT_STATED, 1000.0 * three_pixels_m / _OVER_M, why)
+    control_sd_m = [float(c.surveyed_sd_m[:2].max()) for c in adjusted.control if not c.check]
+    by_control = len(control_sd_m) >= LEAST_POINTS
+    stated_m = np.array(control_sd_m) if by_control else position_sd_m
+    sd_m = float(np.median(stated_m)) if len(stated_m) else np.inf
+    least_m, least_permille, why = _PIXELS * pixel_m, 1000.0 * _PIXELS * pixel_m / _OVER_M, "control points"
+    if not by_control:
+        why = "RTK positions" if sd_m < _RTK_M else "GNSS positions"
+        if sd_m >= _RTK_M:
+            sd_m, least_permille = max(sd_m, _GNSS_M), max(least_permille, _PERMILLE)
     plan_m = adjusted.poses.positions_m[:, :2]
     spread_m = float(np.linalg.norm(plan_m - plan_m.mean(axis=0)))
     scale_permille = 1000.0 * sd_m / max(spread_m, 1e-9)
-    rmse_m = max(np.sqrt(2.0) * max(sd_m, _GNSS_M), three_pixels_m)
-    return Requirement(rmse_m, NOT_STATED, max(_PERMILLE, scale_permille), "what GNSS positions give")
+    rmse_m = max(np.sqrt(2.0) * sd_m, least_m)
+    return Requirement(rmse_m, NOT_STATED, max(least_permille, scale_permille), f"what {why} give")
 
 
 def _measured(figures: CheckPoints, surveyed_m2: Floats) -> AbsoluteAccuracy:

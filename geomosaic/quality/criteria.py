@@ -17,7 +17,7 @@ NOTED: Final = "noted"
 
 @dataclass(frozen=True)
 class Criterion:
-    """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the mend if it is not
+    """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the fix if it is not
     good, and why the limits are where they are. inner: beyond `good` it is noted, since what it does to the
     map shows in the accuracy and at the seams."""
 
@@ -169,7 +169,7 @@ CRITERIA: Mapping[str, Criterion] = {
 WARNED: Mapping[str, tuple[str, str, str]] = {
     "bundle-failed": (
         "bad",
-        "the adjustment failed; frames are only laid beside each other",
+        "the adjustment failed; frames are placed by similarities alone",
         "more overlap, or positions of more frames",
     ),
     "self-calibration-failed": (
@@ -208,4 +208,4 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "give the lens and the readout time (--camera)",
     ),
 }
-"""Warnings of the adjustment that bear on the map as a whole: grade, cause and mend."""
+"""Warnings of the adjustment that bear on the map as a whole: grade, cause and fix."""

@@ -1,4 +1,4 @@
-"""Whether a mosaic can be trusted: good, doubtful or bad, for what reason, and what would mend it."""
+"""Whether a mosaic can be trusted: good, doubtful or bad, for what reason, and what would fix it."""
 
 from __future__ import annotations
 
@@ -13,22 +13,20 @@ from geomosaic.adjustment.procedure.control_agreement import control_blunders
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import sourced, tuned
 from geomosaic.mosaic.trim import OFF_PX
-from geomosaic.quality.accuracy import Accuracy, Requirement
+from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement
 from geomosaic.quality.check_points import check_points
 from geomosaic.quality.criteria import CRITERIA, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
 
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
-
 _ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
-_IN_COMMON = tuned(3, "check points", "whose median is their common shift; fewer are one blunder's")
 _WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """One reason: a figure and its grade; the likely cause and the mend where it isn't good."""
+    """One reason: a figure and its grade; the likely cause and the fix where it is not good."""
 
     name: str
     value: float
@@ -45,7 +43,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The worst grade of all evidence, with the cause and the mend of what weighs most.
+    """The worst grade of all evidence, with the cause and the fix of what weighs most.
 
     accuracy, required: how accurate the map is, and what is asked of it. seams, patterns: what the verdict
     was drawn from.
@@ -174,18 +172,17 @@ def _control(points: Sequence[ControlResidual]) -> dict[str, float]:
     """Control points by what none of as many exceeds by chance; the shift of check points in common by its
     stated deviation; and how many points contradict the others."""
     found = {}
-    used, checks = ([p for p in points if p.check == check] for check in (False, True))
-    wrong = [control_blunders(some) for some in (used, checks)]
+    used, figures = [p for p in points if not p.check], check_points(points)
+    wrong = control_blunders(used)
     if points:
-        found["blunders"] = float(sum(its.sum() for its in wrong))
-    good = [p for p, its in zip(used, wrong[0], strict=True) if not its]
+        found["blunders"] = float(wrong.sum() + (0 if figures is None else len(figures.blunders)))
+    good = [p for p, its in zip(used, wrong, strict=True) if not its]
     known = np.concatenate([np.abs(p.residual_m / p.sd_m) for p in good]) if good else np.zeros(0)
     known = known[np.isfinite(known)]
     if known.size:
         found["control points"] = float(known.max() / norm.isf(norm.sf(_ONE_POINT) / known.size))
-    figures = check_points(points)
-    if figures is not None and figures.count >= _IN_COMMON:
-        sd_m = np.median([c.sd_m for c in checks], axis=0)
+    if figures is not None and figures.count >= LEAST_POINTS:
+        sd_m = np.median([p.sd_m for p in points if p.check], axis=0)
         found["check points"] = float(np.abs(figures.mean_shift_m / sd_m)[:2].max())
     return found
 

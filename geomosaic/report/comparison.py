@@ -34,7 +34,7 @@ def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:
             f"{short(f.absolute_rmse_m, 'm')} ({short(f.absolute_rmse_m / c.gsd_m, 'px')})",
             "root mean square length of the displacements: how far things lie from their true place",
         ),
-        ("CE90", short(f.ce90_m, "m"), "90 % of the displacements are shorter"),
+        ("90 % within", short(f.ce90_m, "m"), "90 % of the displacements are shorter"),
         (
             "mean displacement",
             f"{signed(f.mean_east_m, 'm')} east, {signed(f.mean_north_m, 'm')} north",

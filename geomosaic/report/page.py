@@ -27,7 +27,7 @@ Fact = tuple[str, str, str]
 @dataclass(frozen=True)
 class Judged:
     """The first words. grade: `good`, `doubtful`, `bad`, or empty where nothing was judged; why: sentences;
-    mend: what would help; answers: to what people ask of a map, (question, answer); standard: the sentence
+    mend: the fix; answers: to what people ask of a map, (question, answer); standard: the sentence
     that the ASPRS standard asks for."""
 
     grade: str
