@@ -128,6 +128,10 @@ def test_the_usual_requirement_is_what_the_inputs_can_give() -> None:
     assert wide.permille == pytest.approx(0.6)
     used = [replace(check((0.0, 0.0, 0.0)), check=False)] * 3
     assert usual_requirement(adjusted(None, *used), np.full(5, 5.0), 0.03).rmse_h_m == pytest.approx(0.09)
+    nothing = usual_requirement(adjusted(None), np.zeros(0), 0.03)
+    assert math.isnan(nothing.rmse_h_m) and math.isnan(nothing.permille)
+    said = dict(answers(accuracy_of(adjusted(None), 0.3, 0.03), nothing, NO_SEAMS, 0.03))
+    assert said["required"] == "nothing: no frame has a position"
     handheld = [replace(p, surveyed_sd_m=np.array([2.0, 2.5, 5.0])) for p in used]
     by_hand = usual_requirement(adjusted(None, *handheld), np.full(5, 5.0), 0.03)
     assert by_hand.rmse_h_m == pytest.approx(np.sqrt(2.0) * 2.5) and "control points" in by_hand.why

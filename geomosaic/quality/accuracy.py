@@ -110,14 +110,16 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     """What a map's inputs can give, where the user asks for nothing else.
 
     Control points and RTK positions give three pixels, positions by GNSS 3 m in each coordinate and 3 per
-    mille, or what their stated deviations say where that is less.
+    mille, or what their stated deviations say where that is less. Without any nothing is asked.
 
     Args: position_sd_m (f,): stated horizontal deviations of the frames' positions.
     """
     control_sd_m = [float(c.surveyed_sd_m[:2].max()) for c in adjusted.control if not c.check]
     by_control = len(control_sd_m) >= LEAST_POINTS
     stated_m = np.array(control_sd_m) if by_control else position_sd_m
-    sd_m = float(np.median(stated_m)) if len(stated_m) else np.inf
+    if not len(stated_m):
+        return Requirement(NOT_STATED, NOT_STATED, NOT_STATED, "no frame has a position")
+    sd_m = float(np.median(stated_m))
     least_m, least_permille, why = _PIXELS * pixel_m, 1000.0 * _PIXELS * pixel_m / _OVER_M, "control points"
     if not by_control:
         why = "RTK positions" if sd_m < _RTK_M else "GNSS positions"

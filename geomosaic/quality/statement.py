@@ -42,7 +42,7 @@ def _required(required: Requirement) -> str:
         if math.isfinite(value)
     ]
     asked += [f"distances {required.permille:.2g} per mille"] * math.isfinite(required.permille)
-    return f"{', '.join(asked)}: {required.why}"
+    return f"{', '.join(asked) or 'nothing'}: {required.why}"
 
 
 def _seams(seams: SeamCheck) -> str:
