@@ -269,7 +269,7 @@ def test_a_mosaic_by_positions_alone_is_not_called_good(
     told = summary(run)["verdict"]
     assert told["grade"] in ("doubtful", "bad") and told["cause"] and told["mend"]
     out = capsys.readouterr().out.splitlines()
-    assert out[0].startswith(f"verdict    {told['grade']}: ") and out[1] == f"mend       {told['mend']}"
+    assert out[0].startswith(f"verdict    {told['grade']}: ") and out[1] == f"fix        {told['fix']}"
     assert [line.split()[0] for line in out[2:6]] == ["seams", "relative", "absolute", "required"]
     assert [w["code"] for w in summary(run)["warnings"]].count(f"verdict-{told['grade']}") == 1
     page = (run / "report.html").read_text(encoding="utf-8")

@@ -68,9 +68,9 @@ class QualityVerdict(Stage):
         if not isinstance(verdict, dict):
             return []
         why = f" {verdict['cause']};" if verdict["cause"] else ""
-        mend = [("mend", verdict["mend"])] if verdict["mend"] else []
+        fix = [("fix", verdict["mend"])] if verdict["mend"] else []
         answered = [(q.removesuffix(" accuracy"), answer) for q, answer in verdict.get("answers", [])]
-        return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *mend, *answered]
+        return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *fix, *answered]
 
     @classmethod
     def shortcoming(cls, summary: Mapping[str, Any]) -> str:
@@ -79,8 +79,7 @@ class QualityVerdict(Stage):
         if not isinstance(verdict, dict) or verdict["grade"] != "bad":
             return ""
         (_, text), *others = cls.conclusions(summary)
-        mend = [mended for what, mended in others if what == "mend"]
-        return "; ".join([f"the verdict is {text}", *mend])
+        return "; ".join([f"the verdict is {text}", *(fix for what, fix in others if what == "fix")])
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Judges, and says it in run.json where nobody can miss it."""
@@ -147,6 +146,7 @@ def reported(verdict: Verdict, pixel_m: float) -> dict[str, Any]:
         "grade": verdict.grade,
         "text": verdict.text,
         "cause": verdict.cause,
+        "fix": verdict.mend,
         "mend": verdict.mend,
         "answers": statement.answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m),
         "evidence": [asdict(e) for e in verdict.evidence],
