@@ -159,6 +159,11 @@ class Reduced:
     points_inverse: Floats
     normals: Normals
 
+    @property
+    def level(self) -> int:
+        """Where the ground's level is among what frames share."""
+        return self.normals.interior_side.size
+
     @cached_property
     def _factors(self) -> Dissected:
         return Dissected(self.poses, self.normals.sightings.dissection)
@@ -184,12 +189,11 @@ class Reduced:
         points = np.einsum("pij,pj->pi", self.points_inverse, side)
         return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
 
-    def length(self, pose: Floats, interior: Floats, points: Floats, level: float, mounting: Floats) -> float:
-        """Of a step as `solve` gives it, in deviations of the solved: nothing of frames, or that they share,
-        nor any sum of it, moves by more."""
-        shared = np.concatenate([interior.ravel(), [level], mounting])
-        square = float(self.pose_side @ pose.ravel() + self.shared_side @ shared)
-        return float(np.sqrt(max(square, 0.0)))
+    def with_sides(self, pose_side: Floats, shared_side: Floats) -> Reduced:
+        """The same equations with other right-hand sides."""
+        other = replace(self, pose_side=pose_side, shared_side=shared_side)
+        other.__dict__["_factors"] = self._factors
+        return other
 
     def covariance(self) -> tuple[Floats, Floats]:
         """Covariances for unit weight, with all correlations: each frame's own (f, d, d), and the full matrix

@@ -23,6 +23,10 @@ class Step(NamedTuple):
     points: Floats
     shared: Floats
 
+    def towards(self, other: Step, share: float) -> Step:
+        """This step and a share of what leads to another."""
+        return Step(*(here + share * (there - here) for here, there in zip(self, other, strict=True)))
+
 
 @dataclass(frozen=True)
 class Estimate:

@@ -83,8 +83,9 @@ def with_held(progress: Progress) -> Progress:
         return progress
     alone = replace(progress, at=replace(at, shared=at.shared + off))
     with suppress(NotSolvableError):
-        reduced = reduce_normals(problem.normals(at, progress.components))
-        gone = _cleared(problem, at, at.stepped(_step_of(reduced)))
+        normals = problem.normals(at, progress.components)
+        _, step = _step_of(problem, at, reduce_normals(normals))
+        gone = _cleared(problem, at, at.stepped(step))
         shared = np.where(known, alone.at.shared, gone.shared)
         together = replace(progress, at=replace(gone, shared=shared))
         if together.cost < alone.cost:
@@ -141,7 +142,7 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
         while True:
             try:
                 reduced = reduce_normals(normals, damping)
-                step = _step_of(reduced, problem.known(at.layout))
+                reduced, step = _step_of(problem, at, reduced)
             except NotSolvableError:
                 if damping > _MOST_DAMPING:
                     raise
@@ -172,12 +173,22 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
         del normals, reduced  # the next ones take as much
 
 
-def _step_of(reduced: Reduced, known: Bools | None = None) -> Step:
-    """The solution of the equations; without what it leaves of known and held numbers, so that a readout
-    that stays does not follow the block's scale either."""
-    pose, interior, points, level, platform = reduced.solve()
-    shared = np.concatenate([interior.ravel(), [level], platform])
-    return Step(pose, points, shared if known is None else np.where(known, 0.0, shared))
+def _step_of(problem: BlockProblem, at: Estimate, reduced: Reduced) -> tuple[Reduced, Step]:
+    """The equations with all that depends on the step, and their solution.
+
+    Without what it leaves of known and held numbers, so that a readout that stays does not follow the block's
+    scale either.
+    """
+    known = problem.known(at.layout)
+
+    def solution(equations: Reduced) -> Step:
+        pose, interior, points, level, platform = equations.solve()
+        shared = np.concatenate([interior.ravel(), [level], platform])
+        return Step(pose, points, np.where(known, 0.0, shared))
+
+    if problem.terrain is None:
+        return reduced, solution(reduced)
+    return problem.terrain.solved(reduced, at, solution)
 
 
 def _length(reduced: Reduced, step: Step) -> float:

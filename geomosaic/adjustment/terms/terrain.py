@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.normal_equations import Normals
-from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.kernels.normal_equations import Normals, Reduced
+from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.problem.layout import Unknowns
 from geomosaic.adjustment.terms.term import Components, Term
+from geomosaic.constants import tuned
 from geomosaic.estimation.robust import cauchy_cost, cauchy_weight
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 LEVEL = "ground level"
+_LEAST_LEFT = tuned(0.1, "share of the slope", "that its own lift leaves: less, and a step has no end")
 
 
 def level_unknown(sd_m: float) -> Unknowns:
@@ -65,7 +68,7 @@ class Terrain(Term):
         """Adds each point's equation: up minus slope times place minus level, observed as the surface.
 
         Since the deviation grows with the flying height, the cost has a slope along it: it lifts the frames
-        and lowers the level by what the residuals would gain if the block shrank.
+        and lowers the level by what the residuals would gain if the block shrank. See `solved`.
         """
         height = self.height_m(at)
         weight, miss, normal = self.rows(at.points_m, self.bound, self.sd_share * height, at.level_m)
@@ -79,6 +82,36 @@ class Terrain(Term):
             level=normals.level + float(weight.sum()),
             level_side=normals.level_side - float((weight * miss).sum()) - lift,
         )
+
+    def solved(
+        self, reduced: Reduced, at: Estimate, solution: Callable[[Reduced], Step]
+    ) -> tuple[Reduced, Step]:
+        """The equations with the slope along the flying height by the residuals that their solution leaves;
+        and that solution.
+
+        By those before it, a step would lift the block by per cents where a plane is observed to
+        millimetres. What is left is linear in the lift. At the minimum both are the same.
+        """
+        height, level = self.height_m(at), reduced.level
+        weight, miss, normal = self.rows(at.points_m, self.bound, self.sd_share * height, at.level_m)
+        by_height = weight * miss / height
+
+        def lifted(lift: float) -> Reduced:
+            pose_side, shared_side = reduced.pose_side.copy(), reduced.shared_side.copy()
+            pose_side.reshape(len(self.frame_share), -1)[:, 2] += lift * self.frame_share
+            shared_side[level] -= lift
+            return reduced.with_sides(pose_side, shared_side)
+
+        def slope(step: Step) -> float:
+            return float(by_height @ (miss + step.shared[level] - (normal * step.points).sum(axis=1)))
+
+        present, moved = float(by_height @ miss), solution(reduced)
+        if present == 0.0:
+            return reduced, moved
+        still = solution(lifted(-present))
+        change = slope(moved) - slope(still)
+        share = slope(still) / max(present - change, _LEAST_LEFT * present)
+        return lifted((share - 1.0) * present), still.towards(moved, share)
 
     def rows(
         self, points_m: Floats, bound: Bools, sd_m: float, level_m: float
