@@ -18,6 +18,8 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 _ROUNDS = tuned(12, "rounds", "of voting and of re-weighting: fewer leave wrong pairs a weight")
+_FIT_ROUNDS = tuned(5, "rounds", "of re-weighting a pair's tie points")
+_MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
 _LEAST_SPREAD = tuned(np.radians(0.5), "rad, log scale", "of pairs: less rejects tilted ones; more keeps bad")
 _WEAK = tuned(1e-6, "largest weight", "datum of corrections: more holds them back; less is lost in rounding")
 _ALIKE = tuned(0.2, "rad, log scale", "of agreeing pairs: less splits by tilt; more counts wrong ones")
@@ -42,29 +44,43 @@ def joints_of(pairs: Sequence[tuple[int, int]], both_m: Iterable[tuple[Complexes
     """The similarity of each pair from its tie points, east + i north from the two frames' nadir points.
 
     Neither frame is the truer one: the scale is the ratio of both clouds' extents, so that noise shrinks
-    none.
+    none. A pair counts with all its tie points, but some of them, evenly taken, make its similarity.
     """
-    turn, miss = np.ones(len(pairs), np.complex128), np.zeros(len(pairs))
-    ties = np.zeros(len(pairs), np.intp)
-    for k, (z, w) in enumerate(both_m):
-        (turn[k], miss[k]), ties[k] = _similarity(z, w), len(z)
-    both = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return Joints(both[:, 0], both[:, 1], turn, ties, miss)
+    ties, some = np.zeros(len(pairs), np.intp), np.full((2, len(pairs), _MOST_TIES), np.nan, np.complex128)
+    for k, both in enumerate(both_m):
+        ties[k] = len(both[0])
+        which = np.linspace(0, ties[k] - 1, min(ties[k], _MOST_TIES)).astype(np.intp)
+        some[:, k, : len(which)] = [side[which] for side in both]
+    turn, miss = _similarities(*some)
+    ends = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return Joints(ends[:, 0], ends[:, 1], turn, ties, miss)
 
 
-def _similarity(z: Complexes, w: Complexes) -> tuple[complex, float]:
-    """z = turn w + shift, robust: the turn and the median miss."""
-    weight, turn, length = np.ones(len(z)), 1.0 + 0j, np.zeros(len(z))
-    for _ in range(5):
-        z_0, w_0 = np.average(z, weights=weight), np.average(w, weights=weight)
-        size_z, size_w = (float((weight * np.abs(v) ** 2).sum()) for v in (z - z_0, w - w_0))
-        if not (size_z > 0.0 and size_w > 0.0):
-            break
-        along = complex((weight * (z - z_0) * np.conj(w - w_0)).sum())
-        turn = np.sqrt(size_z / size_w) * along / max(abs(along), 1e-300)
-        length = np.abs(z - z_0 - turn * (w - w_0))
-        weight = 1.0 / (1.0 + (length / max(2.0 * float(np.median(length)), 1e-9)) ** 2)
-    return turn, float(np.median(length))
+def _similarities(z: Complexes, w: Complexes) -> tuple[Complexes, Floats]:
+    """z = turn w + shift, robust, of each pair (m, k), NaN beyond its ties: turns, median misses (m,)."""
+    there = ~np.isnan(z.real)
+    count = there.sum(axis=1)
+    z, w = np.where(there, z, 0.0), np.where(there, w, 0.0)
+    weight, turn, miss = there.astype(np.float64), np.ones(len(z), np.complex128), np.zeros(len(z))
+    for _ in range(_FIT_ROUNDS):
+        total = np.maximum(weight.sum(axis=1), 1e-300)
+        to_z, to_w = (v - ((weight * v).sum(axis=1) / total)[:, None] for v in (z, w))
+        size_z, size_w = ((weight * np.abs(v) ** 2).sum(axis=1) for v in (to_z, to_w))
+        along = (weight * to_z * np.conj(to_w)).sum(axis=1)
+        spread = (size_z > 0.0) & (size_w > 0.0)
+        scale = np.sqrt(size_z / np.where(spread, size_w, 1.0))
+        turn = np.where(spread, scale * along / np.maximum(np.abs(along), 1e-300), turn)
+        length = np.abs(to_z - turn[:, None] * to_w)
+        miss = np.where(spread, _medians(np.where(there, length, np.inf), count), miss)
+        weight = there / (1.0 + (length / np.maximum(2.0 * miss, 1e-9)[:, None]) ** 2)
+    return turn, miss
+
+
+def _medians(values: Floats, count: Ints) -> Floats:
+    """Of the first `count` (m,) of each row once sorted; 0 of none."""
+    values, row = np.sort(values, axis=1), np.arange(len(values))
+    middle = (values[row, np.maximum(count - 1, 0) // 2] + values[row, count // 2]) / 2.0
+    return np.where(count > 0, middle, 0.0)
 
 
 def averaged(n: int, joints: Joints) -> Complexes:

@@ -17,6 +17,7 @@ from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 
 def fullest_bin_mean(differences: Floats, step: float = 1.0) -> Floats:
@@ -26,13 +27,25 @@ def fullest_bin_mean(differences: Floats, step: float = 1.0) -> Floats:
 
     Args: differences (k, 2), k >= 1, of tie points, in the unit of `step`, the width of a bin.
     """
-    out = np.empty(2)
+    return fullest_bin_means(differences, np.zeros(len(differences), np.intp), step).ravel()
+
+
+def fullest_bin_means(differences: Floats, pair: Ints, step: float) -> Floats:
+    """The same of many pairs at once, (m, 2). pair (k,): from 0 to m - 1, each at least once."""
+    out = np.empty((int(pair.max()) + 1, 2))
+    middle, row = np.bincount(pair) / 2.0, np.cumsum(np.bincount(pair))
+    first, last = row - np.ceil(middle + 0.5).astype(int), row - np.floor(middle + 0.5).astype(int)
     for axis, values in enumerate(differences.T):
-        bins = np.floor(values / step).astype(np.int64)
-        names, counts = np.unique(bins, return_counts=True)
-        fullest = names[counts == counts.max()]
-        chosen = fullest[np.abs(fullest + 0.5 - np.median(values) / step).argmin()]
-        out[axis] = values[bins == chosen].mean()
+        by_value = np.lexsort((values, pair))
+        its, ordered = pair[by_value], values[by_value]
+        median = (ordered[first] + ordered[last]) / 2.0
+        name = np.floor(ordered / step)
+        begins = np.flatnonzero((np.diff(name, prepend=np.nan) != 0.0) | (np.diff(its, prepend=-1) > 0))
+        counts = np.diff(begins, append=len(ordered))
+        of, away = its[begins], np.abs(name[begins] + 0.5 - median[its[begins]] / step)
+        best = np.lexsort((away, -counts, of))
+        chosen = best[np.diff(of[best], prepend=-1) > 0]
+        out[:, axis] = np.add.reduceat(ordered, begins)[chosen] / counts[chosen]
     return out
 
 
@@ -62,7 +75,13 @@ class OffsetNet:
 
     def misalignments_m(self, moves_m: Floats) -> Floats:
         """Misalignment of every pair, (m, 2)."""
-        return np.array([self.misalignment_m(p, moves_m) for p in range(len(self.pairs))]).reshape(-1, 2)
+        if not len(self.pairs):
+            return np.zeros((0, 2))
+        every = range(len(self.pairs))
+        pair = np.repeat(every, [len(left) for left in self.left_m])
+        return fullest_bin_means(
+            np.concatenate([self.differences_m(p, moves_m) for p in every]), pair, self.step_m
+        )
 
     @cached_property
     def edges(self) -> list[tuple[int, int]]:

@@ -27,6 +27,9 @@ Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 _MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
 _ROUNDS = tuned(4, "rounds", "of shape, then georeferencing; fewer: a long line stays bent")
+_SAME = tuned(
+    1e-4, "rad, share of the scale", "of any frame in a round: 1 cm at 100 m; attitudes are off by more"
+)
 _OF_A_PAIR = tuned(6.0, "independent tie points", "of a pair, whose errors are alike; more outvote positions")
 _LOCAL_SD = tuned(0.1, "rad, share of the scale", "of a frame about the pairs' mean; more: lines bend")
 _CAUCHY = tuned(3.0, "deviations of a tie point", "less: tilted frames lose ties; more: blunders keep weight")
@@ -140,10 +143,13 @@ def _part(ties: _Ties, shape: Complexes, priors: Beliefs, fixes: Fixes) -> tuple
         prior = np.column_stack([-off.real, -off.imag, wanted.real, wanted.imag])
         prior_weight = np.full((len(shape), 4), 1.0 / _LOCAL_SD**2)
         prior_weight[:, 2:] = (np.maximum(weight, 1e-6) / (priors.position_sd_m / abs(whole)) ** 2)[:, None]
+        before = shape
         shape, place = _agreed(ties, shape, prior.ravel(), prior_weight.ravel())
         whole, shift, of_fixes = laid(shape, place, priors, fixes)
         weight[fixes.frame[own]] = of_fixes[own]
         place = place + (shift - middle) / whole
+        if np.abs(np.log(shape / before)).max() < _SAME:
+            break
     return whole * shape, whole * place + middle
 
 
