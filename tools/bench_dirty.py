@@ -69,6 +69,7 @@ def survey(kind: str, seed: int, out: Path, again: bool, instead: list[str]) -> 
             "grade": verdict.get("grade", "none"),
             "cause": verdict.get("cause", ""),
             "against": [e["name"] for e in verdict.get("evidence", []) if e["grade"] in ("doubtful", "bad")],
+            "evidence": {e["name"]: e["value"] for e in verdict.get("evidence", [])},
             "warnings": sorted({w["code"] for w in summary["warnings"]}),
             "accuracy": summary.get("accuracy"),
             **of_map(folder, run / "mosaic.tif"),
