@@ -175,3 +175,32 @@ def test_the_command_makes_the_same_mosaic_with_frames_at_the_horizon(tmp_path: 
     layers = ogr.Open(str(tmp_path / "run2" / "layers.gpkg"))
     trimmed = {f["reason"]: f["area_m2"] for f in layers.GetLayerByName("trimmed")}
     assert trimmed.keys() == aside["trimmed"]["parts"].keys()
+
+
+def placed(given: dict[str, Any], frame: int, moved_m: float = 0.0) -> dict[str, Any]:
+    """One frame without tie points, moved to the east."""
+    adjusted = given["adjusted"]
+    status, positions_m = list(adjusted.status), adjusted.poses.positions_m.copy()
+    status[frame] = "placed"
+    positions_m[frame, 0] += moved_m
+    poses = replace(adjusted.poses, positions_m=positions_m)
+    return {**given, "adjusted": replace(adjusted, status=tuple(status), poses=poses)}
+
+
+def test_a_frame_that_matches_no_other_gives_no_pixels_where_others_show_the_ground(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    owned, notes = seams(tmp_path / "inside", placed(flown, 1))
+    assert not owned.used[1] and owned.used.sum() == 7 and not (owned.owner == 2).any()
+    (told,) = [w["text"] for w in notes.warnings if w["code"] == "untied-left-out"]
+    assert "1 frame matches no other" in told and "frame 01" in told
+    kept, _ = seams(tmp_path / "keep", placed(flown, 1), edges="keep")
+    assert kept.used[1]
+
+
+def test_a_frame_that_matches_no_other_and_shows_land_of_its_own_stays(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    owned, notes = seams(tmp_path, placed(flown, 1, moved_m=60.0))
+    assert owned.used[1] and (owned.owner == 2).any()
+    assert not [w for w in notes.warnings if w["code"] == "untied-left-out"]

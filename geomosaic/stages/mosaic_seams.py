@@ -25,6 +25,7 @@ from geomosaic.mosaic.seam_parts import Glimpse, bands, giving, glimpsed
 from geomosaic.mosaic.shadows import hidden_parts, shaded, shadow, side_px_of
 from geomosaic.mosaic.tones import Tones
 from geomosaic.mosaic.trim import HORIZON, Edges, Looks, filled, mosaic_edges
+from geomosaic.mosaic.untied import needless
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
@@ -56,7 +57,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 10
+    version = 11
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -142,6 +143,8 @@ class MosaicSeams(Stage):
             own = f"the frames' own is {ground_pixel_m:.3g} m"
             context.warn("gsd-far", "", f"the mosaic's pixel is {pixel[0]:.3g} m, {own}: {meaning}")
         limits = frames.limits(params.edges, max(pixel[0], ground_pixel_m))
+        if limits is not None:
+            frames = self._without_needless(frames, limits, adjusted, context)
         laid = self._laid(frames, limits, pixel, params, inputs, context)
         if laid is None:
             text = "no frame sees it well: what frames see far off the vertical, or coarsely, is kept"
@@ -168,6 +171,19 @@ class MosaicSeams(Stage):
             tones, cut = inputs.get("tones"), SEAMS[params.seam]
             ownership = self._cut(cut, params.seam, scene, ownership, nearest_m, survey, tones, context)
         return {"ownership": ownership}
+
+    @staticmethod
+    def _without_needless(frames: Seeing, limits: Limits, adjusted: Adjusted, context: Context) -> Seeing:
+        """Without frames that match no other and show what others show; says which."""
+        tied = [status == "tied" for status in adjusted.status]
+        out = needless(frames.views(limits), tied, frames.ground, limits)
+        if not out:
+            return frames
+        number = f"{len(out)} frames match" if len(out) > 1 else "1 frame matches"
+        names = ", ".join(frames.survey.frames[i].name for i in sorted(out))
+        text = f"{number} no other and show ground that others show; they give no pixels ({names})"
+        context.warn("untied-left-out", "", text)
+        return replace(frames, used=[use and i not in out for i, use in enumerate(frames.used)])
 
     @staticmethod
     def _laid(
