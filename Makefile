@@ -66,6 +66,13 @@ bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, 
 bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (about 2 hours); SEEDS=n SEED=n WORKERS=n
 	$(PY) tools/bench_dirty.py --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
 
+bench-fixes: setup ## whether each fix that a verdict names changes the outcome, on simulated surveys (about 15 minutes)
+	$(PY) tools/bench_fixes.py --results docs/results/fixes --out out/bench-fixes
+
+bench-halves: DATA = ../flights
+bench-halves: setup ## two maps of every second frame of real flights, beside what both state (about 10 minutes); DATA=../flights
+	$(PY) tools/bench_halves.py "$(DATA)" --results docs/results/halves --out out/bench-halves
+
 bench-speed: setup ## real and simulated frames beside the floor and other programs (about an hour); DATA=../shared, skips the real ones without it
 	$(PY) tools/bench_speed.py --shared "$(DATA)" --out out/bench-speed
 
@@ -120,4 +127,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import foldnorm, rice
 
 from geomosaic.adjustment.model import Adjusted, GroundPlaces
 from geomosaic.constants import sourced, tuned
@@ -27,6 +28,7 @@ _PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; les
 _RTK_M = tuned(0.3, "m", "stated deviation below which positions are of carrier phases: code GNSS is above")
 _GNSS_M = tuned(3.0, "m", "deviation of a coordinate by code GNSS; less would call most flights doubtful")
 _PERMILLE = tuned(3.0, "per mille", "of distances in a map by code GNSS: 30 cm over 100 m")
+_EXACT = tuned(1e-3, "share of the shift", "least scatter beside it, for a distribution with a width")
 _MEDIAN_LENGTH = sourced(1.1774, "deviations of a coordinate", "median length of a plane error", "Rayleigh")
 
 
@@ -45,13 +47,31 @@ class AbsoluteAccuracy:
 
     @property
     def ce90_m(self) -> float:
-        """Radius of the circle about a mapped place that holds the true one in 90 of 100 cases."""
-        return CE90 * self.rmse_h_m
+        """Radius of the circle about a mapped place that holds the true one in 90 of 100 cases.
+
+        A shift in common that check points measured is no error that scatters: with it a length has Rice's
+        distribution, without it Rayleigh's, of which the factor of the RMSE is.
+        """
+        shift_m = float(np.hypot(*self.shift_m[:2]))
+        if not shift_m > 0.0:
+            return CE90 * self.rmse_h_m
+        sd_m = np.sqrt(max(self.rmse_h_m**2 - shift_m**2, (_EXACT * shift_m) ** 2) / 2.0)
+        return float(sd_m * rice.ppf(0.9, shift_m / sd_m))
 
     @property
     def le90_m(self) -> float:
-        """Half of the interval about a mapped height that holds the true one in 90 of 100 cases."""
-        return LE90 * self.rmse_v_m
+        """Half of the interval about a mapped height that holds the true one in 90 of 100 cases; see
+        `ce90_m`."""
+        shift_m = abs(float(self.shift_m[2]))
+        if not shift_m > 0.0:
+            return LE90 * self.rmse_v_m
+        sd_m = np.sqrt(max(self.rmse_v_m**2 - shift_m**2, (_EXACT * shift_m) ** 2))
+        return float(sd_m * foldnorm.ppf(0.9, shift_m / sd_m))
+
+    @property
+    def shifted(self) -> bool:
+        """Whether check points show one shift in common rather than scatter."""
+        return bool((np.abs(self.shift_m) > self.scatter_m).any())
 
 
 @dataclass(frozen=True)

@@ -116,6 +116,8 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
     """Stated or measured accuracy beside what is required."""
     absolute, relative = accuracy.absolute, accuracy.relative
     better = "control points (--gcp) or RTK positions; --accuracy states what you need"
+    if absolute.shifted:
+        better = "use some of the check points as control points: they show one shift in common"
     asked = (
         ("absolute accuracy", absolute.rmse_h_m, required.rmse_h_m, "m RMSE", better),
         ("vertical accuracy", absolute.rmse_v_m, required.rmse_v_m, "m RMSE", better),

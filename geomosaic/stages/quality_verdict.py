@@ -149,5 +149,5 @@ def reported(verdict: Verdict, pixel_m: float) -> dict[str, Any]:
         "fix": verdict.mend,
         "mend": verdict.mend,
         "answers": statement.answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m),
-        "evidence": [asdict(e) for e in verdict.evidence],
+        "evidence": [asdict(e) | {"fix": e.mend} for e in verdict.evidence],
     }
