@@ -108,7 +108,7 @@ def test_check_points_measure_with_shift_scatter_and_their_own_accuracy() -> Non
 def test_what_nothing_states_is_not_stated() -> None:
     found = accuracy_of(adjusted(None), 0.3, 0.02)
     assert math.isnan(found.absolute.rmse_h_m) and math.isnan(found.relative.permille)
-    asked = Requirement(0.05, math.nan, 1.0, "as asked for")
+    asked = Requirement(0.05, math.nan, 1.0, "as asked for", 0.05)
     said = dict(answers(found, asked, NO_SEAMS, 0.02))
     assert said["required"] == "horizontal RMSE 5.0 cm, distances 1 per mille: as asked for"
     assert said["absolute accuracy"] == said["relative accuracy"] == "not stated by this adjustment method"
@@ -164,3 +164,17 @@ def test_a_shift_that_check_points_measured_does_not_widen_ce90() -> None:
     scattered = tuple(check((1.3 * e / 0.05, 0.0, u)) for e, _, u in spread)
     absolute = accuracy_of(adjusted(None, *scattered), float("nan"), 0.02).absolute
     assert not absolute.shifted and absolute.ce90_m == pytest.approx(1.5175 * 1.3)
+
+
+def test_land_lies_as_well_beside_the_land_around_as_distances_are_asked_to() -> None:
+    """By GNSS 3 per mille of 100 m, however small the block; by RTK three pixels; else what a user asks."""
+    gnss = usual_requirement(adjusted(None), np.full(5, 5.0), 0.02)
+    assert gnss.local_m == pytest.approx(0.3)
+    assert usual_requirement(adjusted(None), np.full(5, 0.03), 0.02).local_m == pytest.approx(0.06)
+    assert usual_requirement(adjusted(None), np.full(5, 5.0), 0.5).local_m == pytest.approx(1.5)
+    assert gnss.asked(0.05, None, None) == Requirement(
+        0.05, pytest.approx(math.nan, nan_ok=True), gnss.permille, "as asked for", 0.05
+    )
+    assert gnss.asked(None, None, 1.0).local_m == pytest.approx(0.1)
+    assert gnss.asked(0.5, None, 1.0).local_m == pytest.approx(0.1)
+    assert gnss.asked(None, None, None) is gnss

@@ -13,7 +13,7 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.ground_doubt import LandDoubt, land_doubt, places_of
+from geomosaic.quality.ground_doubt import Land, LandDoubt, land_doubt, places_of
 
 HOME = LocalFrame(9.0, 48.0, 400.0)
 AT_M = MapProjection("EPSG:32632").map_from_geodetic(9.0, 48.0)
@@ -30,7 +30,7 @@ def owned(owner: np.ndarray) -> Ownership:
 
 
 def doubt(owner: np.ndarray, ground: GroundSurface, known: GroundSurface | None = None) -> LandDoubt:
-    return land_doubt(owned(owner), FRAMES, HOME, ground, known or ground)
+    return land_doubt(Land(owned(owner), FRAMES, HOME, ground, known or ground), 3.0)
 
 
 def test_a_place_leans_by_the_angle_of_the_frame_that_gives_it() -> None:
@@ -114,3 +114,11 @@ def test_what_is_not_known_is_not_told() -> None:
     assert np.isnan(doubt(0.0 * owner, SURE).ground_px)
     on_given = doubt(owner, replace(SURE, kind="terrain"), given)
     assert np.isnan(on_given.ground_px) and on_given.surface_share < 0.01
+
+
+def test_land_is_judged_by_what_is_asked_of_it() -> None:
+    """Ground unknown by 1 m, seen up to 30 degrees aslant at 0.1 m a pixel, may be off by 3 px, not by 30."""
+    owner = np.ones((61, 61))
+    unsure = replace(SURE, sd_m=np.ones_like(SURE.up_m))
+    land = Land(owned(owner), FRAMES, HOME, unsure, unsure)
+    assert land_doubt(land, 3.0).ground_share > 0.1 > 0.01 > land_doubt(land, 30.0).ground_share

@@ -141,7 +141,7 @@ NAN = float("nan")
 NO_DOUBT = LandDoubt(NAN, NAN, NAN)
 UNSTATED = AbsoluteAccuracy(NAN, NAN, "not stated", 0, np.full(3, NAN), np.full(3, NAN))
 NOT_STATED = Accuracy(UNSTATED, RelativeAccuracy(NAN, NAN, NAN, NAN))
-NOTHING_ASKED = Requirement(NAN, NAN, NAN, "nobody's demand")
+NOTHING_ASKED = Requirement(NAN, NAN, NAN, "nobody's demand", 0.3)
 
 
 def judged(
@@ -201,7 +201,9 @@ def test_a_requirement_that_is_missed_makes_a_map_doubtful() -> None:
     seen = Seen(NO_SEAMS, (), (range(5),), range(5), NO_DOUBT)
 
     def asked(rmse_h_m: float = NAN, rmse_v_m: float = NAN, permille: float = NAN) -> Verdict:
-        return verdict_of(outcome(), seen, stated, Requirement(rmse_h_m, rmse_v_m, permille, "as asked for"))
+        return verdict_of(
+            outcome(), seen, stated, Requirement(rmse_h_m, rmse_v_m, permille, "as asked for", 0.3)
+        )
 
     assert asked(0.5, 0.8, 1.0).grade == "good"
     missed = asked(0.1)
@@ -244,7 +246,7 @@ def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
 
     assert told(0.004).text == "5 of 5 frames tied, image deviation 0.40 px"
     some, much = told(0.07), told(0.235)
-    assert some.grade == "good" and some.text.endswith("7 % of the land may be off by more than 3 px")
+    assert some.grade == "good" and some.text.endswith("7 % of the land may be off by more than 30.0 cm")
     assert much.cause.endswith("(surface unsure 24 %)") and "--ortho terrain" in much.mend
     assert [e.figure for e in some.evidence if e.name == "surface unsure"] == ["7 %"]
 

@@ -95,12 +95,27 @@ class RelativeAccuracy:
 @dataclass(frozen=True)
 class Requirement:
     """What is asked of a map: RMSE horizontally and vertically in m, distances within it in per mille; NaN
-    for what nothing is asked of. why: whose demand it is."""
+    for what nothing is asked of. why: whose demand it is. local_m: how far land may lie off where it should
+    be beside the land around it."""
 
     rmse_h_m: float
     rmse_v_m: float
     permille: float
     why: str
+    local_m: float
+
+    def asked(self, rmse_h_m: float | None, rmse_v_m: float | None, permille: float | None) -> Requirement:
+        """With what a user asks for instead, None where nothing; land then lies as well as the least of it."""
+        if rmse_h_m is None and rmse_v_m is None and permille is None:
+            return self
+        local_m = [rmse_h_m, None if permille is None else permille * _OVER_M / 1000.0]
+        return Requirement(
+            self.rmse_h_m if rmse_h_m is None else rmse_h_m,
+            self.rmse_v_m if rmse_v_m is None else rmse_v_m,
+            self.permille if permille is None else permille,
+            "as asked for",
+            min((m for m in local_m if m is not None), default=self.local_m),
+        )
 
 
 @dataclass(frozen=True)
@@ -138,7 +153,7 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     by_control = len(control_sd_m) >= LEAST_POINTS
     stated_m = np.array(control_sd_m) if by_control else position_sd_m
     if not len(stated_m):
-        return Requirement(NOT_STATED, NOT_STATED, NOT_STATED, "no frame has a position")
+        return Requirement(NOT_STATED, NOT_STATED, NOT_STATED, "no frame has a position", _PIXELS * pixel_m)
     sd_m = float(np.median(stated_m))
     least_m, least_permille, why = _PIXELS * pixel_m, 1000.0 * _PIXELS * pixel_m / _OVER_M, "control points"
     if not by_control:
@@ -149,7 +164,8 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     spread_m = float(np.linalg.norm(plan_m - plan_m.mean(axis=0)))
     scale_permille = 1000.0 * sd_m / max(spread_m, 1e-9)
     rmse_m = max(np.sqrt(2.0) * sd_m, least_m)
-    return Requirement(rmse_m, NOT_STATED, max(least_permille, scale_permille), f"what {why} give")
+    permille, local_m = max(least_permille, scale_permille), least_permille * _OVER_M / 1000.0
+    return Requirement(rmse_m, NOT_STATED, permille, f"what {why} give", local_m)
 
 
 def _measured(figures: CheckPoints, surveyed_m2: Floats) -> AbsoluteAccuracy:

@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from geomosaic.mosaic.trim import OFF_PX
 
+ASKED: Final = "{asked}"
+"""Where a cause says how far land may lie off."""
 GRADES: Final = ("good", "doubtful", "bad")
 NOTED: Final = "noted"
 """The grade of an inner figure beyond its limit: it explains, but colours no verdict."""
@@ -75,19 +76,19 @@ CRITERIA: Mapping[str, Criterion] = {
         0.05,
         np.inf,
         "share",
-        f"the ground beyond the last tie points, or between them, may lie so much higher or lower that "
-        f"the map there is off by more than {OFF_PX:g} px",
+        "the ground beyond the last tie points, or between them, may lie so much higher or lower that the map "
+        f"there is off by more than {ASKED}",
         "an elevation model (--dem), or frames beyond what is wanted",
-        "nineteen twentieths of the land keep below what is called wrong",
+        "nineteen twentieths of the land keep below what is asked of it beside the land around",
     ),
     "surface unsure": Criterion(
         0.1,
         np.inf,
         "share",
         "the surface was matched unsurely: woods that wind moves, rims of what stands, and what few frames "
-        f"see, or see aslant, may lie off by more than {OFF_PX:g} px",
+        f"see, or see aslant, may lie off by more than {ASKED}",
         "more overlap along and across, flown in calm air; --ortho terrain lays frames on the ground below",
-        "as for the worst tenth of the seams: nine tenths of the land keep below 3 px",
+        "as for the worst tenth of the seams: nine tenths of the land keep below what is asked",
     ),
     "frames not tied": Criterion(
         0.0,

@@ -30,7 +30,7 @@ _WITHIN_PX = tuned(1e6, "px", "end of the search for a displacement: less hides 
 class LandDoubt:
     """ground_px: what 99 % of the mosaic's land keeps below, since the ground may be higher or lower; NaN
     where its deviations aren't known, or no frame gives anything. surface_share: of the land, what has to be
-    expected off by more than `OFF_PX`, since what was matched is unsure; NaN without a matched surface.
+    expected off by more than is asked, since what was matched is unsure; NaN without a matched surface.
     ground_share: of the land, what has to be expected off by more since the ground is unknown."""
 
     ground_px: float
@@ -38,11 +38,20 @@ class LandDoubt:
     ground_share: float
 
 
-def land_doubt(
-    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface, known: GroundSurface
-) -> LandDoubt:
-    """How far the land of a mosaic on `ground` may lie off; known: what was known before a surface was
-    matched, the same without one.
+@dataclass(frozen=True)
+class Land:
+    """What a mosaic shows, by whom, and on what ground; known: the ground known before a surface was matched,
+    the same without one."""
+
+    ownership: Ownership
+    poses: Poses
+    work_frame: LocalFrame
+    ground: GroundSurface
+    known: GroundSurface
+
+
+def land_doubt(land: Land, within_px: float) -> LandDoubt:
+    """How far the land of a mosaic may lie off, and how much of it by more than is asked, in its pixels.
 
     Where a matched surface lies on the ground known before, the surer of both says how far it may be off: its
     own deviation, or how far it lies from the other, whose deviation is added. Elsewhere something stands on
@@ -51,26 +60,27 @@ def land_doubt(
     stands there, and the surface has strayed by all that lies between, as likely as its deviation reaches so
     far.
     """
-    at_m, tangent = places_of(ownership, poses, work_frame, ground)
-    px_per_m = tangent / ownership.grid.gsd_m
+    ground, known = land.ground, land.known
+    at_m, tangent = places_of(land.ownership, land.poses, land.work_frame, ground)
+    px_per_m = tangent / land.ownership.grid.gsd_m
     known_px = px_per_m * known.sd_at(at_m[:, 0], at_m[:, 1])
     if ground.kind not in MATCHED:
         some = known_px > 0.0
-        return _doubt(lambda within_px: _beyond(within_px, known_px[some]), some, np.nan)
+        return _doubt(lambda px: _beyond(px, known_px[some]), some, within_px, np.nan)
     matched_px = px_per_m * ground.sd_at(at_m[:, 0], at_m[:, 1])
     apart_m = ground.up_at(at_m[:, 0], at_m[:, 1]) - known.up_at(at_m[:, 0], at_m[:, 1])
     apart_px = px_per_m * np.abs(apart_m)
-    off = _beyond(OFF_PX, matched_px[np.isfinite(matched_px)])
+    off = _beyond(within_px, matched_px[np.isfinite(matched_px)])
     some = (matched_px > 0.0) & (known_px > 0.0)
     matched_px, known_px, apart_px = matched_px[some], known_px[some], apart_px[some]
     strayed = _beyond(apart_px, matched_px)
 
-    def beyond(within_px: float) -> Floats:
-        matched, strays = _beyond(within_px, matched_px), _beyond(within_px, known_px, apart_px)
-        stands = strayed * strays + (1.0 - strayed) * np.minimum(matched, _beyond(within_px, known_px))
+    def beyond(px: float) -> Floats:
+        matched, strays = _beyond(px, matched_px), _beyond(px, known_px, apart_px)
+        stands = strayed * strays + (1.0 - strayed) * np.minimum(matched, _beyond(px, known_px))
         return np.where(apart_px <= OFF_PX, np.minimum(matched, strays), stands)
 
-    return _doubt(beyond, some, float(off.mean()) if off.size else np.nan)
+    return _doubt(beyond, some, within_px, float(off.mean()) if off.size else np.nan)
 
 
 def places_of(
@@ -87,9 +97,11 @@ def places_of(
     return at_m[given], tangent[given]
 
 
-def _doubt(beyond: Callable[[float], Floats], some: NDArray[np.bool_], surface_share: float) -> LandDoubt:
+def _doubt(
+    beyond: Callable[[float], Floats], some: NDArray[np.bool_], within_px: float, surface_share: float
+) -> LandDoubt:
     """beyond: see `_kept_by_99`."""
-    share = float(beyond(OFF_PX).mean()) if some.any() else float("nan")
+    share = float(beyond(within_px).mean()) if some.any() else float("nan")
     return LandDoubt(_kept_by_99(beyond, some), surface_share, share)
 
 

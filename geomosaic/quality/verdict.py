@@ -12,12 +12,12 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.procedure.control_agreement import control_blunders
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import sourced, tuned
-from geomosaic.mosaic.trim import OFF_PX
 from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement
 from geomosaic.quality.check_points import check_points
-from geomosaic.quality.criteria import CRITERIA, GRADES, NOTED, WARNED
+from geomosaic.quality.criteria import ASKED, CRITERIA, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
+from geomosaic.quality.statement import metres
 
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
 _ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
@@ -82,7 +82,7 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
     figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     evidence = (
-        *(_judged(name, value) for name, value in figures.items()),
+        *(_judged(name, value, metres(required.local_m)) for name, value in figures.items()),
         *_against(accuracy, required),
         *(Evidence(code, 1.0, "", *words) for code, words in WARNED.items() if code in warned),
     )
@@ -90,7 +90,7 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
     noted = worst.grade == NOTED
     return Verdict(
         grade=GRADES[0] if noted else worst.grade,
-        text=_text(adjusted, figures),
+        text=_text(adjusted, figures, metres(required.local_m)),
         cause="" if noted else _cause(worst),
         mend="" if noted else worst.mend,
         evidence=evidence,
@@ -105,10 +105,10 @@ def _cause(worst: Evidence) -> str:
     return f"{worst.cause} ({worst.name} {worst.figure})" if worst.unit and worst.cause else worst.cause
 
 
-def _judged(name: str, value: float) -> Evidence:
+def _judged(name: str, value: float, asked: str) -> Evidence:
     criterion = CRITERIA[name]
     grade = criterion.grade(value)
-    words = ("", "") if grade == GRADES[0] else (criterion.cause, criterion.mend)
+    words = ("", "") if grade == GRADES[0] else (criterion.cause.replace(ASKED, asked), criterion.mend)
     return Evidence(name, value, criterion.unit, grade, *words)
 
 
@@ -211,14 +211,12 @@ def _seams(seams: SeamCheck) -> dict[str, float]:
     }
 
 
-def _text(adjusted: Adjusted, figures: Mapping[str, float]) -> str:
+def _text(adjusted: Adjusted, figures: Mapping[str, float], asked: str) -> str:
     """How many frames are tied, how well they agree, and how much land the surface leaves open."""
     words = [f"{adjusted.status.count('tied')} of {len(adjusted.status)} frames tied"]
     words += [f"{name} {figures[name]:.2f} px" for name in ("image deviation", "seams") if name in figures]
     unsure = figures.get("surface unsure", 0.0)
-    words += [f"{_percent(unsure)} of the land may be off by more than {OFF_PX:g} px"] * (
-        unsure >= _WORTH_A_WORD
-    )
+    words += [f"{_percent(unsure)} of the land may be off by more than {asked}"] * (unsure >= _WORTH_A_WORD)
     return ", ".join(words)
 
 

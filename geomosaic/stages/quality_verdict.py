@@ -20,7 +20,7 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality import statement
 from geomosaic.quality.accuracy import Requirement, accuracy_of, usual_requirement
-from geomosaic.quality.ground_doubt import land_doubt
+from geomosaic.quality.ground_doubt import Land, land_doubt
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Seen, Verdict, verdict_of
 from geomosaic.stages.chips import Chips
@@ -99,20 +99,20 @@ class QualityVerdict(Stage):
             chips.look,
         )
         image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
+        land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"], adjusted.ground)
+        required = _required(params, survey, adjusted, pixel_m)
         seen = Seen(
             seams,
             () if image is None else residual_patterns(image, adjusted.cameras),
             connected_parts(len(survey.frames), inputs["ties"].frames),
             mosaic.frames_used,
-            land_doubt(
-                inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"], adjusted.ground
-            ),
+            land_doubt(land, required.local_m / pixel_m),
             {warning["code"] for warning in context.summary().get("warnings", ())},
         )
         known = seams.length_px[np.isfinite(seams.length_px)]
         median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
         accuracy = accuracy_of(adjusted, float("nan") if median_px is None else median_px, pixel_m)
-        verdict = verdict_of(adjusted, seen, accuracy, _required(params, survey, adjusted, pixel_m))
+        verdict = verdict_of(adjusted, seen, accuracy, required)
         chips.record()
         rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
         edges = [work_from_map(survey, ring) for _, ring in rings]
@@ -134,10 +134,8 @@ def _required(
     """What the user asks for, else what the inputs can give."""
     stated_m = [max(f.position.deviations_m[:2]) for f in survey.frames if f.position.known]
     usual = usual_requirement(adjusted, np.array(stated_m), pixel_m)
-    own = {"rmse_h_m": params.accuracy_m, "rmse_v_m": params.accuracy_vertical_m}
-    own["permille"] = params.accuracy_relative_permille
-    asked = {name: value for name, value in own.items() if not isinstance(value, str)}
-    return replace(usual, **asked, why="as asked for") if asked else usual
+    own = params.accuracy_m, params.accuracy_vertical_m, params.accuracy_relative_permille
+    return usual.asked(*(None if isinstance(value, str) else value for value in own))
 
 
 def reported(verdict: Verdict, pixel_m: float) -> dict[str, Any]:
