@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-
 ASKED: Final = "{asked}"
 """Where a cause says how far land may lie off."""
 GRADES: Final = ("good", "doubtful", "bad")
