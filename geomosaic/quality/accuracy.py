@@ -105,7 +105,7 @@ class Requirement:
     local_m: float
 
     def asked(self, rmse_h_m: float | None, rmse_v_m: float | None, permille: float | None) -> Requirement:
-        """With what a user asks for instead, None where nothing; land then lies as well as the least of it."""
+        """With what a user asks for, None where nothing; land then lies as well as the least of it."""
         if rmse_h_m is None and rmse_v_m is None and permille is None:
             return self
         local_m = [rmse_h_m, None if permille is None else permille * _OVER_M / 1000.0]

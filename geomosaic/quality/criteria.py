@@ -75,8 +75,8 @@ CRITERIA: Mapping[str, Criterion] = {
         0.05,
         np.inf,
         "share",
-        "the ground beyond the last tie points, or between them, may lie so much higher or lower that the map "
-        f"there is off by more than {ASKED}",
+        "the ground beyond the last tie points, or between them, may lie so much higher or lower that the "
+        f"map there is off by more than {ASKED}",
         "an elevation model (--dem), or frames beyond what is wanted",
         "nineteen twentieths of the land keep below what is asked of it beside the land around",
     ),
