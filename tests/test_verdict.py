@@ -247,7 +247,7 @@ def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
     assert told(0.004).text == "5 of 5 frames tied, image deviation 0.40 px"
     some, much = told(0.07), told(0.235)
     assert some.grade == "good" and some.text.endswith("7 % of the land may be off by more than 30.0 cm")
-    assert much.cause.endswith("(surface unsure 24 %)") and "--ortho terrain" in much.mend
+    assert much.cause.endswith("(surface unsure 24 %, accuracy.tif shows where)") and "--ortho terrain" in much.mend
     assert [e.figure for e in some.evidence if e.name == "surface unsure"] == ["7 %"]
 
 
@@ -278,3 +278,25 @@ def test_a_mosaic_by_positions_alone_is_not_called_good(
     first = page[page.index("<h1>") :][:600]
     assert {"doubtful": "Doubtful", "bad": "Bad"}[told["grade"]] in first
     json.dumps(told)
+
+
+def test_evidence_says_what_it_does_to_the_map_and_where() -> None:
+    """Jumps of 4 px are 8 cm at 2 cm a pixel; the largest is between the last two frames."""
+    seams = SeamCheck(
+        np.array([0, 1, 3]),
+        np.array([1, 2, 4]),
+        np.zeros((3, 2)),
+        np.full(3, 9),
+        np.array([[0.1, 0.0]] * 2 + [[4.9, 0.0]]),
+    )
+    names = tuple("abcde")
+    seen = Seen(seams, (), (range(5),), range(5), NO_DOUBT, (), names, 0.02)
+    (worst,) = (
+        e
+        for e in verdict_of(outcome(), seen, NOT_STATED, NOTHING_ASKED).evidence
+        if e.name == "worst tenth of the seams"
+    )
+    assert worst.grade == "doubtful" and worst.effect == "7.9 cm on the ground, most between d and e"
+    lost = replace(outcome(), status=("tied", "placed", "tied", "tied", "tied"))
+    verdict = verdict_of(lost, replace(seen, seams=NO_SEAMS), NOT_STATED, NOTHING_ASKED)
+    assert verdict.cause.endswith("(frames not tied 20 %, b)")

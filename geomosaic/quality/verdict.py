@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
@@ -21,12 +21,14 @@ from geomosaic.quality.statement import metres
 
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
 _ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
+_NAMED = tuned(3, "frames", "named in a line; more fill it")
 _WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """One reason: a figure and its grade; the likely cause and the fix where it is not good."""
+    """One reason: a figure and its grade; the likely cause and the fix where it is not good. effect: what it
+    does to the map in metres, and where."""
 
     name: str
     value: float
@@ -34,6 +36,7 @@ class Evidence:
     grade: str
     cause: str = ""
     mend: str = ""
+    effect: str = ""
 
     @property
     def figure(self) -> str:
@@ -64,7 +67,7 @@ class Verdict:
 class Seen:
     """What is known of a mosaic without its truth. parts: frames that hang together by tie points; used:
     frames that gave pixels; doubt: of the ground and of what was matched; warned: codes of the run's
-    warnings."""
+    warnings; names of the frames; pixel_m: the mosaic's."""
 
     seams: SeamCheck
     patterns: tuple[ResidualPattern, ...]
@@ -72,6 +75,8 @@ class Seen:
     used: Collection[int]
     doubt: LandDoubt
     warned: Collection[str] = ()
+    names: Sequence[str] = ()
+    pixel_m: float = float("nan")
 
 
 def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Requirement) -> Verdict:
@@ -81,8 +86,9 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
     of_land = {"ground unknown": seen.doubt.ground_share, "surface unsure": seen.doubt.surface_share}
     figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
+    judged = (_judged(name, value, metres(required.local_m)) for name, value in figures.items())
     evidence = (
-        *(_judged(name, value, metres(required.local_m)) for name, value in figures.items()),
+        *(e if e.grade == GRADES[0] else replace(e, effect=_effect(e, adjusted, seen)) for e in judged),
         *_against(accuracy, required),
         *(Evidence(code, 1.0, "", *words) for code, words in WARNED.items() if code in warned),
     )
@@ -102,7 +108,31 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
 
 
 def _cause(worst: Evidence) -> str:
-    return f"{worst.cause} ({worst.name} {worst.figure})" if worst.unit and worst.cause else worst.cause
+    said = ", ".join(filter(None, [f"{worst.name} {worst.figure}", worst.effect]))
+    return f"{worst.cause} ({said})" if worst.unit and worst.cause else worst.cause
+
+
+def _effect(of: Evidence, adjusted: Adjusted, seen: Seen) -> str:
+    """What a figure that is not good does to the map, and where."""
+    said = [f"{metres(of.value * seen.pixel_m)} on the ground"] * (of.unit == "px" and seen.pixel_m > 0.0)
+    if of.name in ("seams", "worst tenth of the seams"):
+        worst = int(np.nanargmax(seen.seams.length_px))
+        ends = [seen.names[int(side[worst])] for side in (seen.seams.left, seen.seams.right) if seen.names]
+        said += [f"most between {' and '.join(ends)}"] * bool(ends)
+    elif of.name == "frames not tied" and seen.names:
+        said.append(_some([seen.names[i] for i in sorted(seen.used) if adjusted.status[i] != "tied"]))
+    elif of.name in ("ground unknown", "surface unsure"):
+        said.append("accuracy.tif shows where")
+    elif of.name == "control points":
+        off = {p.name: np.nanmax(np.abs(p.residual_m / p.sd_m)) for p in adjusted.control if not p.check}
+        said.append(f"most at {max(off, key=lambda name: off[name])}")
+    return ", ".join(said)
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first of them, and how many more."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
 
 
 def _judged(name: str, value: float, asked: str) -> Evidence:
@@ -129,12 +159,16 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
             "control points (--gcp), RTK positions, or more lines; --accuracy-relative states what you need",
         ),
     )
+    over_100_m = f"{metres(relative.permille / 10.0)} over 100 m"
     out = []
     for name, value, most, unit, mend in asked:
         if np.isfinite(value) and np.isfinite(most):
             missed = value > most
             cause = f"the requirement is missed: {most:.2f} {unit}, {required.why}" if missed else ""
-            out.append(Evidence(name, value, unit, GRADES[int(missed)], cause, mend if missed else ""))
+            effect = over_100_m if missed and unit == "per mille" else ""
+            out.append(
+                Evidence(name, value, unit, GRADES[int(missed)], cause, mend if missed else "", effect)
+            )
     return out
 
 

@@ -108,6 +108,8 @@ class QualityVerdict(Stage):
             mosaic.frames_used,
             land_doubt(land, required.local_m / pixel_m),
             {warning["code"] for warning in context.summary().get("warnings", ())},
+            [f.name for f in survey.frames],
+            pixel_m,
         )
         known = seams.length_px[np.isfinite(seams.length_px)]
         median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
