@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from quality_images import eight_bits, moved, texture, write_tif
 
-from geomosaic.adjustment.model import Adjusted, Round
+from geomosaic.adjustment.kernels.interior import INTERIOR
+from geomosaic.adjustment.model import Adjusted, ControlResidual, Round, SharedUnknowns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
@@ -17,9 +19,13 @@ from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import flat_ground
+from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement
 from geomosaic.quality.compare import compare
+from geomosaic.quality.criteria import CRITERIA
+from geomosaic.quality.seam_check import SeamCheck
+from geomosaic.quality.verdict import Evidence, Verdict
 from geomosaic.report.frame_layers import map_footprints_m
-from geomosaic.survey.model import Attitude, Frame, Position, Survey
+from geomosaic.survey.model import Attitude, ControlPoint, Frame, Position, Survey
 
 CAMERA = Camera("v1.0 dji fc300s", 1000, 750, 1000.0, 497.5, 380.0, k1=-0.0123, focal_length_sd_px=10.0)
 WORK = LocalFrame(11.5, 48.1, 520.0)
@@ -91,6 +97,52 @@ def made_up_run(
         "mosaic": Mosaic(grid, "work/raster.tif", 3, "uint8", None, (), tuple(map(int, number)), n),
         "mosaic_file": file, "summary": summary, "comparison": comparison,
     }  # fmt: skip
+
+
+def with_points(run: dict[str, Any]) -> dict[str, Any]:
+    """The same run with ten control and eight check points, one of each a blunder, all that a verdict can
+    state, and every number that frames can share."""
+    rng = np.random.default_rng(7)
+    points, residuals = [], []
+    for i in range(18):
+        check, at = i >= 10, np.array([*rng.uniform(-50.0, 50.0, 2), 0.0])
+        lon, lat, height = WORK.geodetic_from_enu(at[None])[0]
+        name = HOSTILE if i == 12 else f"{'CHK' if check else 'GCP'}-{i:02d}"
+        points.append(ControlPoint(name, lon, lat, height, 0.01, 0.02, check, (), plan_only=i == 11))
+        off_m = rng.normal(0.0, [0.02, 0.03, 0.05]) + np.array([1.5, -0.8, 0.0]) * (i in (3, 15))
+        sd_m = np.array([0.03, 0.03, 1e9 if i == 11 else 0.05])
+        residuals.append(ControlResidual(name, check, 3, off_m, sd_m, np.full(3, 0.01)))
+    adjusted = replace(run["adjusted"], control=tuple(residuals), shared=_shared())
+    seams = SeamCheck(
+        np.array([0, 1, 2]), np.array([1, 2, 3]), np.tile([686_100.0, 5_330_400.0], (3, 1)),
+        np.full(3, 4), np.array([[0.3, 0.2], [1.0, -4.0], [np.nan, np.nan]]),
+    )  # fmt: skip
+    evidence = [Evidence(name, 0.4, c.unit, "good") for name, c in CRITERIA.items()]
+    evidence += [
+        Evidence(f"{kind} accuracy", 0.06, "m RMSE", "doubtful", "the requirement is missed", "--gcp")
+        for kind in ("absolute", "vertical", "relative")
+    ]
+    shift_m, scatter_m = np.array([0.01, -0.02, 0.0]), np.array([0.02, 0.03, 0.05])
+    accuracy = Accuracy(
+        AbsoluteAccuracy(0.041, 0.052, "measured", 7, shift_m, scatter_m),
+        RelativeAccuracy(0.21, 0.02, 0.03, 160.0),
+    )
+    required = Requirement(0.03, 0.1, 3.0, "as asked for", 0.3)
+    verdict = Verdict(
+        "doubtful", "11 of 12 frames tied", "the requirement is missed", "use --gcp", tuple(evidence),
+        accuracy, required, seams, (),
+    )  # fmt: skip
+    survey = replace(run["survey"], control=tuple(points))
+    return {**run, "survey": survey, "adjusted": adjusted, "verdict": verdict}
+
+
+def _shared() -> SharedUnknowns:
+    """Every number that frames can share, by the names that the adjustment gives them."""
+    platform = ("boresight_roll_deg", "lever_arm_down_m", "offset_east_m", "gps_lag_s")
+    names = (*INTERIOR, *platform)
+    of = ("lens",) * len(INTERIOR) + ("platform",) * len(platform)
+    one = np.ones(len(names))
+    return SharedUnknowns(of, names, one, 1.1 * one, 0.1 * one, np.eye(len(names)), one < 0.0)
 
 
 def _mosaic(folder: Path, outline_m: Any, with_comparison: bool) -> tuple[OutputGrid, Path, Any]:

@@ -247,4 +247,4 @@ def test_from_the_file_to_the_report(tmp_path: Path) -> None:
     named = [w["text"] for w in summary(run)["warnings"] if w["code"] == "control-disagrees"]
     assert len(named) == 1 and "'P2'" in named[0]
     page = (run / "report.html").read_text(encoding="utf-8")
-    assert "Check points: 6" in page and "Control points: 5" in page and ">P2<" in page
+    assert "Check points: 6" in page and "Control points: 4 of 5" in page and ">P2 <b" in page

@@ -247,7 +247,10 @@ def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
     assert told(0.004).text == "5 of 5 frames tied, image deviation 0.40 px"
     some, much = told(0.07), told(0.235)
     assert some.grade == "good" and some.text.endswith("7 % of the land may be off by more than 30.0 cm")
-    assert much.cause.endswith("(surface unsure 24 %, accuracy.tif shows where)") and "--ortho terrain" in much.mend
+    assert (
+        much.cause.endswith("(surface unsure 24 %, accuracy.tif shows where)")
+        and "--ortho terrain" in much.mend
+    )
     assert [e.figure for e in some.evidence if e.name == "surface unsure"] == ["7 %"]
 
 

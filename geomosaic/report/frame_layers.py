@@ -52,7 +52,8 @@ def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
 
 @dataclass(frozen=True)
 class FrameLayers:
-    """Makes the layers of a run; origin: what the map counts from; pixel_m: of the reduced mosaic."""
+    """Makes the layers of a run; origin: what the map counts from; pixel_m: of the reduced mosaic. Beside
+    control and check points, frames are shown on demand."""
 
     survey: Survey
     placement: Placement
@@ -90,7 +91,8 @@ class FrameLayers:
     def _footprints(self) -> Layer:
         return Layer(
             "footprints", "Footprints", "#00b4d8", areas=outlines(self.footprints_m, self.origin),
-            rows=list(range(len(self.survey.frames))), odd=self._odd, weight=1.2, shown=True,
+            rows=list(range(len(self.survey.frames))), odd=self._odd, weight=1.2,
+            shown=not self.adjusted.control,
         )  # fmt: skip
 
     def _frames(self) -> Layer:
@@ -99,7 +101,7 @@ class FrameLayers:
         return Layer(
             "frames", "Frames", "#ffffff",
             points=[flat(p, self.origin) if k else [] for p, k in zip(self._at_m, known, strict=True)],
-            rows=list(range(len(known))), odd=self._odd, shown=True,
+            rows=list(range(len(known))), odd=self._odd, shown=not self.adjusted.control,
             labels=labels_of([f.name for f in self.survey.frames], status), note="orange: not tied",
         )  # fmt: skip
 

@@ -23,12 +23,15 @@ from geomosaic.quality.verdict import Verdict
 from geomosaic.report import parts
 from geomosaic.report.accuracy_image import accuracy_image
 from geomosaic.report.comparison import comparison_rows, ssim_image
+from geomosaic.report.control import mapped_points, point_figures
+from geomosaic.report.control_layers import arrow_scale, control_layers
 from geomosaic.report.frame_layers import FrameLayers, map_footprints_m
 from geomosaic.report.glance import Glance, glance
 from geomosaic.report.layers import MapImage, MapView, box_of
 from geomosaic.report.map_images import overlap_image
 from geomosaic.report.numbers import length, plural, short, whole
 from geomosaic.report.page import Fact, Shown, markup, part, render
+from geomosaic.report.plate import plate
 from geomosaic.report.solved import solved_section
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.report.surface import SurfaceSection
@@ -81,10 +84,13 @@ def render_report(
     image = image or glance(mosaic_file)
     footprints_m = map_footprints_m(survey, adjusted)
     orientation = orientations(survey, placement.poses, adjusted)
-    judged = verdict_section(survey, verdict, mosaic.grid.gsd_m)
+    points = point_figures(adjusted)
+    mapped = mapped_points(survey, points)
+    judged = verdict_section(survey, verdict, mosaic.grid.gsd_m, points)
     ground = _ground(adjusted, summary)
     origin = np.array([mosaic.grid.west_m, mosaic.grid.south_m])
     pixel_m = mosaic.grid.gsd_m * mosaic.grid.width_px / image.width_px
+    scale = arrow_scale(mapped, mosaic.grid.gsd_m * max(mosaic.grid.width_px, mosaic.grid.height_px))
     drawn = FrameLayers(survey, placement, ties, adjusted, orientation, footprints_m, origin, pixel_m)
     begin = Shown(
         title="Mosaic of " + plural(len(survey.frames), "frame"),
@@ -101,9 +107,13 @@ def render_report(
             True,
             box_of(image, origin),
             _images(image, origin, footprints_m, comparison, surface, beside),
-            drawn.all(mosaic, None if verdict is None else verdict.seams, comparison),
+            [
+                *drawn.all(mosaic, None if verdict is None else verdict.seams, comparison),
+                *control_layers(mapped, scale, origin),
+            ],
         ),
         table=parts.frame_table(placement, ties, adjusted, orientation, warnings_of(summary).frames),
+        plate=plate(image, mapped, scale),
     )
     return render(
         "frames.html",
@@ -122,7 +132,7 @@ def render_report(
         rounds=markup(parts.rounds_plot(adjusted, placement.ground_pixel_m)),
         residuals=markup(parts.residuals_plot(adjusted, placement.ground_pixel_m)),
         worst_pairs=parts.worst_pairs(survey, pair_misalignments(ties, adjusted.residuals_m)),
-        control=parts.control_tables(adjusted),
+        control=points,
         solved=solved_section(survey, placement, adjusted, ground),
         cameras=parts.camera_rows(survey, adjusted),
         levels=CCIR_500_1,

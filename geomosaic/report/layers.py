@@ -38,7 +38,8 @@ class Layer:
 
     rows: for each area, or for each point where there are no areas, the table's row that it belongs to, or
     none at all. odd: places in that list which stand out. labels: of the points, or of the areas. fill: how
-    opaque areas are. note: what a reader has to know, such as the scale of arrows.
+    opaque areas are. note: what a reader has to know, such as the scale of arrows. mark: `triangle` or
+    `square`, the points' symbol, crossed out where they are odd; lines are then arrows, factor times larger.
     """
 
     name: str
@@ -56,6 +57,8 @@ class Layer:
     shown: bool = False
     permanent: bool = False
     note: str = ""
+    mark: str = ""
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -93,14 +96,18 @@ def flat(at_m: Floats, origin: Floats, decimals: int = 2) -> list[float]:
     return [float(v) for v in np.round(np.asarray(at_m) - origin, decimals).ravel()]
 
 
-def arrows(at_m: Floats, vectors_m: Floats, factor: float, origin: Floats) -> list[list[float]]:
+def arrows(
+    at_m: Floats, vectors_m: Floats, factor: float, origin: Floats, head_m: float = np.inf
+) -> list[list[float]]:
     """Arrows from places (n, 2) along vectors (n, 2), larger than life by a factor: one line each, head and
-    all. Those of which something isn't known are left out."""
+    all, which is head_m long at most. Those of which something isn't known are left out."""
     known = np.isfinite(at_m).all(axis=1) & np.isfinite(vectors_m).all(axis=1)
     start, along = at_m[known], vectors_m[known] * factor
     end = start + along
-    across = np.stack([-along[:, 1], along[:, 0]], axis=-1) * (_HEAD / 2.0)
-    heads = [end - along * _HEAD + side for side in (across, -across)]
+    length_m = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    back = along * np.minimum(_HEAD, head_m / length_m)
+    across = np.stack([-back[:, 1], back[:, 0]], axis=-1) / 2.0
+    heads = [end - back + side for side in (across, -across)]
     lines = np.stack([start, end, heads[0], end, heads[1]], axis=1)
     return [flat(line, origin) for line in lines]
 

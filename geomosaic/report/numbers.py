@@ -9,14 +9,14 @@ import numpy as np
 
 THIN: Final = "\u202f"
 """Between groups of three digits: it doesn't break a line."""
-_UNKNOWN: Final = "–"
+UNKNOWN: Final = "–"
 _SHORT_S: Final = 0.01
 
 
 def short(value: float | None, unit: str = "", digits: int = 3) -> str:
     """A value for people: so many digits that matter; a dash for what isn't known."""
     if value is None or not math.isfinite(value):
-        return _UNKNOWN
+        return UNKNOWN
     if value == 0.0:
         words = "0"
     elif abs(value) < 1e-4:
@@ -30,7 +30,7 @@ def short(value: float | None, unit: str = "", digits: int = 3) -> str:
 def signed(value: float | None, unit: str = "", digits: int = 3) -> str:
     """The same with its sign."""
     words = short(value, unit, digits)
-    return words if value is None or not value > 0.0 or words == _UNKNOWN else f"+{words}"
+    return words if value is None or not value > 0.0 or words == UNKNOWN else f"+{words}"
 
 
 def whole(number: float) -> str:
@@ -40,7 +40,7 @@ def whole(number: float) -> str:
 
 def percent(share: float | None) -> str:
     """A share of 1 in per cent."""
-    return _UNKNOWN if share is None or not math.isfinite(share) else f"{100.0 * share:.3g}\u00a0%"
+    return UNKNOWN if share is None or not math.isfinite(share) else f"{100.0 * share:.3g}\u00a0%"
 
 
 def plural(number: int, noun: str) -> str:
@@ -51,6 +51,19 @@ def plural(number: int, noun: str) -> str:
 def length(metres: float) -> str:
     """In metres, or centimetres below one."""
     return short(metres * 100.0, "cm") if metres < 1.0 else short(metres, "m")
+
+
+def cm(metres: float) -> str:
+    """A residual or a deviation in cm, to a millimetre below a metre."""
+    if not math.isfinite(metres):
+        return UNKNOWN
+    return f"{100.0 * metres:.{int(abs(metres) < 1.0)}f}\u00a0cm".replace("-0.0\u00a0", "0.0\u00a0")
+
+
+def signed_cm(metres: float) -> str:
+    """The same with its sign."""
+    words = cm(metres)
+    return f"+{words}" if metres > 0.0 and not words.startswith("0.0\u00a0") else words
 
 
 def duration(seconds: float) -> str:
@@ -64,7 +77,7 @@ def duration(seconds: float) -> str:
 
 def map_metres(easting_or_northing: float) -> str:
     """A coordinate of a map to a decimetre, without groups: to be copied."""
-    return f"{easting_or_northing:.1f}" if math.isfinite(easting_or_northing) else _UNKNOWN
+    return f"{easting_or_northing:.1f}" if math.isfinite(easting_or_northing) else UNKNOWN
 
 
 def by_deviation(sd: float) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +10,11 @@ from typing import Any, Final
 
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from geomosaic.export.tile_page import inline_json, leaflet
 from geomosaic.report import numbers
+from geomosaic.report.accuracy_table import AccuracyTable
 from geomosaic.report.glance import Glance
 from geomosaic.report.layers import MapView
 from geomosaic.report.table import Table
@@ -27,13 +29,15 @@ Fact = tuple[str, str, str]
 @dataclass(frozen=True)
 class Judged:
     """The first words. grade: `good`, `doubtful`, `bad`, or empty where nothing was judged; why: sentences;
-    mend: the fix; answers: to what people ask of a map, (question, answer); standard: the sentence
-    that the ASPRS standard asks for."""
+    mend: the fix; accuracy: the answers to what people ask of a map; points: of check and of control points
+    their kind, number, RMSE in plan and in height, and blunders; standard: the sentence that the ASPRS
+    standard asks for."""
 
     grade: str
     why: str
     mend: str = ""
-    answers: Sequence[tuple[str, str]] = ()
+    accuracy: AccuracyTable | None = None
+    points: Sequence[tuple[str, str, str, str, str]] = ()
     standard: str = ""
 
     @property
@@ -44,7 +48,8 @@ class Judged:
 
 @dataclass(frozen=True)
 class Shown:
-    """What every page begins with. run: its name; image: the mosaic, and its caption."""
+    """What every page begins with. run: its name; image: the mosaic, and its caption; plate: the map as
+    paper shows it, SVG."""
 
     title: str
     run: str
@@ -54,6 +59,7 @@ class Shown:
     facts: list[Fact]
     map_view: MapView
     table: Table
+    plate: str = ""
 
 
 def render(name: str, summary: Mapping[str, Any], begin: Shown, **shown: Any) -> str:
@@ -66,8 +72,11 @@ def render(name: str, summary: Mapping[str, Any], begin: Shown, **shown: Any) ->
         loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    names = ("short", "signed", "whole", "percent", "plural", "duration", "map_metres")
-    environment.filters |= {word: getattr(numbers, word) for word in names} | {"svg": markup}
+    names = ("short", "signed", "whole", "percent", "plural", "duration", "map_metres", "cm", "signed_cm")
+    environment.filters |= {word: getattr(numbers, word) for word in names} | {
+        "svg": markup,
+        "options": options,
+    }
     return environment.get_template(name).render(
         css=part("style.css"),
         leaflet_css=leaflet("leaflet.css"),
@@ -93,6 +102,11 @@ def part(name: str) -> Markup:
 def markup(svg: str | None) -> Markup:
     """Text made by `report.svg`, which escapes what it is given."""
     return Markup(svg or "")  # noqa: S704
+
+
+def options(words: str) -> Markup:
+    """Words whose options (`--dem`) no line end parts."""
+    return Markup(re.sub(r"--[a-z][a-z-]*", r'<span class="option">\g<0></span>', str(escape(words))))  # noqa: S704
 
 
 def _time_taken(summary: Mapping[str, Any]) -> list[Fact]:

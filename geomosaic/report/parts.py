@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.interior import Camera
 from geomosaic.export.orientation import Orientations
 from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.model import Trimmed
 from geomosaic.placement.model import Placement
-from geomosaic.quality.control import ControlFigures, control_figures
 from geomosaic.quality.misalignment import PairMisalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.report.numbers import percent, short
@@ -132,17 +131,6 @@ def worst_pairs(survey: Survey, pairs: PairMisalignments) -> list[dict[str, obje
         for i in order
         if np.isfinite(pairs.rms_m[i])
     ]
-
-
-def control_tables(adjusted: Adjusted) -> list[tuple[str, ControlFigures, list[ControlResidual]]]:
-    """Check points, then control points: title, figures, the points, the worst first."""
-    out = []
-    for title, check in (("Check points", True), ("Control points", False)):
-        points = [c for c in adjusted.control if c.check == check]
-        if points:
-            points.sort(key=lambda c: -float(np.linalg.norm(c.residual_m)))
-            out.append((title, control_figures(points), points))
-    return out
 
 
 def camera_rows(survey: Survey, adjusted: Adjusted) -> list[tuple[str, list[tuple[str, str, str]]]]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
 
 from geomosaic.adjustment.procedure.residual_pattern import CELLS, ResidualPattern
-from geomosaic.quality.statement import answers, asprs_statement
+from geomosaic.quality.statement import asprs_statement
 from geomosaic.quality.verdict import Evidence, Verdict
+from geomosaic.report.accuracy_table import accuracy_table
+from geomosaic.report.control import PointFigures
 from geomosaic.report.numbers import map_metres, short
 from geomosaic.report.page import Judged, markup
 from geomosaic.report.solved_plots import image_vectors
@@ -32,10 +35,13 @@ class VerdictSection:
     patterns: list[tuple[str, Markup]]
 
 
-def verdict_section(survey: Survey, verdict: Verdict | None, pixel_m: float) -> VerdictSection:
-    """Of a run without a verdict it says that there is none."""
+def verdict_section(
+    survey: Survey, verdict: Verdict | None, pixel_m: float, points: Sequence[PointFigures] = ()
+) -> VerdictSection:
+    """Of a run without a verdict it says that there is none. points: those of control and check points."""
+    rows = [f.row for f in points]
     if verdict is None:
-        return VerdictSection(Judged("", _NOT_JUDGED), [], [], "", [])
+        return VerdictSection(Judged("", _NOT_JUDGED, points=rows), [], [], "", [])
     seams, length = verdict.seams, verdict.seams.length_px
     worst = [i for i in np.argsort(-np.nan_to_num(length)) if np.isfinite(length[i])][:_WORST_SEAMS]
     names = [f.name for f in survey.frames]
@@ -45,10 +51,8 @@ def verdict_section(survey: Survey, verdict: Verdict | None, pixel_m: float) -> 
             verdict.grade,
             f"{cause}{_sentence(verdict.text)}",
             _sentence(verdict.mend),
-            [
-                (_capital(q), f"{a}.")
-                for q, a in answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m)
-            ],
+            accuracy_table(verdict.accuracy, verdict.required, verdict.seams, pixel_m),
+            rows,
             asprs_statement(verdict.accuracy.absolute),
         ),
         evidence=[_row(e) for e in verdict.evidence],
@@ -68,8 +72,10 @@ def verdict_section(survey: Survey, verdict: Verdict | None, pixel_m: float) -> 
 
 
 def _row(e: Evidence) -> tuple[str, str, str, str, str]:
-    """A warning that counts as evidence is named by its code, and is there or not: it has no figure."""
-    return e.name.replace("-", " "), e.figure if e.unit else "", e.grade, e.cause, e.mend
+    """A warning that counts as evidence is named by its code, and is there or not: it has no figure.
+    The cause is followed by what it does to the map, and where."""
+    cause = "; ".join(filter(None, [e.cause, e.effect]))
+    return e.name.replace("-", " "), e.figure if e.unit else "", e.grade, cause, e.mend
 
 
 def _sentence(words: str) -> str:

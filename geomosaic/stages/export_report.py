@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
@@ -15,6 +16,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
+from geomosaic.report.control import CHECK_POINTS, point_figures
 from geomosaic.report.frames import Beside, render_report
 from geomosaic.report.given import GivenMosaic
 from geomosaic.report.glance import Glance
@@ -35,7 +37,7 @@ class ExportReport(Stage):
     id = "export.report"
     display_name = "Write the report"
     group = "Export"
-    version = 7
+    version = 8
     cached = False
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
@@ -84,11 +86,14 @@ class ExportReport(Stage):
 
 
 def _accuracy_report(summary: Mapping[str, Any], adjusted: Adjusted) -> str:
-    """Accuracy, verdict and every control and check point, as JSON."""
+    """Accuracy, verdict, figures of control and of check points and every one of them, as JSON."""
+    kinds = point_figures(adjusted)
+    blunders = {(f.title == CHECK_POINTS, name) for f in kinds for name in f.blunders}
     points = [
         {
             "name": c.name,
             "check": c.check,
+            "blunder": (c.check, c.name) in blunders,
             "images": c.images,
             "residual_m": c.residual_m.tolist(),
             "sd_m": c.sd_m.tolist(),
@@ -96,7 +101,18 @@ def _accuracy_report(summary: Mapping[str, Any], adjusted: Adjusted) -> str:
         }
         for c in adjusted.control
     ]
-    parts = {"accuracy": summary.get("accuracy"), "verdict": summary.get("verdict"), "points": points}
+    figures = {
+        "check" if f.title == CHECK_POINTS else "control": {
+            "points": len(f.points),
+            "used": f.used,
+            "rmse_h_m": f.rmse_h_m,
+            "rmse_v_m": f.rmse_v_m if math.isfinite(f.rmse_v_m) else None,
+            "blunders": f.blunders,
+        }
+        for f in kinds
+    }
+    parts = {"accuracy": summary.get("accuracy"), "verdict": summary.get("verdict")}
+    parts |= {"figures": figures, "points": points}
     return json.dumps(parts, indent=1) + "\n"
 
 

@@ -12,6 +12,15 @@
   const shapes = new Map();  // of each row: what is drawn for it, with its style
   const outlines = new Map();  // of each row: what is marked when it is chosen
 
+  // On paper: the mosaic once more, and everything unfolded.
+  if (get("plate-image")) get("plate-image").setAttribute("href", get("mosaic-image").src);
+  let folded = [];
+  addEventListener("beforeprint", () => {
+    folded = [...document.querySelectorAll("main details:not([open], .layers, #time details)")];
+    folded.forEach((one) => { one.open = true; });
+  });
+  addEventListener("afterprint", () => folded.forEach((one) => { one.open = false; }));
+
   // The map: metres from the origin, or a scene's columns and lines, on a plane.
   const [west, south, east, north] = data.box, whole = [[south, west], [north, east]];
   const map = L.map("leaflet", { crs: L.CRS.Simple, preferCanvas: true, zoomSnap: 0.25, zoomDelta: 0.75, minZoom: -30,
@@ -37,9 +46,29 @@
     return [image.name, L.imageOverlay(source(image.uri), [[s, w], [n, e]], { pane: image.name, opacity: image.opacity })];
   }));
 
+  // Surveyed points: told apart by their symbol, blunders crossed out.
+  const MARKS = { triangle: "M9 1.5 17 15.5H1Z", square: "M2.5 2.5h13v13h-13Z" }, CROSS = "M1.5 1.5l15 15M16.5 1.5l-15 15";
+  function symbol(mark, colour, blunder) {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    made.setAttribute("viewBox", "0 0 18 18");
+    for (const [d, style] of [[MARKS[mark], `fill:${colour};stroke:#fff;stroke-width:1.5`],
+      ...(blunder ? [[CROSS, "stroke:#fff;stroke-width:4.5"], [CROSS, "stroke:#111;stroke-width:2"]] : [])]) {
+      const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+      path.setAttribute("d", d);
+      path.setAttribute("style", style);
+      made.append(path);
+    }
+    return made;
+  }
+  function surveyed(layer, k, at, odd) {
+    const icon = L.divIcon({ className: "surveyed", html: symbol(layer.mark, layer.colour, odd), iconSize: [13, 13] });
+    return L.marker(at, { icon, alt: layer.labels[k], keyboard: true });
+  }
+
   function drawn(layer) {
     const group = L.layerGroup(), odd = new Set(layer.odd);
     if (layer.lines.length) {
+      if (layer.mark) L.polyline(layer.lines.map(path), { color: "#fff", weight: layer.weight + 3, interactive: false }).addTo(group);
       L.polyline(layer.lines.map(path), { color: layer.colour, weight: layer.weight, dashArray: layer.dash || null, interactive: false }).addTo(group);
     }
     const places = layer.areas.length ? layer.areas : layer.points;
@@ -49,10 +78,16 @@
       const style = layer.areas.length
         ? { color: colour, weight: layer.weight, opacity: 1, fill: true, fillColor: colour, fillOpacity: layer.fill, dashArray: layer.dash || null }
         : { color: "#111", weight: 1, opacity: 1, fill: true, fillColor: colour, fillOpacity: 1, radius: layer.permanent ? 2.5 : 4.5 };
-      const shape = (layer.areas.length ? L.polygon(path(place), style) : L.circleMarker(path(place)[0], style)).addTo(group);
+      const shape = (layer.mark ? surveyed(layer, k, path(place)[0], odd.has(k))
+        : layer.areas.length ? L.polygon(path(place), style) : L.circleMarker(path(place)[0], style)).addTo(group);
+      if (layer.mark) {  // to the side where there is room
+        shape.on("mouseover click focus", () => {
+          shape.getTooltip().options.direction = map.latLngToContainerPoint(shape.getLatLng()).x > 240 ? "left" : "right";
+        });
+      }
       if (layer.labels.length) {
         const words = () => element("span", { textContent: layer.labels[k] });
-        shape.bindTooltip(words, layer.permanent ? { permanent: true, direction: "top", offset: [0, -2], className: "fixed" } : { sticky: true });
+        shape.bindTooltip(words, layer.permanent ? { permanent: true, direction: "top", offset: [0, -2], className: "fixed" } : layer.mark ? { direction: "left" } : { sticky: true });
       }
       if (row === undefined) return;
       shape.on("click", () => choose(row, true));
@@ -63,10 +98,31 @@
     return group;
   }
 
+  // Their legend: symbols, and an arrow of the residuals' scale.
+  const marks = new Set(), legend = L.control({ position: "bottomleft" }), inside = element("div", { className: "legend" });
+  legend.onAdd = () => inside;
+  function explain() {
+    if (!marks.size) return legend.remove();
+    const shown = [...marks], { factor } = shown[0];
+    const per_m = map.options.crs.scale(map.getZoom()) * factor, most = 90 / per_m, power = 10 ** Math.floor(Math.log10(most));
+    const length = Math.max(...[1, 2, 5].map((m) => m * power).filter((m) => m <= most));
+    const rows = shown.map((layer) => element("div", {}, symbol(layer.mark, layer.colour, false), layer.title));
+    const wrong = shown.find((layer) => layer.odd.length);
+    if (wrong) rows.push(element("div", {}, symbol(wrong.mark, wrong.colour, true), "Blunder"));
+    const arrow = element("i", { style: `width:${(length * per_m).toFixed(1)}px` });
+    const words = length < 1 ? `${+(100 * length).toPrecision(1)} cm` : `${length} m`;
+    rows.push(element("div", {}, arrow, `${words}, ${factor === 1 ? "true to scale" : `drawn ${factor.toLocaleString("en")} times larger`}`));
+    inside.replaceChildren(...rows);
+    legend.addTo(map);
+  }
+  map.on("zoomend", () => marks.size && explain());
+
   // Switches.
   const list = get("layers").querySelector("div"), notes = new Map();
   function say() {
-    get("notes").textContent = [...notes].map(([title, note]) => `${title}: ${note}`).join(". ");
+    const titles = new Map();
+    for (const [title, note] of notes) titles.set(note, [...(titles.get(note) || []), title]);
+    get("notes").textContent = [...titles].map(([note, of]) => `${of.join(", ")}: ${note}`).join(". ");
   }
   function toggle(entry, layer, colour) {
     const box = element("input", { type: "checkbox", checked: entry.shown });
@@ -75,11 +131,13 @@
       box.checked ? layer.addTo(map) : layer.remove();
       box.checked && entry.note ? notes.set(entry.title, entry.note) : notes.delete(entry.title);
       say();
+      if (entry.mark) { box.checked ? marks.add(entry) : marks.delete(entry); explain(); }
     };
     box.addEventListener("change", set);
     set();
     const label = element("label", {}, box, element("span", { textContent: entry.title }));
-    if (colour) label.append(Object.assign(element("i"), { style: `background:${colour}` }));
+    if (entry.mark) label.append(symbol(entry.mark, colour, false));
+    else if (colour) label.append(Object.assign(element("i"), { style: `background:${colour}` }));
     list.append(label);
   }
   toggle({ name: "mosaic", title: "Mosaic", shown: true }, overlay.get("mosaic"));
