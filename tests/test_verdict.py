@@ -138,6 +138,7 @@ def seams_of(*length_px: float) -> SeamCheck:
 
 
 NAN = float("nan")
+FIFTHS = dict.fromkeys(range(5), 0.2)
 NO_DOUBT = LandDoubt(NAN, NAN, NAN)
 UNSTATED = AbsoluteAccuracy(NAN, NAN, "not stated", 0, np.full(3, NAN), np.full(3, NAN))
 NOT_STATED = Accuracy(UNSTATED, RelativeAccuracy(NAN, NAN, NAN, NAN))
@@ -150,7 +151,7 @@ def judged(
     parts: tuple[range, ...] = (range(5),),
     doubt: LandDoubt = NO_DOUBT,
 ) -> Verdict:
-    return verdict_of(adjusted, Seen(seams, (), parts, range(5), doubt), NOT_STATED, NOTHING_ASKED)
+    return verdict_of(adjusted, Seen(seams, (), parts, FIFTHS, doubt), NOT_STATED, NOTHING_ASKED)
 
 
 def grade(
@@ -198,7 +199,7 @@ def test_inner_figures_are_noted_and_colour_nothing() -> None:
 def test_a_requirement_that_is_missed_makes_a_map_doubtful() -> None:
     absolute = replace(UNSTATED, rmse_h_m=0.5, rmse_v_m=0.8, how="estimated")
     stated = Accuracy(absolute, RelativeAccuracy(1.0, 0.1, 0.3, 300.0))
-    seen = Seen(NO_SEAMS, (), (range(5),), range(5), NO_DOUBT)
+    seen = Seen(NO_SEAMS, (), (range(5),), FIFTHS, NO_DOUBT)
 
     def asked(rmse_h_m: float = NAN, rmse_v_m: float = NAN, permille: float = NAN) -> Verdict:
         return verdict_of(
@@ -293,7 +294,7 @@ def test_evidence_says_what_it_does_to_the_map_and_where() -> None:
         np.array([[0.1, 0.0]] * 2 + [[4.9, 0.0]]),
     )
     names = tuple("abcde")
-    seen = Seen(seams, (), (range(5),), range(5), NO_DOUBT, (), names, 0.02)
+    seen = Seen(seams, (), (range(5),), FIFTHS, NO_DOUBT, (), names, 0.02)
     (worst,) = (
         e
         for e in verdict_of(outcome(), seen, NOT_STATED, NOTHING_ASKED).evidence
@@ -303,3 +304,15 @@ def test_evidence_says_what_it_does_to_the_map_and_where() -> None:
     lost = replace(outcome(), status=("tied", "placed", "tied", "tied", "tied"))
     verdict = verdict_of(lost, replace(seen, seams=NO_SEAMS), NOT_STATED, NOTHING_ASKED)
     assert verdict.cause.endswith("(frames not tied 20 %, b)")
+
+
+def test_frames_count_by_the_land_that_they_give() -> None:
+    """A frame without tie points at a corner, half a hundredth of the land, is no fault; a twentieth is."""
+    lost = outcome(status=("tied",) * 4 + ("placed",))
+
+    def judged_by(land: float) -> str:
+        shares = dict.fromkeys(range(4), (1.0 - land) / 4.0) | {4: land}
+        seen = Seen(NO_SEAMS, (), (range(4),), shares, NO_DOUBT)
+        return verdict_of(lost, seen, NOT_STATED, NOTHING_ASKED).grade
+
+    assert [judged_by(land) for land in (0.005, 0.05, 0.4)] == ["good", "doubtful", "bad"]

@@ -48,6 +48,15 @@ class Ownership:
     hidden: tuple[Hidden, ...] = ()
     trimmed: Trimmed | None = None
 
+    def shares(self) -> dict[int, float]:
+        """The share of the mosaic's land that each frame gives, by its index in `Survey.frames`."""
+        owner = self.owner
+        if self.area is not None:
+            whole = Window(0, 0, self.grid.width_px, self.grid.height_px)
+            owner = np.where(self.area.cells(self.grid, whole, self.cell_px), owner, 0)
+        cells = np.bincount(owner.ravel())[1:]
+        return {int(i): float(cells[i] / cells.sum()) for i in np.flatnonzero(cells)}
+
     def around(self, window: Window) -> tuple[int, int, NDArray[np.int32]]:
         """The owners of all cells that a window touches, and one more on every side: row and col of the
         first, and the owners. What is outside the grid is as its edge."""

@@ -90,15 +90,15 @@ CRITERIA: Mapping[str, Criterion] = {
         "as for the worst tenth of the seams: nine tenths of the land keep below what is asked",
     ),
     "frames not tied": Criterion(
-        0.0,
+        0.01,
         1.0 / 3.0,
         "share",
         "frames that match no other lie where their own positions say",
         "leave them out, or fly with more overlap",
-        "a position is worth metres, so one such frame is a visible fault, a third of them no map",
+        "a position is worth metres, so their land is off; a hundredth of all is a corner, a third is no map",
     ),
     "frames in other parts": Criterion(
-        0.0,
+        0.01,
         1.0 / 3.0,
         "share",
         "the frames hang together in several parts, each placed by its own positions",

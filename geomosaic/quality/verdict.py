@@ -41,7 +41,9 @@ class Evidence:
     @property
     def figure(self) -> str:
         """The value with its unit."""
-        return _percent(self.value) if self.unit == "share" else f"{self.value:.2f} {self.unit}".strip()
+        if self.unit == "share":
+            return _percent(self.value)
+        return f"{self.value:.{0 if self.unit == 'points' else 2}f} {self.unit}".strip()
 
 
 @dataclass(frozen=True)
@@ -65,14 +67,14 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Seen:
-    """What is known of a mosaic without its truth. parts: frames that hang together by tie points; used:
-    frames that gave pixels; doubt: of the ground and of what was matched; warned: codes of the run's
+    """What is known of a mosaic without its truth. parts: frames that hang together by tie points; land:
+    the share of the mosaic's land that each frame gives, by frame; doubt: of the ground and of what was matched; warned: codes of the run's
     warnings; names of the frames; pixel_m: the mosaic's."""
 
     seams: SeamCheck
     patterns: tuple[ResidualPattern, ...]
     parts: Sequence[Sequence[int]]
-    used: Collection[int]
+    land: Mapping[int, float]
     doubt: LandDoubt
     warned: Collection[str] = ()
     names: Sequence[str] = ()
@@ -82,7 +84,7 @@ class Seen:
 def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Requirement) -> Verdict:
     """Grades a mosaic: whether a fault was found, and whether it is as accurate as is required."""
     figures = _agreement(adjusted, seen.patterns) | _seams(seen.seams)
-    figures |= _held_together(adjusted, seen.parts, seen.used)
+    figures |= _held_together(adjusted, seen.parts, seen.land)
     of_land = {"ground unknown": seen.doubt.ground_share, "surface unsure": seen.doubt.surface_share}
     figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
@@ -120,7 +122,7 @@ def _effect(of: Evidence, adjusted: Adjusted, seen: Seen) -> str:
         ends = [seen.names[int(side[worst])] for side in (seen.seams.left, seen.seams.right) if seen.names]
         said += [f"most between {' and '.join(ends)}"] * bool(ends)
     elif of.name == "frames not tied" and seen.names:
-        said.append(_some([seen.names[i] for i in sorted(seen.used) if adjusted.status[i] != "tied"]))
+        said.append(_some([seen.names[i] for i in sorted(seen.land) if adjusted.status[i] != "tied"]))
     elif of.name in ("ground unknown", "surface unsure"):
         said.append("accuracy.tif shows where")
     elif of.name == "control points":
@@ -173,15 +175,14 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
 
 
 def _held_together(
-    adjusted: Adjusted, parts: Sequence[Sequence[int]], used: Collection[int]
+    adjusted: Adjusted, parts: Sequence[Sequence[int]], land: Mapping[int, float]
 ) -> dict[str, float]:
-    """Shares of the mosaic's frames that hang on their own positions, or in another part than most."""
-    tied = {i for i in used if adjusted.status[i] == "tied"}
-    largest = max((len(tied.intersection(part)) for part in parts), default=0)
-    return {
-        "frames not tied": (len(used) - len(tied)) / max(len(used), 1),
-        "frames in other parts": (len(tied) - largest) / max(len(used), 1),
-    }
+    """Shares of the mosaic's land that frames give which hang on their own positions, or in another part than
+    most."""
+    tied = {i: share for i, share in land.items() if adjusted.status[i] == "tied"}
+    largest = max((sum(tied.get(i, 0.0) for i in part) for part in parts), default=0.0)
+    alone = sum(share for i, share in land.items() if i not in tied)
+    return {"frames not tied": alone, "frames in other parts": max(sum(tied.values()) - largest, 0.0)}
 
 
 def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dict[str, float]:

@@ -105,7 +105,7 @@ class QualityVerdict(Stage):
             seams,
             () if image is None else residual_patterns(image, adjusted.cameras),
             connected_parts(len(survey.frames), inputs["ties"].frames),
-            mosaic.frames_used,
+            inputs["ownership"].shares(),
             land_doubt(land, required.local_m / pixel_m),
             {warning["code"] for warning in context.summary().get("warnings", ())},
             [f.name for f in survey.frames],
