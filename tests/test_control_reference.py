@@ -97,3 +97,26 @@ def test_points_on_a_line_have_no_similarity() -> None:
     line = np.outer(np.arange(5.0), [1.0, 2.0, 0.5])
     assert Similarity3D.through(line, 2.0 * line) is None
     assert Similarity3D.through(line[:2], line[:2]) is None
+
+
+@pytest.mark.parametrize("plan_only", [True, False])
+def test_control_by_a_handheld_receiver_does_not_turn_a_block_over(plan_only: bool) -> None:
+    """Five points along a line, 2 m off each: in plan alone with 0 for their heights, or with heights.
+
+    What turns the block about the line by a tenth of a radian moves frames 100 m above by 10 m.
+    """
+    flown = fly(5, 3, 5, relief=hills, noise_px=0.3)
+    block, rng = without_positions(flown), np.random.default_rng(8)
+    control = []
+    for k, along in enumerate(np.linspace(0.0, 80.0, 5)):
+        at = np.array([along, along + 3.0 * (-1) ** k, 0.0])
+        at[2] = hills(at[0], at[1])
+        seen = tuple(flown.seen(at, 0.3))
+        stated = at + rng.normal(0.0, 2.0, 3)
+        sd_m = np.array([0.03, 0.03, 1e5 if plan_only else 0.03])
+        control.append(GroundControl(f"P{k}", stated * [1, 1, 1 - plan_only], sd_m, False, seen))
+    adjusted = pose_block(replace(block, control=tuple(control)), Settings())
+    assert adjusted.poses.rotations[:, 2, 2].min() > 0.9
+    assert adjusted.figures["sigma_px"] < 1.0
+    off_m = adjusted.poses.positions_m - flown.truth.positions_m
+    assert np.median(np.hypot(*off_m[:, :2].T)) < 10.0
