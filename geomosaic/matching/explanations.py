@@ -6,13 +6,13 @@ quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h
 
     p(y, h | tag right, q) = N(y - h - 90 q; s) f(y)
     p(y, h | tag wrong, q) = g(y) f(h + 90 q)
-    f(x) = (1 - stray) N(x - e - u; w) + stray / 360
+    f(x) = (1 - a - b) N(x - e - u; w) + a N(x - e - u - 180; w) + b / 360
 
 g is uniform, and if the image was not turned half the heading of the line flown the other way. The usual
-angle u, its scatter w and the rate of strays are those of the frames whose tags and images agree; the rates
-of wrong tags and turned images are those of all frames: expectation maximisation with Laplace's rule of
-succession for the rates. Expected headings e are the course, one heading for all frames, or none; they are
-averaged by their likelihoods.
+angle u, its scatter w and the rates a and b of frames that look elsewhere are estimated from the frames
+whose tags and images agree; the rates of wrong tags and turned images from all frames. The method is
+expectation maximisation with weak priors of the rates (Laplace's rule of succession). Expected headings e
+are the course, one heading for all frames, or none; they are averaged by their likelihoods.
 
 References: Dempster, Laird and Rubin 1977 (mixtures); Kass and Raftery 1995 (averages over models, with
 Schwarz's penalty for the estimated parameters).
@@ -41,6 +41,9 @@ _NEAR_RAD = tuned(np.radians(30.0), "rad", "apart at most of tags that agree: mo
 _ROUNDS = tuned(25, "rounds", "of the estimation: fewer stop before rates settle")
 _AGREE = tuned(4.0, "deviations", "apart at most of tag and image that agree: more takes wrong ones along")
 _FEW = tuned(3.0, "frames", "that the first scatter counts for: less trusts a scatter of three frames")
+_STRAYS = tuned(
+    (0.1, 0.5), "frames", "counted as seen the other way, and anyhow: less is surer of the course"
+)
 _PRIORS = tuned((0.9, 0.05, 0.05), "share", "of flights along the course, under one heading, under any")
 _FALSE_PAIR = tuned(0.02, "share", "of tied pairs that tie wrongly: less is surer of frames on one pair")
 
@@ -110,37 +113,45 @@ def _shares(like: Floats, ways: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Flown:
-    """How headings of the camera lie to expected ones: usual angle and scatter (rad), rate of strays."""
+    """Headings of the camera less expected ones: usual angle and scatter (rad), rates of the opposite and of
+    any heading."""
 
     usual: float
     width: float
+    opposite: float
     stray: float
-    log_likelihood: float
+    log_likelihood: float = 0.0
+
+    def parts(self, off: Floats) -> Floats:
+        """Densities (3, ...) of the camera's headings less expected ones: usual, opposite, any."""
+        near, back = (normal(wrapped(off - self.usual - turn), self.width) for turn in (0.0, np.pi))
+        usual = 1.0 - self.opposite - self.stray
+        return np.stack([usual * near, self.opposite * back, np.full(off.shape, self.stray / _CIRCLE_RAD)])
 
     def density(self, off: Floats) -> Floats:
-        """Of differences between a camera's and its expected heading; those unknown may be any."""
-        near = (1.0 - self.stray) * normal(wrapped(off - self.usual), self.width)
-        return np.where(np.isfinite(off), near + self.stray / _CIRCLE_RAD, 1.0 / _CIRCLE_RAD)
+        """Their sum; an unknown difference may be any."""
+        return np.where(np.isfinite(off), self.parts(off).sum(axis=0), 1.0 / _CIRCLE_RAD)
 
 
 def _flown(off: Floats) -> _Flown:
     """By the differences of frames whose tags and images agree; NaN where no heading was expected."""
     whole, off = len(off), off[np.isfinite(off)]
-    if not len(off):
-        return _Flown(0.0, _FIRST_RAD, 1.0, -whole * float(np.log(_CIRCLE_RAD)))
-    usual = usual_angle(off)
-    width, stray = _FIRST_RAD, 1.0 / (len(off) + 2.0)
+    n, unknown = len(off), -float(np.log(_CIRCLE_RAD))
+    if not n:
+        return _Flown(0.0, _FIRST_RAD, 0.0, 1.0, whole * unknown)
+    known = 1.0 + sum(_STRAYS) + n
+    found = _Flown(usual_angle(off), _FIRST_RAD, _STRAYS[0] / known, _STRAYS[1] / known)
     for _ in range(_ROUNDS):
-        apart = wrapped(off - usual)
-        near = (1.0 - stray) * normal(apart, width)
-        on = near / (near + stray / _CIRCLE_RAD)
-        usual += float((on * apart).sum() / max(float(on.sum()), 1e-9))
+        parts = found.parts(off)
+        on, back, stray = parts / parts.sum(axis=0)
+        apart = wrapped(off - found.usual)
+        usual = found.usual + float((on * apart).sum() / max(float(on.sum()), 1e-9))
         spread = (float((on * apart**2).sum()) + _FEW * _FIRST_RAD**2) / (float(on.sum()) + _FEW)
         width = float(np.clip(np.sqrt(spread), _LEAST_RAD, _MOST_RAD))
-        stray = (float((1.0 - on).sum()) + 1.0) / (len(off) + 2.0)
-    found = _Flown(usual, width, stray, 0.0)
-    log = float(np.log(found.density(off)).sum()) - (whole - len(off)) * float(np.log(_CIRCLE_RAD))
-    return replace(found, log_likelihood=log - 1.5 * float(np.log(len(off))))
+        rates = ((float(of.sum()) + prior) / known for of, prior in zip((back, stray), _STRAYS, strict=True))
+        found = _Flown(usual, width, *rates)
+    log = float(np.log(found.density(off)).sum()) + (whole - n) * unknown
+    return replace(found, log_likelihood=log - 2.0 * float(np.log(n)))
 
 
 def usual_angle(angles_rad: Floats) -> float:

@@ -95,7 +95,7 @@ def found_turned(
     ]  # fmt: skip
     yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
     image = yaw - np.angle(lie)
-    course = np.where(assumed, np.nan, flown_courses_rad(nadir, _costs_m(upright, nadir), {}, upright))
+    course = np.where(assumed, np.nan, flown_courses_rad(nadir, _costs_m(upright, nadir), upright))
     given = np.where(assumed, np.nan, yaw)
     evidence = HeadingEvidence(given, image, course, heading_limits_rad(poses) / 4.0, possible)
     causes = explained(evidence).reshape(n, 8).argmax(axis=1)
@@ -133,23 +133,20 @@ def _costs_m(seen: Sequence[Seen], nadir_m: Floats) -> list[tuple[int, int, Floa
 
 
 def flown_courses_rad(
-    nadir_m: Floats,
-    costs_m: Sequence[tuple[int, int, Floats]],
-    turns: dict[int, int],
-    seen: Sequence[Seen] = (),
+    nadir_m: Floats, costs_m: Sequence[tuple[int, int, Floats]], seen: Sequence[Seen] = ()
 ) -> Floats:
     """Courses over ground (n,) by positions that go with the images; frames whose don't lie where their
     neighbours' images have them, and have no course (NaN) where no good neighbour sees them.
 
-    A wrong position bends the courses of the frames before and after, and cuts their line in two. Its pairs,
-    turned images righted, are all as far apart as it is off.
+    A wrong position bends the courses of the frames before and after, and cuts their line in two. Its pairs
+    are all as far apart as it is off.
 
-    Args: costs_m: see `turned_frames`.
+    Args: costs_m: see `turned_frames`; seen: pairs of which every image lies as its neighbours'.
     """
     apart_m: list[list[float]] = [[] for _ in nadir_m]
     for a, b, cost in costs_m:
         for i in (a, b):
-            apart_m[i].append(float(cost[turns.get(a, 0), turns.get(b, 0)]))
+            apart_m[i].append(float(cost[0, 0]))
     usual_m = np.array([np.median(mine) if mine else 0.0 for mine in apart_m])
     known = usual_m[usual_m > 0.0]
     good = usual_m <= (_MISPLACED * np.median(known) if len(known) else 0.0)
@@ -158,8 +155,7 @@ def flown_courses_rad(
         if good[s.left] != good[s.right]:
             both = (s.left, s.left_m), (s.right, s.right_m)
             base, other = both if good[s.left] else both[::-1]
-            at_m = _seen_from_m(*base, *other, nadir_m, turns.get(base[0], 0))
-            places_m.setdefault(other[0], []).append(at_m)
+            places_m.setdefault(other[0], []).append(_seen_from_m(*base, *other, nadir_m))
     lies_m = np.where(good[:, None], nadir_m, np.nan)
     for frame, at in places_m.items():
         lies_m[frame] = np.median(at, axis=0)
@@ -169,13 +165,10 @@ def flown_courses_rad(
     return out
 
 
-def _seen_from_m(
-    base: int, base_m: Floats, other: int, other_m: Floats, nadir_m: Floats, quarters: int
-) -> Floats:
-    """Where a frame lies, (2,), by its image and that of a base frame, which lies right once it is turned
-    back by so many quarters: whatever the other's own heading and place."""
+def _seen_from_m(base: int, base_m: Floats, other: int, other_m: Floats, nadir_m: Floats) -> Floats:
+    """Where a frame lies, (2,), by its image and that of a base frame, which lies right: whatever the other's
+    own heading and place."""
     z, w = ((at - nadir_m[i]) @ [1, 1j] for i, at in ((base, base_m), (other, other_m)))
-    z = z * 1j**quarters
     turn = joints_of([(base, other)], [(z, w)]).turn[0]
     return np.asarray(nadir_m[base] + np.median(_plane(z - turn * w), axis=0))
 
