@@ -201,8 +201,8 @@ class MatchingSift(Stage):
             context.warn(
                 "yaw-wrong",
                 names[frame],
-                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its neighbours' "
-                f"images is about {np.degrees(heading):.0f}; set by them",
+                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and is about "
+                f"{np.degrees(heading):.0f} by its neighbours' images; set by them",
             )
         for frame, quarters in turns.items():
             context.warn(
