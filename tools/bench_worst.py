@@ -3,10 +3,11 @@
     .venv/bin/python tools/bench_worst.py [--out DIR] [--seed FIRST] [--seeds N] [--dry N] [--kinds a,b]
         [--results NAME]
 
-Three kinds of surveys. plain: 4 x 5 frames over hills of 25 m, 30 % of it water, two positions 60 m off, a
-tenth of the headings wrong, and one image turned by 180 degrees. varied: size, relief, overlap, course, water
-and faults are drawn by the seed. many: 3 x 4 frames, two positions 100 m off, 40 % of the headings wrong, and
-two images turned. --dry: how many besides have no faults. A run ends with the adjustment.
+Three kinds of surveys, with frames of 600 x 450 px. plain: 4 x 5 frames over hills of 25 m, 30 % of it water,
+two positions 60 m off, a tenth of the headings wrong, and one image turned by 180 degrees. varied: size,
+relief, overlap, course, water and faults are drawn by the seed. many: 3 x 4 frames, two positions 100 m off,
+40 % of the headings wrong, and two images turned. --dry: how many besides have no faults. A run ends with the
+adjustment.
 
 Each fault of a frame is right, missed, or named as another one; a named fault of a frame that has none is
 false. Ground without tie points has to be named where a tenth of what three frames see is water, and mustn't
@@ -60,6 +61,7 @@ class Named:
 def survey(kind: str, seed: int, dry: bool) -> dict[str, float | str]:
     """The simulator's parameters."""
     rng = Random(f"{seed} worst")
+    size: dict[str, float | str] = {"width-px": 600, "height-px": 450, "ground-pixel-m": 1.0 / 6.0}
     flown: dict[str, float | str] = {"lines": 4, "frames-per-line": 5, "relief-m": 25}
     faults: dict[str, float | str] = {
         "gps-outliers": 2, "gps-outlier-m": 60, "yaw-wrong-share": 0.1, "water-share": 0.3,
@@ -82,7 +84,7 @@ def survey(kind: str, seed: int, dry: bool) -> dict[str, float | str]:
         flown = {}
         turned = rng.sample(range(1, 13), 2)
         faults = {"gps-outliers": 2, "yaw-wrong-share": 0.4, "turned": ",".join(map(str, turned))}
-    return flown if dry else {**flown, **faults}
+    return {**size, **flown, **({} if dry else faults)}
 
 
 def judged(kind: str, seed: int, dry: bool, out: Path) -> tuple[list[Named], list[str]]:
