@@ -88,8 +88,8 @@ bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says h
 bench-recording: setup ## what the recording costs: at most 5 % of the time and 1 MB a frame (about 20 minutes)
 	$(PY) tools/bench_recording.py --out out/bench-recording
 
-bench-worst: setup ## what inspect says is wrong, on bad surveys against what was spoiled (about 10 minutes)
-	$(PY) tools/bench_worst.py --out out/bench-worst
+bench-worst: setup ## faults that inspect names on simulated surveys, against the truth (about 15 minutes)
+	$(PY) tools/bench_worst.py --out out/bench-worst --seed 301 --results docs/results/worst
 
 bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object space, speed, the paper's figures (about 2 hours)
 	$(PY) tools/bench_strips.py --seeds 20 --methods all --out out/bench-strips

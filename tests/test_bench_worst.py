@@ -1,4 +1,4 @@
-"""How much water the bench of named faults says that frames see."""
+"""The bench of named faults: how it counts them, and how much water frames see."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from quality_images import write_tif
 TOOLS = Path(__file__).parents[1] / "tools"
 sys.path.insert(0, str(TOOLS))
 
-from bench_worst import water_seen  # noqa: E402
+from bench_worst import calibration, paired, rows, water_seen  # noqa: E402
 
 
 @pytest.mark.parametrize(("east_m", "share"), [(100.0, 0.0), (500.0, 1.0), (300.0, 0.5), (-900.0, 0.0)])
@@ -44,3 +44,23 @@ def test_a_heading_turns_what_is_seen_clockwise(tmp_path: Path) -> None:
     for yaw_deg, share in ((45, 0.5), (135, 0.05)):
         (tmp_path / "positions.csv").write_text("\n".join([head, *[f"300,300,100,{yaw_deg}"] * 3]))
         assert water_seen(tmp_path) == pytest.approx(share, abs=0.05)
+
+
+def test_named_faults_are_right_wrong_missed_or_false() -> None:
+    """A turned image named as a wrong heading; a position missed; a heading that is not wrong."""
+    simulated = [("frame-turned", "A"), ("yaw-wrong", "B"), ("position-wrong", "C"), ("position-wrong", "A")]
+    named = [("yaw-wrong", "A", 0.995), ("yaw-wrong", "B", 0.999), ("position-wrong", "A", 1.0)]
+    found = paired("one", simulated, [*named, ("yaw-wrong", "D", 0.7)])
+    by_code = {row["fault"]: tuple(row.values())[1:] for row in rows(found)}
+    assert by_code == {
+        "frame-turned": (1, 0, 1, 0, 0),
+        "yaw-wrong": (1, 1, 0, 0, 1),
+        "position-wrong": (2, 1, 0, 1, 0),
+    }
+    called = {row["called"]: (row["faults"], row["right"]) for row in calibration(found)}
+    assert called == {"sure": (3, 2), "likely": (1, 0), "unsure": (0, 0)}
+
+
+def test_a_fault_of_heading_and_one_of_position_are_not_taken_for_each_other() -> None:
+    found = paired("one", [("position-wrong", "A")], [("yaw-wrong", "A", 0.9)])
+    assert [(f.simulated, f.named) for f in found] == [("", "yaw-wrong"), ("position-wrong", "")]

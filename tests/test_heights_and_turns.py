@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geomosaic.matching.turned import possible_quarters, turned_by_images, turned_frames
+from geomosaic.matching.turned import possible_quarters, turned_frames
 from geomosaic.pipeline.reporter import warning_lines
 from geomosaic.placement.graph import flown_beside
 from geomosaic.placement.heights import believable_heights_m, ground_height_m
@@ -47,25 +47,6 @@ def test_only_an_image_that_lies_across_can_have_been_turned_by_a_quarter() -> N
     pairs = [(0, 1, costs), (0, 2, costs)]
     assert turned_frames(3, pairs, 30.0) == {0: 1}
     assert turned_frames(3, pairs, 30.0, possible_quarters([(800, 600)] * 3)) == {}
-
-
-def test_a_heading_off_by_120_degrees_is_no_turned_image() -> None:
-    """What its neighbours show is 120 degrees; an image turned by 180 shows 180."""
-    off = np.radians([0.0, 2.0, -3.0, 120.0, 178.0])
-    shape = np.exp(1j * (0.4 + off)) * np.array([1.0, 1.1, 0.9, 1.0, 1.0])
-    limits = np.radians(np.full(5, 12.0))
-    assert turned_by_images({3: 2, 4: 2}, shape, [[0, 1, 2, 3, 4]], limits) == {4: 2}
-    assert turned_by_images({0: 2, 1: 2}, shape[:2], [[0, 1]], limits) == {0: 2, 1: 2}, (
-        "none is upright: nothing to say"
-    )
-
-
-def test_a_heading_off_by_154_degrees_is_no_turned_image_with_a_wrong_heading() -> None:
-    """One fault explains it, the other way it would take two; unless headings are that bad."""
-    shape = np.exp(1j * (0.4 + np.radians([0.0, 2.0, -3.0, 154.0])))
-    for sd_deg, turned in ((3.0, {}), (8.0, {3: 2})):
-        limits = np.maximum(np.radians(8.0), 4.0 * np.radians(np.full(4, sd_deg)))
-        assert turned_by_images({3: 2}, shape, [[0, 1, 2, 3]], limits) == turned
 
 
 def test_many_alike_warnings_are_one_line() -> None:

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adjustment_blocks import fly, hills, level
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
@@ -13,42 +12,7 @@ from geomosaic.adjustment.procedure.blunder_detection import lying_tags
 from geomosaic.adjustment.procedure.height_drift import height_drift
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z, exp_turn
-from geomosaic.matching.turned import Seen, flown_courses_rad, headings_fit, reheaded, turn_costs_m
-
-COURSE = np.radians([30.0, 30.0, 30.0, 210.0, 210.0, 210.0, 30.0, 30.0])
-
-
-def fit(turns: dict[int, int], yaw: NDArray[np.float64], course: NDArray[np.float64]) -> dict[int, bool]:
-    """Of images that lie by quarter turns otherwise."""
-    laid = yaw - np.pi / 2.0 * np.array([turns.get(i, 0) for i in range(len(yaw))])
-    return headings_fit(turns, yaw, laid, course)[0]
-
-
-def test_an_image_turned_after_the_flight_keeps_a_heading_that_fits_its_course() -> None:
-    yaw = COURSE + np.radians([2.0, -3.0, 1.0, 4.0, -2.0, 0.0, 1.0, -1.0])
-    assert fit({3: 2, 4: 2, 5: 2}, yaw, COURSE) == {3: True, 4: True, 5: True}
-    assert fit({3: 1, 4: 3}, yaw, COURSE) == {3: True, 4: True}
-
-
-@pytest.mark.parametrize("mount_deg", [0.0, 90.0, 180.0])
-def test_a_heading_kept_from_the_line_before_is_found(mount_deg: float) -> None:
-    """However the camera is mounted: what counts is what is usual in the other lines."""
-    yaw = COURSE + np.radians(mount_deg + np.array([2.0, -3.0, 1.0, 180.0, 178.0, 183.0, 1.0, -1.0]))
-    fits, usual = headings_fit([3, 4, 5], yaw, yaw - np.pi * np.isin(np.arange(8), [3, 4, 5]), COURSE)
-    assert fits == {3: False, 4: False, 5: False}
-    assert np.degrees(usual) % 360.0 == pytest.approx(mount_deg, abs=0.01)
-    quarter = COURSE + np.radians([2.0, -3.0, 1.0, 90.0, -90.0, 0.0, 1.0, -1.0])
-    assert fit({3: 1, 4: 3}, quarter, COURSE) == {3: False, 4: False}
-    other = fit({3: 3, 4: 1}, quarter, COURSE)
-    assert other == {3: True, 4: True}, "turned by the other quarter would be worse"
-
-
-def test_a_platform_that_flies_backward_tells_nothing() -> None:
-    yaw = np.radians([30.0] * 8)
-    course = np.where(np.arange(8) % 2, COURSE[0], COURSE[3])
-    assert fit({2: 2, 3: 2}, yaw, course) == {}
-    assert fit({2: 2}, np.full(8, np.nan), course) == {}
-    assert fit({4: 2, 2: 2}, yaw, np.where(np.arange(8) == 4, np.nan, yaw)) == {2: True}, "no course"
+from geomosaic.matching.turned import Seen, flown_courses_rad, reheaded, turn_costs_m
 
 
 def test_another_heading_takes_the_tilt_along_and_is_known_as_a_course_is() -> None:
@@ -106,20 +70,17 @@ def test_a_wrong_position_bends_no_course() -> None:
     costs = [
         (a, b, np.full((4, 4), 2.0 + abs(apart[a] - apart[b]))) for a in range(7) for b in range(a + 1, 7)
     ]
-    course = np.degrees(flown_courses_rad(told, costs, {}))
+    course = np.degrees(flown_courses_rad(told, costs))
     assert course == pytest.approx([0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0], nan_ok=True)
-    honest = np.degrees(flown_courses_rad(at, [(a, b, np.full((4, 4), 2.0)) for a, b, _ in costs], {}))
+    honest = np.degrees(flown_courses_rad(at, [(a, b, np.full((4, 4), 2.0)) for a, b, _ in costs]))
     assert honest == pytest.approx(np.zeros(7))
 
 
-@pytest.mark.parametrize(("off_deg", "quarters"), [(0.0, 0), (180.0, 2), (180.0, 0), (50.0, 0)])
-def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(
-    off_deg: float, quarters: int
-) -> None:
+@pytest.mark.parametrize("off_deg", [0.0, 180.0, 50.0])
+def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(off_deg: float) -> None:
     """A line to the north-east; frame 3, 60 m aside, sees the same ground as 1, 2, 4 and 5, whatever its heading."""
     at = np.outer(20.0 * np.arange(7.0), [0.6, 0.8])
     told = at + np.outer(np.arange(7) == 3, [60.0, -20.0])
-    turns = {3: quarters}
     rng = np.random.default_rng(5)
     spots = rng.uniform(-15.0, 15.0, (40, 2))
 
@@ -133,7 +94,7 @@ def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(
         for b in range(a + 1, min(a + 3, 7))
     ]
     costs = [(s.left, s.right, turn_costs_m(s.left_m, s.right_m, told[s.left], told[s.right])) for s in seen]
-    course = np.degrees(flown_courses_rad(told, costs, turns, seen))
+    course = np.degrees(flown_courses_rad(told, costs, seen))
     assert course == pytest.approx(np.full(7, np.degrees(np.arctan2(0.6, 0.8))), abs=2.0)
 
 

@@ -1,13 +1,18 @@
-"""What `geomosaic inspect --worst` says of surveys with known faults, against what was planted.
+"""Faults named by `geomosaic inspect --worst` on simulated surveys, against those that were simulated.
 
-    .venv/bin/python tools/bench_worst.py [--out DIR] [--seed FIRST] [--seeds N] [--dry N] [--varied]
+    .venv/bin/python tools/bench_worst.py [--out DIR] [--seed FIRST] [--seeds N] [--dry N] [--kinds a,b]
+        [--results NAME]
 
-Each survey has 4 x 5 frames over hills of 25 m, 30 % of it water, two positions 60 m off, a tenth of the
-headings wrong, and one frame whose pixels were turned; --dry: how many besides have none of it. --varied:
-size, relief, overlap, course, water and faults are drawn by the seed. A frame that was turned and whose
-heading is wrong too is named where it stands against its line. Ground without tie points has to be named
-where a tenth of what three frames truly see is water, and mustn't be where a hundredth is or less. Exit code
-1 if one fault is missed, or one is named that isn't there.
+Three kinds of surveys, with frames of 600 x 450 px. plain: 4 x 5 frames over hills of 25 m, 30 % of it water,
+two positions 60 m off, a tenth of the headings wrong, and one image turned by 180 degrees. varied: size,
+relief, overlap, course, water and faults are drawn by the seed. many: 3 x 4 frames, two positions 100 m off,
+40 % of the headings wrong, and two images turned. --dry: how many besides have no faults. A run ends with the
+adjustment.
+
+Each fault of a frame is right, missed, or named as another one; a named fault of a frame that has none is
+false. Ground without tie points has to be named where a tenth of what three frames see is water, and mustn't
+be where a hundredth is or less. --results: writes NAME.json and NAME.md. Exit code 1 if a fault is missed or
+false, or if fewer than 99 % of the faults called sure are right.
 """
 
 from __future__ import annotations
@@ -15,8 +20,12 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import os
+import platform
 import subprocess
 import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -29,23 +38,36 @@ GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 WATER, NO_WATER = 0.10, 0.01
 """Of the ground that three frames see: as much has to be named, as little mustn't."""
 SEEN_BY = 3
-MEANS = {
-    "turned-frame": {"frame-turned", "against-its-line"},
-    "wrong-yaw": {"yaw-wrong", "against-its-line"},
-    "position-outlier": {"position-wrong"},
-}
+CODES = {"turned-frame": "frame-turned", "wrong-yaw": "yaw-wrong", "position-outlier": "position-wrong"}
+"""How the simulation and `inspect` name a fault."""
+KINDS = ("plain", "varied", "many")
+LEAST_RIGHT = 0.99
+STAGES = ("survey.read", "matching.flying_height", "projection.ground", "placement.pos", "mosaic.estimate",
+          "matching.sift", "adjustment.solve")  # fmt: skip
 BARE = "ground-without-ties"
 
 
-def survey(seed: int, dry: bool, varied: bool) -> dict[str, float | str]:
+@dataclass(frozen=True)
+class Named:
+    """A fault of a frame: code simulated and code named, empty if none; probability of the named one."""
+
+    survey: str
+    frame: str
+    simulated: str
+    named: str
+    probability: float | None
+
+
+def survey(kind: str, seed: int, dry: bool) -> dict[str, float | str]:
     """The simulator's parameters."""
+    rng = Random(f"{seed} worst")
+    size: dict[str, float | str] = {"width-px": 600, "height-px": 450, "ground-pixel-m": 1.0 / 6.0}
     flown: dict[str, float | str] = {"lines": 4, "frames-per-line": 5, "relief-m": 25}
     faults: dict[str, float | str] = {
         "gps-outliers": 2, "gps-outlier-m": 60, "yaw-wrong-share": 0.1, "water-share": 0.3,
         "turned": str(5 + seed * 7 % 15),
     }  # fmt: skip
-    if varied:
-        rng = Random(f"{seed} worst")
+    if kind == "varied":
         lines, per_line = rng.randint(3, 5), rng.randint(4, 6)
         flown = {
             "lines": lines, "frames-per-line": per_line, "relief-m": rng.choice((0, 10, 40, 60)),
@@ -58,29 +80,84 @@ def survey(seed: int, dry: bool, varied: bool) -> dict[str, float | str]:
             "yaw-wrong-share": rng.choice((0.0, 0.05, 0.15)), "water-share": rng.choice((0.0, 0.2, 0.4)),
             "turned": ",".join(map(str, turned)),
         }  # fmt: skip
-    return flown if dry else {**flown, **faults}
+    elif kind == "many":
+        flown = {}
+        turned = rng.sample(range(1, 13), 2)
+        faults = {"gps-outliers": 2, "yaw-wrong-share": 0.4, "turned": ",".join(map(str, turned))}
+    return {**size, **flown, **({} if dry else faults)}
 
 
-def judged(seed: int, dry: bool, varied: bool, out: Path) -> tuple[int, list[str], list[str]]:
-    """How many faults were planted, what was missed, and what was named that isn't there."""
-    folder = out / f"{'dry' if dry else 'bad'}{'-varied' if varied else ''}-{seed}"
+def judged(kind: str, seed: int, dry: bool, out: Path) -> tuple[list[Named], list[str]]:
+    """Each fault that was simulated or named, and what was said wrongly of water."""
+    name = f"{kind}{'-dry' if dry else ''}-{seed}"
+    folder = out / name
     if not (folder / "run" / "run.json").exists():
-        words = [w for name, value in survey(seed, dry, varied).items() for w in (f"--{name}", value)]
+        words = [w for key, value in survey(kind, seed, dry).items() for w in (f"--{key}", value)]
         _call("simulate", "frames", folder, *words, "--seed", seed, "--workers", "1")
-        _call("mosaic", folder / "frames", "-o", folder / "run", "--workers", "1")
+        recipe = folder / "adjusted.yaml"
+        recipe.write_text("name: adjusted\nstages:\n" + "".join(f"  - {stage}\n" for stage in STAGES))
+        _call("run", recipe, "--frames", folder / "frames", "-o", folder / "run", "--workers", "1")
     said = json.loads(_call("inspect", folder / "run", "--worst", 1000, "--json"))["worst"]["faults"]
     truth = json.loads((folder / "truth" / "truth.json").read_text())
-    planted = [(w["code"], w["frame"]) for w in truth["warnings"]]
-    named = [(f["code"], name) for f in said for name in f["frames"] if f["code"] != BARE]
-    missed = [f"{c} {n}" for c, n in planted if not any(m == n and d in MEANS[c] for d, m in named)]
-    false = [f"{c} {n}" for c, n in named if not any(m == n and c in MEANS[d] for d, m in planted)]
-    share = water_seen(folder / "truth")
-    bare = any(f["code"] == BARE for f in said)
-    if share >= WATER and not bare:
-        missed.append(f"water, {100 * share:.0f} %")
-    if share <= NO_WATER and bare:
-        false.append("water")
-    return len(planted) + (share >= WATER), missed, false
+    simulated = [(CODES[w["code"]], w["frame"]) for w in truth["warnings"]]
+    named = [(f["code"], frame, f["probability"]) for f in said for frame in f["frames"] if f["code"] != BARE]
+    share, bare = water_seen(folder / "truth"), any(f["code"] == BARE for f in said)
+    water = ["water missed"] if share >= WATER and not bare else []
+    water += ["water false"] if share <= NO_WATER and bare else []
+    return paired(name, simulated, named), water
+
+
+def paired(
+    survey: str, simulated: list[tuple[str, str]], named: list[tuple[str, str, float | None]]
+) -> list[Named]:
+    """Faults of the same frame and code together; of the rest, those of headings and images of one frame."""
+    left, out = sorted(simulated), []
+    others = []
+    for code, frame, probability in named:
+        if (code, frame) in left:
+            left.remove((code, frame))
+            out.append(Named(survey, frame, code, code, probability))
+        else:
+            others.append((code, frame, probability))
+    for code, frame, probability in others:
+        same = [c for c, f in left if f == frame and "position-wrong" not in (c, code)]
+        if same:
+            left.remove((same[0], frame))
+        out.append(Named(survey, frame, same[0] if same else "", code, probability))
+    return out + [Named(survey, frame, code, "", None) for code, frame in left]
+
+
+def rows(found: list[Named]) -> list[dict[str, Any]]:
+    """Faults by kind: how many were simulated, named right, named as another, missed and false."""
+    out = []
+    for code in CODES.values():
+        mine = [f for f in found if f.simulated == code]
+        right = sum(f.named == code for f in mine)
+        missed = sum(not f.named for f in mine)
+        false = sum(f.named == code and not f.simulated for f in found)
+        wrong = len(mine) - right - missed
+        out.append({"fault": code, "simulated": len(mine), "right": right, "wrong": wrong, "missed": missed,
+                    "false": false})  # fmt: skip
+    return out
+
+
+def calibration(found: list[Named]) -> list[dict[str, Any]]:
+    """Of named faults by how sure they are: how many, their mean probability, how many are right."""
+    out = []
+    for word, low, high in (("sure", 0.99, 1.1), ("likely", 0.5, 0.99), ("unsure", 0.0, 0.5)):
+        mine = [f for f in found if f.probability is not None and low <= f.probability < high]
+        mean = sum(f.probability or 0.0 for f in mine) / len(mine) if mine else None
+        right = sum(f.named == f.simulated for f in mine)
+        out.append({"called": word, "faults": len(mine), "mean probability": mean, "right": right})
+    return out
+
+
+def table(of: list[dict[str, Any]]) -> str:
+    """Rows as Markdown."""
+    lines = [list(of[0]), ["---"] * len(of[0])]
+    lines += [[f"{v:.4f}" if isinstance(v, float) else "-" if v is None else str(v) for v in row.values()]
+              for row in of]  # fmt: skip
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def water_seen(truth: Path) -> float:
@@ -122,19 +199,61 @@ def main() -> int:
     )
     parser.add_argument("--out", type=Path, default=Path("out/bench-worst"))
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--dry", type=int, default=3)
-    parser.add_argument("--varied", action="store_true")
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--dry", type=int, default=1)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--results", type=Path)
     args = parser.parse_args()
-    good = True
-    print("| seed | planted | missed | named, but not there |\n|---|---|---|---|")
-    for dry, count in ((False, args.seeds), (True, args.dry)):
-        for seed in range(args.seed, args.seed + count):
-            planted, missed, false = judged(seed, dry, args.varied, args.out)
-            good &= not missed and not false
-            cells = (seed, planted, ", ".join(missed), ", ".join(false))
-            print(f"| {' | '.join(map(str, cells))} |", flush=True)
-    return 0 if good else 1
+    found: list[Named] = []
+    surveys, water = [], []
+    print("| survey | faults | not named right | water |\n|---|---|---|---|")
+    for kind in args.kinds.split(","):
+        for dry, count in ((False, args.seeds), (True, args.dry)):
+            for seed in range(args.seed, args.seed + count):
+                of_survey, of_water = judged(kind, seed, dry, args.out)
+                found, water = found + of_survey, water + of_water
+                name = f"{kind}{' without faults' if dry else ''} {seed}"
+                odd = [
+                    f"{f.frame} {f.simulated or 'nothing'} named {f.named or 'nothing'}"
+                    for f in of_survey
+                    if f.simulated != f.named
+                ]
+                surveys.append(
+                    {
+                        "survey": name,
+                        "faults": sum(bool(f.simulated) for f in of_survey),
+                        "not named right": ", ".join(odd),
+                        "water": ", ".join(of_water),
+                    }
+                )
+                print(f"| {' | '.join(str(v) for v in surveys[-1].values())} |", flush=True)
+    text = f"\n{table(rows(found))}\n{table(calibration(found))}"
+    print(text)
+    if args.results:
+        about = {
+            "command": " ".join(["tools/bench_worst.py", *sys.argv[1:]]),
+            "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
+            "date": datetime.now(UTC).date().isoformat(),
+            "commit": _commit(),
+            "seeds": f"{args.seed} to {args.seed + args.seeds - 1} of {args.kinds}",
+        }
+        all_of = {**about, "faults": rows(found), "called": calibration(found), "surveys": surveys}
+        args.results.with_suffix(".json").write_text(json.dumps(all_of, indent=1) + "\n")
+        head = (
+            "# Faults that `inspect` names\n\n`make bench-worst`; machine, date, command, commit and seeds:"
+        )
+        head += " [worst.json](worst.json). What the columns mean: `tools/bench_worst.py`.\n"
+        args.results.with_suffix(".md").write_text(f"{head}{text}\n{table(surveys)}")
+    sure = calibration(found)[0]
+    return int(bool(water) or any(f.simulated != f.named for f in found)
+               or sure["right"] < LEAST_RIGHT * sure["faults"])  # fmt: skip
+
+
+def _commit() -> str:
+    """The commit of the program."""
+    call = ["git", "describe", "--always", "--dirty", "--exclude", "*"]
+    done = subprocess.run(call, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return done.stdout.strip()
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.constants import tuned
+from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained, usual_angle
 from geomosaic.matching.model import TiePair
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts, flight_lines
@@ -28,8 +29,6 @@ from geomosaic.projection.ground import GroundSurface
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_TOGETHER = tuned(0.7, "mean length", "of unit vectors, for a usual course: less is chance; more fails")
-_TOLERANCE_RAD = tuned(np.radians(30.0), "rad", "off a quarter turn: less misses wind drift; 45° is any turn")
 _MISPLACED = tuned(4.0, "usual gaps", "beyond which it gives no course: less drops good ones; more keeps bad")
 _SEEN = tuned(100, "tie points", "of a pair for a median: fewer are noisy; more take time")
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
@@ -76,56 +75,78 @@ def found_turned(
     sizes_px: Sequence[tuple[int, int]],
     cap_m: float,
 ) -> tuple[dict[int, int], dict[int, float]]:
-    """Quarter turns of the images turned after the flight, and headings (rad) by their course of frames
-    that have the heading of another line. A heading that nobody observed is never found wrong, nor its
-    image turned.
+    """Quarter turns of the images turned after the flight, and headings (rad) by their neighbours' images of
+    those of a wrong heading that looks like a turn; by the likelier explanation, see `explained`. A heading
+    that nobody observed is never found wrong, nor its image turned.
 
     Args: sizes_px: width and height of each frame; cap_m: see `turned_frames`.
     """
     n, nadir = len(poses), poses.positions_m[:, :2]
-    costs = [
-        (s.left, s.right, turn_costs_m(s.left_m, s.right_m, nadir[s.left], nadir[s.right])) for s in seen
-    ]
-    assumed = heading_assumed(poses)
-    turns = turned_frames(n, costs, cap_m, possible_quarters(sizes_px))
+    assumed, possible = heading_assumed(poses), possible_quarters(sizes_px)
+    turns = turned_frames(n, _costs_m(seen, nadir), cap_m, possible)
     turns = {i: quarters for i, quarters in turns.items() if not assumed[i]}
+    if not turns:
+        return {}, {}
+    lie = lying(n, seen, nadir, turns)
+    upright = [
+        replace(s, left_m=_turned_about(s.left_m, nadir[s.left], lie[s.left]),
+                right_m=_turned_about(s.right_m, nadir[s.right], lie[s.right]))
+        for s in seen
+    ]  # fmt: skip
     yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
-    course = np.where(assumed, np.nan, flown_courses_rad(nadir, costs, turns, seen))
-    laid = yaw - np.pi / 2.0 * np.array([turns.get(i, 0) for i in range(n)])
-    fits, usual_rad = headings_fit(turns, yaw, laid, course)
-    headings = {i: float((course[i] + usual_rad) % (2.0 * np.pi)) for i, fit in fits.items() if not fit}
-    turns = {i: quarters for i, quarters in turns.items() if i not in headings}
-    if turns:
-        edges = [(s.left, s.right) for s in seen]
-        joints = joints_of(
-            edges,
-            (((s.left_m - nadir[s.left]) @ [1, 1j], (s.right_m - nadir[s.right]) @ [1, 1j]) for s in seen),
-        )
-        parts = [
-            [i for i in part if not assumed[i] and i not in headings] for part in connected_parts(n, edges)
-        ]
-        turns = turned_by_images(turns, averaged(n, joints), parts, heading_limits_rad(poses))
-    return turns, headings
+    image = yaw - np.angle(lie)
+    course = np.where(assumed, np.nan, flown_courses_rad(nadir, _costs_m(upright, nadir), upright))
+    given = np.where(assumed, np.nan, yaw)
+    evidence = HeadingEvidence(given, image, course, heading_limits_rad(poses) / 4.0, possible)
+    causes = explained(evidence).reshape(n, 8).argmax(axis=1)
+    headings = {i: float(image[i] % (2.0 * np.pi)) for i in turns if causes[i] == WRONG}
+    return {i: int(causes[i] % 4) for i in turns if causes[i] % 4}, headings
+
+
+def lying(n: int, seen: Sequence[Seen], nadir_m: Floats, turns: dict[int, int]) -> Complexes:
+    """By what each frame's image (n,), as its tag places it, has to be turned about its nadir point, as a
+    number of length 1, to lie as its neighbours' images. Most frames of a connected part lie as their tags
+    say, once those of `turns` are turned by so many quarters.
+
+    The turns between frames are averaged (`relative.averaged`): as sure as all their pairs together.
+    """
+    edges = [(s.left, s.right) for s in seen]
+    both = (((s.left_m - nadir_m[s.left]) @ [1, 1j], (s.right_m - nadir_m[s.right]) @ [1, 1j]) for s in seen)
+    shape = averaged(n, joints_of(edges, both))
+    lie = shape / np.abs(shape)
+    for part in connected_parts(n, edges):
+        off = np.angle(lie[part] * (-1j) ** np.array([turns.get(i, 0) for i in part]))
+        lie[part] *= np.exp(-1j * usual_angle(off))
+    return np.asarray(lie)
+
+
+def _turned_about(at_m: Floats, nadir_m: Floats, turn: complex) -> Floats:
+    away = np.asarray(((at_m - nadir_m) @ [1, 1j]) * turn, np.complex128)
+    return np.asarray(nadir_m + _plane(away))
+
+
+def _costs_m(seen: Sequence[Seen], nadir_m: Floats) -> list[tuple[int, int, Floats]]:
+    """See `turn_costs_m`, of each pair."""
+    return [
+        (s.left, s.right, turn_costs_m(s.left_m, s.right_m, nadir_m[s.left], nadir_m[s.right])) for s in seen
+    ]
 
 
 def flown_courses_rad(
-    nadir_m: Floats,
-    costs_m: Sequence[tuple[int, int, Floats]],
-    turns: dict[int, int],
-    seen: Sequence[Seen] = (),
+    nadir_m: Floats, costs_m: Sequence[tuple[int, int, Floats]], seen: Sequence[Seen] = ()
 ) -> Floats:
     """Courses over ground (n,) by positions that go with the images; frames whose don't lie where their
     neighbours' images have them, and have no course (NaN) where no good neighbour sees them.
 
-    A wrong position bends the courses of the frames before and after, and cuts their line in two. Its pairs,
-    turned images righted, are all as far apart as it is off.
+    A wrong position bends the courses of the frames before and after, and cuts their line in two. Its pairs
+    are all as far apart as it is off.
 
-    Args: costs_m: see `turned_frames`.
+    Args: costs_m: see `turned_frames`; seen: pairs of which every image lies as its neighbours'.
     """
     apart_m: list[list[float]] = [[] for _ in nadir_m]
     for a, b, cost in costs_m:
         for i in (a, b):
-            apart_m[i].append(float(cost[turns.get(a, 0), turns.get(b, 0)]))
+            apart_m[i].append(float(cost[0, 0]))
     usual_m = np.array([np.median(mine) if mine else 0.0 for mine in apart_m])
     known = usual_m[usual_m > 0.0]
     good = usual_m <= (_MISPLACED * np.median(known) if len(known) else 0.0)
@@ -134,8 +155,7 @@ def flown_courses_rad(
         if good[s.left] != good[s.right]:
             both = (s.left, s.left_m), (s.right, s.right_m)
             base, other = both if good[s.left] else both[::-1]
-            at_m = _seen_from_m(*base, *other, nadir_m, turns.get(base[0], 0))
-            places_m.setdefault(other[0], []).append(at_m)
+            places_m.setdefault(other[0], []).append(_seen_from_m(*base, *other, nadir_m))
     lies_m = np.where(good[:, None], nadir_m, np.nan)
     for frame, at in places_m.items():
         lies_m[frame] = np.median(at, axis=0)
@@ -145,13 +165,10 @@ def flown_courses_rad(
     return out
 
 
-def _seen_from_m(
-    base: int, base_m: Floats, other: int, other_m: Floats, nadir_m: Floats, quarters: int
-) -> Floats:
-    """Where a frame lies, (2,), by its image and that of a base frame, which lies right once it is turned
-    back by so many quarters: whatever the other's own heading and place."""
+def _seen_from_m(base: int, base_m: Floats, other: int, other_m: Floats, nadir_m: Floats) -> Floats:
+    """Where a frame lies, (2,), by its image and that of a base frame, which lies right: whatever the other's
+    own heading and place."""
     z, w = ((at - nadir_m[i]) @ [1, 1j] for i, at in ((base, base_m), (other, other_m)))
-    z = z * 1j**quarters
     turn = joints_of([(base, other)], [(z, w)]).turn[0]
     return np.asarray(nadir_m[base] + np.median(_plane(z - turn * w), axis=0))
 
@@ -220,50 +237,6 @@ def turned_frames(
                 turn = back
     turn = _descent(n, capped, turn, cap_m / 4.0)
     return {int(i): int(turn[i]) for i in np.flatnonzero(turn)}
-
-
-def headings_fit(
-    turned: Collection[int], given_rad: Floats, laid_rad: Floats, course_rad: Floats
-) -> tuple[dict[int, bool], float]:
-    """Whether the given headings of frames whose images lie otherwise go with their courses as the other
-    frames' do; and the usual angle (rad) from course to heading, NaN if there is none.
-
-    An image turned after the flight keeps a heading that fits; of one that was kept from another line, what
-    the image says fits better. Nothing is said of a frame without a course, nor of any where heading and
-    course don't go together in the frames that lie as given: their platform may fly backward.
-
-    Args: turned: frames that lie otherwise; given_rad, laid_rad, course_rad (n,): headings as given and as
-        the images lie, and courses; NaN where unknown.
-    """
-    given, laid = (np.exp(1j * (yaw_rad - course_rad)) for yaw_rad in (given_rad, laid_rad))
-    straight = np.isfinite(laid)
-    straight[list(turned)] = False
-    usual = complex(np.mean(laid[straight])) if straight.any() else 0j
-    if abs(usual) < _TOGETHER:
-        return {}, np.nan
-    known = [i for i in turned if np.isfinite(given[i] * laid[i])]
-    fits = {i: bool((given[i] / usual).real >= (laid[i] / usual).real) for i in known}
-    return fits, float(np.angle(usual))
-
-
-def turned_by_images(
-    turns: dict[int, int], shape: Complexes, parts: Sequence[Sequence[int]], limits_rad: Floats
-) -> dict[int, int]:
-    """Those frames of `turns` that their neighbours' images show turned by just so much, within _TOLERANCE
-    and what headings may be off; the others have a wrong heading, not a turned image.
-
-    Args: shape (n,): turn and scale of each frame, see `relative.averaged`; parts: the connected parts;
-        limits_rad (n,): see `heading_limits_rad`.
-    """
-    out = {}
-    for part in parts:
-        upright = [i for i in part if i not in turns]
-        usual = complex(np.mean([shape[i] / abs(shape[i]) for i in upright])) if upright else 0j
-        for i in (i for i in part if i in turns):
-            off = np.angle(shape[i] * (-1j) ** turns[i] / usual) if abs(usual) > _TOGETHER else 0.0
-            if abs(off) < min(_TOLERANCE_RAD, limits_rad[i]):
-                out[i] = turns[i]
-    return out
 
 
 def _votes(n: int, costs: list[tuple[int, int, Floats]]) -> Ints:

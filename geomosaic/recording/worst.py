@@ -1,13 +1,13 @@
 """What is wrong with a survey, worst first: what it is, how sure that is, what mends it.
 
-Frames are accused by the run alone, which looked at all of them together; here stands how sure that is.
-What the run doesn't say stands as what it is: ground without tie points, a frame that stands against its
-line.
+Frames are named by the run's warnings. Wrong headings, turned images and wrong positions are compared once
+more by the adjusted poses, and the likeliest explanation is named with its probability. Besides: ground
+without tie points, and frames that stand against their line.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,21 +16,23 @@ import numpy as np
 from geomosaic.adjustment.procedure.blunder_detection import HALF_TURN_DEG, headings_off_deg
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
-from geomosaic.matching.turned import headings_fit
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed
 from geomosaic.quality.bare_ground import bare_ground
+from geomosaic.recording.explained import EXPLAINED, HEADING, POSITION, TURNED, Cause, causes, how_sure
 from geomosaic.recording.model import Recording
 from geomosaic.recording.solved import Solved
 from geomosaic.recording.tabled import warned
 from geomosaic.survey.names import some
 
+_TOGETHER = tuned(0.7, "mean length", "of unit vectors, for a usual heading: less is chance; more fails")
 _LEAST_OTHERS = tuned(3, "frames", "on a flight line, for its usual heading: fewer may be wrong themselves")
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong. code: stable, kebab-case; frames: whose; weight: larger is worse."""
+    """One thing that is wrong. code: stable, kebab-case; frames: whose; weight: larger is worse; probability:
+    of this explanation, None where it isn't compared with others."""
 
     code: str
     frames: tuple[str, ...]
@@ -38,6 +40,7 @@ class Fault:
     sure: str
     mend: str
     weight: float
+    probability: float | None = None
 
 
 _LAID = "no need: the images laid it right; correct it in the positions' table if they are used elsewhere"
@@ -65,17 +68,26 @@ _MENDS: dict[str, tuple[float, str]] = {
     "frame-no-camera": (20.0, "give the lens with --camera"),
 }  # fmt: skip
 """How bad the faults of frames are, beside each other, and what mends them."""
+_TEXTS = {
+    TURNED: "its pixels were turned after the flight; set by its neighbours",
+    HEADING: "its heading was given wrong; set by its neighbours",
+    POSITION: "its position was given wrong; placed by its neighbours",
+}
+"""Of explanations that the run did not name."""
 
 
 def faults(recording: Recording, solved: Solved | None, frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What is wrong, worst first, as JSON: code, frames, text, sure, mend.
+    """What is wrong, worst first, as JSON: code, frames, text, sure, mend, probability.
 
     Args: frames: `frame_figures` of `solved`.
     """
     found = [*_of_run(recording), *_of_verdict(recording)]
-    found += _of_frames(warned(recording), {f["frame"]: f for f in frames})
+    by_name, said = {f["frame"]: f for f in frames}, warned(recording)
+    known = causes(recording, {(code, frame) for code, frame, _ in said}, frames)
+    found += _of_frames(said, by_name, EXPLAINED if known else frozenset())
+    found += _of_causes(known, said, by_name)
     if solved is not None:
-        found += _against_their_lines(solved)
+        found += _against_their_lines(solved, {c.frame for c in known if c.code == TURNED})
         found += _bare_ground(solved)
     found.sort(key=lambda f: (-f.weight, f.code, f.frames))
     return [{k: v for k, v in asdict(f).items() if k != "weight"} for f in found]
@@ -121,58 +133,43 @@ def _figure(value: Any, unit: str) -> str:
     return f"{100.0 * value:.0f} %" if unit == "share" else f"{value:.2f} {unit}"
 
 
-def _of_frames(warned: Iterable[tuple[str, str, str]], frames: dict[str, dict[str, Any]]) -> Iterator[Fault]:
-    """Frames that the run accuses, once each for each thing."""
+def _of_frames(
+    warned: Iterable[tuple[str, str, str]], frames: dict[str, dict[str, Any]], but: Collection[str]
+) -> Iterator[Fault]:
+    """Frames that the run names, once each for each thing; but for these codes."""
     said: dict[tuple[str, str], str] = {}
     for code, frame, text in warned:
-        if frame and code in _MENDS:
+        if frame and code in _MENDS and code not in but:
             said.setdefault((code, frame), text)
     for (code, frame), text in said.items():
         weight, mend = _MENDS[code]
-        sure, more = _sure(code, frames.get(frame, {}))
-        yield Fault(code, (frame,), text, sure, mend, weight + more)
+        sure = "certain" if frames.get(frame, {}).get("status") == "left_out" else "as the run says"
+        yield Fault(code, (frame,), text, sure, mend, weight)
 
 
-def _sure(code: str, frame: dict[str, Any]) -> tuple[str, float]:
-    """How sure an accusation is, in words, and below one, how much it weighs among its like."""
-    held = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
-    if frame.get("rms_px") is not None:
-        held += f", to {frame['rms_px']:.2f} px"
-    given, now = frame.get("given"), frame.get("found")
-    if code == "position-wrong" and given and now and None not in frame["moved_m"]:
-        off_m = float(np.hypot(*frame["moved_m"][:2]))
-        times = off_m / _together(given, now, "sd_e_m", "sd_n_m")
-        return f"{_word(times)}: {off_m:.1f} m, {times:.0f} times its deviation; {held}", _below_1(times)
-    off_deg = abs(frame.get("yaw_off_deg") or 0.0)
-    if code == "yaw-wrong" and given and now:
-        times = off_deg / _together(given, now, "sd_kappa_deg")
-        return f"{_word(times)}: {off_deg:.0f} degrees, {times:.0f} times its deviation; {held}", _below_1(
-            times
+def _of_causes(
+    known: Iterable[Cause], warned: Iterable[tuple[str, str, str]], frames: dict[str, dict[str, Any]]
+) -> Iterator[Fault]:
+    """Frames with the likeliest explanation of what doesn't fit."""
+    said = {(code, frame): text for code, frame, text in warned}
+    for cause in known:
+        frame, (weight, mend) = frames.get(cause.frame, {}), _MENDS[cause.code]
+        text = said.get((cause.code, cause.frame)) or _TEXTS[cause.code]
+        held = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
+        if frame.get("rms_px") is not None:
+            held += f", to {frame['rms_px']:.2f} px"
+        off = f"{cause.off:.1f} m" if cause.code == POSITION else f"{cause.off:.0f} degrees"
+        fits = f"its heading then fits to {off}" if cause.code == TURNED else f"{off} off"
+        size = cause.off / (1.0 + cause.off)
+        sure = f"{how_sure(cause.probability)}; {fits}; {held}"
+        yield Fault(
+            cause.code, (cause.frame,), text, sure, mend, weight + cause.probability * size, cause.probability
         )
-    if code == "frame-turned" and now:
-        off_deg = off_deg if frame["image_turned_deg"] else abs(180.0 - off_deg)
-        word = "sure" if frame["pairs_tied"] >= 3 else "likely"
-        return f"{word}: once righted its heading fits to {off_deg:.0f} degrees; {held}", 0.0
-    return ("certain" if frame.get("status") == "left_out" else "as the run says"), 0.0
 
 
-def _below_1(times: float) -> float:
-    return times / (1.0 + times)
-
-
-def _together(given: dict[str, Any], now: dict[str, Any], *names: str) -> float:
-    """The deviation of a difference of given and found values: the larger of the named ones."""
-    both = [np.hypot(given[n] or 0.0, now[n] or 0.0) for n in names]
-    return max(float(max(both)), 1e-6)
-
-
-def _word(times: float) -> str:
-    return "sure" if times >= 6.0 else "likely" if times >= 3.0 else "doubtful"
-
-
-def _against_their_lines(solved: Solved) -> Iterator[Fault]:
-    """Frames whose image stands on its head beside the others of their line, and that weren't righted; by the
-    rule by which the adjustment tells turned images from wrong headings."""
+def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterator[Fault]:
+    """Frames whose image, and whose tag, stand on their head beside the others of their line; but for those
+    that are named as turned."""
     if solved.adjusted is None or solved.prior is None:
         return
     found = solved.adjusted.poses
@@ -182,25 +179,24 @@ def _against_their_lines(solved: Solved) -> Iterator[Fault]:
     laid = Rotation(found.rotations).yaw_pitch_roll()[0] + np.pi / 2.0 * np.array(solved.turned)
     laid[heading_assumed(solved.prior.poses)] = np.nan
     half = np.abs(np.abs(off_deg) - 180.0) < HALF_TURN_DEG
-    told = {frame for code, frame, _ in solved.warned if code == "frame-turned"}
     for line in np.unique(lines):
         mine = np.flatnonzero(lines == line)
-        for i in mine:
-            others = ~half[mine] & (mine != i) & np.isfinite(laid[mine] - course[mine])
-            if solved.names[i] in told or others.sum() < _LEAST_OTHERS:
+        for i in (i for i in mine if solved.names[i] not in turned):
+            if abs(solved.yawed_deg[i]) > most_deg[i]:
                 continue
-            _, usual = headings_fit(np.flatnonzero(~others), laid[mine], laid[mine], course[mine])
-            here, there = np.degrees([laid[i], usual + course[i]]) % 360.0
+            others = mine[~half[mine] & (mine != i) & np.isfinite(laid[mine] - course[mine])]
+            usual = complex(np.mean(np.exp(1j * (laid - course)[others]))) if len(others) else 0j
+            if len(others) < _LEAST_OTHERS or abs(usual) < _TOGETHER:
+                continue
+            here, there = np.degrees([laid[i], np.angle(usual) + course[i]]) % 360.0
             if not abs(abs(here - there) - 180.0) < HALF_TURN_DEG:
                 continue
-            odd = abs(solved.yawed_deg[i]) > most_deg[i]
-            tags = "its tags say neither" if odd else "its tags say so, too"
             text = (
                 f"its image stands on its head beside the others of its line (heading {here:.0f} degrees, "
-                f"theirs {there:.0f}; {tags}): its pixels were turned after the flight, or the camera turned "
-                "about there"
+                f"theirs {there:.0f}; its tags say so, too): its pixels were turned after the flight, or the "
+                "camera turned about there"
             )
-            sure = f"sure that it stands so: {others.sum()} others of its line don't"
+            sure = f"sure that it stands so: {len(others)} others of its line don't"
             mend = "no need: it is used as it stands"
             yield Fault("against-its-line", (solved.names[i],), text, sure, mend, 35.0)
 

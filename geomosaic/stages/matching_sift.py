@@ -43,7 +43,7 @@ class MatchingSift(Stage):
     id = "matching.sift"
     display_name = "Match frames with SIFT"
     group = "Matching"
-    version = 16
+    version = 17
     wants_frames: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
@@ -201,8 +201,8 @@ class MatchingSift(Stage):
             context.warn(
                 "yaw-wrong",
                 names[frame],
-                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and by its course is "
-                f"about {np.degrees(heading):.0f}; set by its neighbours",
+                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and is about "
+                f"{np.degrees(heading):.0f} by its neighbours' images; set by them",
             )
         for frame, quarters in turns.items():
             context.warn(

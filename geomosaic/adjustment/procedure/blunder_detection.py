@@ -15,7 +15,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.estimation.similarity import fit_similarity
-from geomosaic.matching.turned import headings_fit
+from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn
@@ -76,19 +76,28 @@ def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
     off_deg, most_deg = headings_off_deg(block.poses, poses)
     given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (block.poses, poses))
     given, found = (np.degrees(yaw_rad) % 360.0 for yaw_rad in (given_rad, found_rad))
-    half = np.flatnonzero(np.abs(np.abs(off_deg) - 180.0) < HALF_TURN_DEG)
     course_rad = np.radians(courses_deg(poses.positions_m, flight_lines(poses.positions_m)))
-    fits, _ = headings_fit(half.tolist(), given_rad, found_rad, course_rad)
+    evidence = HeadingEvidence(
+        np.where(heading_assumed(block.poses), np.nan, given_rad),
+        found_rad,
+        course_rad,
+        heading_limits_rad(block.poses) / 4.0,
+        np.tile([True, False, True, False], (len(given), 1)),
+    )
+    causes = explained(evidence).reshape(len(given), 8).argmax(axis=1)
     out = []
     for i in np.flatnonzero(far > limit).tolist():
         text = f"its position was off by {far[i]:.0f} m; placed by its neighbours"
         out.append((i, "position-wrong", text))
     for i in np.flatnonzero((np.abs(off_deg) > most_deg) & ~heading_assumed(block.poses)).tolist():
-        code, text = "frame-turned", "its pixels were turned by 180 degrees after the flight; turned back"
-        if not fits.get(i, False):
-            code, text = "yaw-wrong", f"its heading was given as {given[i]:.0f} degrees and is {found[i]:.0f}"
-            text += "; set by its neighbours"
-        out.append((i, code, text))
+        turned = causes[i] % 4 == 2
+        if turned:
+            out.append(
+                (i, "frame-turned", "its pixels were turned by 180 degrees after the flight; turned back")
+            )
+        if not turned or causes[i] >= WRONG:
+            text = f"its heading was given as {given[i]:.0f} degrees and is {found[i]:.0f}"
+            out.append((i, "yaw-wrong", f"{text}; set by its neighbours"))
     return [Warn(code, block.names[i], text) for i, code, text in out if i not in strayed]
 
 

@@ -1,0 +1,195 @@
+"""Causes of a heading that does not fit: the heading tag is wrong, the image was turned, or both.
+
+Three directions of a frame are compared: its heading tag y, the heading h in which its image lies beside
+its neighbours' images, and the heading e that its flight is expected to have. An image that was turned by q
+quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h fits e, and y fits neither.
+
+    p(y, h | tag right, q) = N(y - h - 90 q; s) f(y)
+    p(y, h | tag wrong, q) = g(y) f(h + 90 q)
+    f(x) = (1 - a - b) N(x - e - u; w) + a N(x - e - u - 180; w) + b / 360
+
+g is uniform, and if the image was not turned half the heading of the line flown the other way. The usual
+angle u, its scatter w and the rates a and b of frames that look elsewhere are estimated from the frames
+whose tags and images agree; the rates of wrong tags and turned images from all frames. The method is
+expectation maximisation with weak priors of the rates (Laplace's rule of succession). Expected headings e
+are the course, one heading for all frames, or none; they are averaged by their likelihoods.
+
+References: Dempster, Laird and Rubin 1977 (mixtures); Kass and Raftery 1995 (averages over models, with
+Schwarz's penalty for the estimated parameters).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import MEDIAN_ONE, tuned
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+WRONG = 4
+"""Number of "wrong tag, image not turned" among a frame's eight explanations, in `explained`'s order."""
+_CIRCLE_RAD = 2.0 * np.pi
+_QUARTERS_RAD = np.arange(4) * np.pi / 2.0
+_KEPT = tuned(0.5, "share", "of wrong headings kept from the line before: less calls them turned images")
+_LEAST_RAD = tuned(np.radians(3.0), "rad", "scatter about a course: less makes gusts strays")
+_MOST_RAD = tuned(np.radians(30.0), "rad", "scatter about a course: more is no relation to it")
+_FIRST_RAD = tuned(np.radians(12.0), "rad", "scatter at first: less misses the peak; more merges two")
+_NEAR_RAD = tuned(np.radians(30.0), "rad", "apart at most of tags that agree: more takes wrong ones along")
+_ROUNDS = tuned(25, "rounds", "of the estimation: fewer stop before rates settle")
+_AGREE = tuned(4.0, "deviations", "apart at most of tag and image that agree: more takes wrong ones along")
+_FEW = tuned(3.0, "frames", "that the first scatter counts for: less trusts a scatter of three frames")
+_STRAYS = tuned(
+    (0.1, 0.5), "frames", "counted as seen the other way, and anyhow: less is surer of the course"
+)
+_PRIORS = tuned((0.9, 0.05, 0.05), "share", "of flights along the course, under one heading, under any")
+_FALSE_PAIR = tuned(0.02, "share", "of tied pairs that tie wrongly: less is surer of frames on one pair")
+
+
+@dataclass(frozen=True)
+class HeadingEvidence:
+    """Directions of n frames in rad, clockwise from north; NaN where unknown.
+
+    given_rad (n,): heading tags. image_rad (n,): as the images lie. course_rad (n,): courses over ground.
+    sd_rad (n,): standard deviations of the tags. possible (n, 4): quarter turns that an image can have had.
+    """
+
+    given_rad: Floats
+    image_rad: Floats
+    course_rad: Floats
+    sd_rad: Floats
+    possible: Bools
+
+
+def explained(evidence: HeadingEvidence) -> Floats:
+    """Probabilities (n, 2, 4) of the explanations: [tag right or wrong, quarter turns of the image].
+
+    A frame without a heading tag or image heading counts as right and not turned.
+    """
+    given, image = evidence.given_rad, evidence.image_rad
+    out = np.zeros((len(given), 2, 4))
+    known = np.isfinite(given) & np.isfinite(image)
+    out[~known, 0, 0] = 1.0
+    if not known.any():
+        return out
+    given, image, course = given[known], image[known], evidence.course_rad[known]
+    apart = wrapped(given[:, None] - image[:, None] - _QUARTERS_RAD)
+    near = np.abs(apart[:, 0])[np.abs(apart[:, 0]) < _NEAR_RAD]
+    scatter = float(np.median(near)) / MEDIAN_ONE if len(near) else 0.0
+    sd = np.maximum(evidence.sd_rad[known], scatter)[:, None]
+    wrong = np.full(apart.shape, 1.0 / _CIRCLE_RAD)
+    wrong[:, 0] = (1.0 - _KEPT) / _CIRCLE_RAD + _KEPT * normal(wrapped(apart[:, 0] - np.pi), sd[:, 0])
+    tags = np.stack([normal(apart, sd), wrong], axis=1)
+    agree = np.abs(apart[:, 0]) < _AGREE * sd[:, 0]
+    ways = evidence.possible[known] / np.maximum(evidence.possible[known, 1:].sum(axis=1, keepdims=True), 1)
+    ways[:, 0] = 1.0
+    expected = (course, np.zeros(len(given)), np.full(len(given), np.nan))
+    flown = [_flown(given[agree] - e[agree]) for e in expected]
+    logs = np.array([f.log_likelihood for f in flown]) + np.log(_PRIORS)
+    weight = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
+    for e, way, share in zip(expected, flown, weight, strict=True):
+        camera = image[:, None] + _QUARTERS_RAD - e[:, None]
+        fits = np.stack([np.repeat(way.density(given - e)[:, None], 4, axis=1), way.density(camera)], axis=1)
+        out[known] += share * _shares(tags * fits, ways)
+    return out
+
+
+def _shares(like: Floats, ways: Floats) -> Floats:
+    """Probabilities (n, 2, 4) by likelihoods (n, 2, 4) and the rates of wrong tags and turned images.
+
+    Args: ways (n, 4): share of each quarter turn among turned images; 1 if not turned.
+    """
+    n = len(like)
+    wrong = turned = 1.0 / (n + 2.0)
+    for _ in range(_ROUNDS):
+        by_turn = ways * [1.0 - turned, turned, turned, turned]
+        share = like * np.stack([(1.0 - wrong) * by_turn, wrong * by_turn], axis=1)
+        share /= share.sum(axis=(1, 2), keepdims=True)
+        wrong, turned = ((float(share[at].sum()) + 1.0) / (n + 2.0) for at in (np.s_[:, 1], np.s_[:, :, 1:]))
+    return share
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """Headings of the camera less expected ones: usual angle and scatter (rad), rates of the opposite and of
+    any heading."""
+
+    usual: float
+    width: float
+    opposite: float
+    stray: float
+    log_likelihood: float = 0.0
+
+    def parts(self, off: Floats) -> Floats:
+        """Densities (3, ...) of the camera's headings less expected ones: usual, opposite, any."""
+        near, back = (normal(wrapped(off - self.usual - turn), self.width) for turn in (0.0, np.pi))
+        usual = 1.0 - self.opposite - self.stray
+        return np.stack([usual * near, self.opposite * back, np.full(off.shape, self.stray / _CIRCLE_RAD)])
+
+    def density(self, off: Floats) -> Floats:
+        """Their sum; an unknown difference may be any."""
+        return np.where(np.isfinite(off), self.parts(off).sum(axis=0), 1.0 / _CIRCLE_RAD)
+
+
+def _flown(off: Floats) -> _Flown:
+    """By the differences of frames whose tags and images agree; NaN where no heading was expected."""
+    whole, off = len(off), off[np.isfinite(off)]
+    n, unknown = len(off), -float(np.log(_CIRCLE_RAD))
+    if not n:
+        return _Flown(0.0, _FIRST_RAD, 0.0, 1.0, whole * unknown)
+    known = 1.0 + sum(_STRAYS) + n
+    found = _Flown(usual_angle(off), _FIRST_RAD, _STRAYS[0] / known, _STRAYS[1] / known)
+    for _ in range(_ROUNDS):
+        parts = found.parts(off)
+        on, back, stray = parts / parts.sum(axis=0)
+        apart = wrapped(off - found.usual)
+        usual = found.usual + float((on * apart).sum() / max(float(on.sum()), 1e-9))
+        spread = (float((on * apart**2).sum()) + _FEW * _FIRST_RAD**2) / (float(on.sum()) + _FEW)
+        width = float(np.clip(np.sqrt(spread), _LEAST_RAD, _MOST_RAD))
+        rates = ((float(of.sum()) + prior) / known for of, prior in zip((back, stray), _STRAYS, strict=True))
+        found = _Flown(usual, width, *rates)
+    log = float(np.log(found.density(off)).sum()) + (whole - n) * unknown
+    return replace(found, log_likelihood=log - 2.0 * float(np.log(n)))
+
+
+def usual_angle(angles_rad: Floats) -> float:
+    """The angle (rad) that most of these are near, whatever the others are."""
+    tried = np.radians(np.arange(0.0, 360.0, 2.0))
+    peak = float(tried[normal(wrapped(angles_rad - tried[:, None]), _FIRST_RAD).sum(axis=1).argmax()])
+    near = wrapped(angles_rad - peak)
+    return peak + float(np.median(near[np.abs(near) < _NEAR_RAD]))
+
+
+def wrong_positions(off_m: Floats, sd_m: Floats, reach_m: float) -> Floats:
+    """Probabilities (n,) that positions are wrong: anywhere within reach, rather than normal about the place
+    that the images give.
+
+    Args: off_m (n,): distances in plan of given from adjusted positions, NaN where unknown; sd_m (n,): their
+        standard deviations by coordinate; reach_m: radius of where a wrong position may lie.
+    """
+    out, known = np.zeros(len(off_m)), np.isfinite(off_m)
+    n, rate = int(known.sum()), 1.0 / (known.sum() + 2.0)
+    off, sd = off_m[known], np.maximum(sd_m[known], 1e-3)
+    right = -0.5 * (off / sd) ** 2 - np.log(2.0 * np.pi * sd**2)
+    wrong = -np.log(np.pi * max(reach_m, 1e-3) ** 2)
+    for _ in range(_ROUNDS):
+        out[known] = 1.0 / (1.0 + np.exp(np.clip(right - wrong, -700.0, 700.0)) * (1.0 - rate) / rate)
+        rate = (float(out.sum()) + 1.0) / (n + 2.0)
+    return out
+
+
+def placed_by_pairs(pairs: Floats) -> Floats:
+    """Probabilities (n,) that so many tied pairs (n,) don't all place a frame wrongly."""
+    return np.asarray(1.0 - _FALSE_PAIR ** np.asarray(pairs, dtype=np.float64))
+
+
+def wrapped(angle_rad: Floats) -> Floats:
+    """Angles from -pi to pi."""
+    return np.asarray((angle_rad + np.pi) % _CIRCLE_RAD - np.pi)
+
+
+def normal(off: Floats, sd: Floats | float) -> Floats:
+    """The normal density."""
+    return np.asarray(np.exp(-0.5 * (off / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd))
