@@ -60,10 +60,11 @@ Floats = NDArray[np.float64]
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 POSITIONS = {"RTK": ["--position-sd-m", "0.02", "--height-sd-m", "0.03"], "GNSS": []}
 """By the seed, even ones first: GNSS as the simulator has it, 1.5 m in plan and 2 m in height."""
-GSD_M = 0.32
+GSD_M = 0.4
 """Of the mosaics, two pixels of the frames: errors of places do not depend on it, and the time does."""
-SIZE = ["--width-px", "640", "--height-px", "480", "--ground-pixel-m", "0.16"]
-BLOCK = [*SIZE, "--lines", "3", "--frames-per-line", "6"]
+SIZE = ["--width-px", "512", "--height-px", "384", "--ground-pixel-m", "0.2"]
+BLOCK = [*SIZE, "--lines", "3", "--frames-per-line", "5"]
+CELL_PX = 4
 MOST_CELLS = 60_000
 SEEDS_APART = 100
 """Between surveys: equal seeds have equal errors of positions."""
