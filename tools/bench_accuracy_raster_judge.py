@@ -132,13 +132,13 @@ def _text(row: Row, name: str) -> str:
 
 
 def _pooled(values: Sequence[float | None]) -> tuple[float | None, float | None]:
-    """Root mean square and its deviation; None where nothing, or one value, is known."""
+    """Root mean square and its deviation, NaN of one value; None where nothing is known."""
     squares = np.square([v for v in values if v is not None])
     if not squares.size:
         return None, None
     whole = float(np.sqrt(squares.mean()))
     if squares.size < 2:
-        return whole, None
+        return whole, float("nan")
     return whole, float(squares.std(ddof=1) / np.sqrt(squares.size) / (2.0 * whole))
 
 
