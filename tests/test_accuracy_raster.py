@@ -105,6 +105,22 @@ def test_a_height_moves_places_by_the_tangent_of_the_view() -> None:
         assert found.vertical_m == pytest.approx(np.full(6, 0.4))
 
 
+def test_beyond_its_grid_the_ground_is_unsure_by_what_it_would_rise() -> None:
+    """30 m beyond the last nodes of a slope of 0.1; along its edge and within nothing is added."""
+    ground = plane("dem", (0.1, 0.0), 0.4)
+    for east, expected in (
+        (230.0, np.hypot(0.4, 3.0)),
+        (200.0, 0.4),
+        (150.0, 0.4),
+        (-230.0, np.hypot(0.4, 3.0)),
+    ):
+        at = np.array([[east, 10.0, float(ground.up_at(east, 10.0))]])
+        found = GroundPropagation(adjusted(ground, np.zeros((6, 6))), ground, 4.0).at(
+            at, np.zeros(1, np.intp)
+        )
+        assert found.vertical_m == pytest.approx([expected])
+
+
 def test_a_slope_towards_the_frame_moves_places_less() -> None:
     """Raised by dh, ground of slope s seen at tangent t is met t dh / (1 + s t) nearer, rising away."""
     for slope in (-0.3, 0.3):

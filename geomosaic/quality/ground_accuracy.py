@@ -98,9 +98,18 @@ def ground_jacobians(sight_m: Floats, slope: Floats) -> Floats:
 
 
 def height_deviations(ground: GroundSurface, known: GroundSurface, east: Floats, north: Floats) -> Floats:
-    """Deviations (n,) in m of the ground's heights, those known before where it states none, else NaN."""
+    """Deviations (n,) in m of the ground's heights, those known before where it states none, else NaN.
+
+    Beyond the ground's grid its edge goes on level: there by as much more as it rises over the same distance
+    within.
+    """
     own = _stated(ground, east, north)
-    return np.asarray(np.where(np.isnan(own), _stated(known, east, north), own))
+    sd_m = np.where(np.isnan(own), _stated(known, east, north), own)
+    at_m = np.stack([east, north], axis=-1)
+    low_m = np.array([ground.east_0_m, ground.north_0_m])
+    edge_m = at_m.clip(low_m, low_m + ground.spacing_m * (np.array(ground.up_m.shape[::-1]) - 1))
+    rise_m = ground.up_at(*edge_m.T) - ground.up_at(*(2.0 * edge_m - at_m).T)
+    return np.asarray(np.hypot(sd_m, rise_m))
 
 
 def slopes_of(ground: GroundSurface, east: Floats, north: Floats, span_m: float) -> Floats:
