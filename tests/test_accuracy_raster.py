@@ -209,6 +209,18 @@ def test_a_frame_that_is_less_sure_than_its_block_adds_what_it_has_of_its_own() 
     assert less_sure.vertical_m == pytest.approx(surer.vertical_m)
 
 
+def test_a_cell_with_a_wall_states_the_mean_square_of_its_heights() -> None:
+    """Of a cell of 4 m a fifth is as unsure as a wall is high; on smooth ground the middle counts."""
+    ground = plane("dense", (0.0, 0.0), 0.1)
+    east = np.arange(-40.0, 41.0, 0.1)
+    sd_m = np.where((east > 0.5) & (east < 1.1), 5.0, 0.1) * np.ones((len(east), 1))
+    at = np.array([[0.0, 0.0, 0.0]]), np.zeros(1, np.intp)
+    for kind, expected in (("dense", np.sqrt(0.2 * 25.0 + 0.8 * 0.01)), ("tie_surface", 0.1)):
+        walled = GroundSurface(kind, -40.0, -40.0, 0.1, np.zeros(sd_m.shape), sd_m)
+        found = GroundPropagation(adjusted(ground, np.zeros((6, 6))), walled, 4.0).at(*at)
+        assert found.vertical_m == pytest.approx([expected])
+
+
 def test_what_is_only_assumed_level_has_no_vertical_deviation() -> None:
     ground = plane("flat", (0.0, 0.0), None)
     _, horizontal, vertical = deviations(adjusted(ground, uneven_covariance()), ground)
@@ -297,7 +309,7 @@ def test_a_coarser_raster_has_the_same_values_and_the_mosaics_corner(tmp_path: P
 
 
 def test_heights_come_from_ties_matching_filling_or_beyond(tmp_path: Path) -> None:
-    """Matched east of -20 m, filled as far as -40 m, no surface beyond; ties hold what is south of 0."""
+    """Matched east of -20 m but for a void, which ties hold south of 0; beyond nothing encloses what is filled."""
     ground = plane("dense", (0.0, 0.0), 0.1)
     west, north = cells(ground, 8).grid.west_m, float(AT_M[1])
     south = np.array(
@@ -309,15 +321,17 @@ def test_heights_come_from_ties_matching_filling_or_beyond(tmp_path: Path) -> No
             [west, north],
         ]
     )
-    surface = MatchedCells(Cells(-40.0, -60.0, 1.0, 120, 100), np.arange(100) >= np.full((120, 1), 20))
+    matched = np.arange(100) >= np.full((120, 1), 20)
+    matched[5:-5, 28:32] = False
+    surface = MatchedCells(Cells(-40.0, -60.0, 1.0, 120, 100), matched)
     block = next(iter(cells(ground, 8, surface, Area(((south,),))).blocks()))
     east = -52.5 + 0.8 * (np.arange(block.source.shape[1]) + 0.5)
     row = {True: block.source[100], False: block.source[20]}
     for held in (True, False):
-        assert set(row[held][east < -41.0]) == {HeightSource.EXTRAPOLATED}
+        assert set(row[held][east < -21.0]) == {HeightSource.EXTRAPOLATED}
         between = HeightSource.FILLED if held else HeightSource.EXTRAPOLATED
-        assert set(row[held][(east > -39.0) & (east < -21.0)]) == {between}
-        assert set(row[held][(east > -19.0) & (east < -2.0)]) == {HeightSource.MATCHED}
+        assert set(row[held][(east > -11.0) & (east < -9.0)]) == {between}
+        assert set(row[held][(east > -19.0) & (east < -13.0)]) == {HeightSource.MATCHED}
     on_ties = next(iter(cells(plane("tie_surface", (0.0, 0.0), 0.1), 8, None, Area(((south,),))).blocks()))
     assert set(on_ties.source[100, :60]) == {HeightSource.TIE_SURFACE}
     assert set(on_ties.source[20, :60]) == {HeightSource.EXTRAPOLATED}

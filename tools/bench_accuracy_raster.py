@@ -8,6 +8,9 @@ sources.tif names; its image coordinates come from the run's pose, lens and grou
 pose and lens. The horizontal error is true minus mapped place, the vertical one that of the ground's height.
 Figures are root mean squares of error over stated deviation, 1 where the raster is true, by class (band 3).
 
+A mosaic on a surface that shows what stands is judged everywhere; one on the ground below, where roofs and
+crowns lean, at places of open ground that show open ground.
+
 One survey says little. With GNSS positions nearly all of its error is one shift, turn and scale of the block:
 four numbers, so that the figure of a true raster scatters by a third. Half of the seeds have RTK positions,
 which leave the errors of the heights to be seen. Surveys of all seeds are pooled, each counted alike. ± is
@@ -61,8 +64,9 @@ GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 POSITIONS = {"RTK": ["--position-sd-m", "0.02", "--height-sd-m", "0.03"], "GNSS": []}
 """By the seed, even ones first: GNSS as the simulator has it, 1.5 m in plan and 2 m in height."""
 GSD_M = 0.2
-CELL_PX = 4
-"""Of mosaics and of cells: half the resolution of the frames takes less time and changes no place."""
+"""Of mosaics: half the resolution of the frames takes less time and changes no place."""
+PLACES_ACROSS = 4
+"""Of a cell, which is looked at in so many places squared: its figures are of all of it."""
 SIZE = ["--width-px", "512", "--height-px", "384", "--height-above-ground-m", "50"]
 BLOCK = [*SIZE, "--lines", "3", "--frames-per-line", "5"]
 MOST_CELLS = 60_000
@@ -72,6 +76,8 @@ AROUND_M = 60.0
 """True ground about what the mosaic shows: rays lean."""
 STANDING_M, BARE_M = 0.25, 2.0
 """Between nodes of the true ground, with and without what stands on it."""
+OPEN_M = 0.1
+"""Less than that stands on open ground."""
 
 
 @dataclass(frozen=True)
@@ -108,33 +114,45 @@ def run(case: Case, out: Path, seed: int) -> tuple[Path, Path]:
     if not (folder / "truth" / "truth.json").exists():
         shutil.rmtree(folder, ignore_errors=True)
         _call("simulate", "frames", folder, *case.simulate, *positions, "--seed", seed)
-    given = ["--pos", folder / "pos.csv", "--camera", folder / "cameras.json", "--gsd", GSD_M]
-    given += ["--record", "off", "--set", f"quality.accuracy.cell_px={CELL_PX}"]
+    given = [
+        "--pos",
+        folder / "pos.csv",
+        "--camera",
+        folder / "cameras.json",
+        "--gsd",
+        GSD_M,
+        "--record",
+        "off",
+    ]
     _call("mosaic", folder / "frames", "-o", folder / "run", *given, *case.mosaic, "--overwrite")
     return folder, folder / "run"
 
 
 def errors_of(folder: Path, run: Path) -> Errors:
-    """True minus mapped places of a run, cell by cell of its accuracy.tif."""
+    """True minus mapped places of a run, in the cells of its accuracy.tif."""
     summary = read_summary(run)
     survey = load_artefact(run, summary, "survey", Survey)
     adjusted = load_artefact(run, summary, "adjusted", Adjusted)
     ground = load_artefact(run, summary, "ground", GroundSurface)
     with rasterio.open(run / "accuracy.tif") as tiff, rasterio.open(run / "sources.tif") as sources:
-        stated, to_map, crs = tiff.read(), tiff.transform, survey.map_crs
-        by = round(to_map.a / sources.transform.a)
+        to_map, crs, pixel_m = tiff.transform, survey.map_crs, sources.transform.a
+        by = round(to_map.a / pixel_m) // PLACES_ACROSS
+        stated = tiff.read().repeat(PLACES_ACROSS, axis=1).repeat(PLACES_ACROSS, axis=2)
         frame = np.zeros(stated.shape[1:], dtype=np.int64)
         middles = sources.read(1)[by // 2 :: by, by // 2 :: by]
         frame[: middles.shape[0], : middles.shape[1]] = middles
     shape = stated.shape[2], stated.shape[1]
-    points = ground_window(crs, survey.work_frame, ground, to_map.c, to_map.f, to_map.a, *shape).points_m()
+    points = ground_window(
+        crs, survey.work_frame, ground, to_map.c, to_map.f, by * pixel_m, *shape
+    ).points_m()
     step = int(np.ceil(np.sqrt(frame.size / MOST_CELLS)))
     thin = np.zeros(frame.shape, dtype=bool)
     thin[::step, ::step] = True
     known = thin & (frame > 0) & np.isfinite(stated[0])
     at_m, of = points[known], frame[known] - 1
     truth = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
-    true_ground, camera = _true_ground(truth, survey, at_m), Camera(**truth["camera"])
+    camera = Camera(**truth["camera"])
+    true_ground, bare = (_true_ground(truth, survey, at_m, standing=standing) for standing in (True, False))
     poses, met = _true_poses(folder, survey), np.full(at_m.shape, np.nan)
     for i in np.unique(of).tolist():
         mine = of == i
@@ -142,15 +160,18 @@ def errors_of(folder: Path, run: Path) -> Errors:
         met[mine] = ground_from_image(poses[survey.frames[i].name], camera, true_ground, image_px)
     seen = np.isfinite(met).all(axis=1)
     up_m = true_ground.up_at(at_m[:, 0], at_m[:, 1]) - at_m[:, 2]
+    if not ground.has_walls:
+        for places in (at_m, met):
+            seen &= np.abs(true_ground.up_at(*places[:, :2].T) - bare.up_at(*places[:, :2].T)) < OPEN_M
     horizontal, vertical, source = (values[known][seen].astype(float) for values in stated)
     plan_m, free = (met - at_m)[seen, :2], freedoms(adjusted.places)
-    return Errors(source.astype(int), at_m[seen, :2], plan_m, up_m, horizontal, vertical, free)
+    return Errors(source.astype(int), at_m[seen, :2], plan_m, up_m[seen], horizontal, vertical, free)
 
 
-def _true_ground(truth: dict[str, Any], survey: Survey, at_m: Floats) -> GroundSurface:
-    """What frames look at, in the work frame: the relief, with buildings and trees where they stand."""
+def _true_ground(truth: dict[str, Any], survey: Survey, at_m: Floats, *, standing: bool) -> GroundSurface:
+    """The relief in the work frame; standing: with the buildings and trees that stand there."""
     plan, relief = SurveyPlan(**truth["plan"]), Relief(**truth["relief"])
-    stands = plan.buildings_stand or plan.trees_stand
+    stands = standing and (plan.buildings_stand or plan.trees_stand)
     spacing = STANDING_M if stands else BARE_M
     low, high = at_m[:, :2].min(axis=0) - AROUND_M, at_m[:, :2].max(axis=0) + AROUND_M
     east, north = (np.arange(a, b, spacing) for a, b in zip(low, high, strict=True))

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -23,12 +24,14 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import DEM_SD_M
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.block_errors import BlockErrors
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 DEM: Final = "dem"
+_ACROSS = tuned(5, "samples", "of a span; fewer miss a wall of a default cell, more take time")
 
 
 class HeightSource(IntEnum):
@@ -160,8 +163,7 @@ class GroundPropagation:
         east, north, _ = places_m.T
         sight_m = places_m - self.adjusted.poses.positions_m[frame]
         slope, moves = slopes_of(self.ground, east, north, self.span_m), self._moves[frame]
-        height_sd_m = height_deviations(self.ground, self.adjusted.ground, east, north)
-        height_sd_m = np.hypot(height_sd_m, standing_sd_m)
+        height_sd_m = np.hypot(self._height_sd_m(east, north), standing_sd_m)
         by_height = np.square(height_jacobians(sight_m, slope)[:, :2]).sum(axis=1)
         horizontal, risen = np.nan_to_num(height_sd_m) ** 2 * by_height / 2.0, np.zeros(len(frame))
         for of, variances in ((~moves, self._above_still_ground), (moves, self._with_ground)):
@@ -170,6 +172,20 @@ class GroundPropagation:
                 horizontal[of] += plan_m2
                 risen[of] = up_m2
         return GroundDeviations(np.sqrt(horizontal), np.sqrt(risen + height_sd_m**2))
+
+    def _height_sd_m(self, east: Floats, north: Floats) -> Floats:
+        """Deviations (n,) of heights; on ground that shows walls root mean squares over a span, since a few
+        cells at the walls are off by as much as those are high."""
+        if not self.ground.has_walls:
+            return height_deviations(self.ground, self.adjusted.ground, east, north)
+        total, aside_m = (
+            np.zeros(len(east)),
+            (np.arange(_ACROSS) - (_ACROSS - 1) / 2.0) * self.span_m / _ACROSS,
+        )
+        for right_m, up_m in product(aside_m.tolist(), repeat=2):
+            at = east + right_m, north + up_m
+            total += height_deviations(self.ground, self.adjusted.ground, *at) ** 2
+        return np.sqrt(total / _ACROSS**2)
 
     @cached_property
     def _moves(self) -> NDArray[np.bool_]:
