@@ -54,8 +54,9 @@ bench-surface: setup ## the dense surface of three simulated towns against their
 bench-accuracy: bench-monte-carlo bench-bundle ## accuracy on simulated surveys against their truth (about an hour)
 	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
 
-bench-accuracy-raster: setup ## accuracy.tif against the truth on simulated surveys (about an hour); ONLY="names"
-	$(PY) tools/bench_accuracy_raster.py $(if $(ONLY),--only $(ONLY)) --out out/bench-accuracy-raster
+bench-accuracy-raster: setup ## accuracy.tif against the truth on 20 simulated surveys (about 20 minutes); ONLY="names", SEED=first
+	$(PY) tools/bench_accuracy_raster.py $(if $(ONLY),--only $(ONLY)) --first-seed $(SEED) --out out/bench-accuracy-raster \
+	  --results docs/results/accuracy_raster
 
 bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao bound, 30 seeds (about 20 minutes)
 	$(PY) tools/bench_monte_carlo.py --out out/bench-monte-carlo

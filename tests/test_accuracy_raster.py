@@ -105,6 +105,22 @@ def test_a_height_moves_places_by_the_tangent_of_the_view() -> None:
         assert found.vertical_m == pytest.approx(np.full(6, 0.4))
 
 
+def test_beyond_its_grid_the_ground_is_unsure_by_what_it_would_rise() -> None:
+    """30 m beyond the last nodes of a slope of 0.1; along its edge and within nothing is added."""
+    ground = plane("dem", (0.1, 0.0), 0.4)
+    for east, expected in (
+        (230.0, np.hypot(0.4, 3.0)),
+        (200.0, 0.4),
+        (150.0, 0.4),
+        (-230.0, np.hypot(0.4, 3.0)),
+    ):
+        at = np.array([[east, 10.0, float(ground.up_at(east, 10.0))]])
+        found = GroundPropagation(adjusted(ground, np.zeros((6, 6))), ground, 4.0).at(
+            at, np.zeros(1, np.intp)
+        )
+        assert found.vertical_m == pytest.approx([expected])
+
+
 def test_a_slope_towards_the_frame_moves_places_less() -> None:
     """Raised by dh, ground of slope s seen at tangent t is met t dh / (1 + s t) nearer, rising away."""
     for slope in (-0.3, 0.3):
@@ -144,18 +160,65 @@ def test_the_turn_of_a_whole_block_is_a_turn_of_its_ground() -> None:
     assert vertical == pytest.approx(risen.std(axis=0), rel=0.02)
 
 
-def test_heights_take_what_the_lens_adds_from_the_covariance_of_places() -> None:
-    """Poses leave heights open by 0.3 m, poses and lens by 0.5 m; what poses leave open alone is not counted
-    twice, and places in plan stay as they are."""
-    ground, poses_alone = plane("tie_surface", (0.0, 0.0), 0.0), np.diag([0.04, 0.04, 0.09, 0.0, 0.0, 0.0])
-    found = adjusted(ground, poses_alone)
-    at_m = np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]])
-    places = GroundPlaces(at_m, np.kron(np.eye(4), np.diag([0.04, 0.04, 0.25])))
-    for of, height_sd_m in ((found, 0.3), (replace(found, places=places), 0.5)):
-        _, horizontal, vertical = deviations(of, ground)
-        assert horizontal == pytest.approx(np.full(4, 0.2)) and vertical == pytest.approx(
-            np.full(4, height_sd_m)
-        )
+def similar_places() -> tuple[GroundPlaces, np.ndarray]:
+    """Places that shift, grow, turn and tilt together, and the deviations of those (6,)."""
+    east, north = (a.ravel() for a in np.meshgrid([-30.0, 0.0, 30.0], [-20.0, 5.0, 20.0]))
+    at_m = np.stack([east, north, 0.0 * east], axis=1)
+    sd = np.array([0.2, 0.1, 0.3, 0.004, 0.003, 0.006])
+    modes = similar(at_m)
+    return GroundPlaces(at_m, np.einsum("nai,i,mbi->namb", modes, sd**2, modes).reshape(27, 27)), sd
+
+
+def similar(at_m: np.ndarray) -> np.ndarray:
+    """Derivatives (n, 3, 6) by shift, scale, turn and one tilt."""
+    east, north = at_m[:, 0], at_m[:, 1]
+    out = np.zeros((len(at_m), 3, 6))
+    out[:, range(3), range(3)] = 1.0
+    out[:, 0, 3], out[:, 1, 3] = east, north
+    out[:, 0, 4], out[:, 1, 4] = -north, east
+    out[:, 2, 5] = east
+    return out
+
+
+def test_a_block_that_shifts_grows_turns_and_tilts_moves_each_place_by_that() -> None:
+    """Also 60 m beyond the last of the places whose covariance is known; heights of a slope move with plan."""
+    places, sd = similar_places()
+    ground = plane("tie_surface", (0.1, 0.0), 0.0)
+    of = replace(adjusted(ground, np.zeros((6, 6))), places=places)
+    at_m = np.array([[1.0, 2.0, 0.1], [29.0, -19.0, 2.9], [90.0, -40.0, 9.0]])
+    found = GroundPropagation(of, ground, 4.0).at(at_m, np.zeros(3, np.intp))
+    moved = similar(at_m) * sd
+    assert found.horizontal_m == pytest.approx(np.sqrt(np.square(moved[:, :2]).sum(axis=(1, 2)) / 2.0))
+    risen = moved[:, 2] - 0.1 * moved[:, 0]
+    assert found.vertical_m == pytest.approx(np.sqrt(np.square(risen).sum(axis=1)))
+
+
+def test_a_frame_that_is_less_sure_than_its_block_adds_what_it_has_of_its_own() -> None:
+    places, _ = similar_places()
+    ground = plane("tie_surface", (0.0, 0.0), 0.0)
+    at = np.array([[10.0, 5.0, 0.0]]), np.zeros(1, np.intp)
+    surer, less_sure = (
+        GroundPropagation(replace(adjusted(ground, covariance), places=places), ground, 4.0).at(*at)
+        for covariance in (np.zeros((6, 6)), np.diag([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]))
+    )
+    below = GroundPropagation(replace(adjusted(ground, np.zeros((6, 6))), places=places), ground, 4.0).at(
+        POSE.position_m[None] * [1.0, 1.0, 0.0], np.zeros(1, np.intp)
+    )
+    own_m2 = 0.5 - float(below.horizontal_m[0]) ** 2
+    assert less_sure.horizontal_m == pytest.approx(np.sqrt(surer.horizontal_m**2 + own_m2))
+    assert less_sure.vertical_m == pytest.approx(surer.vertical_m)
+
+
+def test_a_cell_with_a_wall_states_the_mean_square_of_its_heights() -> None:
+    """Of a cell of 4 m a fifth is as unsure as a wall is high; on smooth ground the middle counts."""
+    ground = plane("dense", (0.0, 0.0), 0.1)
+    east = np.arange(-40.0, 41.0, 0.1)
+    sd_m = np.where((east > 0.5) & (east < 1.1), 5.0, 0.1) * np.ones((len(east), 1))
+    at = np.array([[0.0, 0.0, 0.0]]), np.zeros(1, np.intp)
+    for kind, expected in (("dense", np.sqrt(0.2 * 25.0 + 0.8 * 0.01)), ("tie_surface", 0.1)):
+        walled = GroundSurface(kind, -40.0, -40.0, 0.1, np.zeros(sd_m.shape), sd_m)
+        found = GroundPropagation(adjusted(ground, np.zeros((6, 6))), walled, 4.0).at(*at)
+        assert found.vertical_m == pytest.approx([expected])
 
 
 def test_what_is_only_assumed_level_has_no_vertical_deviation() -> None:
@@ -246,7 +309,7 @@ def test_a_coarser_raster_has_the_same_values_and_the_mosaics_corner(tmp_path: P
 
 
 def test_heights_come_from_ties_matching_filling_or_beyond(tmp_path: Path) -> None:
-    """Matched east of -20 m, filled as far as -40 m, no surface beyond; ties hold what is south of 0."""
+    """Matched east of -20 m but for a void, which ties hold south of 0; beyond nothing encloses what is filled."""
     ground = plane("dense", (0.0, 0.0), 0.1)
     west, north = cells(ground, 8).grid.west_m, float(AT_M[1])
     south = np.array(
@@ -258,15 +321,17 @@ def test_heights_come_from_ties_matching_filling_or_beyond(tmp_path: Path) -> No
             [west, north],
         ]
     )
-    surface = MatchedCells(Cells(-40.0, -60.0, 1.0, 120, 100), np.arange(100) >= np.full((120, 1), 20))
+    matched = np.arange(100) >= np.full((120, 1), 20)
+    matched[5:-5, 28:32] = False
+    surface = MatchedCells(Cells(-40.0, -60.0, 1.0, 120, 100), matched)
     block = next(iter(cells(ground, 8, surface, Area(((south,),))).blocks()))
     east = -52.5 + 0.8 * (np.arange(block.source.shape[1]) + 0.5)
     row = {True: block.source[100], False: block.source[20]}
     for held in (True, False):
-        assert set(row[held][east < -41.0]) == {HeightSource.EXTRAPOLATED}
+        assert set(row[held][east < -21.0]) == {HeightSource.EXTRAPOLATED}
         between = HeightSource.FILLED if held else HeightSource.EXTRAPOLATED
-        assert set(row[held][(east > -39.0) & (east < -21.0)]) == {between}
-        assert set(row[held][(east > -19.0) & (east < -2.0)]) == {HeightSource.MATCHED}
+        assert set(row[held][(east > -11.0) & (east < -9.0)]) == {between}
+        assert set(row[held][(east > -19.0) & (east < -13.0)]) == {HeightSource.MATCHED}
     on_ties = next(iter(cells(plane("tie_surface", (0.0, 0.0), 0.1), 8, None, Area(((south,),))).blocks()))
     assert set(on_ties.source[100, :60]) == {HeightSource.TIE_SURFACE}
     assert set(on_ties.source[20, :60]) == {HeightSource.EXTRAPOLATED}

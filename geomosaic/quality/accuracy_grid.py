@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.constants import tuned
@@ -50,13 +51,19 @@ class MatchedCells:
     standing_m: float = 0.0
 
     def sources(self, east: Floats, north: Floats) -> Bytes:
-        """`HeightSource` at places of any shape: matched, filled, or extrapolated beyond the cells."""
+        """`HeightSource` at places of any shape: matched, filled if matched cells enclose them, extrapolated
+        beyond these."""
         col = np.floor((east - self.cells.west_m) / self.cells.cell_m).astype(np.intp)
         row = np.floor((north - self.cells.south_m) / self.cells.cell_m).astype(np.intp)
         within = (col >= 0) & (col < self.cells.cols) & (row >= 0) & (row < self.cells.rows)
-        seen = self.matched[row.clip(0, self.cells.rows - 1), col.clip(0, self.cells.cols - 1)]
-        found = np.where(seen, HeightSource.MATCHED, HeightSource.FILLED)
-        return np.where(within, found, HeightSource.EXTRAPOLATED).astype(np.uint8)
+        at = row.clip(0, self.cells.rows - 1), col.clip(0, self.cells.cols - 1)
+        found = np.where(self.matched[at], HeightSource.MATCHED, HeightSource.FILLED)
+        return np.where(within & self._enclosed[at], found, HeightSource.EXTRAPOLATED).astype(np.uint8)
+
+    @cached_property
+    def _enclosed(self) -> Bools:
+        """Matched cells and voids among them; nothing bounds what stands in a void open to the rim."""
+        return np.asarray(binary_fill_holes(self.matched), dtype=bool)
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ A pixel shows what its frame's ray meets. With r the ray from the projection cen
 
     dX = (I - r n' / n'r) (dC + t x r) + r dh / n'r
 
-Ground that the block itself has estimated rises and tilts with the frames that it was estimated from. There
-dh counts from the moved ground: n'(dC + t x r) is an error of the height, and no horizontal displacement.
+Ground that the block itself has estimated rises, tilts and grows with its frames. A place there moves as the
+ground does, by the joint covariance of places (`block_errors.py`), which holds the block's scale and lens.
+Poses alone do not: an error of the scale moves the rim of a frame farther than its middle. dh counts from the
+moved ground, and n'dX is an error of the height.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -21,11 +24,14 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import DEM_SD_M
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.block_errors import BlockErrors
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 DEM: Final = "dem"
+_ACROSS = tuned(5, "samples", "of a span; fewer miss a wall of a default cell, more take time")
 
 
 class HeightSource(IntEnum):
@@ -95,9 +101,18 @@ def ground_jacobians(sight_m: Floats, slope: Floats) -> Floats:
 
 
 def height_deviations(ground: GroundSurface, known: GroundSurface, east: Floats, north: Floats) -> Floats:
-    """Deviations (n,) in m of the ground's heights, those known before where it states none, else NaN."""
+    """Deviations (n,) in m of the ground's heights, those known before where it states none, else NaN.
+
+    Beyond the ground's grid its edge goes on level: there by as much more as it rises over the same distance
+    within.
+    """
     own = _stated(ground, east, north)
-    return np.asarray(np.where(np.isnan(own), _stated(known, east, north), own))
+    sd_m = np.where(np.isnan(own), _stated(known, east, north), own)
+    at_m = np.stack([east, north], axis=-1)
+    low_m = np.array([ground.east_0_m, ground.north_0_m])
+    edge_m = at_m.clip(low_m, low_m + ground.spacing_m * (np.array(ground.up_m.shape[::-1]) - 1))
+    rise_m = ground.up_at(*edge_m.T) - ground.up_at(*(2.0 * edge_m - at_m).T)
+    return np.asarray(np.hypot(sd_m, rise_m))
 
 
 def slopes_of(ground: GroundSurface, east: Floats, north: Floats, span_m: float) -> Floats:
@@ -121,24 +136,24 @@ class GroundPropagation:
     span_m: float
 
     @cached_property
-    def lens_m2(self) -> float:
-        """Variance of heights in m² by the lens: the median of what `Adjusted.places` state beyond the poses
-        of the nearest tied frames; 0 where they are not stated."""
-        places, moves = self.adjusted.places, moves_with_ground(self.adjusted, self.ground)
-        if places is None or not moves.any():
-            return 0.0
-        tied, positions_m = np.flatnonzero(moves), self.adjusted.poses.positions_m
-        apart = places.places_m[:, None, :2] - positions_m[tied, :2]
-        frame = tied[np.square(apart).sum(axis=-1).argmin(axis=1)]
-        level = np.zeros((len(frame), 2))
-        risen = self._risen(places.places_m - positions_m[frame], level, frame)
-        stated = np.diagonal(places.covariance_m2)[2::3]
-        return float(max(np.median(stated - risen), 0.0))
+    def block(self) -> BlockErrors | None:
+        """Errors of ground that moves with the frames; None where the places' covariance is unknown."""
+        places = self.adjusted.places
+        return BlockErrors(places) if places is not None and self._moves.any() else None
 
-    def _risen(self, sight_m: Floats, slope: Floats, frame: Ints) -> Floats:
-        """Variances (n,) of the heights at the ends of sights (n, 3) by shift and turn of their frames."""
-        rise = np.einsum("ni,nij->nj", _normals(slope), sight_jacobians(sight_m))[:, None]
-        return _variances(rise, pose_covariances(self.adjusted)[frame])[:, 0]
+    @cached_property
+    def own_m2(self) -> Floats:
+        """Variances (f,), mean of east and north, that frames have beyond the block around them: of places
+        straight below, where scale and lens do not count."""
+        if self.block is None:
+            return np.zeros(len(self._moves))
+        below_m = self.adjusted.poses.positions_m.copy()
+        below_m[:, 2] = self.ground.up_at(below_m[:, 0], below_m[:, 1])
+        ends = sight_jacobians(below_m - self.adjusted.poses.positions_m)[:, :2]
+        by_pose = _variances(ends, pose_covariances(self.adjusted)).sum(axis=1)
+        by_block = self.block.covariances_at(below_m)
+        own_m2 = (by_pose - by_block[:, 0, 0] - by_block[:, 1, 1]) / 2.0
+        return np.where(self._moves, np.maximum(own_m2, 0.0), 0.0)
 
     def at(self, places_m: Floats, frame: Ints, standing_sd_m: Floats | float = 0.0) -> GroundDeviations:
         """Deviations at places (n, 3) of the work frame that the frames (n,) show.
@@ -147,17 +162,52 @@ class GroundPropagation:
         """
         east, north, _ = places_m.T
         sight_m = places_m - self.adjusted.poses.positions_m[frame]
-        slope = slopes_of(self.ground, east, north, self.span_m)
-        covariance = pose_covariances(self.adjusted)[frame]
-        moves = moves_with_ground(self.adjusted, self.ground)[frame]
-        ends, by_height = sight_jacobians(sight_m), height_jacobians(sight_m, slope)
-        by_pose = np.where(moves[:, None, None], ends, ground_jacobians(sight_m, slope))[:, :2]
-        height_sd_m = height_deviations(self.ground, self.adjusted.ground, east, north)
-        height_sd_m = np.hypot(height_sd_m, standing_sd_m)
-        of_height = np.nan_to_num(height_sd_m) ** 2 * np.square(by_height[:, :2]).sum(axis=1)
-        horizontal = (_variances(by_pose, covariance).sum(axis=1) + of_height) / 2.0
-        risen = np.where(moves, self._risen(sight_m, slope, frame) + self.lens_m2, 0.0)
+        slope, moves = slopes_of(self.ground, east, north, self.span_m), self._moves[frame]
+        height_sd_m = np.hypot(self._height_sd_m(east, north), standing_sd_m)
+        by_height = np.square(height_jacobians(sight_m, slope)[:, :2]).sum(axis=1)
+        horizontal, risen = np.nan_to_num(height_sd_m) ** 2 * by_height / 2.0, np.zeros(len(frame))
+        for of, variances in ((~moves, self._above_still_ground), (moves, self._with_ground)):
+            if of.any():
+                plan_m2, up_m2 = variances(places_m[of], slope[of], frame[of])
+                horizontal[of] += plan_m2
+                risen[of] = up_m2
         return GroundDeviations(np.sqrt(horizontal), np.sqrt(risen + height_sd_m**2))
+
+    def _height_sd_m(self, east: Floats, north: Floats) -> Floats:
+        """Deviations (n,) of heights; on ground that shows walls root mean squares over a span, since a few
+        cells at the walls are off by as much as those are high."""
+        if not self.ground.has_walls:
+            return height_deviations(self.ground, self.adjusted.ground, east, north)
+        total, aside_m = (
+            np.zeros(len(east)),
+            (np.arange(_ACROSS) - (_ACROSS - 1) / 2.0) * self.span_m / _ACROSS,
+        )
+        for right_m, up_m in product(aside_m.tolist(), repeat=2):
+            at = east + right_m, north + up_m
+            total += height_deviations(self.ground, self.adjusted.ground, *at) ** 2
+        return np.sqrt(total / _ACROSS**2)
+
+    @cached_property
+    def _moves(self) -> NDArray[np.bool_]:
+        return moves_with_ground(self.adjusted, self.ground)
+
+    def _above_still_ground(self, places_m: Floats, slope: Floats, frame: Ints) -> tuple[Floats, Floats]:
+        """Variances (n,) in plan and of heights by the frames' poses."""
+        jacobian = ground_jacobians(places_m - self.adjusted.poses.positions_m[frame], slope)[:, :2]
+        plan_m2 = _variances(jacobian, pose_covariances(self.adjusted)[frame]).sum(axis=1) / 2.0
+        return plan_m2, np.zeros(len(frame))
+
+    def _with_ground(self, places_m: Floats, slope: Floats, frame: Ints) -> tuple[Floats, Floats]:
+        """The same on ground that moves with the frames: by the block's, else by the poses alone."""
+        if self.block is not None:
+            moved = self.block.covariances_at(places_m)
+        else:
+            ends = sight_jacobians(places_m - self.adjusted.poses.positions_m[frame])
+            moved = ends @ pose_covariances(self.adjusted)[frame] @ np.swapaxes(ends, 1, 2)
+        normal = _normals(slope)
+        up_m2 = np.einsum("ni,nij,nj->n", normal, moved, normal)
+        plan_m2 = (moved[:, 0, 0] + moved[:, 1, 1]) / 2.0 + self.own_m2[frame]
+        return plan_m2, np.maximum(up_m2, 0.0)
 
 
 def _stated(ground: GroundSurface, east: Floats, north: Floats) -> Floats:

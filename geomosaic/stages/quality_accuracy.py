@@ -37,7 +37,7 @@ class QualityAccuracy(Stage):
     id = "quality.accuracy"
     display_name = "Write the accuracy raster"
     group = "Quality"
-    version = 1
+    version = 2
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted,
         "ownership": Ownership,
