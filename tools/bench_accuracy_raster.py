@@ -237,19 +237,20 @@ def main() -> int:
             rows += judged(case.name, positions_of(seed), seed, errors_of(*run(case, asked.out, seed)))
             print(f"{case.name} {seed}: done", file=sys.stderr, flush=True)
     pooled = together(rows)
-    tables = f"{table(pooled)}\n{table(rows)}"
-    print(tables)
+    print(f"{table(pooled)}\n{table(rows)}")
     if asked.results:
-        _write(asked.results, rows, pooled, tables)
+        words = ["--first-seed", str(asked.first_seed), "--seeds", str(asked.seeds)]
+        words += ["--only", *asked.only] if asked.only else []
+        _write(asked.results, words, rows, pooled)
     wrong = missed(pooled)
     print("\n".join(f"missed: {line}" for line in wrong) or "ok")
     return 1 if wrong else 0
 
 
-def _write(results: Path, rows: list[Row], pooled: list[Row], tables: str) -> None:
+def _write(results: Path, words: list[str], rows: list[Row], pooled: list[Row]) -> None:
     made = {
         "title": "Accuracy raster against the truth",
-        "command": shlex.join(["tools/bench_accuracy_raster.py", *sys.argv[1:]]),
+        "command": shlex.join(["tools/bench_accuracy_raster.py", *words]),
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
         "commit": commit(),
@@ -261,7 +262,7 @@ def _write(results: Path, rows: list[Row], pooled: list[Row], tables: str) -> No
     head = (
         f"# {made['title']}\n\n`{made['command']}`, {made['date']}, {made['machine']}, {made['commit']}.\n\n"
     )
-    results.with_suffix(".md").write_text(head + tables, encoding="utf-8")
+    results.with_suffix(".md").write_text(head + f"{table(pooled)}\n{table(rows)}", encoding="utf-8")
 
 
 if __name__ == "__main__":

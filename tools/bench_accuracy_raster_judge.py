@@ -112,7 +112,7 @@ def missed(pooled: Sequence[Row]) -> list[str]:
     for row in pooled:
         for key, label in (("plan", "horizontal"), ("up", "vertical")):
             if row["positions"] == "all" and row[key] is not None and not LIMITS[0] <= row[key] <= LIMITS[1]:
-                lines.append(f"{row['class']}, {label}: {row[key]:.2f} ± {row[f'{key}_scatter']:.2f}")
+                lines.append(f"{row['class']}, {label}: {row[key]:.2f} ± {_text(row, f'{key}_scatter')}")
     return lines
 
 
@@ -132,13 +132,13 @@ def _text(row: Row, name: str) -> str:
 
 
 def _pooled(values: Sequence[float | None]) -> tuple[float | None, float | None]:
-    """Root mean square and its deviation, NaN of one value; None where nothing is known."""
+    """Root mean square and its deviation; None where nothing, or of the deviation one value, is known."""
     squares = np.square([v for v in values if v is not None])
     if not squares.size:
         return None, None
     whole = float(np.sqrt(squares.mean()))
     if squares.size < 2:
-        return whole, float("nan")
+        return whole, None
     return whole, float(squares.std(ddof=1) / np.sqrt(squares.size) / (2.0 * whole))
 
 
