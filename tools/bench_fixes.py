@@ -5,6 +5,7 @@
 
 Each case is a survey with one fault, mosaicked as it is and then with the fix applied. It is right if the
 figure is against the map before, the verdict says what the case's fix is, and the figure is good after it.
+Another lens, standing houses and short hills need no fix: their mosaics are good as they are.
 Exit code 1 if a case is not right for some seed.
 """
 
@@ -132,15 +133,6 @@ CASES = (
         _as_given(),
     ),
     Case(
-        "hills shorter than a frame",
-        "worst tenth of the seams",
-        "--surface dense",
-        (*SMALL, "--lines", "3", "--frames-per-line", "6", "--relief-m", "25", "--relief-wavelength-m", "30",
-         "--forward-overlap", "0.8", "--side-overlap", "0.7"),
-        _none,
-        lambda _: ("--surface", "dense"),
-    ),
-    Case(
         "steep hills beyond the last tie points",
         "ground unknown",
         "elevation model (--dem)",
@@ -156,15 +148,6 @@ CASES = (
         (*SMALL, "--lines", "1", "--frames-per-line", "9", "--lost", "6-8"),
         _none,
         _without_frames("F0009.jpg"),
-    ),
-    Case(
-        "another lens than given",
-        "pattern of residuals",
-        "(--camera)",
-        (*SMALL, "--lines", "1", "--frames-per-line", "8", "--k1", "-0.25"),
-        lambda _: ("--set", "adjustment.solve.model=given"),
-        lambda folder: ("--set", "adjustment.solve.model=given",
-                        "--camera", str(folder / "truth" / "cameras.json")),
     ),
 )  # fmt: skip
 
