@@ -68,7 +68,7 @@ bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (abo
 	$(PY) tools/bench_dirty.py --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
 
 bench-fixes: setup ## whether each fix that a verdict names changes the outcome, on simulated surveys (about 15 minutes)
-	$(PY) tools/bench_fixes.py --results docs/results/fixes --out out/bench-fixes
+	$(PY) tools/bench_fixes.py --seed $(SEED) --results docs/results/fixes --out out/bench-fixes
 
 bench-halves: DATA = ../flights
 bench-halves: setup ## two maps of every second frame of real flights, beside what both state (about 10 minutes); DATA=../flights

@@ -25,14 +25,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import MEDIAN_ONE, tuned
+from geomosaic.constants import MEDIAN_ONE, sourced, tuned
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-WRONG = 4
+WRONG = sourced(4, "place", "of a wrong tag on an image that was not turned", "order of `explained`")
 """Number of "wrong tag, image not turned" among a frame's eight explanations, in `explained`'s order."""
-_CIRCLE_RAD = 2.0 * np.pi
-_QUARTERS_RAD = np.arange(4) * np.pi / 2.0
+_CIRCLE_RAD = sourced(2.0 * np.pi, "rad", "a full turn", "definition")
+_QUARTERS_RAD = sourced(np.arange(4) * np.pi / 2.0, "rad", "turns of an image on disk", "definition")
 _KEPT = tuned(0.5, "share", "of wrong headings kept from the line before: less calls them turned images")
 _LEAST_RAD = tuned(np.radians(3.0), "rad", "scatter about a course: less makes gusts strays")
 _MOST_RAD = tuned(np.radians(30.0), "rad", "scatter about a course: more is no relation to it")
