@@ -61,6 +61,8 @@ def seam_places(
 ) -> list[tuple[int, int, float, float]]:
     """(left, right, easting, northing) of places along all seams, a window apart, at most so many, evenly."""
     areas = [shapely.union_all([shapely.Polygon(p[0], p[1:]) for p in line.polygons]) for line in seamlines]
+    if not areas:
+        return []
     tree = shapely.STRtree(areas)
     near = {tuple(sorted(pair)) for pair in tree.query(areas, predicate="intersects").T.tolist()}
     places = []

@@ -143,12 +143,12 @@ def _part(ties: _Ties, shape: Complexes, priors: Beliefs, fixes: Fixes) -> tuple
         prior = np.column_stack([-off.real, -off.imag, wanted.real, wanted.imag])
         prior_weight = np.full((len(shape), 4), 1.0 / _LOCAL_SD**2)
         prior_weight[:, 2:] = (np.maximum(weight, 1e-6) / (priors.position_sd_m / abs(whole)) ** 2)[:, None]
-        before = shape
+        before = whole * shape
         shape, place = _agreed(ties, shape, prior.ravel(), prior_weight.ravel())
         whole, shift, of_fixes = laid(shape, place, priors, fixes)
         weight[fixes.frame[own]] = of_fixes[own]
         place = place + (shift - middle) / whole
-        if np.abs(np.log(shape / before)).max() < _SAME:
+        if np.abs(np.log(whole * shape / before)).max() < _SAME:
             break
     return whole * shape, whole * place + middle
 

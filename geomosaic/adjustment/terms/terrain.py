@@ -110,7 +110,7 @@ class Terrain(Term):
             return reduced, moved
         still = solution(lifted(-present))
         change = slope(moved) - slope(still)
-        share = slope(still) / max(present - change, _LEAST_LEFT * present)
+        share = float(np.clip(slope(still) / max(present - change, _LEAST_LEFT * present), 0.0, 1.0))
         return lifted((share - 1.0) * present), still.towards(moved, share)
 
     def rows(
