@@ -10,9 +10,9 @@ import pytest
 from adjustment_blocks import camera_unknowns, estimate_of, fly, frame_terms, hills
 
 from geomosaic.adjustment.kernels.interior import INTERIOR
-from geomosaic.adjustment.kernels.normal_equations import Normals
+from geomosaic.adjustment.kernels.normal_equations import Normals, Reduced, reduce_normals
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.problem.layout import UnknownLayout
 from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
@@ -20,7 +20,7 @@ from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.terms.attitudes import BORESIGHT
-from geomosaic.adjustment.terms.gnss_positions import DELAY, LEVER_ARM, OFFSET
+from geomosaic.adjustment.terms.gnss_positions import DELAY, LEVER_ARM, OFFSET, GnssPositions
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
 from geomosaic.adjustment.terms.term import Components, FrameTerm, Term
 from geomosaic.adjustment.terms.terrain import LEVEL, Terrain, level_unknown
@@ -257,6 +257,36 @@ def test_the_terrains_right_side_is_the_slope_of_its_cost() -> None:
     weight = -normals.level_point[:, 2]
     assert normals.level_point[bound] == pytest.approx(-weight[bound, None] * [-0.1, 0.05, 1.0])
     assert normals.level == pytest.approx(weight.sum()) and not weight[~bound].any()
+
+
+@pytest.mark.parametrize("position_sd", [1.0, 1e4])
+def test_a_step_lifts_a_block_by_the_residuals_that_it_leaves(position_sd: float) -> None:
+    """Also where positions are known to 10 km, so that hardly anything tells the block's scale."""
+    problem, at = flown_problem()
+    plane = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
+    every = np.ones(len(at.points_m), dtype=bool)
+    terrain = Terrain(plane, 1e-3, 3.0, every, problem.image.frame_share())
+    loose = tuple(
+        replace(t, reported=replace(t.reported, positions_sd_m=position_sd * t.reported.positions_sd_m))
+        if isinstance(t, GnssPositions)
+        else t
+        for t in problem.frames
+    )
+    problem = replace(problem, terrain=terrain, frames=loose)
+    before = reduce_normals(problem.normals(at, COMPONENTS))
+
+    def solution(reduced: Reduced) -> Step:
+        pose, interior, points, level, platform = reduced.solve()
+        return Step(pose, points, np.concatenate([interior.ravel(), [level], platform]))
+
+    after, step = terrain.solved(before, at, solution)
+    height = terrain.height_m(at)
+    weight, miss, normal = terrain.rows(at.points_m, every, terrain.sd_m(at), at.level_m)
+    left = miss + step.shared[before.level] - (normal * step.points).sum(axis=1)
+    lift = (weight * miss**2).sum() / height - (after.shared_side - before.shared_side)[before.level]
+    assert lift == pytest.approx((weight * miss * left).sum() / height, rel=1e-6)
+    again = solution(after)
+    assert step.pose == pytest.approx(again.pose, rel=1e-4, abs=1e-6 * np.abs(again.pose).max())
 
 
 def test_the_blocks_right_side_is_the_slope_of_the_whole_sum() -> None:

@@ -20,7 +20,7 @@ from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")
+_FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")
 _ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
 _LEAST_BEND = tuned(1e-3, "share of the largest curvature", "less: a step along it has no end")
 _LESS = tuned(0.3, "of a step", "tried, point by point, after one that raised its cost")
@@ -29,7 +29,7 @@ _LESS = tuned(0.3, "of a step", "tried, point by point, after one that raised it
 def wandering(reduced: Reduced, stand: float) -> Ints:
     """Points that were off their minimum by more than `stand` deviations when these equations were made."""
     side = reduced.normals.point_side
-    if len(side) < FEWEST:
+    if len(side) < _FEWEST:
         return np.zeros(0, dtype=np.intp)
     off = np.einsum("pi,pij,pj->p", side, reduced.points_inverse, side)
     return np.flatnonzero(off > stand**2)

@@ -14,7 +14,7 @@ from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.solver.clearance import too_near
 from geomosaic.adjustment.solver.local_image_variance import local_factors
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.solver.single_points import FEWEST, settled_points, wandering
+from geomosaic.adjustment.solver.single_points import settled_points, wandering
 from geomosaic.adjustment.solver.variance_components import variance_components
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import IMAGE
@@ -177,7 +177,7 @@ def _step_of(problem: BlockProblem, at: Estimate, reduced: Reduced) -> tuple[Red
     """The equations with all that depends on the step, and their solution.
 
     Without what it leaves of known and held numbers, so that a readout that stays does not follow the block's
-    scale either. A block of few points takes the steps that fail: they cost it nothing.
+    scale either.
     """
     known = problem.known(at.layout)
 
@@ -186,7 +186,7 @@ def _step_of(problem: BlockProblem, at: Estimate, reduced: Reduced) -> tuple[Red
         shared = np.concatenate([interior.ravel(), [level], platform])
         return Step(pose, points, np.where(known, 0.0, shared))
 
-    if problem.terrain is None or len(at.points_m) < FEWEST:
+    if problem.terrain is None:
         return reduced, solution(reduced)
     return problem.terrain.solved(reduced, at, solution)
 

@@ -13,14 +13,12 @@ from geomosaic.adjustment.kernels.normal_equations import Normals, Reduced
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.problem.layout import Unknowns
 from geomosaic.adjustment.terms.term import Components, Term
-from geomosaic.constants import tuned
 from geomosaic.estimation.robust import cauchy_cost, cauchy_weight
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 LEVEL = "ground level"
-_LEAST_LEFT = tuned(0.1, "share of the slope", "that its own lift leaves: less, and a step has no end")
 
 
 def level_unknown(sd_m: float) -> Unknowns:
@@ -90,7 +88,8 @@ class Terrain(Term):
         and that solution.
 
         By those before it, a step would lift the block by per cents where a plane is observed to
-        millimetres. What is left is linear in the lift. At the minimum both are the same.
+        millimetres, and by any amount where hardly anything tells its scale. What is left is linear in the
+        lift. At the minimum both are the same.
         """
         height, level = self.height_m(at), reduced.level
         weight, miss, normal = self.rows(at.points_m, self.bound, self.sd_share * height, at.level_m)
@@ -106,11 +105,11 @@ class Terrain(Term):
             return float(by_height @ (miss + step.shared[level] - (normal * step.points).sum(axis=1)))
 
         present, moved = float(by_height @ miss), solution(reduced)
-        if present == 0.0:
-            return reduced, moved
         still = solution(lifted(-present))
-        change = slope(moved) - slope(still)
-        share = float(np.clip(slope(still) / max(present - change, _LEAST_LEFT * present), 0.0, 1.0))
+        left = present - (slope(moved) - slope(still))
+        if not left > 0.0:
+            return reduced, moved
+        share = slope(still) / left
         return lifted((share - 1.0) * present), still.towards(moved, share)
 
     def rows(
