@@ -43,7 +43,7 @@ class Fault:
     probability: float | None = None
 
 
-_LAID = "no need: the images laid it right; correct it in the positions' table if they are used elsewhere"
+_LAID = "no need: the images placed it right; correct it in the positions' table if they are used elsewhere"
 _MENDS: dict[str, tuple[float, str]] = {
     "bundle-failed": (95.0, "more overlap, or positions of more frames"),
     "self-calibration-failed": (85.0, "a calibrated lens (--camera), or more overlap"),
@@ -176,19 +176,19 @@ def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterat
     off_deg, most_deg = headings_off_deg((solved.placement or solved.prior).poses, found)
     lines = np.array(flight_lines(found.positions_m[:, :2]))
     course = np.radians(courses_deg(found.positions_m, tuple(lines)))
-    laid = Rotation(found.rotations).yaw_pitch_roll()[0] + np.pi / 2.0 * np.array(solved.turned)
-    laid[heading_assumed(solved.prior.poses)] = np.nan
+    lies_rad = Rotation(found.rotations).yaw_pitch_roll()[0] + np.pi / 2.0 * np.array(solved.turned)
+    lies_rad[heading_assumed(solved.prior.poses)] = np.nan
     half = np.abs(np.abs(off_deg) - 180.0) < HALF_TURN_DEG
     for line in np.unique(lines):
         mine = np.flatnonzero(lines == line)
         for i in (i for i in mine if solved.names[i] not in turned):
             if abs(solved.yawed_deg[i]) > most_deg[i]:
                 continue
-            others = mine[~half[mine] & (mine != i) & np.isfinite(laid[mine] - course[mine])]
-            usual = complex(np.mean(np.exp(1j * (laid - course)[others]))) if len(others) else 0j
+            others = mine[~half[mine] & (mine != i) & np.isfinite(lies_rad[mine] - course[mine])]
+            usual = complex(np.mean(np.exp(1j * (lies_rad - course)[others]))) if len(others) else 0j
             if len(others) < _LEAST_OTHERS or abs(usual) < _TOGETHER:
                 continue
-            here, there = np.degrees([laid[i], np.angle(usual) + course[i]]) % 360.0
+            here, there = np.degrees([lies_rad[i], np.angle(usual) + course[i]]) % 360.0
             if not abs(abs(here - there) - 180.0) < HALF_TURN_DEG:
                 continue
             text = (
