@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.adjustment.procedure.control_agreement import control_blunders, known_residuals_m, means
+from geomosaic.adjustment.procedure.control_agreement import control_blunders, known_residuals_m
 from geomosaic.export.on_map import map_from_work
+from geomosaic.quality.control import control_figures
 from geomosaic.quality.statement import metres
 from geomosaic.report.numbers import UNKNOWN, cm, signed_cm
 from geomosaic.survey.model import Survey
@@ -87,18 +88,21 @@ def point_figures(adjusted: Adjusted) -> list[PointFigures]:
 
 def _figures(title: str, points: Sequence[ControlResidual]) -> PointFigures:
     wrong = control_blunders(points)
-    residual_m = known_residuals_m(points)[~wrong]
-    up_m = residual_m[np.isfinite(residual_m[:, 2]), 2]
-    length_m = np.linalg.norm(residual_m[:, :2], axis=1)
+    good = [p for p, its in zip(points, wrong, strict=True) if not its]
+    blunders = tuple(p.name for p, its in zip(points, wrong, strict=True) if its)
+    if not good:
+        nan = float("nan")
+        return PointFigures(title, tuple(points), blunders, 0, 0, np.full(3, nan), nan, nan)
+    of = control_figures(good)
     return PointFigures(
         title=title,
         points=tuple(points),
-        blunders=tuple(p.name for p, its in zip(points, wrong, strict=True) if its),
-        used=len(residual_m),
-        plan_only=len(residual_m) - len(up_m),
-        rmse_m=np.sqrt(means(residual_m**2)),
-        ce90_m=float(np.quantile(length_m, 0.9)) if len(length_m) else float("nan"),
-        le90_m=float(np.quantile(np.abs(up_m), 0.9)) if len(up_m) else float("nan"),
+        blunders=blunders,
+        used=of.n,
+        plan_only=of.n - of.n_height,
+        rmse_m=np.array([of.rmse_east_m, of.rmse_north_m, of.rmse_up_m], dtype=np.float64),
+        ce90_m=of.ce90_m,
+        le90_m=float("nan") if of.le90_m is None else of.le90_m,
     )
 
 
