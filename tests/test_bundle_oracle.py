@@ -257,7 +257,7 @@ def test_poses_lens_and_points_are_those_of_the_least_cost(both):
 def test_stated_covariances_are_those_of_the_whole_system(both):
     oracle, _, covariance = both
     sized = covariance * np.outer(oracle.size, oracle.size)
-    stated = oracle.solved.pose_covariance
+    stated = oracle.solved.stated.pose_covariance
     for i, own in enumerate(stated):
         here = slice(6 * i, 6 * i + 6)
         sd = np.sqrt(np.diag(sized[here, here]))
@@ -265,8 +265,8 @@ def test_stated_covariances_are_those_of_the_whole_system(both):
     free = np.flatnonzero(oracle.problem.interior[0].sd[:8])
     lens = sized[oracle.lens, oracle.lens][np.ix_(free, free)]
     sd = np.sqrt(np.diag(lens))
-    assert oracle.solved.shared_sd[free] == pytest.approx(sd, rel=0.002)
-    assert oracle.solved.shared_correlation[np.ix_(free, free)] == pytest.approx(
+    assert oracle.solved.stated.shared_sd[free] == pytest.approx(sd, rel=0.002)
+    assert oracle.solved.stated.shared_correlation[np.ix_(free, free)] == pytest.approx(
         lens / np.outer(sd, sd), abs=0.01
     )
 

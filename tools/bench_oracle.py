@@ -281,7 +281,7 @@ def apart(found: Found, solution: Solution) -> float:
     position = (found.poses.positions_m - solution.poses.positions_m) / solution.poses.positions_sd_m
     lens = [
         (getattr(found.camera, name) - getattr(solution.cameras[0], name))
-        / solution.shared_sd[INTERIOR.index(name)]
+        / solution.stated.shared_sd[INTERIOR.index(name)]
         for name in ("focal_length_px", "k1")
     ]
     return float(np.abs([*position.ravel(), *lens]).max())

@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 _LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at a camera has no inverse")
 _LOWER = np.tril_indices(len("xyz"))
+Linearised = Callable[[Ints], tuple[Floats, Floats, Levers, Floats, Floats]]
+"""See `build_normals`."""
 _SQUARE: Ints = sourced(
     np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]]), "places", "of (3, 3) in its triangle", "np.tril_indices"
 )
@@ -83,7 +85,7 @@ def build_normals(
     sightings: Sightings,
     camera_of: Ints,
     counts: tuple[int, int],
-    linearised: Callable[[Ints], tuple[Floats, Floats, Levers, Floats, Floats]],
+    linearised: Linearised,
     terms: int = 0,
 ) -> Normals:
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
@@ -177,22 +179,33 @@ class Reduced:
         pose = y[:, -1] - y[:, :-1] @ shared
         n = self.normals
         dp = pose.reshape(len(n.pose), -1)
-        dk, level, mounting = np.split(shared, [n.interior_side.size, n.interior_side.size + 1])
-        side = n.point_side - np.einsum("cpij,ci->pj", n.interior_point, dk.reshape(n.interior_side.shape))
+        dk, level, mounting = np.split(shared, [self.level, self.level + 1])
+        points = self.points_moved(dp, shared, n.point_side)
+        return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
+
+    def points_moved(self, pose: Floats, shared: Floats, side: Floats) -> Floats:
+        """Corrections of points (p, 3) with their right-hand side, for those of poses (f, d) and of what
+        frames share (s,)."""
+        n = self.normals
+        interior = shared[: self.level].reshape(n.interior_side.shape)
+        side = side - np.einsum("cpij,ci->pj", n.interior_point, interior)
         for group in n.sightings.groups:
-            step = dp.T.take(n.sightings.frame[group.span], axis=-1)
+            step = pose.T.take(n.sightings.frame[group.span], axis=-1)
             moved_m = n.levers.of(group.span).as_points_m(step)
             by_pose = multiply_each(n.point_point[_SQUARE, group.span], moved_m)
             which = n.sightings.point[group.span] - group.points.start
             side[group.points] -= summed_by(by_pose, which, group.size)
-        side -= level * n.level_point
-        points = np.einsum("pij,pj->pi", self.points_inverse, side)
-        return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
+        side -= shared[self.level] * n.level_point
+        return np.asarray(np.einsum("pij,pj->pi", self.points_inverse, side))
 
     def with_sides(self, pose_side: Floats, shared_side: Floats) -> Reduced:
         """The same equations with other right-hand sides."""
-        other = replace(self, pose_side=pose_side, shared_side=shared_side)
-        other.__dict__["_factors"] = self._factors
+        return self._factors_for(replace(self, pose_side=pose_side, shared_side=shared_side))
+
+    def _factors_for(self, other: Reduced) -> Reduced:
+        """Equations with the same poses, which need no other factors of these."""
+        kept = [name for name in ("_factors", "_by_border") if name in self.__dict__]
+        other.__dict__.update({name: self.__dict__[name] for name in kept})
         return other
 
     def covariance(self) -> tuple[Floats, Floats]:
@@ -227,7 +240,7 @@ class Reduced:
         shared = self.shared.copy()
         own = through_poses[np.ix_(held, held)] + through_shared
         shared[np.ix_(held, held)] = own + np.diag(1.0 / variance[held])
-        return replace(self, shared=shared)
+        return self._factors_for(replace(self, shared=shared))
 
     def responses(self, pull: Floats) -> Floats:
         """By how much frames move, (f, d, r), for r pulls on them, (f, d, r), if all others follow."""
@@ -236,18 +249,22 @@ class Reduced:
         y += self._by_border @ (self.shared_covariance() @ (self.border.T @ y))
         return y.reshape(f, d, r)
 
-    def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
-        """Covariance (r, r) for unit weight of r quantities that depend on poses and shared unknowns.
+    def moved(self, by_pose: Floats, by_shared: Floats) -> tuple[Floats, Floats]:
+        """The columns (f, d, r) and (s, r) of the inverse, times derivatives by_pose (f, 6, r) and by_shared
+        (s, r) of r quantities that depend on poses and shared unknowns."""
+        (f, d), r = self.normals.pose_side.shape, by_shared.shape[1]
+        by_pose = np.pad(by_pose, ((0, 0), (0, d - by_pose.shape[1]), (0, 0))).reshape(d * f, r)
+        alone = self._factors.solve(by_pose)
+        corner = self.shared - self.border.T @ self._by_border
+        shared = solve_scaled(corner, by_shared - self._by_border.T @ by_pose)
+        return (alone - self._by_border @ shared).reshape(f, d, r), shared
 
-        Args: derivatives by_pose (f, 6, r), by_shared (s, r).
-        """
-        f, d = self.normals.pose_side.shape
-        by_pose = np.pad(by_pose, ((0, 0), (0, d - by_pose.shape[1]), (0, 0))).reshape(d * f, -1)
-        solved = self._factors.solve(np.column_stack([self.border, by_pose]))
-        y, alone = solved[:, : self.border.shape[1]], solved[:, self.border.shape[1] :]
-        rest = by_shared - y.T @ by_pose
-        corner = self.shared - self.border.T @ y
-        return np.asarray(by_pose.T @ alone + rest.T @ solve_scaled(corner, rest))
+    def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
+        """Covariance (r, r) for unit weight of such quantities."""
+        pose, shared = self.moved(by_pose, by_shared)
+        by_pose = by_pose.reshape(-1, by_shared.shape[1])
+        pose = pose[:, : len(by_pose) // len(pose)].reshape(by_pose.shape)
+        return np.asarray(by_pose.T @ pose + by_shared.T @ shared)
 
 
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:

@@ -41,6 +41,7 @@ from geomosaic.adjustment.procedure.model_selection import (
 from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.adjustment.procedure.resection import UNHEARD, heard_shares, resected
 from geomosaic.adjustment.procedure.velocities import flown
+from geomosaic.adjustment.solver.design_effect import with_design_effect
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.camera.exterior import Poses
@@ -260,6 +261,13 @@ def _readout_shown(work: Work) -> Work:
     return _by_all(replace(read, choice=choice))
 
 
+def _accuracy_stated(work: Work) -> Work:
+    """With covariances that hold what the image errors of a frame have in common."""
+    found = work.found
+    solution = with_design_effect(found.solution, found.ties.points)
+    return replace(work, found=replace(found, solution=solution))
+
+
 PROCEDURE: dict[str, Callable[[Work], Work]] = {
     "wrong frames resected": _wrong_ones_resected,
     "heights": _heights_freed,
@@ -268,4 +276,5 @@ PROCEDURE: dict[str, Callable[[Work], Work]] = {
     "zero of the gyroscope": _zero_of_the_gyroscope,
     "all tie points": _by_all,
     "readout": _readout_shown,
+    "accuracy": _accuracy_stated,
 }

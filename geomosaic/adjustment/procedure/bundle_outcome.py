@@ -118,7 +118,7 @@ def bundle_outcome(work: Work) -> Adjusted:
         | shape_figures(block, places)
         | precision_figures(block.control, components),
         spread=spread_of(solution, block.lens_of),
-        covariance=solution.pose_covariance,
+        covariance=solution.stated.pose_covariance,
         common_m2=common_m2,
     )
     control = with_precision(block.control, components)
@@ -148,7 +148,11 @@ def shape_figures(block: Block, places: GroundPlaces | None) -> dict[str, float]
 
 
 def _figures(solution: Solution, tracks: Tracks) -> dict[str, float]:
-    figures = {"sigma_px": solution.components[IMAGE], "iterations": float(len(solution.steps))}
+    figures = {
+        "sigma_px": solution.components[IMAGE],
+        "design_effect": solution.problem.image.design_effect,
+        "iterations": float(len(solution.steps)),
+    }
     if tracks.points:
         length = np.linalg.norm(solution.residual_px, axis=1)[solution.weight > 0.1]
         known = length[np.isfinite(length)]

@@ -111,7 +111,7 @@ def spread_of(solution: Solution, camera_of: Ints) -> Spread:
         np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
         of_cameras = shared[layout.interior].reshape(len(layout.cameras), -1, 3)
         np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
-        return solution.reduced.propagate(poses, shared)
+        return solution.stated.reduced.propagate(poses, shared)
 
     return spread
 

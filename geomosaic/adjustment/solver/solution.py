@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import interior_of
-from geomosaic.adjustment.kernels.normal_equations import Reduced
 from geomosaic.adjustment.model import SharedUnknowns, SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.solver.stated_accuracy import StatedAccuracy
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
@@ -59,26 +60,23 @@ class Start:
 
 @dataclass(frozen=True)
 class Solution(Start):
-    """The solution of a block. Covariances are scaled with the estimated variance components.
+    """The solution of a block.
 
-    points_sd_m (p, 3): as if poses and cameras were known. pose_covariance (f, 6, 6): of east, north, up (m)
-    and turns about them (rad). shared_sd (s,), shared_correlation (s, s): of the shared unknowns; held ones
-    keep their prior values, and the covariances hold what is not known of them. implausible (s,): those held
-    since the images drew them where no lens has them. residual_px (m, 2): observed minus computed. weight
-    (m,): robust weights, 1 for a good observation. left_out (f,): frames that could not be solved for.
-    reduced: the last normal equations. readout_score (c,): by how many of its deviations the solution would
+    problem: with the robust weights and the held unknowns that were the last. points_sd_m (p, 3): as if poses
+    and cameras were known. stated: covariances of poses and shared unknowns; held ones keep their
+    prior values. implausible (s,): those held since the images drew them where no lens has them. residual_px
+    (m, 2): observed minus computed. weight (m,): robust weights, 1 for a good observation. left_out (f,):
+    frames that could not be solved for. readout_score (c,): by how many of its deviations the solution would
     leave a readout time of 0 that is held since none is reported. steps: of the solve.
     """
 
+    problem: BlockProblem
     points_sd_m: Floats
-    pose_covariance: Floats
-    shared_sd: Floats
-    shared_correlation: Floats
+    stated: StatedAccuracy
     implausible: Bools
     residual_px: Floats
     weight: Floats
     left_out: Bools
-    reduced: Reduced
     readout_score: Floats
     steps: tuple[SolveStep, ...] = ()
 
@@ -104,7 +102,7 @@ class Solution(Start):
             names=tuple(names[k][1] for k in rows),
             given=layout.given[rows] / unit,
             found=self.estimate.shared[rows] / unit,
-            sd=self.shared_sd[rows] / unit,
-            correlation=self.shared_correlation[np.ix_(rows, rows)],
+            sd=self.stated.shared_sd[rows] / unit,
+            correlation=self.stated.shared_correlation[np.ix_(rows, rows)],
             held=self.held[rows],
         )

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import READOUT, with_interior
-from geomosaic.adjustment.kernels.normal_equations import reduce_normals
 from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import frame_by_frame
@@ -17,6 +16,7 @@ from geomosaic.adjustment.solver.clearance import clearances_m
 from geomosaic.adjustment.solver.determinability import undetermined, with_unreported_readouts
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution, Start
+from geomosaic.adjustment.solver.stated_accuracy import deviations, stated_accuracy
 from geomosaic.adjustment.solver.steps import Progress, first_steps, settle, with_components, with_held
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
@@ -157,48 +157,28 @@ def _first_components(problem: BlockProblem, at: Estimate) -> Components:
     return Components(ones | problem.image.first_components(at))
 
 
-def _deviations(variance: Floats, before: Floats) -> Floats:
-    """Their roots; the deviations before the solve where rounding left none above zero."""
-    return np.asarray(np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), before))
-
-
 def _finished(progress: Progress) -> Solution:
     """The solution with its covariances."""
     problem, at, components = progress.problem, progress.at, progress.components
-    layout, image = at.layout, problem.image
-    reduced = reduce_normals(problem.normals(at, components))
-    if problem.held is not None and problem.held.any():
-        reduced = reduced.considering(np.where(problem.held, layout.sd, 0.0) ** 2)
-    covariance, shared = reduced.covariance()
-    covariance = covariance[:, :6, :6]
-    stated = np.column_stack([term.sd(components) for term in problem.frames[:2]])
-    sd = _deviations(np.diagonal(covariance, axis1=1, axis2=2), stated)
-    shared_sd = _deviations(np.diag(shared), problem.shared_sd(layout))
+    image, stated = problem.image, stated_accuracy(problem, at, components)
     standardised = image.standardised(at, components)
     weight = np.nan_to_num(student_weight(standardised) / student_weight(np.zeros(1)))
-    poses = replace(
-        image.reported,
-        positions_m=at.positions_m,
-        rotations=at.rotations,
-        positions_sd_m=sd[:, :3],
-        rotations_sd_rad=sd[:, 3:],
-    )
+    poses = replace(image.reported, positions_m=at.positions_m, rotations=at.rotations)
+    points_m2 = np.diagonal(stated.reduced.points_inverse, axis1=1, axis2=2)
     return Solution(
-        poses=_with_rows_read(poses, problem, at),
+        poses=stated.of(_with_rows_read(poses, problem, at)),
         cameras=_cameras(problem, at),
         estimate=at,
         components=components,
-        held=np.zeros(layout.size, dtype=bool) if problem.held is None else problem.held,
+        held=np.zeros(at.layout.size, dtype=bool) if problem.held is None else problem.held,
         local=image.local,
-        points_sd_m=_deviations(np.diagonal(reduced.points_inverse, axis1=1, axis2=2), problem.points.sd_m),
-        pose_covariance=covariance,
-        shared_sd=shared_sd,
-        shared_correlation=shared / shared_sd[:, None] / shared_sd,
-        implausible=np.zeros(layout.size, dtype=bool),
+        problem=problem,
+        points_sd_m=deviations(points_m2, problem.points.sd_m),
+        stated=stated,
+        implausible=np.zeros(at.layout.size, dtype=bool),
         residual_px=image.tracks.image_px - image.computed_px(at),
         weight=weight * image.used,
         left_out=image.left_out,
-        reduced=reduced,
         readout_score=np.zeros(len(image.cameras)),
         steps=progress.steps,
     )

@@ -18,7 +18,7 @@ from geomosaic.adjustment.kernels.collinearity import (
     readout_of,
 )
 from geomosaic.adjustment.kernels.interior import READOUT
-from geomosaic.adjustment.kernels.normal_equations import Normals, build_normals
+from geomosaic.adjustment.kernels.normal_equations import Linearised, Normals, build_normals
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.adjustment.problem.estimate import Estimate
@@ -45,7 +45,8 @@ class ImageObservations:
     camera_of (f,): of each frame, its place among cameras. reported: velocities and turns of the platform.
     control (p,): points measured by hand, whose coordinates have a deviation of their own. rolling: whether a
     camera reads its rows one after the other, or may. left_out (f,): frames whose images do not count. local
-    (p,): factor of the image deviation about each point, see `local_image_variance`.
+    (p,): factor of the image deviation about each point, see `local_image_variance`. design_effect: tie
+    points' coordinates weigh as if they were so many times fewer, see `solver/design_effect.py`.
     """
 
     tracks: Tracks
@@ -56,6 +57,7 @@ class ImageObservations:
     rolling: bool
     left_out: Bools
     local: Floats
+    design_effect: float = 1.0
 
     def of(self, which: Ints) -> Self:
         """Some of the observations, of the same points."""
@@ -122,11 +124,13 @@ class ImageObservations:
         cost = self.shown * student_cost(np.where(np.isfinite(length), length, BEHIND))
         return float(cost[self.used].sum())
 
-    def normals(self, at: Estimate, components: Components) -> Normals:
-        """The normal equations of Fisher's scoring: weights are the observations' expected information."""
+    def linearised(self, at: Estimate, components: Components) -> Linearised:
+        """Of some of the observations: what `build_normals` asks for, with the weights of Fisher's scoring,
+        the observations' expected information."""
         sd_px, computed = self.sd_px(components), self.computed_px(at)
+        as_many = np.where(self.by_hand, 1.0, self.design_effect)
 
-        def linearised(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:
+        def of(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:
             some = self.of(which)
             image, levers, by_interior, by_point = project_by_levers(
                 some.projections_in_own_rows(at, computed[which])
@@ -134,15 +138,20 @@ class ImageObservations:
             residual, sd = some.tracks.image_px.T - image, sd_px[which]
             counts = np.isfinite(residual).all(axis=0) & self.used[which]
             length = np.linalg.norm(residual, axis=0) / (sd * np.sqrt(self.shown[which]))
-            weight = np.where(counts, student_weight(length) / sd**2, 0.0)
+            weight = np.where(counts, student_weight(length) / sd**2 / as_many[which], 0.0)
             residual /= INFORMATION
             for a in (residual, levers.arms_m, by_interior, by_point):
                 a[..., ~counts] = 0.0
             return residual, weight, levers, by_interior, by_point
 
+        return of
+
+    def normals(self, at: Estimate, components: Components) -> Normals:
+        """The normal equations of the observations."""
         sightings = self.tracks.sightings(len(at.positions_m), len(at.points_m))
         n = build_normals(
-            sightings, self.camera_of, at.interior.shape, linearised, terms=at.swing_rad.shape[1]
+            *(sightings, self.camera_of, at.interior.shape, self.linearised(at, components)),
+            terms=at.swing_rad.shape[1],
         )
         q = at.layout.platform_size
         return replace(
