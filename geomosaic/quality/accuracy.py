@@ -145,7 +145,8 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     """What a map's inputs can give, where the user asks for nothing else.
 
     Control points and RTK positions give three pixels, positions by GNSS 3 m in each coordinate and 3 per
-    mille, or what their stated deviations say where that is less. Without any nothing is asked.
+    mille, or what their stated deviations say where that is less; control points by code GNSS what they
+    state, and distances as such positions. Without any nothing is asked.
 
     Args: position_sd_m (f,): stated horizontal deviations of the frames' positions.
     """
@@ -158,8 +159,9 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     least_m, least_permille, why = _PIXELS * pixel_m, 1000.0 * _PIXELS * pixel_m / _OVER_M, "control points"
     if not by_control:
         why = "RTK positions" if sd_m < _RTK_M else "GNSS positions"
-        if sd_m >= _RTK_M:
-            sd_m, least_permille = max(sd_m, _GNSS_M), max(least_permille, _PERMILLE)
+    if sd_m >= _RTK_M:
+        sd_m = sd_m if by_control else max(sd_m, _GNSS_M)
+        least_permille = max(least_permille, _PERMILLE)
     plan_m = adjusted.poses.positions_m[:, :2]
     spread_m = float(np.linalg.norm(plan_m - plan_m.mean(axis=0)))
     scale_permille = 1000.0 * sd_m / max(spread_m, 1e-9)

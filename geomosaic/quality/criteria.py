@@ -19,7 +19,8 @@ NOTED: Final = "noted"
 class Criterion:
     """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the fix if it is not
     good, and why the limits are where they are. inner: beyond `good` it is noted, since what it does to the
-    map shows in the accuracy and at the seams."""
+    map shows in the accuracy and at the seams. of_land: a length in pixels that is good up to what is asked
+    of land beside the land around it."""
 
     good: float
     bad: float
@@ -28,9 +29,12 @@ class Criterion:
     mend: str
     reason: str
     inner: bool = False
+    of_land: bool = False
 
-    def grade(self, value: float) -> str:
-        """Of a figure."""
+    def grade(self, value: float, asked_px: float) -> str:
+        """Of a figure; asked_px: how far land may lie off."""
+        if self.of_land and value <= asked_px:
+            return GRADES[0]
         if self.inner:
             return NOTED if value > self.good else GRADES[0]
         return GRADES[int(value > self.good) + int(value > self.bad)]
@@ -69,7 +73,8 @@ CRITERIA: Mapping[str, Criterion] = {
         "the ground jumps at some seams: things that stand above it, or single frames out of place",
         "look at the seams in the report; --surface dense or an elevation model (--dem) helps with what "
         "stands above ground",
-        "houses without a surface model jump by more, while the map around them is right",
+        "what stands above the ground jumps by more, while the map around it is right",
+        of_land=True,
     ),
     "ground unknown": Criterion(
         0.05,

@@ -88,7 +88,8 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
     of_land = {"ground unknown": seen.doubt.ground_share, "surface unsure": seen.doubt.surface_share}
     figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
-    judged = (_judged(name, value, metres(required.local_m)) for name, value in figures.items())
+    asked_px = required.local_m / seen.pixel_m
+    judged = (_judged(name, value, required, asked_px) for name, value in figures.items())
     evidence = (
         *(e if e.grade == GRADES[0] else replace(e, effect=_effect(e, adjusted, seen)) for e in judged),
         *_against(accuracy, required),
@@ -137,9 +138,9 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + more
 
 
-def _judged(name: str, value: float, asked: str) -> Evidence:
-    criterion = CRITERIA[name]
-    grade = criterion.grade(value)
+def _judged(name: str, value: float, required: Requirement, asked_px: float) -> Evidence:
+    criterion, asked = CRITERIA[name], metres(required.local_m)
+    grade = criterion.grade(value, asked_px)
     words = ("", "") if grade == GRADES[0] else (criterion.cause.replace(ASKED, asked), criterion.mend)
     return Evidence(name, value, criterion.unit, grade, *words)
 

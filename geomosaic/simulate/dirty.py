@@ -19,6 +19,8 @@ KIND_SHARES = {"block": 0.5, "crossed": 0.2, "free": 0.15, "spiral": 0.15}
 GROUND_SHARES = {"flat": 0.5, "slope": 0.2, "hills": 0.3}
 SIZE_SHARES = {(640, 480): 0.4, (720, 540): 0.25, (800, 600): 0.2, (1000, 750): 0.15}
 TREES_SHARE, HOUSES_SHARE = 0.3, 0.4
+SHIFT_SD_M = 2.1
+"""Of all positions in common, a coordinate: 2.5 m CEP, what the u-blox NEO-M8 of small drones states."""
 FRAMES = (12, 30)
 HEIGHT_M, FOCAL_WIDTHS = (40.0, 110.0), (0.7, 1.05)
 """Flying height above the ground, and focal length in widths of a frame."""
@@ -152,7 +154,7 @@ def _survey(rng: Random) -> tuple[str, Values]:
         "height_sd_m": _number(rng, 0.5, 2.5),
         "tilt_sd_deg": _number(rng, 0.2, 0.8),
         "yaw_sd_deg": _number(rng, 0.5, 3.0),
-        "position_bias_m": _number(rng, 0.0, 2.0),
+        "position_bias_m": round(float(rng.rayleigh(SHIFT_SD_M)), 4),
         "height_bias_m": _number(rng, -15.0, 15.0),
         "relative_height_told": bool(rng.random() < 0.6),
         "pixel_noise": _number(rng, 1.0, 3.0),

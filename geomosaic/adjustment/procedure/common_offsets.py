@@ -30,9 +30,7 @@ _SEA_LEVEL_SD_M = sourced(30.0, "m", "of sea level about the ellipsoid without a
 _TAKE_OFF = tuned(0.5, "flying heights", "of the ground about height 0 where heights count from take-off")
 _LAND_M = sourced(800.0, "m", "of the land above the sea, which such heights leave out", "ETOPO1: mean 797 m")
 _MAY_BE_CHANCE = tuned(0.5, "share of the stated variance", "less scatter: the rest may be a common shift")
-_COMMON_SD_M = sourced(
-    2.5, "m per axis", "largest common shift of positions of a flight", "GPS SPS 2020: 3.3"
-)
+_COMMON_SD_M = sourced(2.1, "m per axis", "common shift of a flight's positions", "u-blox NEO-M8: 2.5 m CEP")
 
 
 def height_reference(survey: Survey) -> HeightReference | None:
