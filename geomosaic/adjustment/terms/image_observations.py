@@ -74,6 +74,11 @@ class ImageObservations:
         return np.asarray(~self.left_out[self.tracks.frame])
 
     @cached_property
+    def as_many(self) -> Floats:
+        """How many observations count as one, (m,)."""
+        return np.where(self.by_hand, 1.0, self.design_effect)
+
+    @cached_property
     def shown(self) -> Floats:
         """The share of an error's square that residuals show along the directions in which they do, (m,).
 
@@ -121,14 +126,13 @@ class ImageObservations:
     def cost(self, at: Estimate, components: Components) -> float:
         """Twice the negative logarithm of their likelihood."""
         length = self.standardised(at, components)
-        cost = self.shown * student_cost(np.where(np.isfinite(length), length, BEHIND))
+        cost = self.shown * student_cost(np.where(np.isfinite(length), length, BEHIND)) / self.as_many
         return float(cost[self.used].sum())
 
     def linearised(self, at: Estimate, components: Components) -> Linearised:
         """Of some of the observations: what `build_normals` asks for, with the weights of Fisher's scoring,
         the observations' expected information."""
         sd_px, computed = self.sd_px(components), self.computed_px(at)
-        as_many = np.where(self.by_hand, 1.0, self.design_effect)
 
         def of(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:
             some = self.of(which)
@@ -138,7 +142,7 @@ class ImageObservations:
             residual, sd = some.tracks.image_px.T - image, sd_px[which]
             counts = np.isfinite(residual).all(axis=0) & self.used[which]
             length = np.linalg.norm(residual, axis=0) / (sd * np.sqrt(self.shown[which]))
-            weight = np.where(counts, student_weight(length) / sd**2 / as_many[which], 0.0)
+            weight = np.where(counts, student_weight(length) / sd**2 / self.as_many[which], 0.0)
             residual /= INFORMATION
             for a in (residual, levers.arms_m, by_interior, by_point):
                 a[..., ~counts] = 0.0
