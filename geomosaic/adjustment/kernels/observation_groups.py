@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.nested_dissection import Dissection
+from geomosaic.adjustment.kernels.nested_dissection import Dissection, matrix_of_pairs
 from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
@@ -87,14 +87,8 @@ class Sightings:
 
     @cached_property
     def matrix(self) -> tuple[Ints, Ints, Ints]:
-        """Columns and row starts of a matrix of frames that has a block for each frame and, on both sides of
-        its diagonal, for each pair; and the blocks' places, frames before pairs before pairs turned over."""
-        f = self.frames
-        row = np.concatenate([np.arange(f), self.left, self.right])
-        column = np.concatenate([np.arange(f), self.right, self.left])
-        order = np.lexsort((column, row))
-        starts = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=f))])
-        return column[order], starts, order
+        """See `matrix_of_pairs`."""
+        return matrix_of_pairs(self.frames, self.left, self.right)
 
     @cached_property
     def dissection(self) -> Dissection:
