@@ -191,7 +191,7 @@ class Dissected:
                 yield (here[i], here[j]), (there[i], there[j])
 
     def solve(self, side: Floats) -> Floats:
-        """Solutions (f b, r) for right sides (f b, r)."""
+        """Solutions (f b,) or (f b, r) for right sides of that shape."""
         x = side.copy()
         fronts = list(zip(self._fronts, self._own, self._below, strict=True))
         for front, factor, below in fronts:
