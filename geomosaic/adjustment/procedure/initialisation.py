@@ -234,4 +234,4 @@ def _ties(net: OffsetNet, nadir: Complexes, miss_m: Floats, part: list[int]) -> 
             sd_m = np.full(len(some), miss * np.sqrt(max(len(some) / _OF_A_PAIR, 1.0)))
             ends = np.full(len(some), number[a]), np.full(len(some), number[b])
             pairs.append((*ends, left[some] @ [1, 1j] - nadir[a], right[some] @ [1, 1j] - nadir[b], sd_m))
-    return _Ties(*(np.concatenate(column) for column in zip(*pairs, strict=True)), len(part))
+    return _Ties(*(np.concatenate(column) for column in zip(*pairs, strict=True)), frames=len(part))

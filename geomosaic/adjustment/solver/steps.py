@@ -112,9 +112,12 @@ def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
         if settled and max(found.image_change, found.other_change) < (_ROUGHLY if rough else _STANDS):
             break
         settled = found.image_change < 0.1
-    if not rough:
-        progress, _ = _converge(progress, _MOST_STEPS, _FINE)
     return progress
+
+
+def converged(progress: Progress) -> Progress:
+    """Iterates with these robust weights and variance components until nothing moves any more."""
+    return _converge(progress, _MOST_STEPS, _FINE)[0]
 
 
 def first_steps(progress: Progress) -> Progress:
