@@ -38,19 +38,23 @@ _ANYWHERE = tuned(100.0, "flying heights; of the scale the share", "deviation wi
 
 @dataclass(frozen=True)
 class _Ties:
-    """Thinned tie points of a part: frames a < b (m,), east + i north (m,) from either nadir point, and
-    their deviations (m,). frames: how many the part has."""
+    """Thinned tie points of a part: frames a and b (m,), east + i north (m,) from either nadir point, and
+    their deviations (m,)."""
 
     a: Ints
     b: Ints
     z_a: Complexes
     z_b: Complexes
     sd_m: Floats
-    frames: int
+
+    @property
+    def frames(self) -> int:
+        """How many frames the part has."""
+        return int(max(self.a.max(), self.b.max())) + 1
 
     @cached_property
     def pairs(self) -> tuple[Ints, Ints, Ints]:
-        """Lower and higher frames of the pairs (k,), and each tie point's pair (m,)."""
+        """Both frames of the pairs (k,), and each tie point's pair (m,)."""
         names, pair = np.unique(self.a * self.frames + self.b, return_inverse=True)
         return *np.divmod(names, self.frames), pair
 
@@ -234,4 +238,4 @@ def _ties(net: OffsetNet, nadir: Complexes, miss_m: Floats, part: list[int]) -> 
             sd_m = np.full(len(some), miss * np.sqrt(max(len(some) / _OF_A_PAIR, 1.0)))
             ends = np.full(len(some), number[a]), np.full(len(some), number[b])
             pairs.append((*ends, left[some] @ [1, 1j] - nadir[a], right[some] @ [1, 1j] - nadir[b], sd_m))
-    return _Ties(*(np.concatenate(column) for column in zip(*pairs, strict=True)), frames=len(part))
+    return _Ties(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
