@@ -52,7 +52,8 @@ def settled_points(
     wanted[which] = True
     seen = np.flatnonzero(wanted[problem.tracks.point])
     ends = np.append(0, np.searchsorted(problem.tracks.point[seen], which, side="right"))
-    cuts = np.searchsorted(ends, np.arange(AT_ONCE, len(seen), AT_ONCE))
+    cuts = np.unique(np.searchsorted(ends, np.arange(AT_ONCE, len(seen), AT_ONCE)))
+    cuts = cuts[cuts < len(which)]
     for some, its in zip(np.split(which, cuts), np.split(seen, ends[cuts]), strict=True):
         points_m[some] = _settled(_Own(problem, at, components, some, its), points_m[some], stand)
     return replace(at, points_m=points_m)

@@ -104,9 +104,7 @@ def _solved(
     progress = Progress(problem, at, components)
     while True:
         progress = with_held(replace(progress, problem=replace(progress.problem, held=held)))
-        before = progress.steps
-        progress = settle(replace(progress, steps=()), rough=True, settled=settled)
-        progress = replace(progress, steps=before + progress.steps)
+        progress = settle(progress, rough=True, settled=settled)
         problem, at = progress.problem, progress.at
         implausible = implausible | implausible_principal_points(at, problem.cameras)
         more = implausible | undetermined(problem, at, progress.components)
@@ -116,9 +114,7 @@ def _solved(
         held, may_free = more, False
     scores = np.zeros(len(problem.cameras))
     if not options.rough:
-        before = progress.steps
-        progress = settle(replace(progress, steps=()), rough=False, settled=True)
-        progress = replace(progress, steps=before + progress.steps)
+        progress = settle(progress, rough=False, settled=True)
     if options.last and not options.rough:
         progress = converged(progress)
         problem, scores = with_unreported_readouts(progress.problem, progress.at, progress.components)

@@ -96,9 +96,9 @@ def with_held(progress: Progress) -> Progress:
 def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
     """Iterates until unknowns, robust weights and variance components have converged. settled: whether the
     image's component is taken to have converged already."""
-    for _ in range(_ROUNDS):
+    for k in range(_ROUNDS):
         problem = progress.problem.reweighted(progress.at, progress.components)
-        most = _STEPS_BETWEEN if progress.steps else _MOST_STEPS
+        most = _STEPS_BETWEEN if k else _MOST_STEPS
         progress, reduced = _converge(replace(progress, problem=problem), most, _ROUGH)
         problem, at = progress.problem, progress.at
         if settled:
