@@ -59,14 +59,10 @@ class _Ties:
         return *np.divmod(names, self.frames), pair
 
     @cached_property
-    def matrix(self) -> tuple[Ints, Ints, Ints]:
-        """See `matrix_of_pairs`."""
-        return matrix_of_pairs(self.frames, *self.pairs[:2])
-
-    @cached_property
-    def dissection(self) -> Dissection:
-        """Of that matrix."""
-        return Dissection.of(*self.matrix[:2])
+    def matrix(self) -> tuple[Ints, Ints, Ints, Dissection]:
+        """See `matrix_of_pairs`; and in which order it is factorised."""
+        columns, starts, order = matrix_of_pairs(self.frames, *self.pairs[:2])
+        return columns, starts, order, Dissection.of(columns, starts)
 
 
 def start_poses(block: Block, net: OffsetNet) -> Poses:
@@ -188,7 +184,7 @@ def _agreed(
         matrix, side = _normals(ties, g_a, g_b, tie_weight, prior_weight)
         side += prior_weight * prior
         sides = np.column_stack([side.view(np.float64).ravel(), total])
-        free, along = Dissected(matrix, ties.dissection).solve(sides).T
+        free, along = Dissected(matrix, ties.matrix[-1]).solve(sides).T
         x = free - along * (total @ free) / (total @ along)
         step, place = x.view(np.complex128).reshape(-1, 2).T
         grown = 1.0 + step
@@ -213,19 +209,15 @@ def _normals(
     aa, ab, bb = (summed(np.conj(g) * h) for g, h in ((g_a, g_a), (g_a, g_b), (g_b, g_b)))
     own, side = np.zeros((ties.frames, 2, 2), complex), np.zeros((ties.frames, 2), complex)
     own[:, [0, 1], [0, 1]] = prior_weight
-    np.add.at(own, left, _two_by_two(aa, np.conj(a), a, one))
-    np.add.at(own, right, _two_by_two(bb, np.conj(b), b, one))
-    np.add.at(side, left, np.stack([ab - aa, b - a], axis=-1))
-    np.add.at(side, right, np.stack([np.conj(ab) - bb, a - b], axis=-1))
-    meet = -_two_by_two(ab, np.conj(a), b, one)
-    columns, starts, order = ties.matrix
+    np.add.at(own, left, np.array([[aa, np.conj(a)], [a, one]]).transpose(2, 0, 1))
+    np.add.at(own, right, np.array([[bb, np.conj(b)], [b, one]]).transpose(2, 0, 1))
+    np.add.at(side, left, np.array([ab - aa, b - a]).T)
+    np.add.at(side, right, np.array([np.conj(ab) - bb, a - b]).T)
+    meet = -np.array([[ab, np.conj(a)], [b, one]]).transpose(2, 0, 1)
+    columns, starts, order, _ = ties.matrix
     blocks = np.concatenate([own, meet, np.conj(np.swapaxes(meet, 1, 2))])[order]
     real = np.kron(blocks.real, np.eye(2)) + np.kron(blocks.imag, np.array([[0.0, -1.0], [1.0, 0.0]]))
     return bsr_matrix((real, columns, starts), shape=(4 * ties.frames,) * 2), side
-
-
-def _two_by_two(a: Complexes, b: Complexes, c: Complexes, d: Complexes) -> Complexes:
-    return np.stack([a, b, c, d], axis=-1).reshape(-1, 2, 2)
 
 
 def _ties(net: OffsetNet, nadir: Complexes, miss_m: Floats, part: list[int]) -> _Ties:
