@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.kernels.nested_dissection import Dissected, Dissection
+from geomosaic.adjustment.procedure.initialisation import _normals, _Ties
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import (
     cholesky,
@@ -15,6 +16,7 @@ from geomosaic.estimation.linear import (
     multiply_each,
     square_of_factor,
 )
+from geomosaic.estimation.similarity import similarity_design
 
 
 def _system(meets: np.ndarray, seed: int, b: int = 6) -> tuple[bsr_matrix, np.ndarray]:
@@ -110,3 +112,20 @@ def test_products_of_many_small_matrices() -> None:
     np.testing.assert_allclose(multiply_each(one, other), np.einsum("ijm,jkm->ikm", one, other))
     np.testing.assert_allclose(multiply_each(one, vectors), np.einsum("ijm,jm->im", one, vectors))
     np.testing.assert_allclose(cross_each(vectors, other[:, 0]).T, np.cross(vectors.T, other[:, 0].T))
+
+
+def test_the_starts_equations_are_those_of_similarities_of_single_tie_points() -> None:
+    rng = np.random.default_rng(4)
+    a, b = np.repeat([[0, 0, 1, 0], [1, 3, 2, 1]], 5, axis=1)
+    z_a, z_b, prior = (rng.normal(size=(n, 2)) @ [1, 1j] for n in (20, 20, 8))
+    weight, prior_weight = rng.uniform(0.5, 2.0, 20), np.abs(prior).reshape(4, 2)
+    design = np.zeros((2, 20, 4, 4))
+    design[:, np.arange(20), a] += similarity_design(z_a)
+    design[:, np.arange(20), b] -= similarity_design(z_b)
+    rows, weights = design.reshape(40, 16), np.tile(weight, 2)
+    y = z_b - z_a
+    matrix, side = _normals(_Ties(a, b, z_a, z_b, 1.0 / weight), z_a, z_b, weight, prior_weight)
+    wanted = (rows.T * weights) @ rows + np.diag(np.repeat(prior_weight.ravel(), 2))
+    assert matrix.toarray() == pytest.approx(wanted, abs=1e-12)
+    found = np.stack([side.real, side.imag], axis=-1).ravel()
+    assert found == pytest.approx((rows.T * weights) @ np.concatenate([y.real, y.imag]), abs=1e-12)

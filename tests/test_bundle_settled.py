@@ -12,6 +12,7 @@ from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
+from geomosaic.adjustment.solver import single_points
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import settled_points, wandering
 from geomosaic.adjustment.solver.variance_components import _ahead
@@ -52,6 +53,16 @@ def test_points_go_where_their_images_want_them_while_all_others_stand() -> None
     off = np.sqrt(np.einsum("pi,pij,pj->p", side, reduced.points_inverse, side))
     assert np.quantile(off[which], 0.99) < 0.02
     assert np.median(off[1::2]) > 1.0
+
+
+def test_points_a_few_at_a_time_are_those_of_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, at = at_truth(400, 40)
+    which = np.arange(1, problem.tracks.points, 3)
+    together = settled_points(problem, at, COMPONENTS, which, 0.01)
+    monkeypatch.setattr(single_points, "AT_ONCE", 25)
+    apart = settled_points(problem, at, COMPONENTS, which, 0.01)
+    assert np.ptp(together.points_m[which] - at.points_m[which]) > 0.0
+    assert apart.points_m == pytest.approx(together.points_m, abs=1e-9)
 
 
 def test_who_wanders_are_the_farthest_of_a_large_block_alone() -> None:

@@ -72,6 +72,11 @@ def _by_number(components: Floats) -> Floats:
     return components.transpose(-1, *range(components.ndim - 1))
 
 
+def of_each(values: Floats, number: Ints) -> Floats:
+    """Those (f, ...) of each observation's frame or camera (m,), (m, ...), each component in one piece."""
+    return _by_number(_of_frames(values, number))
+
+
 def _of_frames(values: Floats, frame: Ints) -> Floats:
     """Those (f, ...) of each observation's frame (m,), by component (..., m)."""
     return by_component(values).take(frame, axis=-1)

@@ -88,6 +88,16 @@ class Dissection:
         return cls(tuple(fronts))
 
 
+def matrix_of_pairs(f: int, left: Ints, right: Ints) -> tuple[Ints, Ints, Ints]:
+    """Columns and row starts of a matrix of f frames that has a block for each frame and, on both sides of
+    its diagonal, for each pair; and the blocks' places, frames before pairs before pairs turned over."""
+    row = np.concatenate([np.arange(f), left, right])
+    column = np.concatenate([np.arange(f), right, left])
+    order = np.lexsort((column, row))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=f))])
+    return column[order], starts, order
+
+
 def _cut(graph: csr_matrix, frames: Ints, owns: list[Ints], parts: list[list[int]]) -> list[int]:
     """Adds the fronts of some frames; the last ones of each part that hangs together."""
     last = []
@@ -181,7 +191,7 @@ class Dissected:
                 yield (here[i], here[j]), (there[i], there[j])
 
     def solve(self, side: Floats) -> Floats:
-        """Solutions (f b, r) for right sides (f b, r)."""
+        """Solutions (f b,) or (f b, r) for right sides of that shape."""
         x = side.copy()
         fronts = list(zip(self._fronts, self._own, self._below, strict=True))
         for front, factor, below in fronts:

@@ -173,10 +173,10 @@ class Reduced:
     def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
         """Corrections of poses (f, d), interiors (c, k), points (p, 3), the ground's level and the
         mounting (q,)."""
-        y = self._factors.solve(np.column_stack([self.border, self.pose_side]))
-        corner = self.shared - self.border.T @ y[:, :-1]
-        shared = solve_scaled(corner, (self.shared_side - self.border.T @ y[:, -1])[:, None])[:, 0]
-        pose = y[:, -1] - y[:, :-1] @ shared
+        alone = self._factors.solve(self.pose_side)
+        corner = self.shared - self.border.T @ self._by_border
+        shared = solve_scaled(corner, (self.shared_side - self.border.T @ alone)[:, None])[:, 0]
+        pose = alone - self._by_border @ shared
         n = self.normals
         dp = pose.reshape(len(n.pose), -1)
         dk, level, mounting = np.split(shared, [self.level, self.level + 1])

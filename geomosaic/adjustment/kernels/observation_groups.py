@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.nested_dissection import Dissection
+from geomosaic.adjustment.kernels.nested_dissection import Dissection, matrix_of_pairs
 from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
@@ -29,9 +29,10 @@ class Group:
     """Consecutive points and all n sightings of them, in order of frames: spans of all.
 
     frames (r,), runs (r + 1,): those that see any, and where each one's begin in the span. pairs (q,): the
-    pairs of frames that share any of the points, by number, rising by how many they share; shared (q + 1,):
-    where each one's begin among one and other, places in the span of sightings of a point from the left frame
-    and the right one. batches (n + 1,): where pairs begin that share equally many, a batch at a time.
+    pairs of frames that share any of the points, by number, rising by how many they share; batches (b + 1,):
+    where each batch of pairs begins. one, other: places in the span of sightings of a point from the left
+    frame and the right one, equally many for each pair of a batch: those with fewer have the place n besides.
+    shared (b + 1,): where each batch begins among one and other.
     """
 
     points: slice
@@ -87,14 +88,8 @@ class Sightings:
 
     @cached_property
     def matrix(self) -> tuple[Ints, Ints, Ints]:
-        """Columns and row starts of a matrix of frames that has a block for each frame and, on both sides of
-        its diagonal, for each pair; and the blocks' places, frames before pairs before pairs turned over."""
-        f = self.frames
-        row = np.concatenate([np.arange(f), self.left, self.right])
-        column = np.concatenate([np.arange(f), self.right, self.left])
-        order = np.lexsort((column, row))
-        starts = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=f))])
-        return column[order], starts, order
+        """See `matrix_of_pairs`."""
+        return matrix_of_pairs(self.frames, self.left, self.right)
 
     @cached_property
     def dissection(self) -> Dissection:
@@ -131,23 +126,30 @@ def _group(points: slice, span: slice, frame: Numbers, point: Numbers, frames: i
     pairs, begin, counts = np.unique(pair[order], return_index=True, return_counts=True)
     by_count = np.argsort(counts, kind="stable")
     counts = counts[by_count]
-    shared = np.append(0, np.cumsum(counts))
-    order = order[np.arange(len(pair)) + np.repeat(begin[by_count] - shared[:-1], counts)]
+    batches = _batches(counts)
+    width = np.repeat(counts[batches[1:] - 1], np.diff(batches))
+    ends = np.cumsum(width)
+    within = np.arange(len(pair)) - np.repeat(np.cumsum(counts) - counts, counts)
+    order = order[within + np.repeat(begin[by_count], counts)]
+    filled = within + np.repeat(ends - width, counts)
+    places = np.full((2, int(width.sum())), len(point), dtype=np.int32)
+    places[:, filled] = first[order], second[order]
     return Group(
         points,
         span,
         seen.astype(np.intp),
         np.append(runs, len(frame)),
         pairs[by_count],
-        shared,
-        _batches(counts),
-        first[order].astype(np.int32),
-        second[order].astype(np.int32),
+        np.append(0, ends)[batches],
+        batches,
+        *places,
     )
 
 
 def _batches(counts: Ints) -> Ints:
-    """Where batches of equal ones of rising counts begin, and the end."""
-    first = np.searchsorted(counts, counts)
-    within = (np.arange(len(counts)) - first) % np.maximum(_PAIRS_AT_ONCE // counts, 1)
-    return np.append(np.flatnonzero(within == 0), len(counts))
+    """Where batches of pairs of rising counts begin, and the end."""
+    bounds = [0]
+    while bounds[-1] < len(counts):
+        padded = counts[bounds[-1] :] * np.arange(1, len(counts) - bounds[-1] + 1)
+        bounds.append(bounds[-1] + max(int(np.searchsorted(padded, _PAIRS_AT_ONCE, side="right")), 1))
+    return np.array(bounds, dtype=np.intp)

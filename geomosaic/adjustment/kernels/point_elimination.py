@@ -17,13 +17,16 @@ Ints = NDArray[np.intp]
 
 
 def scaled_rows(levers: Levers, point_point: Floats, root: Floats, which: Ints) -> Floats:
-    """Point by pose blocks of observations (m, 3, d), multiplied with the roots of their points' inverses.
+    """Point by pose blocks of observations, multiplied with the roots of their points' inverses, and a block
+    of zeros: (m + 1, 3, d).
 
     Args: point_point (3, 3, m): what each adds to its point's block; root (p, 3, 3); which (m,): of p points.
     """
     roots = np.ascontiguousarray(np.moveaxis(root, 0, -1)).take(which, axis=-1)
     by_pose = levers.by_pose(multiply_each(roots, point_point))
-    return np.ascontiguousarray(by_pose.transpose(2, 0, 1))
+    out = np.zeros((len(which) + 1, *by_pose.shape[:2]))
+    out[:-1] = by_pose.transpose(2, 0, 1)
+    return out
 
 
 def less_of_frames(group: Group, scaled: Floats, seen: Floats, sums: tuple[Floats, Ints, Floats]) -> None:
@@ -35,7 +38,7 @@ def less_of_frames(group: Group, scaled: Floats, seen: Floats, sums: tuple[Float
     """
     blocks, own, others = sums
     rows = scaled.reshape(-1, scaled.shape[-1])
-    seen = seen.reshape(len(rows), -1)
+    seen = seen.reshape(-1, seen.shape[-1])
     runs = pairwise((3 * group.runs).tolist())
     for i, at, (here, end) in zip(group.frames.tolist(), own[group.frames].tolist(), runs, strict=True):
         mine = rows[here:end]
@@ -46,7 +49,7 @@ def less_of_frames(group: Group, scaled: Floats, seen: Floats, sums: tuple[Float
 def less_of_pairs(group: Group, scaled: Floats, blocks: Floats, across: Ints) -> None:
     """Subtracts the Schur complement's part between frames; across (k,): the pairs' places among blocks."""
     m, _, d = scaled.shape
-    rows, starts = scaled.reshape(m, -1), group.shared[group.batches].tolist()
+    rows, starts = scaled.reshape(m, -1), group.shared.tolist()
     left, right = np.empty((2, max(np.diff(starts), default=0), 3 * d))
     for (here, end), (begin, stop) in zip(pairwise(group.batches.tolist()), pairwise(starts), strict=True):
         for which, taken in ((group.one, left), (group.other, right)):  # "clip" writes without a buffer

@@ -82,13 +82,14 @@ class BlockTask:
 def block_solution(
     task: BlockTask, poses: Poses, start: BlockSolution | Start | None = None
 ) -> BlockSolution:
-    """Free points first, then with control, then bound to the ground if they lie on one.
+    """Free points first, then with control, then bound to the ground if they lie on one; only the last of
+    these solves goes on until nothing moves any more.
 
     Args: poses: to begin from. start: a solution to go on from: of the same tracks and lenses, or a solver's,
         by the same model and other tracks.
     """
     block, settings, tracks, rough = task.block, task.settings, task.tracks, task.rough
-    options = SolveOptions(rough=rough, self_calibration=settings.self_calibration)
+    last = SolveOptions(rough=rough, self_calibration=settings.self_calibration)
     again: Start | None = None
     if isinstance(start, BlockSolution):
         ties, again = start.ties, start.of_ties
@@ -100,6 +101,7 @@ def block_solution(
         if start is not None:
             again = start.of_points(_nearest_to_rays(ties, start.poses, lenses, points))
     problem = block_problem(block, settings, ties, points)
+    options = replace(last, last=not ties.points)
     free = solve(problem, poses, again, options) if ties.points else None
     held, offset = with_control(problem, block.control), np.zeros(3, dtype=bool)
     if free is not None and held is problem:
@@ -113,18 +115,26 @@ def block_solution(
     ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, ties), ties.lengths, part)
     free_points = BlockSolution(ties, held, solved, ground, relief_px, offset, steps)
     if ground.kind == "tie_surface":
-        return free_points
+        return _solved_on(free_points, last)
     off_m = off_ground_m(block, ground, _of_ties(solved, ties), part)
     near = replace(terrain_of(block, held.image), sd_share=off_m / flying_height_m(block))
     bound_problem = replace(held, terrain=near)
-    bound = solve(bound_problem, solved.poses, solved, options)
+    bound = solve(bound_problem, solved.poses, solved, last)
     steps += bound.steps
     ground = levelled(ground, _of_ties(bound, ties))
     tried = ground.kind == "flat" and settings.ground == "auto" and ties.points >= LEAST_POINTS
     if tried and not lies_flat(block, ground, _of_ties(solved, ties), _of_ties(bound, ties)):
         surface, relief_px = surface_and_relief(block, ground, _of_ties(solved, ties))
-        return replace(free_points, ground=surface, relief_px=relief_px, steps=steps)
+        return _solved_on(replace(free_points, ground=surface, relief_px=relief_px, steps=steps), last)
     return BlockSolution(ties, bound_problem, bound, ground, relief_px, offset, steps)
+
+
+def _solved_on(found: BlockSolution, options: SolveOptions) -> BlockSolution:
+    """The same, until nothing moves any more; unless it is rough."""
+    if options.rough:
+        return found
+    solved = solve(found.problem, found.solution.poses, found.solution, options)
+    return replace(found, solution=solved, steps=found.steps + solved.steps)
 
 
 def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: BlockSolution) -> BlockSolution:

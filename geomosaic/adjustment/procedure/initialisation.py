@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.kernels.nested_dissection import Dissected
+from geomosaic.adjustment.kernels.nested_dissection import Dissected, Dissection, matrix_of_pairs
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.paper.misalignment import OffsetNet
 from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, laid
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import tuned
-from geomosaic.estimation.similarity import similarity_design
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, position_assumed
@@ -46,6 +46,23 @@ class _Ties:
     z_a: Complexes
     z_b: Complexes
     sd_m: Floats
+
+    @property
+    def frames(self) -> int:
+        """How many frames the part has."""
+        return int(max(self.a.max(), self.b.max())) + 1
+
+    @cached_property
+    def pairs(self) -> tuple[Ints, Ints, Ints]:
+        """Both frames of the pairs (k,), and each tie point's pair (m,)."""
+        names, pair = np.unique(self.a * self.frames + self.b, return_inverse=True)
+        return *np.divmod(names, self.frames), pair
+
+    @cached_property
+    def matrix(self) -> tuple[Ints, Ints, Ints, Dissection]:
+        """See `matrix_of_pairs`; and in which order it is factorised."""
+        columns, starts, order = matrix_of_pairs(self.frames, *self.pairs[:2])
+        return columns, starts, order, Dissection.of(columns, starts)
 
 
 def start_poses(block: Block, net: OffsetNet) -> Poses:
@@ -140,11 +157,10 @@ def _part(ties: _Ties, shape: Complexes, priors: Beliefs, fixes: Fixes) -> tuple
     first, whole = shape, 1.0 + 0j
     for _ in range(_ROUNDS):
         off, wanted = np.log(shape / first), (priors.nadir - middle) / whole
-        prior = np.column_stack([-off.real, -off.imag, wanted.real, wanted.imag])
-        prior_weight = np.full((len(shape), 4), 1.0 / _LOCAL_SD**2)
-        prior_weight[:, 2:] = (np.maximum(weight, 1e-6) / (priors.position_sd_m / abs(whole)) ** 2)[:, None]
+        prior_weight = np.full((len(shape), 2), 1.0 / _LOCAL_SD**2)
+        prior_weight[:, 1] = np.maximum(weight, 1e-6) / (priors.position_sd_m / abs(whole)) ** 2
         before = whole * shape
-        shape, place = _agreed(ties, shape, prior.ravel(), prior_weight.ravel())
+        shape, place = _agreed(ties, shape, np.column_stack([-off, wanted]), prior_weight)
         whole, shift, of_fixes = laid(shape, place, priors, fixes)
         weight[fixes.frame[own]] = of_fixes[own]
         place = place + (shift - middle) / whole
@@ -154,33 +170,54 @@ def _part(ties: _Ties, shape: Complexes, priors: Beliefs, fixes: Fixes) -> tuple
 
 
 def _agreed(
-    ties: _Ties, shape: Complexes, prior: Floats, prior_weight: Floats
+    ties: _Ties, shape: Complexes, prior: Complexes, prior_weight: Floats
 ) -> tuple[Complexes, Complexes]:
     """Turn and scale, and place, of a part's frames with the least distances of tie points; linear, robust.
 
-    Unknowns of a frame: steps of the logarithm of its scale and of its turn, and its place. The mean
-    logarithm is fixed, so that the part does not shrink; priors (4 n,) of places keep long lines straight.
+    Unknowns of a frame, as complex numbers: the step of the logarithm of its scale and turn, and its place.
+    The mean logarithm is fixed, so that the part does not shrink; priors (n, 2) of places keep long lines
+    straight.
     """
-    n, m = len(shape), len(ties.a)
     g_a, g_b = shape[ties.a] * ties.z_a, shape[ties.b] * ties.z_b
-    values = np.concatenate([similarity_design(g_a), -similarity_design(g_b)], axis=2)
-    columns = np.concatenate([4 * k[:, None] + np.arange(4) for k in (ties.a, ties.b)], axis=1)
-    starts = np.arange(0, values.size + 1, 8)
-    design = csr_matrix((values.ravel(), np.tile(columns.ravel(), 2), starts), shape=(2 * m, 4 * n)).tocsc()
-    design.eliminate_zeros()
-    side, total = np.concatenate([(g_b - g_a).real, (g_b - g_a).imag]), np.tile([1.0, 0.0, 0.0, 0.0], n)
-    tie_weight, x = 1.0 / ties.sd_m**2, np.zeros(4 * n)
+    tie_weight, total = 1.0 / ties.sd_m**2, np.tile([1.0, 0.0, 0.0, 0.0], len(shape))
     for _ in range(3):
-        weight = np.tile(tie_weight, 2)
-        normal = design.T @ design.multiply(weight[:, None]).tocsc() + diags(prior_weight)
-        sides = np.column_stack([design.T @ (weight * side) + prior_weight * prior, total])
-        free, along = Dissected(normal.tobsr(blocksize=(4, 4))).solve(sides).T
+        matrix, side = _normals(ties, g_a, g_b, tie_weight, prior_weight)
+        side += prior_weight * prior
+        sides = np.column_stack([side.view(np.float64).ravel(), total])
+        free, along = Dissected(matrix, ties.matrix[-1]).solve(sides).T
         x = free - along * (total @ free) / (total @ along)
-        length = np.hypot(*(design @ x - side).reshape(2, m))
+        step, place = x.view(np.complex128).reshape(-1, 2).T
+        grown = 1.0 + step
+        length = np.abs(g_a * grown[ties.a] + place[ties.a] - g_b * grown[ties.b] - place[ties.b])
         limit = _CAUCHY * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
         tie_weight = 1.0 / ties.sd_m**2 / (1.0 + (length / limit) ** 2)
-    scale, turn, east, north = x.reshape(n, 4).T
-    return shape * np.exp(np.clip(scale, -0.5, 0.5) + 1j * turn), east + 1j * north
+    return shape * np.exp(np.clip(step.real, -0.5, 0.5) + 1j * step.imag), place
+
+
+def _normals(
+    ties: _Ties, g_a: Complexes, g_b: Complexes, weight: Floats, prior_weight: Floats
+) -> tuple[bsr_matrix, Complexes]:
+    """Normal equations of `_agreed` in real numbers, 4 a frame, and their right-hand side (n, 2) without that
+    of the priors. g_a, g_b, weight (m,): of tie points from either nadir point."""
+    left, right, pair = ties.pairs
+
+    def summed(values: Complexes) -> Complexes:
+        real, imaginary = (np.bincount(pair, weight * part) for part in (values.real, values.imag))
+        return real + 1j * imaginary
+
+    one, a, b = (summed(g) for g in (np.ones_like(g_a), g_a, g_b))
+    aa, ab, bb = (summed(np.conj(g) * h) for g, h in ((g_a, g_a), (g_a, g_b), (g_b, g_b)))
+    own, side = np.zeros((ties.frames, 2, 2), complex), np.zeros((ties.frames, 2), complex)
+    own[:, [0, 1], [0, 1]] = prior_weight
+    np.add.at(own, left, np.array([[aa, np.conj(a)], [a, one]]).transpose(2, 0, 1))
+    np.add.at(own, right, np.array([[bb, np.conj(b)], [b, one]]).transpose(2, 0, 1))
+    np.add.at(side, left, np.array([ab - aa, b - a]).T)
+    np.add.at(side, right, np.array([np.conj(ab) - bb, a - b]).T)
+    meet = -np.array([[ab, np.conj(a)], [b, one]]).transpose(2, 0, 1)
+    columns, starts, order, _ = ties.matrix
+    blocks = np.concatenate([own, meet, np.conj(np.swapaxes(meet, 1, 2))])[order]
+    real = np.kron(blocks.real, np.eye(2)) + np.kron(blocks.imag, np.array([[0.0, -1.0], [1.0, 0.0]]))
+    return bsr_matrix((real, columns, starts), shape=(4 * ties.frames,) * 2), side
 
 
 def _ties(net: OffsetNet, nadir: Complexes, miss_m: Floats, part: list[int]) -> _Ties:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.kernels.normal_equations import Reduced
+from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import BEHIND
@@ -47,27 +48,39 @@ def settled_points(
     """
     if not len(which):
         return at
-    own = _Own(problem, at, components, which)
-    points = at.points_m.copy()
-    here, share = points[which], np.ones(len(which))
+    points_m, wanted = at.points_m.copy(), np.zeros(len(at.points_m), dtype=bool)
+    wanted[which] = True
+    seen = np.flatnonzero(wanted[problem.tracks.point])
+    ends = np.append(0, np.searchsorted(problem.tracks.point[seen], which, side="right"))
+    cuts = np.unique(np.searchsorted(ends, np.arange(AT_ONCE, len(seen), AT_ONCE)))
+    cuts = cuts[cuts < len(which)]
+    for some, its in zip(np.split(which, cuts), np.split(seen, ends[cuts]), strict=True):
+        points_m[some] = _settled(_Own(problem, at, components, some, its), points_m[some], stand)
+    return replace(at, points_m=points_m)
+
+
+def _settled(own: _Own, begun_m: Floats, stand: float) -> Floats:
+    """Where some points (n, 3) come to."""
+    points = here = begun_m
+    place, share = np.arange(len(here)), np.ones(len(here))
     cost, side, bend = own.at(here)
     for _ in range(_ROUNDS):
         step, gain = _newton_step(side, bend)
         going = gain > stand**2
-        points[own.which[~going]] = here[~going]
+        points[place[~going]] = here[~going]
         own = own.of(going)
+        place = place[going]
         here, share, cost, side, bend = (a[going] for a in (here, share, cost, side, bend))
         if not len(here):
-            return replace(at, points_m=points)
+            break
         there = here + share[:, None] * step[going]
         its_cost, its_side, its_bend = own.at(there)
         good = its_cost < cost
-        trials = ((here, there), (cost, its_cost), (side, its_side), (bend, its_bend))
-        for kept, trial in trials:
+        for kept, trial in ((here, there), (cost, its_cost), (side, its_side), (bend, its_bend)):
             kept[good] = trial[good]
         share = np.where(good, 1.0, _LESS * share)
-    points[own.which] = here
-    return replace(at, points_m=points)
+    points[place] = here
+    return points
 
 
 def _newton_step(side: Floats, bend: Floats) -> tuple[Floats, Floats]:
@@ -87,28 +100,30 @@ def _newton_step(side: Floats, bend: Floats) -> tuple[Floats, Floats]:
 
 
 class _Own:
-    """Some points' own share of the cost; which (n,): the points, by number."""
+    """Some points' own share of the cost; which (n,): the points, by number, rising; seen (m,): all
+    observations of them."""
 
-    def __init__(self, problem: BlockProblem, at: Estimate, components: Components, which: Ints) -> None:
-        number = np.full(len(at.points_m), -1, dtype=np.intp)
-        number[which] = np.arange(len(which))
-        self.which, self._problem, self._at, self._components = which, problem, at, components
-        whole = np.flatnonzero(number[problem.tracks.point] >= 0)
-        self._image = problem.image.of(whole)
-        self._of = number[self._image.tracks.point]
+    def __init__(
+        self, problem: BlockProblem, at: Estimate, components: Components, which: Ints, seen: Ints
+    ) -> None:
+        self._which, self._problem, self._at, self._components = which, problem, at, components
+        self._all, self._image = seen, problem.image.of(seen)
+        self._of = np.searchsorted(which, self._image.tracks.point)
         self._seen = self._image.projections(at)
-        self._shown, self._used = problem.image.shown[whole], self._image.used
+        self._shown, self._used = problem.image.shown[seen], self._image.used
         self._sd_px = self._image.sd_px(components)
-        self._given_m = problem.points.given_m[which]
-        self._weight = 1.0 / problem.points.present_sd_m(components)[which] ** 2
+        points = problem.points.of(which)
+        self._given_m, self._weight = points.given_m, 1.0 / points.present_sd_m(components) ** 2
         self._terrain = problem.terrain
         if self._terrain is not None:
             self._ground_sd_m, self._bound = self._terrain.sd_m(at), self._terrain.bound[which]
 
     def of(self, kept: Bools) -> _Own:
         """Of some of these points."""
-        same = kept.all()
-        return self if same else _Own(self._problem, self._at, self._components, self.which[kept])
+        if kept.all():
+            return self
+        seen = self._all[kept[self._of]]
+        return _Own(self._problem, self._at, self._components, self._which[kept], seen)
 
     def at(self, points_m: Floats) -> tuple[Floats, Floats, Floats]:
         """Cost (n,); half of its slopes down (n, 3) and curvatures (n, 3, 3), the ground's as expected."""
@@ -125,7 +140,7 @@ class _Own:
         bend -= (weight * student_bend(standard) * along)[:, None] * along
         each = self._used * self._shown * student_cost(standard)
         rows = (each, *np.einsum("aim,am->im", weighted, residual), *bend.reshape(9, -1))
-        sums: Floats = np.stack([np.bincount(self._of, row, len(self.which)) for row in rows], axis=1)
+        sums: Floats = np.stack([np.bincount(self._of, row, len(self._which)) for row in rows], axis=1)
         off_m = self._given_m - points_m
         cost = sums[:, 0] + (self._weight * off_m**2).sum(axis=1)
         sides: Floats = sums[:, 1:4] + self._weight * off_m

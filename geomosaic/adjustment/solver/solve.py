@@ -17,7 +17,14 @@ from geomosaic.adjustment.solver.determinability import undetermined, with_unrep
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.solver.stated_accuracy import deviations, stated_accuracy
-from geomosaic.adjustment.solver.steps import Progress, first_steps, settle, with_components, with_held
+from geomosaic.adjustment.solver.steps import (
+    Progress,
+    converged,
+    first_steps,
+    settle,
+    with_components,
+    with_held,
+)
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
@@ -35,11 +42,13 @@ _MOST_LEFT_OUT = tuned(0.5, "share of the frames", "more are left out: what is l
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """How to solve. rough: to compare models by, in half the time. self_calibration: whether what frames
+    """How to solve. rough: to compare models by, in half the time. last: whether no other solve goes on from
+    this one; else it ends once variance components have converged. self_calibration: whether what frames
     share is solved for, or held. same_model: whether the start is of this model of lens and
     shutter, or only where to begin."""
 
     rough: bool = False
+    last: bool = True
     self_calibration: bool = True
     same_model: bool = True
 
@@ -95,9 +104,7 @@ def _solved(
     progress = Progress(problem, at, components)
     while True:
         progress = with_held(replace(progress, problem=replace(progress.problem, held=held)))
-        before = progress.steps
-        progress = settle(replace(progress, steps=()), rough=True, settled=settled)
-        progress = replace(progress, steps=before + progress.steps)
+        progress = settle(progress, rough=True, settled=settled)
         problem, at = progress.problem, progress.at
         implausible = implausible | implausible_principal_points(at, problem.cameras)
         more = implausible | undetermined(problem, at, progress.components)
@@ -107,9 +114,9 @@ def _solved(
         held, may_free = more, False
     scores = np.zeros(len(problem.cameras))
     if not options.rough:
-        before = progress.steps
-        progress = settle(replace(progress, steps=()), rough=False, settled=True)
-        progress = replace(progress, steps=before + progress.steps)
+        progress = settle(progress, rough=False, settled=True)
+    if options.last and not options.rough:
+        progress = converged(progress)
         problem, scores = with_unreported_readouts(progress.problem, progress.at, progress.components)
         at = replace(progress.at, layout=problem.layout)
         progress = replace(progress, problem=problem, at=at)

@@ -96,9 +96,9 @@ def with_held(progress: Progress) -> Progress:
 def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
     """Iterates until unknowns, robust weights and variance components have converged. settled: whether the
     image's component is taken to have converged already."""
-    for _ in range(_ROUNDS):
+    for k in range(_ROUNDS):
         problem = progress.problem.reweighted(progress.at, progress.components)
-        most = _STEPS_BETWEEN if progress.steps else _MOST_STEPS
+        most = _STEPS_BETWEEN if k else _MOST_STEPS
         progress, reduced = _converge(replace(progress, problem=problem), most, _ROUGH)
         problem, at = progress.problem, progress.at
         if settled:
@@ -112,9 +112,12 @@ def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
         if settled and max(found.image_change, found.other_change) < (_ROUGHLY if rough else _STANDS):
             break
         settled = found.image_change < 0.1
-    if not rough:
-        progress, _ = _converge(progress, _MOST_STEPS, _FINE)
     return progress
+
+
+def converged(progress: Progress) -> Progress:
+    """Iterates with these robust weights and variance components until nothing moves any more."""
+    return _converge(progress, _MOST_STEPS, _FINE)[0]
 
 
 def first_steps(progress: Progress) -> Progress:

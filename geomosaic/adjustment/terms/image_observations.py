@@ -14,6 +14,7 @@ from geomosaic.adjustment.kernels.collinearity import (
     Rows,
     image_from_ground,
     kinds_of,
+    of_each,
     project_by_levers,
     readout_of,
 )
@@ -169,11 +170,12 @@ class ImageObservations:
         """The points in the frames that see them; rolling shutters at rows_px (m,), or the measured rows."""
         frame = self.tracks.frame
         camera = self.camera_of[frame]
-        interior, kinds = at.interior[camera], kinds_of(self.cameras)
+        interior, kinds = of_each(at.interior, camera), kinds_of(self.cameras)
         kind = None if kinds is None else kinds[camera]
         points_m = at.points_m[self.tracks.point]
         if not self._reads_rows(at):
-            return Projections(at.positions_m[frame], at.rotations[frame], interior, points_m, None, kind)
+            rotations = of_each(at.rotations, frame)
+            return Projections(at.positions_m[frame], rotations, interior, points_m, None, kind)
         measured = self.tracks.image_px[:, 1] if rows_px is None else rows_px
         rows = Rows(frame, measured, self._heights_px[camera], interior[:, READOUT])
         motion = (at.swing_rad, at.drift) if at.swing_rad.shape[1] else (None, None)

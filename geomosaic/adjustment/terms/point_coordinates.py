@@ -21,6 +21,7 @@ from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import Components, Term
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
 
@@ -43,6 +44,11 @@ class PointCoordinates(Term):
 
     def component_names(self) -> tuple[str, ...]:
         return CONTROL_PLAN, CONTROL_HEIGHT
+
+    def of(self, which: Ints) -> Self:
+        """Those of some points."""
+        arrays = {name: getattr(self, name)[which] for name in ("given_m", "sd_m", "control", "weight")}
+        return replace(self, **arrays)
 
     def present_sd_m(self, components: Components) -> Floats:
         """Deviations with variance component and robust weight, (p, 3)."""
