@@ -13,9 +13,10 @@ from geomosaic.adjustment.kernels.collinearity import (
     project,
     readout_of,
 )
-from geomosaic.adjustment.kernels.normal_equations import Normals, build_normals, reduce_normals
+from geomosaic.adjustment.kernels.normal_equations import Normals, build_normals
 from geomosaic.adjustment.kernels.observation_groups import Sightings
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
+from geomosaic.adjustment.kernels.reduced_equations import reduce_normals
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.errors import NotSolvableError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adjustment_blocks import estimate_of, fly, hills
 
-from geomosaic.adjustment.kernels.normal_equations import reduce_normals
+from geomosaic.adjustment.kernels.reduced_equations import reduce_normals
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import Tracks, join_tracks

@@ -10,7 +10,8 @@ import pytest
 from adjustment_blocks import camera_unknowns, estimate_of, fly, frame_terms, hills
 
 from geomosaic.adjustment.kernels.interior import INTERIOR
-from geomosaic.adjustment.kernels.normal_equations import Normals, Reduced, reduce_normals
+from geomosaic.adjustment.kernels.normal_equations import Normals
+from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.problem.layout import UnknownLayout

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import READOUT
-from geomosaic.adjustment.kernels.normal_equations import reduce_normals
+from geomosaic.adjustment.kernels.reduced_equations import reduce_normals
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import IMAGE

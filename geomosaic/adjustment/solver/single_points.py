@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.collinearity import project_by_levers
-from geomosaic.adjustment.kernels.normal_equations import Reduced
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
+from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import BEHIND

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.normal_equations import Reduced, reduce_normals
+from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.solver.clearance import too_near

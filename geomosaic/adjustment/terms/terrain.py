@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.normal_equations import Normals, Reduced
+from geomosaic.adjustment.kernels.normal_equations import Normals
+from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.problem.layout import Unknowns
 from geomosaic.adjustment.terms.term import Components, Term

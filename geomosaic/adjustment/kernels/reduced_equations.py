@@ -1,0 +1,199 @@
+"""Normal equations reduced to poses and what frames share (Schur complement), solved and inverted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.sparse import bsr_matrix
+
+from geomosaic.adjustment.kernels.nested_dissection import Dissected
+from geomosaic.adjustment.kernels.normal_equations import SQUARE, Normals
+from geomosaic.adjustment.kernels.point_elimination import (
+    less_of_frames,
+    less_of_pairs,
+    scaled_rows,
+    summed_by,
+)
+from geomosaic.constants import tuned
+from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scaled
+
+Floats = NDArray[np.float64]
+_LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at a camera has no inverse")
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The reduced system: poses (sparse), bordered by what frames share (dense), in this order: the numbers
+    of each camera (c of k), the ground's level (1), the mounting (q); s = c k + 1 + q in all."""
+
+    poses: bsr_matrix
+    border: Floats
+    """(d f, s)"""
+    shared: Floats
+    """(s, s)"""
+    pose_side: Floats
+    shared_side: Floats
+    points_inverse: Floats
+    normals: Normals
+
+    @property
+    def level(self) -> int:
+        """Where the ground's level is among what frames share."""
+        return self.normals.interior_side.size
+
+    @cached_property
+    def _factors(self) -> Dissected:
+        return Dissected(self.poses, self.normals.sightings.dissection)
+
+    def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
+        """Corrections of poses (f, d), interiors (c, k), points (p, 3), the ground's level and the
+        mounting (q,)."""
+        alone = self._factors.solve(self.pose_side)
+        corner = self.shared - self.border.T @ self._by_border
+        shared = solve_scaled(corner, (self.shared_side - self.border.T @ alone)[:, None])[:, 0]
+        pose = alone - self._by_border @ shared
+        n = self.normals
+        dp = pose.reshape(len(n.pose), -1)
+        dk, level, mounting = np.split(shared, [self.level, self.level + 1])
+        points = self.points_moved(dp, shared, n.point_side)
+        return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
+
+    def points_moved(self, pose: Floats, shared: Floats, side: Floats) -> Floats:
+        """Corrections of points (p, 3) with their right-hand side, for those of poses (f, d) and of what
+        frames share (s,)."""
+        n = self.normals
+        interior = shared[: self.level].reshape(n.interior_side.shape)
+        side = side - np.einsum("cpij,ci->pj", n.interior_point, interior)
+        for group in n.sightings.groups:
+            step = pose.T.take(n.sightings.frame[group.span], axis=-1)
+            moved_m = n.levers.of(group.span).as_points_m(step)
+            by_pose = multiply_each(n.point_point[SQUARE, group.span], moved_m)
+            which = n.sightings.point[group.span] - group.points.start
+            side[group.points] -= summed_by(by_pose, which, group.size)
+        side -= shared[self.level] * n.level_point
+        return np.asarray(np.einsum("pij,pj->pi", self.points_inverse, side))
+
+    def with_sides(self, pose_side: Floats, shared_side: Floats) -> Reduced:
+        """The same equations with other right-hand sides."""
+        return self._factors_for(replace(self, pose_side=pose_side, shared_side=shared_side))
+
+    def _factors_for(self, other: Reduced) -> Reduced:
+        """Equations with the same poses, which need no other factors of these."""
+        kept = [name for name in ("_factors", "_by_border") if name in self.__dict__]
+        other.__dict__.update({name: self.__dict__[name] for name in kept})
+        return other
+
+    def covariance(self) -> tuple[Floats, Floats]:
+        """Covariances for unit weight, with all correlations: each frame's own (f, d, d), and the full matrix
+        of what frames share (s, s)."""
+        shared = self.shared_covariance()
+        by_shared = self._by_border.reshape(len(self.normals.pose), -1, len(shared))
+        return self._factors.inverse_blocks() + by_shared @ shared @ np.swapaxes(by_shared, 1, 2), shared
+
+    def shared_covariance(self) -> Floats:
+        """The second part of `covariance` alone."""
+        return solve_scaled(self.shared - self.border.T @ self._by_border, np.eye(len(self.shared)))
+
+    @cached_property
+    def _by_border(self) -> Floats:
+        return self._factors.solve(self.border)
+
+    def considering(self, variance: Floats) -> Reduced:
+        """The system whose covariances hold what is not known of shared unknowns that were not solved for.
+
+        Their estimate is no better than it was before, whatever the images say, and the others are as
+        wrong as that makes them (Schmidt's consider filter): the information left for them once all others
+        are eliminated is their prior's alone.
+
+        Args: variance (s,) for unit weight; 0 for those that were solved for.
+        """
+        held, free = np.flatnonzero(variance > 0.0), np.flatnonzero(variance == 0.0)
+        through_poses = self.border.T @ self._by_border
+        corner = self.shared - through_poses
+        meet = corner[np.ix_(free, held)]
+        through_shared = meet.T @ solve_scaled(corner[np.ix_(free, free)], meet)
+        shared = self.shared.copy()
+        own = through_poses[np.ix_(held, held)] + through_shared
+        shared[np.ix_(held, held)] = own + np.diag(1.0 / variance[held])
+        return self._factors_for(replace(self, shared=shared))
+
+    def responses(self, pull: Floats) -> Floats:
+        """By how much frames move, (f, d, r), for r pulls on them, (f, d, r), if all others follow."""
+        f, d, r = pull.shape
+        y = self._factors.solve(pull.reshape(f * d, r))
+        y += self._by_border @ (self.shared_covariance() @ (self.border.T @ y))
+        return y.reshape(f, d, r)
+
+    def moved(self, by_pose: Floats, by_shared: Floats) -> tuple[Floats, Floats]:
+        """The columns (f, d, r) and (s, r) of the inverse, times derivatives by_pose (f, 6, r) and by_shared
+        (s, r) of r quantities that depend on poses and shared unknowns."""
+        (f, d), r = self.normals.pose_side.shape, by_shared.shape[1]
+        by_pose = np.pad(by_pose, ((0, 0), (0, d - by_pose.shape[1]), (0, 0))).reshape(d * f, r)
+        alone = self._factors.solve(by_pose)
+        corner = self.shared - self.border.T @ self._by_border
+        shared = solve_scaled(corner, by_shared - self._by_border.T @ by_pose)
+        return (alone - self._by_border @ shared).reshape(f, d, r), shared
+
+    def propagate(self, by_pose: Floats, by_shared: Floats) -> Floats:
+        """Covariance (r, r) for unit weight of such quantities."""
+        pose, shared = self.moved(by_pose, by_shared)
+        by_pose = by_pose.reshape(-1, by_shared.shape[1])
+        pose = pose[:, : len(by_pose) // len(pose)].reshape(by_pose.shape)
+        return np.asarray(by_pose.T @ pose + by_shared.T @ shared)
+
+
+def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
+    """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
+    to the diagonal.
+
+    With V = L L' of a point and W its rows in the columns of the poses, W' V^-1 W is the square of L^-1 W:
+    what it takes away leaves no direction of the poses negative.
+    """
+    (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
+    s, interior, less_beside = n.sightings, _damped(n.interior, damping), np.zeros((f, d, c * k + 2))
+    less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))
+    columns, starts, order = s.matrix
+    blocks, place = np.zeros((len(order), d, d)), np.argsort(order)
+    own, across, turned_over = np.split(place, [f, f + len(s.left)])
+    blocks[own] = _damped(n.pose, damping)
+    for group in s.groups:
+        root = inverse_roots(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
+        points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
+        by_camera = n.interior_point[:, group.points].transpose(1, 3, 0, 2).reshape(group.size, 3, -1)
+        others = n.level_point[group.points, :, None], n.point_side[group.points, :, None]
+        beside = root @ np.concatenate([by_camera, *others], axis=2)
+        flat = beside.reshape(3 * len(beside), -1)
+        less_shared += flat.T @ flat
+        which = s.point[group.span] - group.points.start
+        seen = n.levers.of(group.span), n.point_point[SQUARE, group.span]
+        scaled = scaled_rows(*seen, root, which)
+        less_of_frames(group, scaled, beside.take(which, axis=0), (blocks, own, less_beside))
+        less_of_pairs(group, scaled, blocks, across)
+    blocks[turned_over] = np.swapaxes(blocks[across], 1, 2)
+    less_beside = less_beside.reshape(d * f, -1)
+    border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
+    for i in range(c):
+        rows = np.flatnonzero(n.camera_of == i)
+        index = (d * rows[:, None] + np.arange(d)).ravel()
+        border[index, k * i : k * i + k] += n.pose_interior[rows].reshape(-1, k)
+    corner = block_diag(*interior, n.level, _damped(n.mounting, damping))
+    corner[: c * k + 1, : c * k + 1] -= less_shared[:-1, :-1]
+    shared_side = np.concatenate([n.interior_side.ravel(), [n.level_side], n.mounting_side])
+    shared_side[: c * k + 1] -= less_shared[:-1, -1]
+    return Reduced(
+        poses=bsr_matrix((blocks, columns, starts), shape=(d * f, d * f)),
+        border=border,
+        shared=corner,
+        pose_side=n.pose_side.ravel() - less_beside[:, -1],
+        shared_side=shared_side,
+        points_inverse=points_inverse,
+        normals=n,
+    )
+
+
+def _damped(blocks: Floats, damping: float) -> Floats:
+    return blocks * (1.0 + damping * np.eye(blocks.shape[-1]))
