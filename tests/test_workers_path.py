@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from geomosaic.pipeline import executor
 
 SCRIPT = """
@@ -32,3 +34,15 @@ def test_workers_take_no_module_from_the_current_folder(tmp_path: Path) -> None:
     )
     assert (done.stdout.strip(), done.returncode) == ("7", 0), done.stderr
     assert not (folder / "taken").exists()
+
+
+def test_the_environment_stays_as_it_is_while_workers_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """C libraries read it in threads of their own: who writes it meanwhile may end the program (setenv(3))."""
+    written: list[str] = []
+    monkeypatch.setattr(os, "putenv", lambda name, _: written.append(os.fsdecode(name)))
+    monkeypatch.setattr(os, "unsetenv", lambda name: written.append(os.fsdecode(name)))
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    written.clear()
+    with executor.Workers(2) as workers:
+        assert workers.result(workers.submit(os.getenv, "OMP_NUM_THREADS")) == "1"
+    assert not written

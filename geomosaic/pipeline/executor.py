@@ -8,15 +8,17 @@ from __future__ import annotations
 import importlib
 import logging
 import multiprocessing
+import multiprocessing.util
 import os
 import pickle
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -194,20 +196,38 @@ class _Processes(SpawnContext):
         return process
 
 
+def _workers_environment() -> dict[str, str]:
+    """This process's environment with `_WORKERS_ENVIRONMENT`."""
+    return {**os.environ, **dict.fromkeys(_WORKERS_ENVIRONMENT, "1")}
+
+
+def _started(path: bytes, args: Sequence[Any], passfds: Sequence[int]) -> int:
+    """Starts a program as `multiprocessing.util.spawnv_passfds` does, with the workers' environment."""
+    process = subprocess.Popen(  # noqa: S603 - this interpreter
+        [*args],
+        executable=path,
+        env=_workers_environment(),
+        pass_fds=tuple(map(int, passfds)),
+        restore_signals=False,
+    )
+    process.returncode = 0  # multiprocessing waits for it, not this object
+    return process.pid
+
+
 @contextmanager
 def _safe_and_single() -> Iterator[None]:
     """A process started in here has one thread, whatever it imports before its first task, and imports
-    nothing from the current folder, where strangers' files may lie."""
-    before = {name: os.environ.get(name) for name in _WORKERS_ENVIRONMENT}
-    os.environ.update(dict.fromkeys(_WORKERS_ENVIRONMENT, "1"))
+    nothing from the current folder, where strangers' files may lie.
+
+    It is handed its environment. This process's own stays as it is: C libraries read it in other threads at
+    any time, and a variable that is set or deleted meanwhile ends the process (getenv(3), setenv(3)).
+    """
+    before = multiprocessing.util.spawnv_passfds
+    multiprocessing.util.spawnv_passfds = _started
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        multiprocessing.util.spawnv_passfds = before
 
 
 @contextmanager
@@ -239,7 +259,7 @@ class Workers:
         self._deserted_s: float | None = None
         self._processes = _Processes()
         self._pool: Executor | None = None
-        self._submitting = threading.Lock()  # it changes the environment for a moment
+        self._submitting = threading.Lock()  # it changes how processes start for a moment
 
     @property
     def elsewhere(self) -> bool:
@@ -254,7 +274,7 @@ class Workers:
                 self._pool = _Here()
             else:
                 self._pool = ProcessPoolExecutor(
-                    self.workers, self._processes, _start_worker, (dict(os.environ),)
+                    self.workers, self._processes, _start_worker, (_workers_environment(),)
                 )
         return self._pool
 
