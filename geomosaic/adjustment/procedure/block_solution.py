@@ -31,7 +31,7 @@ from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.adjustment.solver.clearance import clearances_m, too_near
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution, Start
-from geomosaic.adjustment.solver.solve import SolveOptions, solve
+from geomosaic.adjustment.solver.solve import SolveOptions, last_steps, solve
 from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
@@ -115,7 +115,7 @@ def block_solution(
     ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, ties), ties.lengths, part)
     free_points = BlockSolution(ties, held, solved, ground, relief_px, offset, steps)
     if ground.kind == "tie_surface":
-        return _solved_on(free_points, last)
+        return free_points if rough else _at_last(free_points)
     off_m = off_ground_m(block, ground, _of_ties(solved, ties), part)
     near = replace(terrain_of(block, held.image), sd_share=off_m / flying_height_m(block))
     bound_problem = replace(held, terrain=near)
@@ -125,15 +125,14 @@ def block_solution(
     tried = ground.kind == "flat" and settings.ground == "auto" and ties.points >= LEAST_POINTS
     if tried and not lies_flat(block, ground, _of_ties(solved, ties), _of_ties(bound, ties)):
         surface, relief_px = surface_and_relief(block, ground, _of_ties(solved, ties))
-        return _solved_on(replace(free_points, ground=surface, relief_px=relief_px, steps=steps), last)
+        free_points = replace(free_points, ground=surface, relief_px=relief_px, steps=steps)
+        return free_points if rough else _at_last(free_points)
     return BlockSolution(ties, bound_problem, bound, ground, relief_px, offset, steps)
 
 
-def _solved_on(found: BlockSolution, options: SolveOptions) -> BlockSolution:
-    """The same, until nothing moves any more; unless it is rough."""
-    if options.rough:
-        return found
-    solved = solve(found.problem, found.solution.poses, found.solution, options)
+def _at_last(found: BlockSolution) -> BlockSolution:
+    """The same once nothing moves any more."""
+    solved = last_steps(found.problem, found.solution)
     return replace(found, solution=solved, steps=found.steps + solved.steps)
 
 

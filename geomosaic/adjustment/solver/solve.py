@@ -112,15 +112,32 @@ def _solved(
         if np.array_equal(more, held):
             break
         held, may_free = more, False
-    scores = np.zeros(len(problem.cameras))
     if not options.rough:
         progress = settle(progress, rough=False, settled=True)
-    if options.last and not options.rough:
-        progress = converged(progress)
-        problem, scores = with_unreported_readouts(progress.problem, progress.at, progress.components)
-        at = replace(progress.at, layout=problem.layout)
-        progress = replace(progress, problem=problem, at=at)
-    return replace(_finished(progress), implausible=implausible, held=held, readout_score=scores)
+    last = options.last and not options.rough
+    return replace(_at_last(progress) if last else _finished(progress), implausible=implausible, held=held)
+
+
+def _at_last(progress: Progress) -> Solution:
+    """The solution once nothing moves any more."""
+    progress = converged(progress)
+    problem, scores = with_unreported_readouts(progress.problem, progress.at, progress.components)
+    at = replace(progress.at, layout=problem.layout)
+    return replace(_finished(replace(progress, problem=problem, at=at)), readout_score=scores)
+
+
+def last_steps(problem: BlockProblem, begun: Solution) -> Solution:
+    """The solution of a solve that was not to be the `last` one, once nothing moves any more.
+
+    Raises: NotSolvableError where the equations have no solution.
+    """
+    at, components = begun.estimate, begun.components
+    problem = replace(problem.without(begun.left_out, at), held=begun.held)
+    problem = replace(problem, clearance_m=clearances_m(problem.tracks, at.positions_m, at.points_m))
+    if begun.local is not None:
+        problem = replace(problem, image=replace(problem.image, local=begun.local))
+    solved = _at_last(Progress(problem.reweighted(at, components), at, components))
+    return replace(solved, implausible=begun.implausible, held=begun.held)
 
 
 def few_steps(problem: BlockProblem, start: Start) -> Start:
