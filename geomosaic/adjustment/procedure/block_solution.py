@@ -132,7 +132,7 @@ def block_solution(
 
 def _at_last(found: BlockSolution) -> BlockSolution:
     """The same once nothing moves any more."""
-    solved = last_steps(found.problem, found.solution)
+    solved = last_steps(found.solution)
     return replace(found, solution=solved, steps=found.steps + solved.steps)
 
 

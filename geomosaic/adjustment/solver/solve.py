@@ -126,17 +126,12 @@ def _at_last(progress: Progress) -> Solution:
     return replace(_finished(replace(progress, problem=problem, at=at)), readout_score=scores)
 
 
-def last_steps(problem: BlockProblem, begun: Solution) -> Solution:
+def last_steps(begun: Solution) -> Solution:
     """The solution of a solve that was not to be the `last` one, once nothing moves any more.
 
     Raises: NotSolvableError where the equations have no solution.
     """
-    at, components = begun.estimate, begun.components
-    problem = replace(problem.without(begun.left_out, at), held=begun.held)
-    problem = replace(problem, clearance_m=clearances_m(problem.tracks, at.positions_m, at.points_m))
-    if begun.local is not None:
-        problem = replace(problem, image=replace(problem.image, local=begun.local))
-    solved = _at_last(Progress(problem.reweighted(at, components), at, components))
+    solved = _at_last(Progress(begun.problem, begun.estimate, begun.components))
     return replace(solved, implausible=begun.implausible, held=begun.held)
 
 
