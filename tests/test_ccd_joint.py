@@ -130,9 +130,7 @@ def test_clouds_are_no_ground(seed, wind_m_per_s, wind_deg, height_m):
 
 
 def test_stated_deviations_hold_where_lines_are_bridged():
-    parts = [
-        pooled(replace(PLAN, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)
-    ]
+    parts = [pooled(replace(PLAN, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)]
     off, sd, label = (np.concatenate(part) for part in zip(*parts, strict=True))
     assert 0.82 < honest(off, sd) < 0.98
     bridged = label == BRIDGED
