@@ -27,7 +27,7 @@ QUICK = ("--adjust", "least_squares")
 @pytest.fixture(scope="session")
 def line(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     """One line of four frames with pos.csv, cameras.json and tags."""
-    return small_survey(tmp_path_factory.mktemp("line"), lines=1, seed=11)
+    return small_survey(tmp_path_factory.mktemp("line"), lines=1, width_px=320, height_px=240, seed=11)
 
 
 @pytest.fixture(scope="session")
@@ -162,7 +162,7 @@ def assert_lens_assumed(run: Path) -> None:
 def test_no_focal_length(survey: Survey) -> None:
     for frame in survey.frames.iterdir():
         cv2.imwrite(str(frame), cv2.imread(str(frame)))
-    assert mosaic(survey.frames, survey.run, "--pos", survey.pos) == 0
+    assert mosaic(survey.frames, survey.run, "--pos", survey.pos, *QUICK) == 0
     assert_lens_assumed(survey.run)
 
 
@@ -422,7 +422,7 @@ def test_frames_of_water(survey: Survey) -> None:
     """Nothing to see: every frame where its position says, each named."""
     rng = np.random.default_rng(5)
     for frame in survey.frames.iterdir():
-        sea = np.array([90.0, 70.0, 40.0]) + rng.normal(0.0, 1.0, (360, 480, 1))
+        sea = np.array([90.0, 70.0, 40.0]) + rng.normal(0.0, 1.0, (240, 320, 1))
         cv2.imwrite(str(frame), sea.round().astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 90])
     assert survey.mosaic("--adjust", "bundle", "--set", "projection.ground.height_m=520") == 0
     assert summary(survey.run)["frames"] == {"total": 4, "tied": 0, "placed": 4, "rejected": 0}
@@ -470,8 +470,8 @@ def test_control_points_outside_every_frame(survey: Survey, refused: Refused) ->
     texts = [w["text"] for w in summary(survey.run)["warnings"] if w["code"] == "control-outside"]
     assert len(texts) == 1 and texts[0].startswith("1 of 1 control and check points") and "far" in texts[0]
     shutil.rmtree(survey.run)
-    gcp.write_text(f"{header}A,{lon},{lat},520,F0001.jpg,4800,100\n")
-    refused(survey.mosaic("--gcp", gcp), survey.run, gcp, "'A'", "F0001.jpg", "480 x 360", "--gcp-optional")
+    gcp.write_text(f"{header}A,{lon},{lat},520,F0001.jpg,3200,100\n")
+    refused(survey.mosaic("--gcp", gcp), survey.run, gcp, "'A'", "F0001.jpg", "320 x 240", "--gcp-optional")
 
 
 def test_a_camera_file_for_another_frame_size(survey: Survey, refused: Refused) -> None:
@@ -479,7 +479,7 @@ def test_a_camera_file_for_another_frame_size(survey: Survey, refused: Refused) 
     for camera in cameras.values():
         camera["width"], camera["height"] = 4000, 2250
     survey.camera.write_text(json.dumps(cameras))
-    refused(survey.mosaic(), survey.run, survey.camera, "4000 x 2250", "480 x 360")
+    refused(survey.mosaic(), survey.run, survey.camera, "4000 x 2250", "320 x 240")
 
 
 def _shows_the_ground(survey: Survey, frames: float) -> None:
@@ -487,7 +487,7 @@ def _shows_the_ground(survey: Survey, frames: float) -> None:
 
 
 def _filled(survey: Survey, low: float, high: float, frames: float) -> None:
-    """The mosaic's area in frames of 48 m x 36 m, and every byte a valid COG's."""
+    """The mosaic's area in frames of 32 m x 24 m, and every byte a valid COG's."""
     with rasterio.open(survey.run / "mosaic.tif") as tiff:
-        area = (tiff.dataset_mask() > 0).sum() * tiff.transform.a**2 / (48.0 * 36.0)
+        area = (tiff.dataset_mask() > 0).sum() * tiff.transform.a**2 / (32.0 * 24.0)
     assert low * frames < area < high * frames

@@ -23,7 +23,7 @@ def test_flights_of_a_folder_are_run_and_their_results_merged(
 ) -> None:
     """A survey of six frames with check points succeeds; a folder without frames is a failure with its message."""
     data = tmp_path / "data"
-    small_survey(data / "six", frames_per_line=3, control_points=6)
+    small_survey(data / "six", frames_per_line=3, width_px=320, height_px=240, control_points=6)
     (data / "empty").mkdir()
     (data / "bad.yaml").write_text("frames: empty\n")
     (data / "gone.yaml").write_text("frames: nowhere\n")

@@ -221,7 +221,7 @@ def test_log_undoes_exp_up_to_half_a_turn(share: float, axis: tuple[float, float
 @cache
 def _solved(seed: int, relief=level) -> Adjusted:  # type: ignore[no-untyped-def]
     """A block that more than one test looks at; not to be changed."""
-    return METHODS["bundle"](fly(seed, relief=relief).block, Settings())
+    return METHODS["bundle"](fly(seed, relief=relief).block, Settings(model="given"))
 
 
 def _scale(adjusted: Adjusted, truth: Poses) -> float:
@@ -263,9 +263,9 @@ def test_a_wild_position_is_outvoted_and_named() -> None:
     positions = flown.block.poses.positions_m.copy()
     positions[7] += [80.0, -60.0, 0.0]
     block = replace(flown.block, poses=replace(flown.block.poses, positions_m=positions))
-    adjusted = METHODS["bundle"](block, Settings())
+    adjusted = METHODS["bundle"](block, Settings(model="given"))
     assert [w.frame for w in adjusted.warnings if w.code == "position-wrong"] == ["007.jpg"]
-    clean = METHODS["bundle"](flown.block, Settings())
+    clean = METHODS["bundle"](flown.block, Settings(model="given"))
     assert adjusted.poses.positions_m[7, :2] == pytest.approx(clean.poses.positions_m[7, :2], abs=1.0)
 
 

@@ -25,11 +25,12 @@ def scene(plan):
     return geometry, tuple((pair.left, pair.right) for pair in pairs), tuple(pair.truth for pair in pairs)
 
 
-def solved(plan, window_lines=20000, edges=None):
+def solved_anew(plan, window_lines=20000):
     geometry, simulated, _ = scene(plan)
-    return joint(
-        strips_in_memory(geometry, edges or simulated), Settings(), lambda done, of: None, window_lines
-    )
+    return joint(strips_in_memory(geometry, simulated), Settings(), lambda done, of: None, window_lines)
+
+
+solved = cache(solved_anew)
 
 
 def errors(plan, offsets):
@@ -129,9 +130,7 @@ def test_clouds_are_no_ground(seed, wind_m_per_s, wind_deg, height_m):
 
 
 def test_stated_deviations_hold_where_lines_are_bridged():
-    parts = [
-        pooled(replace(PLAN, ccds=6, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)
-    ]
+    parts = [pooled(replace(PLAN, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)]
     off, sd, label = (np.concatenate(part) for part in zip(*parts, strict=True))
     assert 0.82 < honest(off, sd) < 0.98
     bridged = label == BRIDGED
@@ -162,7 +161,7 @@ def test_clouds_alone_are_no_ground():
 def test_clouds_no_brighter_than_the_ground():
     plan = StripPlan(
         seed=308,
-        lines=8192,
+        lines=6000,
         width_px=512,
         brightness=0.75,
         cloud_cover=0.3,
@@ -238,7 +237,7 @@ def test_steps_that_come_and_go_are_no_lost_lines():
 
 
 def test_most_of_the_ground_hidden():
-    plan = replace(PLAN, lines=8192, cloud_cover=0.8, cloud_height_m=2500.0, wind_m_per_s=10.0, seed=78)
+    plan = replace(PLAN, cloud_cover=0.8, cloud_height_m=2500.0, wind_m_per_s=10.0, seed=78)
     off, sd, label = pooled(plan)
     assert honest(off, sd) > 0.8
     away = np.hypot(*off.T)
@@ -246,7 +245,7 @@ def test_most_of_the_ground_hidden():
 
 
 def test_far_mounted_ccds_are_within_the_search():
-    plan = StripPlan(seed=77, width_px=1024, lines=8192, mounting_px=4.0)
+    plan = StripPlan(seed=77, width_px=1024, lines=6000, mounting_px=4.0)
     assert max(np.abs(truth.dcol_px).max() for truth in scene(plan)[2]) > 13.0
     off, _, _ = pooled(plan)
     assert rms(off) < 0.03
@@ -309,8 +308,8 @@ def test_windows_agree_with_one_piece():
 
 
 def test_second_run_is_byte_identical():
-    plan = replace(PLAN, cloud_cover=0.3)
-    for first, second in zip(solved(plan), solved(plan), strict=True):
+    plan = replace(PLAN, low_contrast_share=0.4)
+    for first, second in zip(solved(plan), solved_anew(plan), strict=True):
         for name in ("dcol_px", "dline_px", "sd_col_px", "sd_line_px", "label"):
             assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 

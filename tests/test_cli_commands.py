@@ -1,7 +1,10 @@
-"""The command line as a user meets it: real processes, exit codes, one line for each failure."""
+"""The command line as a user meets it: exit codes, one line for each failure, real processes where they count."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import json
 import os
 import re
@@ -10,6 +13,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -18,6 +22,8 @@ import rasterio
 from affine import Affine
 from test_pipeline_toy import distribution, recipe_file
 
+from geomosaic.cli.main import main
+from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.recording.reader import read_recording
 
@@ -31,9 +37,9 @@ class Desk:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         recipe_file(folder)
-        installed = distribution(folder / "site")
+        self.site = distribution(folder / "site")
         self.log = folder / "log"
-        path = os.pathsep.join([str(installed), str(HERE)])
+        path = os.pathsep.join([str(self.site), str(HERE)])
         self.environment = {**os.environ, "PYTHONPATH": path, "TOY_LOG": str(self.log), "COLUMNS": "120"}
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
@@ -51,6 +57,22 @@ class Desk:
         process = self.start(*arguments)
         out, err = process.communicate(timeout=60)
         return process.returncode, out, err
+
+    def ask(self, *arguments: str) -> tuple[int, str, str]:
+        """As `run` does, in this process."""
+        out, err = io.StringIO(), io.StringIO()
+        with (
+            contextlib.chdir(self.folder), patch.dict(os.environ, self.environment),
+            patch.object(sys, "path", [str(self.site), *sys.path]),
+            contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
+        ):  # fmt: skip
+            importlib.invalidate_caches()
+            installed.cache_clear()
+            try:
+                return main(arguments), out.getvalue(), err.getvalue()
+            finally:
+                installed.cache_clear()
+                sys.modules.pop("plugin_toy", None)
 
     def done(self) -> list[str]:
         lines = self.log.read_text().split("\n")[:-1] if self.log.exists() else []
@@ -182,7 +204,7 @@ def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
 )
 def test_bad_usage_is_one_line_and_exit_2(arguments: list[str], line: str, desk: Desk) -> None:
     before = {p.name for p in desk.folder.iterdir()}
-    code, out, err = desk.run(*arguments)
+    code, out, err = desk.ask(*arguments)
     assert code == 2 and out == ""
     assert err.startswith("geomosaic: ") and err.count("\n") == 1
     assert line in err
@@ -247,12 +269,12 @@ def test_a_killed_run_leaves_no_orphans_and_resumes_where_it_was(desk: Desk) -> 
 
 
 def test_stages_are_listed_and_described(desk: Desk) -> None:
-    code, out, _ = desk.run("stages", "toy.power")
+    code, out, _ = desk.ask("stages", "toy.power")
     assert code == 0
     assert "takes: numbers (Numbers)\ngives: numbers (Numbers)\n" in out
     assert "  step_m: step (number or 'auto' m from 0.01; default auto)\n" in out
     assert "  name: manner (plain, fancy; default plain)\n" in out
-    code, out, _ = desk.run("stages", "--json")
+    code, out, _ = desk.ask("stages", "--json")
     listed = json.loads(out)
     power = next(s for s in listed["stages"] if s["id"] == "toy.power")
     assert power["params"][0] == {
@@ -263,10 +285,10 @@ def test_stages_are_listed_and_described(desk: Desk) -> None:
 
 def test_a_broken_plugin_is_listed_and_exits_2_when_asked_for(desk: Desk) -> None:
     distribution(desk.folder / "site", "bad", {"toy.bad": "no_such_module:X"})
-    code, out, _ = desk.run("stages")
+    code, out, _ = desk.ask("stages")
     assert code == 0 and "BROKEN: stage toy.bad can't be loaded" in out
     assert "Raise to a power (Toy, version 3)" in out
-    code, _, err = desk.run("stages", "toy.bad")
+    code, _, err = desk.ask("stages", "toy.bad")
     assert code == 2 and err.startswith(
         "geomosaic: stage toy.bad can't be loaded from no_such_module:X (bad 1.2)"
     )
@@ -320,26 +342,26 @@ def plugged(desk: Desk) -> Desk:
 
 
 def test_simulate_has_the_options_its_stage_declares(plugged: Desk) -> None:
-    code, out, _ = plugged.run("simulate", "toy", "--help")
+    code, out, _ = plugged.ask("simulate", "toy", "--help")
     text = " ".join(out.split())
     assert code == 0 and "flying height (a number in m, 1 to 9000) [80.0]" in text
     assert "--turned / --no-turned" in text or "--turned/--no-turned" in text
-    code, out, _ = plugged.run("simulate", "toy", "out", "--height-m", "12.5", "--turned", "--seed", "3")
+    code, out, _ = plugged.ask("simulate", "toy", "out", "--height-m", "12.5", "--turned", "--seed", "3")
     assert (code, out) == (0, "out/toy.txt\n")
     assert (plugged.folder / "out" / "toy.txt").read_text() == "12.5 block True"
     assert {p.name for p in (plugged.folder / "out").iterdir()} == {MARKER, "toy.txt"}
-    code, _, err = plugged.run("simulate", "toy", "out", "--kind", "blok")
+    code, _, err = plugged.ask("simulate", "toy", "out", "--kind", "blok")
     assert code == 2
     assert err.startswith("geomosaic: stage simulate.toy: kind = 'blok': must be one of block, line (did")
-    code, _, err = plugged.run("simulate", "toy", "out", "--height-m", "0")
+    code, _, err = plugged.ask("simulate", "toy", "out", "--height-m", "0")
     assert code == 2 and "height_m = 0.0: must be a number in m, 1 to 9000" in err
 
 
 def test_export_works_on_a_finished_run(plugged: Desk) -> None:
-    code, _, err = plugged.run("export", "toy", "run")
+    code, _, err = plugged.ask("export", "toy", "run")
     assert code == 2 and "run: is no finished run (run.json is missing); give a run's folder" in err
     assert plugged.run("run", "toy.yaml", "-o", "run")[0] == 0
-    code, out, _ = plugged.run("export", "toy", "run", "--digits", "3")
+    code, out, _ = plugged.ask("export", "toy", "run", "--digits", "3")
     assert (code, out) == (0, "run/export.txt\n")
     assert (plugged.folder / "run" / "export.txt").read_text() == "30.000 3"
 
@@ -363,17 +385,17 @@ def test_evaluate_takes_a_run_or_an_image(desk: Desk) -> None:
             file.write(truth, 1)
     found = []
     for target in ("run", "run/mosaic.tif"):
-        code, out, err = desk.run("evaluate", target, "--reference", "truth.tif", "--json")
+        code, out, err = desk.ask("evaluate", target, "--reference", "truth.tif", "--json")
         assert code == 0, err
         found.append(json.loads(out))
     assert found[0].pop("mosaic") == "run/mosaic.tif" and found[1].pop("mosaic") == "run/mosaic.tif"
     assert found[0] == found[1]
-    code, out, _ = desk.run("evaluate", "run", "--reference", "truth.tif")
+    code, out, _ = desk.ask("evaluate", "run", "--reference", "truth.tif")
     assert code == 0 and out.count("\n") > 3
-    code, _, err = desk.run("evaluate", "run", "--reference", "none.tif")
+    code, _, err = desk.ask("evaluate", "run", "--reference", "none.tif")
     assert code == 2
     assert "none.tif: no such file or folder; give an existing one for quality.compare.reference" in err
-    code, _, err = desk.run("evaluate", "nowhere.tif", "--reference", "truth.tif")
+    code, _, err = desk.ask("evaluate", "nowhere.tif", "--reference", "truth.tif")
     assert code == 2
     assert err == "geomosaic: nowhere.tif: no such file; give a finished run's folder or a GeoTIFF\n"
 
@@ -395,7 +417,7 @@ def test_the_command_line_loads_nothing_heavy() -> None:
 
 
 def test_help_names_units_and_defaults(desk: Desk) -> None:
-    code, out, _ = desk.run("mosaic", "--help")
+    code, out, _ = desk.ask("mosaic", "--help")
     assert code == 0
     for option in ("--pos", "--camera", "--dem-offset", "--gcp", "--crs", "--gsd", "--adjust", "--reference"):
         assert option in out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -207,8 +208,9 @@ def test_pos_crs_and_ground_height_reach_their_stages(
 
 
 def test_a_run_ends_with_how_well_the_frames_agree_and_how_true_the_map_is(
-    survey: Path, four: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    survey: Path, four: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    shutil.copytree(finished, tmp_path / "r")
     arguments = ["mosaic", str(four), "-o", str(tmp_path / "r"), "--workers", "1"]
     ortho = survey / "truth" / "ortho.tif"
     assert main([*arguments, "--adjust", "bundle", "--reference", str(ortho)]) == 0

@@ -44,7 +44,8 @@ def checks(flown: Flown, relief: Relief = level) -> tuple[GroundControl, ...]:
 
 
 def adjusted_with(flown: Flown, control: tuple[GroundControl, ...], method: str = "bundle") -> Adjusted:
-    return METHODS[method](replace(flown.block, control=control), Settings())
+    """By the model that is given, which is the true one."""
+    return METHODS[method](replace(flown.block, control=control), Settings(model="given"))
 
 
 def residuals(adjusted: Adjusted, *, check: bool) -> tuple[np.ndarray, np.ndarray]:

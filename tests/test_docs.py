@@ -30,8 +30,8 @@ except ImportError:
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md"), *(ROOT / "examples").glob("*/*.md")])
 GUIDES = ("index", "start", "howto", "python")
-SMALL = "--lines 1 --frames-per-line 4 --width-px 320 --height-px 240"
-"""A flight of four small frames does where people simulate a usual one."""
+SMALL = "--lines 1 --frames-per-line 3 --width-px 240 --height-px 180"
+"""A flight of three small frames does where people simulate a usual one."""
 
 
 SMALL_STRIPS = "--ccds 2 --width-px 256 --lines 1500 --row-separation-lines 300"

@@ -214,10 +214,19 @@ def test_the_recording_is_read_by_others(run: Path) -> None:
     assert {"/images/mosaic", "/log"} <= paths
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedSurvey, Path]:
+    """Six small frames, and their run up to the adjustment and on."""
+    folder = tmp_path_factory.mktemp("few")
+    survey = small_survey(folder, frames_per_line=3, width_px=320, height_px=240)
+    assert mosaic(survey.frames, folder / "run", *told(survey), *compared(survey)) == 0
+    return survey, folder / "run"
+
+
 @pytest.mark.parametrize("method", sorted(METHODS.keys() - {"bundle"}))
-def test_every_method_goes_to_the_end(method: str, run: Path, block: SimulatedSurvey, tmp_path: Path) -> None:
+def test_every_method_goes_to_the_end(method: str, few: tuple[SimulatedSurvey, Path], tmp_path: Path) -> None:
     """Stages before the adjustment come from the cache of the first run."""
-    again = tmp_path / "run"
+    (block, run), again = few, tmp_path / "run"
     shutil.copytree(run, again)
     assert mosaic(block.frames, again, *told(block), "--adjust", method) == 0
     told_run = summary(again)

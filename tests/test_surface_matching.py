@@ -189,7 +189,9 @@ def test_water_stays_as_it_was(tmp_path) -> None:
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Runs of the same frames by one process and by two."""
     out = tmp_path_factory.mktemp("flown")
-    survey = small_survey(out / "town", buildings=2.0, buildings_stand=True, frames_per_line=3)
+    survey = small_survey(
+        out / "town", buildings=2.0, buildings_stand=True, frames_per_line=3, width_px=400, height_px=300
+    )
     for workers in (1, 2):
         asked = ("--workers", workers, "--surface", "dense", "--pos", survey.pos, "--camera", survey.camera)
         assert geomosaic("mosaic", survey.frames, "-o", out / str(workers), *asked) == 0
