@@ -37,7 +37,9 @@ def design_effect(solution: Solution, ties: int) -> float:
     count for fewer. The design effect of a sample in clusters (Kish 1965, Survey Sampling, section 8.2), with
     frames as clusters: squares of the sums of their observations' scores by the sum of the scores' squares,
     as in the robust covariance of Liang and Zeger (1986, theorem 2), of what shifts, tilts, stretches and
-    bends the map, each by its variance. At least 1; 1 where too little is known.
+    bends the map, each by its variance. What all frames were fitted by takes a share of the sums, n frames
+    and p numbers of lenses p / n of it (MacKinnon and White 1985, HC1). At least 1; 1 where too little is
+    known.
 
     Args: ties: see `place_derivatives`.
     Raises: NotSolvableError where the equations have no solution.
@@ -55,8 +57,17 @@ def design_effect(solution: Solution, ties: int) -> float:
     by_frame = np.stack([np.bincount(frame, column, frames) for column in scores])
     by_frame = by_frame[:, np.bincount(frame, minlength=frames) > 0]
     by_frame -= by_frame.mean(axis=1, keepdims=True)  # what draws all frames alike is the priors' pull
-    alone = float(np.square(scores).sum())
-    return max(float(np.square(by_frame).sum()) / alone, 1.0) if alone > 0.0 else 1.0
+    alone, seeing = float(np.square(scores).sum()), by_frame.shape[1]
+    fitted = seeing / max(seeing - _determined(solution), 1.0)
+    return max(fitted * float(np.square(by_frame).sum()) / alone, 1.0) if alone > 0.0 else 1.0
+
+
+def _determined(solution: Solution) -> float:
+    """How many numbers of the lenses the images determine: those that they leave open count in part."""
+    layout = solution.estimate.layout
+    prior, sd = layout.sd[layout.interior], solution.stated.shared_sd[layout.interior]
+    free = (prior > 0.0) & ~solution.held[layout.interior]
+    return float(np.maximum(1.0 - (sd[free] / prior[free]) ** 2, 0.0).sum())
 
 
 def _scores(solution: Solution, pose: Floats, shared: Floats) -> Floats:
