@@ -16,9 +16,11 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LONGEST = (
-    "test_chosen_model", "test_end_to_end", "test_strips_command", "test_bundle_oracle", "test_fuzz_short",
-    "test_bundle_covariance", "test_cli_staircase", "test_docs", "test_control", "test_bundle", "test_start",
-    "test_ccd_joint", "test_resume", "test_dirty", "test_recording_kills", "test_surface_matching",
+    "test_docs", "test_chosen_model", "test_ccd_joint", "test_dask", "test_end_to_end", "test_resume",
+    "test_degenerate_blocks", "test_cli_staircase", "test_bad_input", "test_ccd_rivals", "test_control",
+    "test_cli_commands", "test_strips_command", "test_mosaic_trim", "test_surface_matching", "test_fuzz_short",
+    "test_bundle", "test_bundle_oracle", "test_adjustment_surface", "test_bench_flights", "test_recording_kills",
+    "test_ccd_radiometry", "test_design_effect", "test_cli_home", "test_start", "test_dirty",
 )  # fmt: skip
 """Files that take longest go first: one that a worker is given last is what all wait for."""
 

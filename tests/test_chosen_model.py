@@ -215,11 +215,10 @@ def test_what_a_gyroscope_does_not_tell_of_the_last_rows_is_found() -> None:
     )
 
 
-@pytest.mark.parametrize("seed", [6, 7])
-def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_believed(seed: int) -> None:
+def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_believed() -> None:
     """Its last sample is 33 ms old when 0.1 s of rows end, and says so. Where the record holds, the solved turns
     are its own to a tenth of a pixel (1e-4 rad); swings over the whole frame missed it by a pixel."""
-    flown = fly(seed, 3, 5, points=500, noise_px=0.1, readout_s=0.1, rate_sd_rad_per_s=0.1, shaking_hz=7.5)
+    flown = fly(6, 3, 5, points=500, noise_px=0.1, readout_s=0.1, rate_sd_rad_per_s=0.1, shaking_hz=7.5)
     truth = flown.truth.turns
     assert truth is not None
     rad, last = truth.rad.copy(), 27
@@ -237,14 +236,16 @@ def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_bel
     assert missed["tail"][0] < 0.7 * missed["whole"][0], missed
 
 
+STEADY = {"points": 500, "noise_px": 0.15, "there_and_back": True, "readout_s": 0.03}
+
+
 @pytest.mark.parametrize("rad_per_s", [0.1, 0.02])
 def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_large_for_velocities(
     rad_per_s: float,
 ) -> None:
     """Shakes at 3.5 Hz over 0.03 s of rows: a rate a frame follows all but 0.05 px of them, and bends the block
     by what it leaves. Those of 0.02 rad/s look like velocities that are 1.2 m/s off."""
-    way = {"points": 500, "noise_px": 0.15, "there_and_back": True, "readout_s": 0.03}
-    flown = fly(5, 2, 7, rate_sd_rad_per_s=rad_per_s, shaking_hz=3.5, **way)
+    flown = fly(5, 2, 7, rate_sd_rad_per_s=rad_per_s, shaking_hz=3.5, **STEADY)
     given, chosen = (METHODS["bundle"](flown.block, Settings(model=m)) for m in ("given", "auto"))
     assert chosen.model is not None and chosen.model.taken == ("turning",) and chosen.model.shown
     said = [w.text for w in chosen.warnings if w.code == "model-chosen"]
@@ -252,7 +253,10 @@ def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_la
     assert "shutter-doubtful" in {w.code for w in chosen.warnings}
     bent_m = [_bent_m(a.poses.positions_m, flown.truth.positions_m) for a in (given, chosen)]
     assert bent_m[1] < 0.9 * bent_m[0], bent_m
-    steady = METHODS["bundle"](fly(5, 2, 7, **way).block, Settings())
+
+
+def test_no_turns_are_taken_where_there_are_none() -> None:
+    steady = METHODS["bundle"](fly(5, 2, 7, **STEADY).block, Settings())
     assert steady.model is None or steady.model.taken == ()
 
 

@@ -215,7 +215,7 @@ def test_half_turned_images_turn_their_measurements() -> None:
 def test_from_the_file_to_the_report(tmp_path: Path) -> None:
     """A simulated survey with positions of 0.4 m; points on its true ground, placed in its frames by its
     true poses. Five hold it, six judge; one of the five is 5 m wrong."""
-    flown = small_survey(tmp_path / "survey")
+    flown = small_survey(tmp_path / "survey", frames_per_line=3, width_px=400, height_px=300)
     read = read_survey(flown.frames, pos=flown.pos, camera=flown.camera)
     true = read_poses(flown.positions, [f.name for f in read.frames], read.work_frame)
     share = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [0.5, 0.5], [0.2, 0.5], [0.5, 0.1], [0.8, 0.4],

@@ -40,7 +40,9 @@ class Striking(Silent):
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
-    return small_survey(tmp_path_factory.mktemp("survey"), lines=2, frames_per_line=3, seed=21)
+    return small_survey(
+        tmp_path_factory.mktemp("survey"), lines=2, frames_per_line=3, width_px=320, height_px=240, seed=21
+    )
 
 
 @pytest.fixture(scope="module")

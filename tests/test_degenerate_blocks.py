@@ -22,9 +22,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 from trial_degenerate import problems, tried
 
 
-@pytest.mark.parametrize("first", range(20_000, 20_200, 25))
+@pytest.mark.parametrize("first", range(20_000, 20_060, 20))
 def test_degenerate_blocks_end_finite(first: int) -> None:
-    wrong = [(seed, kind, why) for seed, kind, why, _, _ in map(tried, range(first, first + 25)) if why]
+    """Each way to be degenerate some times; `make trial-degenerate` draws 10,000."""
+    wrong = [(seed, kind, why) for seed, kind, why, _, _ in map(tried, range(first, first + 20)) if why]
     assert not wrong
 
 

@@ -25,7 +25,7 @@ from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 
-PLAN = StripPlan(seed=4, ccds=4, width_px=384, lines=3200, row_separation_lines=700, relief_m=150.0)
+PLAN = StripPlan(seed=4, ccds=3, width_px=384, lines=3200, row_separation_lines=700, relief_m=150.0)
 FINAL = {
     "mosaic.tif",
     "mosaic_RPC.TXT",
@@ -42,7 +42,7 @@ RECIPES = Path(__file__).parents[1] / "recipes"
 
 @pytest.fixture(scope="session")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SimulatedStrips:
-    """Four strips with model, RPC, DEM and truth."""
+    """Three strips with model, RPC, DEM and truth."""
     return simulate_strips(tmp_path_factory.mktemp("strips") / "scene", PLAN)
 
 
@@ -91,7 +91,7 @@ def test_a_run_is_whole_and_its_mosaic_a_cog_with_an_rpc(run: Path) -> None:
     assert not errors and not warnings
     with rasterio.open(run / "mosaic.tif") as mosaic:
         assert mosaic.tags(ns="RPC")["LINE_OFF"]
-        assert (mosaic.width, mosaic.count, mosaic.dtypes[0]) == (4 * 384 - 3 * 96, 1, "uint16")
+        assert (mosaic.width, mosaic.count, mosaic.dtypes[0]) == (3 * 384 - 2 * 96, 1, "uint16")
         # Both rows' teeth: from half the rows' separation before line 0 to as much beyond the last.
         assert abs(mosaic.height - (3200 + 700)) < 20
         mask = mosaic.dataset_mask()
@@ -102,9 +102,9 @@ def test_a_run_is_whole_and_its_mosaic_a_cog_with_an_rpc(run: Path) -> None:
 def test_offsets_are_the_truth_within_a_tenth_of_a_pixel(run: Path, scene: SimulatedStrips) -> None:
     truth = {(r["pair"], r["line"]): r for r in rows(scene.true_offsets)}
     found = rows(run / "offsets.csv")
-    assert len(found) == 3 * 3200
+    assert len(found) == 2 * 3200
     measured = [r for r in found if r["label"] == "measured"]
-    assert len(measured) > 3 * 2300
+    assert len(measured) > 2 * 2300
     errors = [
         [float(r[key]) - float(truth[r["pair"], r["line"]][key]) for key in ("dcol_px", "dline_px")]
         for r in measured
@@ -123,17 +123,17 @@ def test_run_json_tells_the_misplacement(run: Path) -> None:
 def test_an_independent_reader_finds_the_pairs(run: Path) -> None:
     with (run / "run.mcap").open("rb") as file:
         topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
-    assert len([t for t in topics if t.startswith("/strip_offsets/")]) >= 3
+    assert len([t for t in topics if t.startswith("/strip_offsets/")]) >= 2
     assert "/map/strips" in topics and "/images/mosaic" in topics
 
 
 def test_layers_lie_where_the_scene_is(run: Path) -> None:
     layers = ogr.Open(str(run / "layers.gpkg"))
     names = {layers.GetLayer(i).GetName(): layers.GetLayer(i) for i in range(layers.GetLayerCount())}
-    assert names["ccd_strips"].GetFeatureCount() == 4
+    assert names["ccd_strips"].GetFeatureCount() == 3
     west, east, south, north = names["scene"].GetExtent()
     assert west < PLAN.lon_deg < east and south < PLAN.lat_deg < north
-    assert names["seam_segments"].GetFeatureCount() == 3 * 7
+    assert names["seam_segments"].GetFeatureCount() == 2 * 7
 
 
 @pytest.mark.parametrize("method", ["piecewise_linear", "image_registration", "virtual_line"])
@@ -204,13 +204,13 @@ def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
 
 
 def test_a_dead_ccd_and_a_short_strip_are_named_and_the_rest_is_stitched(tmp_path: Path) -> None:
-    plan = replace(PLAN, ccds=5, dead="2", short="5:2400")
+    plan = replace(PLAN, ccds=4, dead="2", short="4:2400")
     made = simulate_strips(tmp_path / "scene", plan, scene=False)
     truth = f"quality.strips.truth={made.true_offsets}"
     assert strips(made.geometry, tmp_path / "run", "--set", truth) == 0
     told = warnings_of(tmp_path / "run")
     assert told["ccd-missing"].startswith("CCD 2:") and told["strip-short"].startswith(
-        "ccd5.tif: has 2400 lines"
+        "ccd4.tif: has 2400 lines"
     )
     assert "columns 384 to 575 of the scene are empty" in told["scene-gap"]
     errors = json.loads((tmp_path / "run" / "run.json").read_text())["metrics"]["errors"]
@@ -273,9 +273,9 @@ def test_a_dry_run_says_what_scene_and_map_would_take(
     for more in ([], ["--map"]):
         assert strips(scene.geometry, tmp_path / "run", "--dry-run", *more) == 0
         said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-        assert said["strips"] == "4 of 384 px, up to 3,200 lines, 3 seams"
+        assert said["strips"] == "3 of 384 px, up to 3,200 lines, 2 seams"
         told.append(said["expected"])
-    assert told[0].startswith("the mosaic will have about 1,248 x 3,900 px") and told[0] != told[1]
+    assert told[0].startswith("the mosaic will have about 960 x 3,900 px") and told[0] != told[1]
     assert not (tmp_path / "run").exists()
 
 
