@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -25,20 +23,20 @@ _FLOWN = {
     "--gps-outliers": 1, "--gps-outlier-m": 60, "--yaw-wrong-share": 0.1, "--turned": "9", "--seed": 4,
     "--workers": 1,
 }  # fmt: skip
+_made: list[Path] = []
 
 
 def bad_survey(folders: pytest.TempPathFactory) -> Path:
-    """Its folder: frames, truth, and the run; not to be changed. Made by the first of all workers that asks."""
-    common = folders.getbasetemp().parent if "PYTEST_XDIST_WORKER" in os.environ else folders.getbasetemp()
-    survey = common / "bad-survey"
-    with (common / "bad-survey.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (survey / "run" / "run.json").exists():
-            flown = [str(word) for pair in _FLOWN.items() for word in pair]
-            assert main(["simulate", "frames", str(survey), *flown]) == 0
-            run = ["-o", str(survey / "run"), "--workers", "1", "--set", "matching.sift.keypoints=1200"]
-            assert main(["mosaic", str(survey / "frames"), *run]) == 0
-    return survey
+    """Its folder: frames, truth, and the run; not to be changed. Made when it is first asked for."""
+    if not _made:
+        survey = folders.mktemp("bad-survey")
+        assert (
+            main(["simulate", "frames", str(survey), *(str(w) for pair in _FLOWN.items() for w in pair)]) == 0
+        )
+        run = ["-o", str(survey / "run"), "--workers", "1", "--set", "matching.sift.keypoints=1200"]
+        assert main(["mosaic", str(survey / "frames"), *run]) == 0
+        _made.append(survey)
+    return _made[0]
 
 
 def planted(survey: Path) -> list[tuple[str, str]]:
