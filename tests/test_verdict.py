@@ -179,9 +179,10 @@ def test_each_figure_can_spoil_the_verdict() -> None:
     assert grade(outcome(), parts=(range(3), range(3, 5))) == "bad"
     assert grade(outcome(control=(lost,))) == "doubtful"
     assert grade(outcome(image_residuals=some)) == "doubtful"
-    assert grade(outcome(), doubt=LandDoubt(9.0, 0.05, 0.04)) == "good"
-    assert grade(outcome(), doubt=LandDoubt(9.0, 0.05, 0.06)) == "doubtful"
-    assert grade(outcome(), doubt=LandDoubt(1.0, 0.15, 0.0)) == "doubtful"
+    assert grade(outcome(), doubt=LandDoubt(0.04, 0.3, 0.05)) == "good"
+    assert grade(outcome(), doubt=LandDoubt(0.06, 0.0, 0.05)) == "doubtful"
+    assert grade(outcome(), doubt=LandDoubt(0.0, 0.35, 0.0)) == "doubtful"
+    assert grade(outcome(), doubt=LandDoubt(0.0, 0.0, 0.15)) == "doubtful"
     assert grade(outcome(warnings=(Warn("scale-doubtful", "", "x"),))) == "doubtful"
     assert grade(outcome(warnings=(Warn("bundle-failed", "", "x"),))) == "bad"
 
@@ -243,7 +244,7 @@ def test_the_worst_figure_gives_cause_and_mend() -> None:
 
 def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
     def told(share: float) -> Verdict:
-        return judged(outcome(), doubt=LandDoubt(0.2, share, 0.0))
+        return judged(outcome(), doubt=LandDoubt(0.0, 0.0, share))
 
     assert told(0.004).text == "5 of 5 frames tied, image deviation 0.40 px"
     some, much = told(0.07), told(0.235)

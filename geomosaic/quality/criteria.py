@@ -18,8 +18,8 @@ NOTED: Final = "noted"
 @dataclass(frozen=True)
 class Criterion:
     """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the fix if it is not
-    good, and why the limits are where they are. inner: beyond `good` it is noted, since what it does to the
-    map shows in the accuracy and at the seams. of_land: a length in pixels that is good up to what is asked
+    good, and why the limits are where they are. inner: up to `bad` it is noted, since what it does to the map
+    shows elsewhere, and doubtful beyond. of_land: a length in pixels that is good up to what is asked
     of land beside the land around it."""
 
     good: float
@@ -35,8 +35,8 @@ class Criterion:
         """Of a figure; asked_px: how far land may lie off."""
         if self.of_land and value <= asked_px:
             return GRADES[0]
-        if self.inner:
-            return NOTED if value > self.good else GRADES[0]
+        if self.inner and value > self.good:
+            return NOTED if value <= self.bad else GRADES[1]
         return GRADES[int(value > self.good) + int(value > self.bad)]
 
 
@@ -80,10 +80,20 @@ CRITERIA: Mapping[str, Criterion] = {
         0.05,
         np.inf,
         "share",
-        "the ground beyond the last tie points, or between them, may lie so much higher or lower that the "
-        f"map there is off by more than {ASKED}",
-        "an elevation model (--dem), or frames beyond what is wanted",
+        "the ground between tie points may lie so much higher or lower that the map is off by more than "
+        f"{ASKED}",
+        "an elevation model (--dem), or more overlap",
         "nineteen twentieths of the land keep below what is asked of it beside the land around",
+    ),
+    "rim": Criterion(
+        0.05,
+        1.0 / 3.0,
+        "share",
+        "the ground beyond the last tie points may lie so much higher or lower that the map there is off by "
+        f"more than {ASKED}",
+        "an elevation model (--dem), or frames beyond what is wanted",
+        "every survey has a rim that too few frames see, and accuracy.tif shows it; a third of all is no rim",
+        inner=True,
     ),
     "surface unsure": Criterion(
         0.1,

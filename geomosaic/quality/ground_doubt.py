@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,41 +12,44 @@ from scipy.special import erfc
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.trim import OFF_PX, looked_at, whole_of
 from geomosaic.projection.ground import WALLED, GroundSurface
 from geomosaic.surface.terrain import TERRAIN
 
+Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 MATCHED: Final = (WALLED, TERRAIN)
 """Kinds of ground that were matched between the frames."""
-SHARE = tuned(0.99, "share", "of land within it: less passes a bad strip; more lets a corner decide")
-_MOST_PLACES = tuned(100_000, "places", "tested evenly, a thousand in the tail: more take time and memory")
-_WITHIN_PX = tuned(1e6, "px", "end of the search for a displacement: less hides figures that matter")
+_MOST_PLACES = tuned(100_000, "places", "tested evenly: more take time and memory; fewer miss a rim")
 
 
 @dataclass(frozen=True)
 class LandDoubt:
-    """ground_px: what 99 % of the mosaic's land keeps below, since the ground may be higher or lower; NaN
-    where its deviations aren't known, or no frame gives anything. surface_share: of the land, what has to be
-    expected off by more than is asked, since what was matched is unsure; NaN without a matched surface.
-    ground_share: of the land, what has to be expected off by more since the ground is unknown."""
+    """Shares of the mosaic's land that have to be expected off by more than is asked.
 
-    ground_px: float
-    surface_share: float
+    ground_share: since the ground among the tie points may be higher or lower; rim_share: the same beyond the
+    last of them; NaN where its deviations aren't known, or no frame gives anything. surface_share: since what
+    was matched is unsure; NaN without a matched surface.
+    """
+
     ground_share: float
+    rim_share: float
+    surface_share: float
 
 
 @dataclass(frozen=True)
 class Land:
     """What a mosaic shows, by whom, and on what ground; known: the ground known before a surface was matched,
-    the same without one."""
+    the same without one. held: where tie points hold the ground, see `held_by_ties`."""
 
     ownership: Ownership
     poses: Poses
     work_frame: LocalFrame
     ground: GroundSurface
     known: GroundSurface
+    held: Area
 
 
 def land_doubt(land: Land, within_px: float) -> LandDoubt:
@@ -61,12 +63,12 @@ def land_doubt(land: Land, within_px: float) -> LandDoubt:
     far.
     """
     ground, known = land.ground, land.known
-    at_m, tangent = places_of(land.ownership, land.poses, land.work_frame, ground)
+    at_m, tangent, held = places_of(land)
     px_per_m = tangent / land.ownership.grid.gsd_m
     known_px = px_per_m * known.sd_at(at_m[:, 0], at_m[:, 1])
     if ground.kind not in MATCHED:
         some = known_px > 0.0
-        return _doubt(lambda px: _beyond(px, known_px[some]), some, within_px, np.nan)
+        return _doubt(_beyond(within_px, known_px[some]), held[some], np.nan)
     matched_px = px_per_m * ground.sd_at(at_m[:, 0], at_m[:, 1])
     apart_m = ground.up_at(at_m[:, 0], at_m[:, 1]) - known.up_at(at_m[:, 0], at_m[:, 1])
     apart_px = px_per_m * np.abs(apart_m)
@@ -74,49 +76,37 @@ def land_doubt(land: Land, within_px: float) -> LandDoubt:
     some = (matched_px > 0.0) & (known_px > 0.0)
     matched_px, known_px, apart_px = matched_px[some], known_px[some], apart_px[some]
     strayed = _beyond(apart_px, matched_px)
-
-    def beyond(px: float) -> Floats:
-        matched, strays = _beyond(px, matched_px), _beyond(px, known_px, apart_px)
-        stands = strayed * strays + (1.0 - strayed) * np.minimum(matched, _beyond(px, known_px))
-        return np.where(apart_px <= OFF_PX, np.minimum(matched, strays), stands)
-
-    return _doubt(beyond, some, within_px, float(off.mean()) if off.size else np.nan)
+    matched, strays = _beyond(within_px, matched_px), _beyond(within_px, known_px, apart_px)
+    stands = strayed * strays + (1.0 - strayed) * np.minimum(matched, _beyond(within_px, known_px))
+    beyond = np.where(apart_px <= OFF_PX, np.minimum(matched, strays), stands)
+    return _doubt(beyond, held[some], float(off.mean()) if off.size else np.nan)
 
 
-def places_of(
-    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface
-) -> tuple[Floats, Floats]:
-    """Places (k, 3) of the work frame, m, all over what frames give, and the tangents (k,) of the angles at
-    which their frames look at them: a place moves by its height's error times that."""
-    step = int(np.ceil(np.sqrt(ownership.owner.size / _MOST_PLACES)))
-    at_m, tangent = looked_at(ownership, poses, work_frame, ground, step)
+def places_of(land: Land) -> tuple[Floats, Floats, Bools]:
+    """Places (k, 3) of the work frame, m, all over what frames give; the tangents (k,) of the angles at
+    which their frames look at them: a place moves by its height's error times that; and which of them tie
+    points hold (k,)."""
+    its = land.ownership
+    step = int(np.ceil(np.sqrt(its.owner.size / _MOST_PLACES)))
+    at_m, tangent = looked_at(its, land.poses, land.work_frame, land.ground, step)
+
+    def within(area: Area) -> Bools:
+        return area.cells(its.grid, whole_of(its.grid), its.cell_px)[::step, ::step]
+
     given = np.isfinite(tangent)
-    if ownership.area is not None:
-        grid = ownership.grid
-        given &= ownership.area.cells(grid, whole_of(grid), ownership.cell_px)[::step, ::step]
-    return at_m[given], tangent[given]
+    if its.area is not None:
+        given &= within(its.area)
+    return at_m[given], tangent[given], within(land.held)[given]
 
 
-def _doubt(
-    beyond: Callable[[float], Floats], some: NDArray[np.bool_], within_px: float, surface_share: float
-) -> LandDoubt:
-    """beyond: see `_kept_by_99`."""
-    share = float(beyond(within_px).mean()) if some.any() else float("nan")
-    return LandDoubt(_kept_by_99(beyond, some), surface_share, share)
-
-
-def _kept_by_99(beyond: Callable[[float], Floats], some: NDArray[np.bool_]) -> float:
-    """The displacement that all but a hundredth of places keep below; beyond: how likely each of some lies
-    farther off than a displacement."""
-    from scipy.optimize import brentq
-
-    if not some.any():
-        return float("nan")
-
-    def too_many(within_px: float) -> float:
-        return float(beyond(within_px).mean()) - (1.0 - SHARE)
-
-    return float(brentq(too_many, 0.0, _WITHIN_PX)) if too_many(_WITHIN_PX) < 0.0 else _WITHIN_PX
+def _doubt(beyond: Floats, held: Bools, surface_share: float) -> LandDoubt:
+    """beyond (k,): how likely places lie farther off than is asked; held (k,): which of them tie points
+    hold."""
+    if not held.size:
+        return LandDoubt(float("nan"), float("nan"), surface_share)
+    return LandDoubt(
+        float(beyond[held].sum()) / held.size, float(beyond[~held].sum()) / held.size, surface_share
+    )
 
 
 def _beyond(within_px: float | Floats, sd_px: Floats, apart_px: float | Floats = 0.0) -> Floats:

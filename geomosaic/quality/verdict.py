@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from scipy.stats import norm
@@ -22,6 +23,7 @@ from geomosaic.quality.statement import metres
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
 _ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
 _NAMED = tuned(3, "frames", "named in a line; more fill it")
+OF_LAND: Final = ("ground unknown", "rim", "surface unsure")
 _WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
 
 
@@ -85,8 +87,7 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
     """Grades a mosaic: whether a fault was found, and whether it is as accurate as is required."""
     figures = _agreement(adjusted, seen.patterns) | _seams(seen.seams)
     figures |= _held_together(adjusted, seen.parts, seen.land)
-    of_land = {"ground unknown": seen.doubt.ground_share, "surface unsure": seen.doubt.surface_share}
-    figures |= {name: value for name, value in of_land.items() if np.isfinite(value)}
+    figures |= _land(seen.doubt)
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     asked_px = required.local_m / seen.pixel_m
     judged = (_judged(name, value, required, asked_px) for name, value in figures.items())
@@ -124,7 +125,7 @@ def _effect(of: Evidence, adjusted: Adjusted, seen: Seen) -> str:
         said += [f"most between {' and '.join(ends)}"] * bool(ends)
     elif of.name == "frames not tied" and seen.names:
         said.append(_some([seen.names[i] for i in sorted(seen.land) if adjusted.status[i] != "tied"]))
-    elif of.name in ("ground unknown", "surface unsure"):
+    elif of.name in OF_LAND:
         said.append("accuracy.tif shows where")
     elif of.name == "control points":
         off = {p.name: np.nanmax(np.abs(p.residual_m / p.sd_m)) for p in adjusted.control if not p.check}
@@ -184,6 +185,12 @@ def _held_together(
     largest = max((sum(tied.get(i, 0.0) for i in part) for part in parts), default=0.0)
     alone = sum(share for i, share in land.items() if i not in tied)
     return {"frames not tied": alone, "frames in other parts": max(sum(tied.values()) - largest, 0.0)}
+
+
+def _land(doubt: LandDoubt) -> dict[str, float]:
+    """Shares of the land that have to be expected off by more than is asked, as far as they are known."""
+    shares = zip(OF_LAND, (doubt.ground_share, doubt.rim_share, doubt.surface_share), strict=True)
+    return {name: share for name, share in shares if np.isfinite(share)}
 
 
 def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dict[str, float]:
@@ -251,8 +258,11 @@ def _text(adjusted: Adjusted, figures: Mapping[str, float], asked: str) -> str:
     """How many frames are tied, how well they agree, and how much land the surface leaves open."""
     words = [f"{adjusted.status.count('tied')} of {len(adjusted.status)} frames tied"]
     words += [f"{name} {figures[name]:.2f} px" for name in ("image deviation", "seams") if name in figures]
-    unsure = figures.get("surface unsure", 0.0)
-    words += [f"{_percent(unsure)} of the land may be off by more than {asked}"] * (unsure >= _WORTH_A_WORD)
+    for name, where in (("surface unsure", ""), ("rim", ", at the rim,")):
+        share = figures.get(name, 0.0)
+        words += [f"{_percent(share)} of the land{where} may be off by more than {asked}"] * (
+            share >= _WORTH_A_WORD
+        )
     return ", ".join(words)
 
 

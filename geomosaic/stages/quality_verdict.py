@@ -20,6 +20,7 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality import statement
 from geomosaic.quality.accuracy import Requirement, accuracy_of, usual_requirement
+from geomosaic.quality.accuracy_grid import held_by_ties
 from geomosaic.quality.ground_doubt import Land, land_doubt
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Seen, Verdict, verdict_of
@@ -33,7 +34,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 17
+    version = 18
     wants_frames: ClassVar[bool] = True
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
@@ -86,20 +87,22 @@ class QualityVerdict(Stage):
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
         mosaic: Mosaic = inputs["mosaic"]
+        ground: GroundSurface = inputs["ground"]
         chips = Chips(context, survey, inputs["ties"], adjusted)
         seams = check_seams(
             survey.frames,
             adjusted.poses,
             adjusted.cameras,
             survey.work_frame,
-            inputs["ground"],
+            ground,
             mosaic.grid,
             mosaic.seamlines,
             context,
             chips.look,
         )
         image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
-        land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, inputs["ground"], adjusted.ground)
+        held = held_by_ties(adjusted, inputs["ties"], survey.work_frame, survey.map_crs)
+        land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, ground, adjusted.ground, held)
         required = _required(params, survey, adjusted, pixel_m)
         seen = Seen(
             seams,

@@ -136,7 +136,9 @@ def _at_last(found: BlockSolution) -> BlockSolution:
     return replace(found, solution=solved, steps=found.steps + solved.steps)
 
 
-def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: BlockSolution) -> BlockSolution:
+def by_all_points(
+    block: Block, settings: Settings, tracks: Tracks, few: BlockSolution, design_effect: float
+) -> BlockSolution:
     """The solution by all tie points, from that by few of them, on the same kind of ground; a surface is
     still that of the few."""
     lenses, poses = [few.solution.cameras[k] for k in block.lens_of], few.solution.poses
@@ -145,7 +147,7 @@ def by_all_points(block: Block, settings: Settings, tracks: Tracks, few: BlockSo
     if surface:
         points = _nearest_to_rays(ties, poses, lenses, points)
     problem = with_control(block_problem(block, settings, ties, points), block.control)
-    image = replace(problem.image, reported=few.problem.image.reported)
+    image = replace(problem.image, reported=few.problem.image.reported, design_effect=design_effect)
     problem = replace(problem, image=image, frames=few.problem.frames)
     if not surface and few.problem.terrain is not None:
         problem = replace(problem, terrain=_on(few.problem.terrain, problem))

@@ -41,7 +41,7 @@ from geomosaic.adjustment.procedure.model_selection import (
 from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.adjustment.procedure.resection import UNHEARD, heard_shares, resected
 from geomosaic.adjustment.procedure.velocities import flown
-from geomosaic.adjustment.solver.design_effect import with_design_effect
+from geomosaic.adjustment.solver.design_effect import design_effect, with_design_effect
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.camera.exterior import Poses
@@ -235,10 +235,11 @@ def _zero_of_the_gyroscope(work: Work) -> Work:
 
 
 def _by_all(work: Work) -> Work:
-    """All tie points, and the last ground."""
+    """All tie points, weighed by what those of a frame have in common, and the last ground."""
     found, block = work.found, work.block
-    if work.rough:
-        found = by_all_points(block, work.settings, work.tracks, found)
+    effect = design_effect(found.solution, found.ties.points).among(work.tracks)
+    if work.rough or effect > 1.0:
+        found = by_all_points(block, work.settings, work.tracks, found, effect)
         work = work.then(found)
     if found.ground.kind == "tie_surface":
         solution = found.of_ties

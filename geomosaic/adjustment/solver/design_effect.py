@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
+from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.place_uncertainty import place_derivatives
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.solver.stated_accuracy import stated_accuracy
 from geomosaic.estimation.linear import orthonormal
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class DesignEffect:
+    """How many image observations count as one, at least 1, by a solve with `by_frame` in each frame;
+    sd: what the scatter of frames leaves open."""
+
+    value: float
+    sd: float
+    by_frame: float
+
+    def among(self, tracks: Tracks) -> float:
+        """What is to be expected of other observations of the same images: 1 + (m - 1) r of m in a frame,
+        where r is what two of them have in common (Kish 1965, section 5.4).
+
+        By one deviation less: what chance adds grows with m too.
+        """
+        shared = max(self.value - self.sd - 1.0, 0.0) / max(self.by_frame - 1.0, 1.0)
+        return 1.0 + max(_in_a_frame(tracks.frame) - 1.0, 0.0) * shared
 
 
 def with_design_effect(solution: Solution, ties: int) -> Solution:
@@ -21,8 +42,8 @@ def with_design_effect(solution: Solution, ties: int) -> Solution:
 
     Raises: NotSolvableError where the equations have no solution.
     """
-    factor = design_effect(solution, ties)
-    if factor == 1.0:
+    factor = design_effect(solution, ties).value
+    if factor == solution.problem.image.design_effect:
         return solution
     image = replace(solution.problem.image, design_effect=factor)
     problem = replace(solution.problem, image=image)
@@ -30,7 +51,7 @@ def with_design_effect(solution: Solution, ties: int) -> Solution:
     return replace(solution, problem=problem, stated=stated, poses=stated.of(solution.poses))
 
 
-def design_effect(solution: Solution, ties: int) -> float:
+def design_effect(solution: Solution, ties: int) -> DesignEffect:
     """How many times the variance of the map's shape is what it would be if image errors were independent.
 
     A lens that the model does not follow, wind, or a shutter draw many image points of a frame alike: these
@@ -38,15 +59,14 @@ def design_effect(solution: Solution, ties: int) -> float:
     frames as clusters: squares of the sums of their observations' scores by the sum of the scores' squares,
     as in the robust covariance of Liang and Zeger (1986, theorem 2), of what shifts, tilts, stretches and
     bends the map, each by its variance. What all frames were fitted by takes a share of the sums, n frames
-    and p numbers of lenses p / n of it (MacKinnon and White 1985, HC1). At least 1; 1 where too little is
-    known.
+    and p numbers of lenses p / n of it (MacKinnon and White 1985, HC1). 1 where too little is known.
 
     Args: ties: see `place_derivatives`.
     Raises: NotSolvableError where the equations have no solution.
     """
     its, reduced = place_derivatives(solution, ties), solution.stated.solved
     if its is None:
-        return 1.0
+        return DesignEffect(1.0, 0.0, 1.0)
     bends = _bends(its.places_m)
     by_pose, by_shared = its.by_pose @ bends, its.by_shared @ bends
     pose, shared = reduced.moved(by_pose, by_shared)
@@ -58,8 +78,18 @@ def design_effect(solution: Solution, ties: int) -> float:
     by_frame = by_frame[:, np.bincount(frame, minlength=frames) > 0]
     by_frame -= by_frame.mean(axis=1, keepdims=True)  # what draws all frames alike is the priors' pull
     alone, seeing = float(np.square(scores).sum()), by_frame.shape[1]
+    if alone <= 0.0:
+        return DesignEffect(1.0, 0.0, 1.0)
     fitted = seeing / max(seeing - _determined(solution), 1.0)
-    return max(fitted * float(np.square(by_frame).sum()) / alone, 1.0) if alone > 0.0 else 1.0
+    together = fitted * np.square(by_frame).sum(axis=0) / alone
+    sd = float(together.std() * np.sqrt(seeing))
+    return DesignEffect(max(float(together.sum()), 1.0), sd, _in_a_frame(frame))
+
+
+def _in_a_frame(frame: Ints) -> float:
+    """How many others of its frame an observation has beside it, and itself, in the mean."""
+    counts = np.bincount(frame).astype(np.float64)
+    return float(np.square(counts).sum() / max(counts.sum(), 1.0))
 
 
 def _determined(solution: Solution) -> float:
