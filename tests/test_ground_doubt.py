@@ -10,7 +10,6 @@ import pytest
 from geomosaic.camera.exterior import Poses
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.ground import GroundSurface
@@ -30,14 +29,8 @@ def owned(owner: np.ndarray) -> Ownership:
     return Ownership(grid, np.array([True, True]), 10, owner.astype(np.int32))
 
 
-def held(west: float = -1000.0) -> Area:
-    """All that lies east of a place, m."""
-    box = np.array([[west, -1000.0], [1000.0, -1000.0], [1000.0, 1000.0], [west, 1000.0], [west, -1000.0]])
-    return Area(((box + np.array([AT_M[0], AT_M[1]], dtype=float),),))
-
-
 def land(owner: np.ndarray, ground: GroundSurface, known: GroundSurface | None = None) -> Land:
-    return Land(owned(owner), FRAMES, HOME, ground, known or ground, held())
+    return Land(owned(owner), FRAMES, HOME, ground, known or ground)
 
 
 def doubt(owner: np.ndarray, ground: GroundSurface, known: GroundSurface | None = None) -> LandDoubt:
@@ -62,12 +55,14 @@ def test_a_place_known_to_2_4_px_lies_off_by_3_px_one_time_in_five() -> None:
     assert found.ground_share == pytest.approx(0.2113, rel=5e-3) and found.rim_share == 0.0
 
 
-def test_land_beyond_the_last_tie_points_is_the_rim() -> None:
-    """Tie points hold the eastern half, where half of the places lie."""
-    owner = np.zeros((61, 61))
-    owner[30, [0, 60]] = 1
-    half = land_doubt(replace(land(owner, SURE), held=held(0.0)), 3.0)
-    assert (half.ground_share, half.rim_share) == pytest.approx((0.1056, 0.1056), rel=5e-2)
+def test_unknown_land_amid_known_land_is_no_rim() -> None:
+    """Nodes 50 m apart: one is known to 100 m where no tie point is, in the middle or at the edge."""
+    owner, known = np.ones((200, 200)), np.full((5, 5), 0.01)
+    middle, edge = known.copy(), known.copy()
+    middle[2, 2] = edge[2, 4] = 100.0
+    amid, rim = (doubt(owner, replace(SURE, sd_m=sd_m)) for sd_m in (middle, edge))
+    assert amid.ground_share > 0.1 and amid.rim_share == 0.0
+    assert rim.rim_share > 0.05 and rim.ground_share < 0.02
 
 
 def test_what_stands_unsurely_is_told_apart_from_the_ground() -> None:

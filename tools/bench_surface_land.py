@@ -10,12 +10,10 @@ import numpy as np
 from bench_surface_judge import errors_at, true_positions
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.matching.model import TiePoints
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality import ground_doubt
-from geomosaic.quality.accuracy_grid import held_by_ties
 from geomosaic.quality.ground_doubt import OFF_PX, places_of
 from geomosaic.survey.model import Survey
 
@@ -57,10 +55,8 @@ def judged_land(run: Path, truth: Path) -> Land:
     adjusted: Adjusted = load_artefact(run, summary, "adjusted", Adjusted)
     ownership: Ownership = load_artefact(run, summary, "ownership", Ownership)
     ground: GroundSurface = load_artefact(run, summary, "ground", GroundSurface)
-    ties: TiePoints = load_artefact(run, summary, "ties", TiePoints)
-    held = held_by_ties(adjusted, ties, survey.work_frame, survey.map_crs)
     at_m, tangent, _ = places_of(
-        ground_doubt.Land(ownership, adjusted.poses, survey.work_frame, ground, adjusted.ground, held)
+        ground_doubt.Land(ownership, adjusted.poses, survey.work_frame, ground, adjusted.ground)
     )
     told = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
     errors, kind = errors_at(told, survey, adjusted, true_positions(truth, survey), at_m)

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes
 from scipy.special import erfc
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.mosaic.area import Area
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.trim import OFF_PX, looked_at, whole_of
 from geomosaic.projection.ground import WALLED, GroundSurface
@@ -29,9 +29,9 @@ _MOST_PLACES = tuned(100_000, "places", "tested evenly: more take time and memor
 class LandDoubt:
     """Shares of the mosaic's land that have to be expected off by more than is asked.
 
-    ground_share: since the ground among the tie points may be higher or lower; rim_share: the same beyond the
-    last of them; NaN where its deviations aren't known, or no frame gives anything. surface_share: since what
-    was matched is unsure; NaN without a matched surface.
+    ground_share: since the ground may be higher or lower, amid land that is surely enough known; rim_share:
+    beyond all of that; NaN where its deviations aren't known, or no frame gives anything. surface_share:
+    since what was matched is unsure; NaN without a matched surface.
     """
 
     ground_share: float
@@ -42,14 +42,13 @@ class LandDoubt:
 @dataclass(frozen=True)
 class Land:
     """What a mosaic shows, by whom, and on what ground; known: the ground known before a surface was matched,
-    the same without one. held: where tie points hold the ground, see `held_by_ties`."""
+    the same without one."""
 
     ownership: Ownership
     poses: Poses
     work_frame: LocalFrame
     ground: GroundSurface
     known: GroundSurface
-    held: Area
 
 
 def land_doubt(land: Land, within_px: float) -> LandDoubt:
@@ -63,12 +62,12 @@ def land_doubt(land: Land, within_px: float) -> LandDoubt:
     far.
     """
     ground, known = land.ground, land.known
-    at_m, tangent, held = places_of(land)
+    at_m, tangent, given = places_of(land)
     px_per_m = tangent / land.ownership.grid.gsd_m
     known_px = px_per_m * known.sd_at(at_m[:, 0], at_m[:, 1])
     if ground.kind not in MATCHED:
         some = known_px > 0.0
-        return _doubt(_beyond(within_px, known_px[some]), held[some], np.nan)
+        return _doubt(_beyond(within_px, known_px[some]), _among(given, some), np.nan)
     matched_px = px_per_m * ground.sd_at(at_m[:, 0], at_m[:, 1])
     apart_m = ground.up_at(at_m[:, 0], at_m[:, 1]) - known.up_at(at_m[:, 0], at_m[:, 1])
     apart_px = px_per_m * np.abs(apart_m)
@@ -79,33 +78,38 @@ def land_doubt(land: Land, within_px: float) -> LandDoubt:
     matched, strays = _beyond(within_px, matched_px), _beyond(within_px, known_px, apart_px)
     stands = strayed * strays + (1.0 - strayed) * np.minimum(matched, _beyond(within_px, known_px))
     beyond = np.where(apart_px <= OFF_PX, np.minimum(matched, strays), stands)
-    return _doubt(beyond, held[some], float(off.mean()) if off.size else np.nan)
+    return _doubt(beyond, _among(given, some), float(off.mean()) if off.size else np.nan)
 
 
 def places_of(land: Land) -> tuple[Floats, Floats, Bools]:
     """Places (k, 3) of the work frame, m, all over what frames give; the tangents (k,) of the angles at
-    which their frames look at them: a place moves by its height's error times that; and which of them tie
-    points hold (k,)."""
+    which their frames look at them: a place moves by its height's error times that; and which cells of an
+    even choice they are (rows, cols)."""
     its = land.ownership
     step = int(np.ceil(np.sqrt(its.owner.size / _MOST_PLACES)))
     at_m, tangent = looked_at(its, land.poses, land.work_frame, land.ground, step)
-
-    def within(area: Area) -> Bools:
-        return area.cells(its.grid, whole_of(its.grid), its.cell_px)[::step, ::step]
-
     given = np.isfinite(tangent)
     if its.area is not None:
-        given &= within(its.area)
-    return at_m[given], tangent[given], within(land.held)[given]
+        given &= its.area.cells(its.grid, whole_of(its.grid), its.cell_px)[::step, ::step]
+    return at_m[given], tangent[given], given
 
 
-def _doubt(beyond: Floats, held: Bools, surface_share: float) -> LandDoubt:
-    """beyond (k,): how likely places lie farther off than is asked; held (k,): which of them tie points
-    hold."""
-    if not held.size:
+def _among(given: Bools, some: Bools) -> Bools:
+    """Cells (rows, cols) of some (k,) of the places given."""
+    cells = np.zeros_like(given)
+    cells[given] = some
+    return cells
+
+
+def _doubt(beyond: Floats, cells: Bools, surface_share: float) -> LandDoubt:
+    """beyond (k,): how likely the places in cells (rows, cols) lie farther off than is asked."""
+    if not beyond.size:
         return LandDoubt(float("nan"), float("nan"), surface_share)
+    known = np.zeros_like(cells)
+    known[cells] = beyond < 0.5  # more likely within it than not
+    amid = binary_fill_holes(known)[cells]
     return LandDoubt(
-        float(beyond[held].sum()) / held.size, float(beyond[~held].sum()) / held.size, surface_share
+        float(beyond[amid].sum()) / beyond.size, float(beyond[~amid].sum()) / beyond.size, surface_share
     )
 
 

@@ -20,7 +20,6 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality import statement
 from geomosaic.quality.accuracy import Requirement, accuracy_of, usual_requirement
-from geomosaic.quality.accuracy_grid import held_by_ties
 from geomosaic.quality.ground_doubt import Land, land_doubt
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Seen, Verdict, verdict_of
@@ -101,8 +100,7 @@ class QualityVerdict(Stage):
             chips.look,
         )
         image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
-        held = held_by_ties(adjusted, inputs["ties"], survey.work_frame, survey.map_crs)
-        land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, ground, adjusted.ground, held)
+        land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, ground, adjusted.ground)
         required = _required(params, survey, adjusted, pixel_m)
         seen = Seen(
             seams,
