@@ -5,7 +5,8 @@ A constant stands where it is used:
     NODE_POINTS = tuned(3.0, "tie points a node", "fewer: stiffness decides; more: relief is lost")
     MAD = sourced(1.4826, "1", "normal deviations in a median absolute deviation", "1 / Phi^-1(3/4)")
 
-The value stays a plain number. `python -m geomosaic.constants [ROOM ...]` lists them all.
+The value stays a plain number. `python -m geomosaic.constants [ROOM ...]` lists them all, and tests and
+benchmarks try other values by name: `with varied(NODE_POINTS=2.0): ...`.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import reprlib
 import signal
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, TypeVar
 
 T = TypeVar("T")
@@ -65,6 +68,41 @@ def records(*rooms: str) -> Iterator[tuple[str, Any, Record]]:
                 vars(module)[name],
                 Record(*texts, *[CHOSEN] * (3 - len(texts))),
             )
+
+
+@contextmanager
+def varied(module: str = "", /, **values: Any) -> Iterator[None]:
+    """Other values of constants while it lasts, in this process. What a module computed from a constant when
+    it was loaded stays.
+
+    Args: module: the end of the name of the module that defines them, where several define one of that name.
+    Raises: LookupError where no loaded module, or more than one, defines a constant.
+    """
+    loaded = {name: its for name, its in sys.modules.items() if its and name.startswith("geomosaic.")}
+    before: list[tuple[ModuleType, str, Any]] = []
+    try:
+        for name, value in values.items():
+            homes = [its for of, its in loaded.items() if of.endswith(module) and _defines(its, name)]
+            if len(homes) != 1:
+                raise LookupError(f"{name}: {len(homes)} loaded modules define it, not one")
+            old = vars(homes[0])[name]
+            for its in loaded.values():
+                if name in vars(its) and vars(its)[name] is old:
+                    before.append((its, name, old))
+                    setattr(its, name, value)
+        yield
+    finally:
+        for its, name, old in before:
+            setattr(its, name, old)
+
+
+def _defines(module: ModuleType, constant: str) -> bool:
+    """Whether it has a constant of this name that it did not import."""
+    source = getattr(module, "__file__", None)
+    if constant not in vars(module) or not source:
+        return False
+    tree = ast.parse(Path(source).read_text(encoding="utf-8"))
+    return constant in {name for name, _ in recorded(tree)}
 
 
 def recorded(tree: ast.Module) -> Iterator[tuple[str, ast.Call]]:

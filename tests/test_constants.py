@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 import geomosaic
-from geomosaic.constants import recorded, records
+from geomosaic.adjustment.ground import tie_surface
+from geomosaic.adjustment.kernels import observation_groups
+from geomosaic.adjustment.terms import image_observations
+from geomosaic.constants import recorded, records, varied
+from geomosaic.matching import affine_matching
 from geomosaic.survey import plausible, strays
 
 HOUSE = Path(geomosaic.__file__).parent
@@ -117,3 +121,19 @@ def test_what_nothing_real_is_beyond_has_a_reason_and_a_source() -> None:
     }
     assert len(limits) > 15
     assert not [name for name, limit in limits.items() if not (limit.unit and limit.reason and limit.source)]
+
+
+def test_other_values_are_tried_by_name_wherever_the_constant_is_imported() -> None:
+    usual, windows = observation_groups.AT_ONCE, affine_matching._AT_ONCE
+    with varied(AT_ONCE=7, _GAP=0.5), varied("affine_matching", _AT_ONCE=3):
+        assert (observation_groups.AT_ONCE, image_observations.AT_ONCE) == (7, 7)
+        assert (tie_surface._GAP, affine_matching._AT_ONCE) == (0.5, 3)
+    after = observation_groups.AT_ONCE, image_observations.AT_ONCE, affine_matching._AT_ONCE
+    assert after == (usual, usual, windows)
+
+
+def test_an_unknown_or_ambiguous_constant_is_not_varied() -> None:
+    importlib.import_module("geomosaic.surface.costs")
+    for name in ("NO_SUCH", "_AT_ONCE"):
+        with pytest.raises(LookupError, match=name), varied(**{name: 1}):
+            pass
