@@ -118,8 +118,8 @@ def test_a_run_says_where_its_results_lie(desk: Desk) -> None:
     code, out, err = desk.run("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3", "--workers", "1")
     assert code == 0
     assert out == (
-        "frames     3 tied\ntotal      run/total.txt\ntold       run/told.txt\nrecording  run/run.mcap\n"
-        "warnings   1, see above and run.json\n"
+        "total      run/total.txt\ntold       run/told.txt\nrecording  run/run.mcap\n"
+        "warnings   1, see above and run.json\nframes     3 tied\n"
     )
     lines = err.splitlines()
     assert lines[0] == "warning: four.jpg: 4 numbers are many"
@@ -183,7 +183,7 @@ def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["rn"], "No such command 'rn'. Did you mean 'run'?"),
+        (["rn"], "unknown command 'rn'; did you mean 'run'?"),
         (["run"], "Missing argument 'RECIPE'."),
         (["run", "toy.yaml", "-o", "r", "--workers", "x"], "Invalid value for '--workers'"),
         (["run", "no.yaml", "-o", "r"], "no.yaml: there is no such file; give a recipe"),
@@ -199,7 +199,7 @@ def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
         ),
         (["stages", "toy.powr"], "unknown stage 'toy.powr'; did you mean 'toy.power'?"),
         (["evaluate", "run", "--reference", "x"], ""),
-        (["export", "nothing", "run"], "No such command 'nothing'"),
+        (["export", "nothing", "run"], "unknown command 'nothing'"),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_2(arguments: list[str], line: str, desk: Desk) -> None:
@@ -417,7 +417,7 @@ def test_the_command_line_loads_nothing_heavy() -> None:
 
 
 def test_help_names_units_and_defaults(desk: Desk) -> None:
-    code, out, _ = desk.ask("mosaic", "--help")
+    code, out, _ = desk.ask("mosaic", "--help-all")
     assert code == 0
     for option in ("--pos", "--camera", "--dem-offset", "--gcp", "--crs", "--gsd", "--adjust", "--reference"):
         assert option in out

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import typer
 
 from geomosaic import __version__
-from geomosaic.cli import recordings
 from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
+from geomosaic.cli.help import HeadedCommand, HeadedGroup
+from geomosaic.cli.inspection import diff, inspect
 from geomosaic.cli.measure import measure
 from geomosaic.cli.misplacement import misplacement
 from geomosaic.cli.mosaic import mosaic, name_methods, run
 from geomosaic.cli.qgis_script import qgis_script
 from geomosaic.cli.recipes import recipes
+from geomosaic.cli.recordings import view
+from geomosaic.cli.replaying import replay
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
 from geomosaic.cli.strips import name_strip_methods, strips
 
-_GENERATED = {
-    "simulate": "Simulate surveys with known truth.",
-    "export": "Export a finished run in another form; 'geomosaic export RUN' lists what suits it.",
+_COMMANDS: Mapping[str, Sequence[Callable[..., Any]]] = {
+    "Make a mosaic": (mosaic, strips, run),
+    "Before a run": (fetch, recipes, stages),
+    "After a run": (inspect, view, measure, evaluate, replay, diff, misplacement),
+    "Simulation and installation": (qgis_script, doctor),
 }
+"""Commands by their heading in the help, in the order of work."""
+
+_GENERATED = {
+    "export": (
+        "After a run",
+        "Export a finished run in another form.\n\n'geomosaic export RUN' lists what suits it.",
+    ),
+    "simulate": ("Simulation and installation", "Simulate surveys with known truth."),
+}
+"""Groups made from stages: heading and help."""
 
 
 def _version(asked: bool) -> None:
@@ -35,6 +51,8 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
     """The application. The commands of a group made from stages are made only if `argv` asks for it."""
     app = typer.Typer(
         name="geomosaic",
+        cls=HeadedGroup,
+        epilog="Start with: geomosaic mosaic FOLDER. For options: geomosaic COMMAND --help",
         no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"]},
         rich_markup_mode=None,
@@ -47,32 +65,20 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
             False, "--version", callback=_version, is_eager=True, help="print the version"
         ),
     ) -> None:
-        """Overlapping images of the ground in, one map-true mosaic out."""
+        """Make one map-true mosaic (orthomosaic) of overlapping aerial frames."""
 
-    asks = bool({"-h", "--help"} & {*argv})
+    asks = bool({"-h", "--help", "--help-all"} & {*argv})
     if argv[:1] == ["mosaic"] and asks:
         name_methods()
     if argv[:1] == ["strips"] and asks:
         name_strip_methods()
-    for command in (
-        mosaic,
-        strips,
-        run,
-        recipes,
-        fetch,
-        stages,
-        evaluate,
-        measure,
-        misplacement,
-        doctor,
-        qgis_script,
-    ):
-        app.command()(command)
-    app.registered_commands += recordings.app.registered_commands
-    for group, help in _GENERATED.items():
-        part = typer.Typer(help=help, no_args_is_help=True, rich_markup_mode=None)
+    for heading, commands in _COMMANDS.items():
+        for command in commands:
+            app.command(cls=HeadedCommand, rich_help_panel=heading)(command)
+    for group, (heading, help) in _GENERATED.items():
+        part = typer.Typer(cls=HeadedGroup, help=help, no_args_is_help=True, rich_markup_mode=None)
         part.callback()(lambda: None)
         if argv[:1] == [group]:
             add_stage_commands(part, group, argv[1] if len(argv) > 1 else None)
-        app.add_typer(part, name=group)
+        app.add_typer(part, name=group, rich_help_panel=heading)
     return app

@@ -42,24 +42,30 @@ def option_values(stage: type[Stage], options: Mapping[str, Any]) -> dict[str, A
 
 
 def command_of(
-    stage: type[Stage], place: tuple[str, str], run: Callable[..., int | None], more: Mapping[str, Any]
+    stage: type[Stage],
+    place: tuple[str, str],
+    run: Callable[..., int | None],
+    more: Mapping[str, Any],
+    headings: Mapping[str, str],
 ) -> Callable[..., int | None]:
     """A function that Typer turns into a command: `place` (name, help), one option a parameter, and `more`.
 
     `run` is called with the folder and everything else by name. `more` gives the annotation and the
-    default of further options.
+    default of further options, `headings` the heading in the help by parameter.
     """
     name, help = place
     keyword = inspect.Parameter.KEYWORD_ONLY
     parameters = [inspect.Parameter(name, keyword, annotation=Annotated[Path, typer.Argument(help=help)])]
     for p in describe_params(stage.Params):
         flag = f"--{p.name.replace('_', '-')}"
+        how: dict[str, Any] = {"help": help_line(p), "show_default": False}
+        how["rich_help_panel"] = headings.get(p.name)
         if p.type == "true or false":
             kind: Any = bool | None
-            option = typer.Option(f"{flag}/--no-{flag[2:]}", help=help_line(p), show_default=False)
+            option = typer.Option(f"{flag}/--no-{flag[2:]}", **how)
         else:
             kind = str | None
-            option = typer.Option(flag, help=help_line(p), show_default=False, metavar=p.unit or "VALUE")
+            option = typer.Option(flag, metavar=p.unit or "VALUE", **how)
         parameters.append(
             inspect.Parameter(p.name, keyword, default=None, annotation=Annotated[kind, option])
         )

@@ -140,7 +140,10 @@ CHECKS: dict[str, Callable[[], tuple[str, str]]] = {
 
 
 def doctor(as_json: AsJson = False) -> int:
-    """Check the installation: versions, drivers, both GDALs, grids, stages, disk and memory."""
+    """Check the installation and the machine.
+
+    Checked are versions, drivers, both GDALs, grids, stages, disk and memory.
+    """
     checks = []
     for name, look in CHECKS.items():
         try:

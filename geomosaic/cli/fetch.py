@@ -21,21 +21,22 @@ def fetch(
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "-o", "--output", help="the folder to put them into", metavar="FOLDER", parser=folder_given
-        ),
+        typer.Option("-o", "--output", help="folder to write to", metavar="FOLDER", parser=folder_given),
     ],
     insecure: Annotated[
         bool, typer.Option("--insecure", help="allow http:// to other machines than this one")
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="replace files that are in the way or were changed here")
+        bool,
+        typer.Option(
+            "--overwrite", help="replace files of the same name and files that were changed in the folder"
+        ),
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fetch frames, and the files that go with them, from web servers and object stores into a folder.
+    """Download frames and their files from web or object stores.
 
-    Files that are there as their servers have them stay: the same command goes on where it was stopped.
+    Files that are already complete are kept, so the same command continues a download that was stopped.
     Credentials are those that GDAL finds in the environment.
     """
     from geomosaic.cli.progress import progress

@@ -21,39 +21,42 @@ if TYPE_CHECKING:
 RecordingFile = Annotated[
     Path, typer.Argument(metavar="RUN.mcap", help="the recording of a run, or its folder")
 ]
-Png = Annotated[Path | None, typer.Option("--png", metavar="PNG", help="draw it into this file, too")]
+Png = Annotated[
+    Path | None, typer.Option("--png", metavar="PNG", help="also draw a picture of it to this file")
+]
 _ALL = 1_000_000
 
 
 def inspect(
     recording: RecordingFile,
-    stage: Annotated[str, typer.Option(metavar="STAGE", help="what a stage was given, made and said")] = "",
+    stage: Annotated[
+        str, typer.Option(metavar="STAGE", help="show a stage: inputs, results and messages")
+    ] = "",
     frame: Annotated[
-        str, typer.Option(metavar="FRAME", help="a frame's told and found pose, its ties and what was said")
+        str,
+        typer.Option(
+            metavar="FRAME", help="show a frame: reported and estimated pose, tie points and messages"
+        ),
     ] = "",
     pair: Annotated[
         tuple[str, str] | None,
-        typer.Option(
-            metavar="FRAME FRAME", help="what ties two frames and what is left, or why they aren't tied"
-        ),
+        typer.Option(metavar="FRAME FRAME", help="show a pair: tie points and residuals, or why it has none"),
     ] = None,
     worst: Annotated[
         int | None,
-        typer.Option(
-            metavar="N", min=1, max=_ALL, help="what is wrong; the N worst faults, frames and pairs"
-        ),
+        typer.Option(metavar="N", min=1, max=_ALL, help="show the N worst faults, frames and pairs"),
     ] = None,
     png: Png = None,
     repair: Annotated[
         Path | None,
-        typer.Option(metavar="OUT.mcap", help="write a whole file of what is there, as of a killed run"),
+        typer.Option(metavar="OUT.mcap", help="write a complete recording from that of a killed run"),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a recording holds and what is wrong with its survey, how sure that is, and what mends it.
+    """Show what is wrong with a recorded survey and how to fix it.
 
-    Without an option: stages, rounds of adjustment, faults, warnings, topics, whether it is whole, and where
-    the run ended if it was killed. --png draws the plan; with --frame or --pair that frame or pair.
+    Without an option, shows stages, rounds of adjustment, faults, warnings, topics, whether the recording is
+    complete, and where a killed run ended. --png draws the plan; with --frame or --pair that frame or pair.
     """
     from geomosaic.pipeline import files
     from geomosaic.recording import inspection_tables as show
@@ -140,10 +143,10 @@ def diff(
     png: Png = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what differs between two recordings, what came of it first; exit 0 if they are equal and 1 if not.
+    """Show what differs between two recordings.
 
-    Durations, the cache, the environment and the names of folders don't count. --png draws arrows from
-    where a places the frames to where b does.
+    Results come first. Durations, the cache, the environment and the names of folders don't count. --png
+    draws arrows from where A places the frames to where B does. Exit code 0 if they are equal, else 1.
     """
     from geomosaic.pipeline import files
     from geomosaic.recording import compare, pictures, read_recording

@@ -90,6 +90,8 @@ def _fail(text: str, exit_code: int, error: Exception | None = None) -> int:
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
     if sys.stderr is not None:
         with suppress(BrokenPipeError):
+            if sys.stdout is not None:
+                sys.stdout.flush()  # the error is the last line, also where both go into one file
             print(f"geomosaic: {line}", file=sys.stderr, flush=True)
     return exit_code
 

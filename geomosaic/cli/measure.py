@@ -28,7 +28,9 @@ def measure(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure lengths, areas and volumes on a run's map, with their standard deviations.
+    """Measure lengths, areas and volumes on a run's map.
+
+    Each figure has its standard deviation.
 
     Volumes are those above and below the plane through a polygon's rim; the run needs a surface for them.
     """

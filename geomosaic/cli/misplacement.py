@@ -31,7 +31,10 @@ def misplacement(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Say which scenes of strips are misplaced by more than 1 px, and what share of them by each method."""
+    """Show which scenes of strips are misplaced by more than 1 px.
+
+    Also shows the share of misplaced scenes for each method.
+    """
     from geomosaic.quality.strip_figures import misplacement_rate
 
     scenes = [_scene(run) for run in runs]

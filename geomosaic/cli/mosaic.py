@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from geomosaic.cli.help import ACCURACY, INPUTS, OUTPUT, RARE, SURFACE, HelpAll
 from geomosaic.cli.options import (
     Dask,
     DryRun,
@@ -81,16 +82,28 @@ SURFACES = ("ties", "dense")
 
 Adjust = Annotated[
     str | None,
-    typer.Option(metavar="METHOD", help="adjustment method; 'geomosaic stages adjustment.solve' lists them"),
+    typer.Option(
+        metavar="METHOD",
+        help="adjustment method; 'geomosaic stages adjustment.solve' lists them",
+        rich_help_panel=RARE,
+    ),
 ]
 
 Aoi = Annotated[
     Path | None,
-    typer.Option(help="cut the mosaic to the polygons of this file (GeoPackage, GeoJSON, ...)", metavar="F"),
+    typer.Option(
+        help="cut the mosaic to the polygons in this file (GeoPackage, GeoJSON, ...)",
+        metavar="F",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 AlignTo = Annotated[
     Path | None,
-    typer.Option(help="take CRS, pixel and grid of this raster, so that pixels coincide", metavar="TIF"),
+    typer.Option(
+        help="use CRS, pixel size and grid of this raster, so that pixels coincide",
+        metavar="TIF",
+        rich_help_panel=RARE,
+    ),
 ]
 
 
@@ -103,26 +116,64 @@ def mosaic(
     frames: Annotated[Path, typer.Argument(help="folder of frames (JPEG or TIFF)", metavar="FRAMES_DIR")],
     output: RunFolderBeside = None,
     pos: Annotated[
-        Path | None, typer.Option(help="positions and attitudes: CSV, geo.txt", metavar="F")
+        Path | None,
+        typer.Option(
+            help="positions and attitudes of the frames (CSV, geo.txt) [the frames' tags]",
+            metavar="F",
+            rich_help_panel=INPUTS,
+        ),
     ] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="interior orientation: cameras.json, YAML", metavar="F")
+        Path | None,
+        typer.Option(
+            help="interior orientation of the camera (cameras.json, YAML) [the frames' tags]",
+            metavar="F",
+            rich_help_panel=INPUTS,
+        ),
     ] = None,
     dem: Annotated[
-        Path | None, typer.Option(help="elevation model: GeoTIFF and other local rasters", metavar="F")
+        Path | None,
+        typer.Option(
+            help="elevation model of the ground (GeoTIFF or another raster file)",
+            metavar="F",
+            rich_help_panel=INPUTS,
+        ),
     ] = None,
     dem_offset: Annotated[
-        float | None, typer.Option(help="what to add to the DEM to have ellipsoidal heights", metavar="M")
+        float | None,
+        typer.Option(
+            help="metres to add to the DEM's heights to make them ellipsoidal",
+            metavar="M",
+            rich_help_panel=RARE,
+        ),
     ] = None,
     pos_crs: Annotated[
-        str | None, typer.Option(help="CRS of x and y in the POS file", metavar="EPSG:n")
+        str | None,
+        typer.Option(help="CRS of x and y in the --pos file", metavar="EPSG:n", rich_help_panel=INPUTS),
     ] = None,
     ground_height: Annotated[
-        float | None, typer.Option(help="ellipsoidal height of flat ground [by the frames]", metavar="M")
+        float | None,
+        typer.Option(
+            help="ellipsoidal height of flat ground, in metres [measured in the frames]",
+            metavar="M",
+            rich_help_panel=SURFACE,
+        ),
     ] = None,
-    gcp: Annotated[Path | None, typer.Option(help="control and check points", metavar="F")] = None,
+    gcp: Annotated[
+        Path | None,
+        typer.Option(
+            help="control and check points with their image positions (gcp_list.txt, CSV)",
+            metavar="F",
+            rich_help_panel=INPUTS,
+        ),
+    ] = None,
     gcp_optional: Annotated[
-        bool, typer.Option("--gcp-optional", help="go on without control where no point of --gcp can be used")
+        bool,
+        typer.Option(
+            "--gcp-optional",
+            help="go on without control where no point of --gcp can be used",
+            rich_help_panel=INPUTS,
+        ),
     ] = False,
     accuracy: Annotated[
         float | None,
@@ -130,11 +181,17 @@ def mosaic(
             help="horizontal RMSE that you need, such as 5cm [what the positions can give]",
             metavar="LENGTH",
             parser=length_given,
+            rich_help_panel=ACCURACY,
         ),
     ] = None,
     accuracy_vertical: Annotated[
         float | None,
-        typer.Option(help="vertical RMSE that you need", metavar="LENGTH", parser=length_given),
+        typer.Option(
+            help="vertical RMSE that you need, such as 10cm",
+            metavar="LENGTH",
+            parser=length_given,
+            rich_help_panel=ACCURACY,
+        ),
     ] = None,
     accuracy_relative: Annotated[
         float | None,
@@ -142,49 +199,84 @@ def mosaic(
             help="RMSE of distances that you need, in per mille [what the positions can give]",
             metavar="PERMILLE",
             min=0.0,
+            rich_help_panel=ACCURACY,
         ),
     ] = None,
     damaged: Annotated[
         str | None,
-        typer.Option(help="damaged frames: leave_out, or mask the damage [leave_out]", metavar="HOW"),
+        typer.Option(
+            help="damaged frames: leave_out drops them, mask only their damaged parts [leave_out]",
+            metavar="leave_out|mask",
+            rich_help_panel=RARE,
+        ),
     ] = None,
-    crs: Annotated[str, typer.Option(help="map CRS of the mosaic: auto (UTM) or EPSG:n")] = "auto",
-    gsd: Annotated[str, typer.Option(help="the mosaic's pixel: auto or metres", metavar="auto|M")] = "auto",
+    crs: Annotated[
+        str,
+        typer.Option(
+            help="map CRS of the mosaic; auto is the UTM zone",
+            metavar="auto|EPSG:n",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = "auto",
+    gsd: Annotated[
+        str,
+        typer.Option(
+            help="pixel size of the mosaic in metres; auto is that of the frames",
+            metavar="auto|M",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = "auto",
     aoi: Aoi = None,
     align_to: AlignTo = None,
     edges: Annotated[
         str | None,
         typer.Option(
-            help="trim what is seen aslant or coarsely, or on ground that is a guess, or keep it [trim]",
+            help="trim leaves out ground seen obliquely, coarsely or with a guessed height; keep keeps it "
+            "[trim]",
             metavar="trim|keep",
+            rich_help_panel=OUTPUT,
         ),
     ] = None,
     adjust: Adjust = None,
     surface: Annotated[
         str,
         typer.Option(
-            help="ground that frames are laid on: ties, smooth through tie points, or dense, matched between "
-            "frames",
+            help="ground onto which frames are projected: ties is smooth through the tie points, dense is "
+            "matched between frames",
             metavar="|".join(SURFACES),
+            rich_help_panel=SURFACE,
         ),
     ] = "ties",
     ortho: Annotated[
         str | None,
         typer.Option(
-            help="what a dense surface's mosaic lies on: the surface (roofs in place), the terrain below "
-            "it, or auto, the surface if frames differ clearly less on it [auto]",
+            help="with --surface dense, project onto the surface (roofs in place) or the terrain below it; "
+            "auto takes the surface if frames differ clearly less on it [auto]",
             metavar="auto|surface|terrain",
+            rich_help_panel=SURFACE,
         ),
     ] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="true ortho or satellite image to compare with", metavar="TIF")
+        Path | None,
+        typer.Option(
+            help="orthophoto or satellite image to compare the mosaic with",
+            metavar="TIF",
+            rich_help_panel=ACCURACY,
+        ),
     ] = None,
     surface_reference: Annotated[
         Path | None,
-        typer.Option(help="elevation model or point cloud to compare the surface with", metavar="F"),
+        typer.Option(
+            help="elevation model or point cloud to compare the surface of --surface dense with",
+            metavar="F",
+            rich_help_panel=ACCURACY,
+        ),
     ] = None,
     pdf: Annotated[
-        bool, typer.Option("--pdf", help="print the report to report.pdf too, by Chromium")
+        bool,
+        typer.Option(
+            "--pdf", help="also print the report to report.pdf (needs Chromium)", rich_help_panel=OUTPUT
+        ),
     ] = False,
     set: Sets = None,
     workers: Workers = None,
@@ -200,6 +292,7 @@ def mosaic(
     private: Private = False,
     private_places: PrivatePlaces = False,
     live: Live = False,
+    help_all: HelpAll = False,
 ) -> None:
     """Make one map-true mosaic of a folder of aerial frames."""
     if pdf:
@@ -269,23 +362,27 @@ def run(
     recipe: Annotated[
         str,
         typer.Argument(
-            help="a recipe in YAML, or the name of one that 'geomosaic recipes' lists",
+            help="recipe file (YAML), or the name of one that 'geomosaic recipes' lists",
             metavar="RECIPE",
             autocompletion=completed,
         ),
     ],
     input: Annotated[
         Path | None,
-        typer.Argument(help="what it is to read: the folder of frames, or the geometry of strips"),
+        typer.Argument(help="folder of frames, or geometry of strips (YAML)", metavar="INPUT"),
     ] = None,
     output: RunFolderBeside = None,
     frames: Annotated[
         Path | None,
-        typer.Option(help="folder of frames: short for --set survey.read.frames=DIR", metavar="DIR"),
+        typer.Option(
+            help="folder of frames, as --set survey.read.frames=DIR", metavar="DIR", rich_help_panel=INPUTS
+        ),
     ] = None,
     strips: Annotated[
         Path | None,
-        typer.Option(help="geometry of strips: short for --set survey.strips.geometry=F", metavar="F"),
+        typer.Option(
+            help="geometry of strips, as --set survey.strips.geometry=F", metavar="F", rich_help_panel=INPUTS
+        ),
     ] = None,
     aoi: Aoi = None,
     align_to: AlignTo = None,
@@ -303,8 +400,9 @@ def run(
     private: Private = False,
     private_places: PrivatePlaces = False,
     live: Live = False,
+    help_all: HelpAll = False,
 ) -> None:
-    """Run a recipe."""
+    """Run a recipe: a YAML file of stages and their parameters."""
     from dataclasses import replace
 
     from geomosaic.pipeline.named import recipe_path

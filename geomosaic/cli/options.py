@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from geomosaic.cli.help import OUTPUT, RARE, RUNNING
 from geomosaic.errors import GeomosaicError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -47,72 +48,119 @@ def length_given(text: str) -> float:
 
 RunFolder = Annotated[
     Path,
-    typer.Option("-o", "--output", help="the run folder to write", metavar="RUN", parser=folder_given),
+    typer.Option("-o", "--output", help="folder to write the run to", metavar="RUN", parser=folder_given),
 ]
 RunFolderBeside = Annotated[
     Path | None,
     typer.Option(
         "-o",
         "--output",
-        help="the run folder to write [beside what is read, INPUT-mosaic or alike]",
+        help="folder to write the run to [next to the input, such as INPUT-mosaic]",
         metavar="RUN",
         parser=folder_given,
         show_default=False,
+        rich_help_panel=OUTPUT,
     ),
 ]
 Strict = Annotated[
     bool,
     typer.Option(
         "--strict",
-        help="frames that can't be used and lines without a frame end the run; a bad verdict exits with 3",
+        help="end the run if a frame cannot be used or a position has no frame; exit with 3 if the verdict "
+        "is bad",
+        rich_help_panel=RUNNING,
     ),
 ]
 DryRun = Annotated[
     bool,
     typer.Option(
-        "--dry-run", help="say what the run would do, its size, memory, disk and time; write nothing"
+        "--dry-run",
+        help="report what the run would do and its size, memory, disk and time; write nothing",
+        rich_help_panel=RUNNING,
     ),
 ]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="print nothing but errors")]
+Quiet = Annotated[
+    bool, typer.Option("-q", "--quiet", help="print nothing but errors", rich_help_panel=RUNNING)
+]
 Overwrite = Annotated[
     bool,
-    typer.Option("--overwrite", help="allow a folder that holds other files; results may replace them"),
+    typer.Option(
+        "--overwrite",
+        help="write into a folder that holds other files; results may replace them",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 Sets = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="STAGE.PARAM=VALUE", help="set any stage's parameter; may be repeated"),
+    typer.Option(
+        "--set",
+        metavar="STAGE.PARAM=VALUE",
+        help="set a parameter of a stage ('geomosaic stages' lists them); may be repeated",
+        rich_help_panel=RARE,
+    ),
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(help="worker processes [one a core]", min=1, max=1024, show_default=False),
+    typer.Option(
+        help="number of worker processes [one per core]",
+        metavar="N",
+        min=1,
+        max=1024,
+        show_default=False,
+        rich_help_panel=RUNNING,
+    ),
 ]
 Dask = Annotated[
-    str | None, typer.Option(metavar="tcp://HOST:PORT", help="work on this Dask cluster instead")
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="compute on this Dask cluster instead of this machine",
+        rich_help_panel=RARE,
+    ),
 ]
 FixedTime = Annotated[
-    bool, typer.Option("--fixed-time", help="leave clock times out of the recording: equal runs, equal bytes")
+    bool,
+    typer.Option(
+        "--fixed-time",
+        help="leave clock times out of the recording, so that equal runs give equal bytes",
+        rich_help_panel=RARE,
+    ),
 ]
 Record = Annotated[
     str,
     typer.Option(
         metavar="off|summary|normal|full",
-        help="what run.mcap holds: nothing; figures; also images and what a replay takes; also each pair's "
-        "tie points",
+        help="content of run.mcap: off writes none; summary holds figures; normal also images and what a "
+        "replay needs; full also the tie points of each pair",
+        rich_help_panel=RARE,
     ),
 ]
 Private = Annotated[
-    bool, typer.Option("--private", help="no folders, user or host in the recording, for strangers to read")
+    bool,
+    typer.Option(
+        "--private",
+        help="leave folders, user and host out of the recording, so that strangers may read it",
+        rich_help_panel=RARE,
+    ),
 ]
 PrivatePlaces = Annotated[
     bool,
     typer.Option(
         "--private-places",
-        help="nor where it is: places moved by what nobody is told, no replay; images still show the ground",
+        help="as --private, and move all places by a secret offset; the recording cannot be replayed, and "
+        "its images still show the ground",
+        rich_help_panel=RARE,
     ),
 ]
-Live = Annotated[bool, typer.Option("--live", help="show the run in Rerun while it is on")]
-Seed = Annotated[int | None, typer.Option(help="seed of all randomness", min=0)]
-PlanJson = Annotated[bool, typer.Option("--json", help="with --dry-run: its figures as JSON")]
+Live = Annotated[
+    bool, typer.Option("--live", help="show the run in Rerun while it works", rich_help_panel=RARE)
+]
+Seed = Annotated[
+    int | None, typer.Option(help="seed of all random numbers", metavar="N", min=0, rich_help_panel=RARE)
+]
+PlanJson = Annotated[
+    bool, typer.Option("--json", help="with --dry-run: print its figures as JSON", rich_help_panel=RARE)
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 

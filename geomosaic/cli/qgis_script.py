@@ -49,11 +49,14 @@ def qgis_script(
     folder: Annotated[
         Path | None,
         typer.Argument(
-            help="folder to write to [QGIS' own for scripts]", metavar="FOLDER", show_default=False
+            help="folder to write to [the script folder of QGIS]", metavar="FOLDER", show_default=False
         ),
     ] = None,
 ) -> None:
-    """Put the commands into QGIS' Processing toolbox: as scripts that run this geomosaic."""
+    """Add geomosaic to the Processing toolbox of QGIS.
+
+    The scripts that are written run this installation of geomosaic.
+    """
     folder = folder or _scripts()
     template = Path(__file__).with_name("qgis_algorithm.py.in").read_text(encoding="utf-8")
     try:

@@ -13,10 +13,13 @@ from geomosaic.errors import UnknownNameError
 def recipes(
     name: Annotated[str | None, typer.Argument(help="a recipe's name", metavar="NAME")] = None,
     makefile: Annotated[
-        bool, typer.Option("--makefile", help="print where survey.mk lies, for a Makefile's include")
+        bool, typer.Option("--makefile", help="print the path of survey.mk, which a Makefile can include")
     ] = False,
 ) -> None:
-    """List the recipes that come with geomosaic, or print one, to be changed and run as a file."""
+    """List the recipes that come with geomosaic, or print one.
+
+    A printed recipe can be saved, changed and run as a file.
+    """
     from geomosaic.doors.plain import read_yaml
     from geomosaic.pipeline.named import FOLDER, MAKEFILE, recipe_names, recipe_path
 

@@ -11,24 +11,22 @@ import typer
 from geomosaic.cli.inspection import RecordingFile, diff, inspect, recording_file
 from geomosaic.cli.replaying import replay
 
-__all__ = ["app", "diff", "inspect", "replay", "view"]
-
-app = typer.Typer()
-for command in (inspect, diff, replay):
-    app.command()(command)
+__all__ = ["diff", "inspect", "replay", "view"]
 
 
-@app.command()
 def view(
     recording: RecordingFile,
     save: Annotated[
-        Path | None, typer.Option(metavar="OUT.rrd", help="write Rerun's file and show nothing")
+        Path | None, typer.Option(metavar="OUT.rrd", help="write a file for Rerun instead of opening it")
     ] = None,
     screenshot: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="an image of the view, made without a screen")
+        Path | None, typer.Option(metavar="PNG", help="write an image of the view instead of opening it")
     ] = None,
 ) -> None:
-    """Show a recording in Rerun: the map, the images, the offsets of each round, the log."""
+    """Show a recording in Rerun.
+
+    Shown are the map, the images, the offsets of each round and the log.
+    """
     from geomosaic.recording import read_recording
     from geomosaic.recording import view as rerun_view
 

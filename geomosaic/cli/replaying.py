@@ -49,17 +49,17 @@ def replay(
     frames: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="where the frames lie now; found by content, whatever they are called"
+            metavar="DIR", help="folder of the frames now; they are found by content, whatever their names"
         ),
     ] = None,
     quiet: Quiet = False,
     record: Record = "normal",
 ) -> None:
-    """Run a recorded recipe again from any stage on, taking what comes before from the recording.
+    """Run a recorded recipe again from any stage on.
 
-    Stages that read pixels need the frames where they were, or --frames. From the adjustment on, where the
-    frames are gone, the recorded thumbnails stand in for them. Trust a recording as you would a recipe: it
-    names the files to read.
+    Results of earlier stages are taken from the recording. Stages that read pixels need the frames in their
+    old folder or in --frames. From the adjustment on, recorded thumbnails replace missing frames. Trust a
+    recording as you would a recipe: it names the files to read.
     """
     from geomosaic.cli.running import execute
     from geomosaic.pipeline.elsewhere import at_places, found_frames

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
     from geomosaic.recording.levels import RecordOptions
 
+_OPENED = ("report.html", "project.qgz")
+"""Of a run's files those to begin with."""
+
 
 def execute(
     recipe: Recipe,
@@ -65,15 +68,18 @@ def execute(
 
 
 def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
+    """Files first, then figures in the order of stages: verdict, accuracy and what to open come last."""
     from geomosaic.pipeline.recipe import RECORDING
 
-    told = [pair for step in reversed(recipe.steps) for pair in step.stage.conclusions(summary)]
+    told = []
     for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
         if (output / file).exists() and not file.endswith((".aux.xml", "_report.json")):
             told.append(("recording" if file == RECORDING else Path(file).stem, f"{output / file}"))
     if summary["warnings"]:
         told.append(("warnings", f"{len(summary['warnings'])}, see above and run.json"))
-    print_named(told)
+    told += [pair for step in recipe.steps for pair in step.stage.conclusions(summary)]
+    opened = [f"{output / file}" for file in _OPENED if (output / file).exists()]
+    print_named(told + [("open", ", ".join(opened))] * bool(opened))
 
 
 def print_named(told: Sequence[tuple[str, str]]) -> None:

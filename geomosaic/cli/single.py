@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geomosaic.cli.options import AsJson, Overwrite, Quiet, Seed, Sets, Workers, cores
+from geomosaic.cli.help import RUNNING, HeadedCommand, HelpAll
+from geomosaic.cli.options import AsJson, Overwrite, Quiet, Sets, Workers, cores
 from geomosaic.errors import FileError, InputError
 
 if TYPE_CHECKING:
@@ -19,11 +20,17 @@ if TYPE_CHECKING:
     from geomosaic.pipeline.run_folder import RunFolder
     from geomosaic.pipeline.stage import Stage
 
+_Seed = Annotated[
+    int | None,
+    typer.Option(help="seed of all random numbers [0]", metavar="N", min=0, rich_help_panel=RUNNING),
+]
+
 
 def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
     """One command for each stage `group.*`, or for that of the name `only`; broken ones raise when run."""
     from geomosaic.cli.declared import command_of
     from geomosaic.cli.export import add_folder, described, suiting
+    from geomosaic.cli.simulation_help import simulation_headings
     from geomosaic.pipeline.registry import installed
 
     ids = [id for id in installed().ids() if id.startswith(f"{group}.")]
@@ -37,14 +44,16 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
         add_folder(app, only)
     for stage in stages:
         if group == "simulate":
-            place, more = ("out", "folder to write"), {"seed": (Seed, None), "overwrite": (Overwrite, False)}
+            place, more = ("out", "folder to write"), {"seed": (_Seed, None), "overwrite": (Overwrite, False)}
         else:
             place, more = ("run", "folder of a finished run"), {}
-        command = command_of(
-            stage, place, _runner(stage), {**more, "workers": (Workers, None), "quiet": (Quiet, False)}
-        )
+        headings = simulation_headings(stage)
+        if headings:
+            more["help_all"] = (HelpAll, False)
+        more |= {"workers": (Workers, None), "quiet": (Quiet, False)}
+        command = command_of(stage, place, _runner(stage), more, headings)
         told = described(stage) if group == "export" and len(ids) > 1 else None
-        app.command(stage.id.partition(".")[2], short_help=told)(command)
+        app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=told)(command)
 
 
 def _runner(stage: type[Stage]) -> Any:
@@ -55,6 +64,7 @@ def _runner(stage: type[Stage]) -> Any:
         workers: int | None = None,
         overwrite: bool = False,
         quiet: bool = False,
+        help_all: bool = False,
         **options: Any,
     ) -> None:
         from geomosaic.cli.declared import params_from
@@ -124,23 +134,31 @@ def _run(
 def evaluate(
     targets: Annotated[
         list[Path],
-        typer.Argument(help="a run's folder, or a mosaic; files of scores", metavar="RUN|TIF|FILES"),
+        typer.Argument(
+            help="a run folder or a mosaic; with --scores, files of scores", metavar="RUN|TIF|FILES"
+        ),
     ],
     reference: Annotated[
-        Path | None, typer.Option(help="the true ortho or a satellite image", metavar="TIF")
+        Path | None,
+        typer.Option(help="orthophoto or satellite image to compare the mosaic with", metavar="TIF"),
     ] = None,
     surface_reference: Annotated[
         Path | None,
-        typer.Option(help="a better elevation model (raster) or point cloud (LAS, LAZ)", metavar="F"),
+        typer.Option(
+            help="elevation model (raster) or point cloud (LAS, LAZ) to compare the surface with", metavar="F"
+        ),
     ] = None,
     scores: Annotated[
-        bool, typer.Option("--scores", help="gather what viewers saved from reports' score forms")
+        bool, typer.Option("--scores", help="gather the scores that viewers saved from reports")
     ] = False,
     set: Sets = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare a mosaic (displacement, jumps, SSIM) or a run's surface (heights) with a reference; or gather
-    viewers' scores."""
+    """Compare a mosaic or a surface with a reference.
+
+    A mosaic is compared by displacement, jumps and SSIM, a run's surface by heights. With --scores, gather
+    viewers' scores instead.
+    """
     if [scores, reference is not None, surface_reference is not None].count(True) != 1:
         raise InputError(
             "evaluate takes one of --reference TIF, --surface-reference F and --scores",

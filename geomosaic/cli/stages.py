@@ -18,7 +18,10 @@ def stages(
     id: Annotated[str | None, typer.Argument(help="a stage's id", metavar="ID")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the stages, or describe one: parameters with units and bounds, inputs, outputs."""
+    """List the stages of processing, or describe one.
+
+    The description holds parameters with units and bounds, inputs and outputs.
+    """
     from geomosaic.pipeline.registry import installed
 
     if id is not None:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from geomosaic.cli.help import ACCURACY, OUTPUT, HelpAll
 from geomosaic.cli.mosaic import recipe_of
 from geomosaic.cli.options import (
     DryRun,
@@ -46,7 +47,11 @@ STAGES = (
 
 Method = Annotated[
     str | None,
-    typer.Option(metavar="METHOD", help="how offsets are found; 'geomosaic stages ccd.offsets' lists them"),
+    typer.Option(
+        metavar="METHOD",
+        help="how offsets are estimated; 'geomosaic stages ccd.offsets' lists the methods",
+        rich_help_panel=ACCURACY,
+    ),
 ]
 
 
@@ -57,13 +62,17 @@ def name_strip_methods() -> None:
 
 def strips(
     geometry: Annotated[
-        Path, typer.Argument(help="focal plane and strips, see docs/inputs.md", metavar="GEOMETRY.yaml")
+        Path, typer.Argument(help="YAML file of the focal plane and its strips", metavar="GEOMETRY.yaml")
     ],
     output: RunFolderBeside = None,
     method: Method = None,
     map: Annotated[
         bool,
-        typer.Option("--map", help="lay the scene on the map as well, on the geometry's DEM: mosaic_map.tif"),
+        typer.Option(
+            "--map",
+            help="also write mosaic_map.tif, the scene in map coordinates on the geometry's DEM",
+            rich_help_panel=OUTPUT,
+        ),
     ] = False,
     set: Sets = None,
     workers: Workers = None,
@@ -77,8 +86,9 @@ def strips(
     private: Private = False,
     private_places: PrivatePlaces = False,
     live: Live = False,
+    help_all: HelpAll = False,
 ) -> None:
-    """Make one scene of the strips of a satellite's staggered CCDs."""
+    """Make one scene of the strips of a satellite's CCDs."""
     given: dict[str, dict[str, Any]] = {
         "survey.strips": {"geometry": geometry},
         "ccd.offsets": {"method": method},

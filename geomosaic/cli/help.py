@@ -1,0 +1,132 @@
+"""Help for people: commands and options under headings, rare options only with `--help-all`."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from geomosaic.errors import FileError, InputError, UnknownNameError
+
+INPUTS: Final = "Inputs"
+SURFACE: Final = "Ground and surface"
+ACCURACY: Final = "Adjustment and accuracy"
+OUTPUT: Final = "Output"
+RUNNING: Final = "Running"
+RARE: Final = "Rarely needed"
+"""The heading of options that only `--help-all` shows; `RARE: the camera` is one of several."""
+_ORDER: Final = (INPUTS, SURFACE, ACCURACY, OUTPUT, RUNNING, RARE, "Help")
+_ALL: Final = "geomosaic.help_all"
+
+
+def _show_all(context: typer.Context, asked: bool) -> None:
+    if asked and not context.resilient_parsing:
+        context.meta[_ALL] = True
+        print(context.get_help())
+        raise typer.Exit
+
+
+HelpAll = Annotated[
+    bool,
+    typer.Option(
+        "--help-all",
+        callback=_show_all,
+        is_eager=True,
+        help="Show all options, also those that are rarely needed.",
+    ),
+]
+
+
+class HeadedCommand(TyperCommand):
+    """A command whose options stand below the headings that they name as `rich_help_panel`, if it has
+    `--help-all`; else in one list."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Writes the sections in the order of `_ORDER`, headings of the command's own before them."""
+        if not self._rare():
+            super().format_options(ctx, formatter)
+            return
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            default = "Arguments" if parameter.param_type_name == "argument" else "Help"
+            heading = getattr(parameter, "rich_help_panel", None) or default
+            if record is not None and (ctx.meta.get(_ALL) or not heading.startswith(RARE)):
+                sections.setdefault(heading, []).append(record)
+        _write(formatter, dict(sorted(sections.items(), key=lambda section: _rank(section[0]))))
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Writes how to see the options that are left out."""
+        if self._rare() and not ctx.meta.get(_ALL):
+            formatter.write_paragraph()
+            formatter.write(f"{self._rare()} more options are rarely needed: {ctx.command_path} --help-all\n")
+
+    def _rare(self) -> int:
+        """How many options only `--help-all` shows."""
+        if not any(parameter.name == "help_all" for parameter in self.params):
+            return 0
+        return sum((getattr(p, "rich_help_panel", None) or "").startswith(RARE) for p in self.params)
+
+
+class HeadedGroup(TyperGroup):
+    """A group whose commands stand below the headings that they name as `rich_help_panel`."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Writes each command with its first sentence in full."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            if not command.hidden:
+                heading = getattr(command, "rich_help_panel", None) or "Commands"
+                sections.setdefault(heading, []).append((name, command.get_short_help_str(limit=1000)))
+        _write(formatter, sections)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command of the first argument. Raises `InputError` with the command to type for a path,
+        `UnknownNameError` for another name."""
+        if args[0] not in self.commands and not args[0].startswith("-") and not ctx.resilient_parsing:
+            if ctx.parent is None:
+                _propose(args)
+            raise UnknownNameError("command", args[0], self.commands)
+        return super().resolve_command(ctx, args)
+
+
+def _rank(heading: str) -> int:
+    kind = heading.partition(":")[0]
+    return _ORDER.index(kind) if kind in _ORDER else -1
+
+
+def _write(formatter: Any, sections: Mapping[str, Sequence[tuple[str, str]]]) -> None:
+    """Sections whose second columns begin at the same place."""
+    width = min(30, max((len(name) for rows in sections.values() for name, _ in rows), default=0))
+    for heading, rows in sections.items():
+        with formatter.section(heading):
+            formatter.write_dl([(name.ljust(width), text) for name, text in rows])
+
+
+def _propose(arguments: Sequence[str]) -> None:
+    """Raises `InputError` with the command to type where a command's name is missing before a path."""
+    from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES
+
+    path, more = Path(arguments[0]), arguments[1:]
+    if not path.exists():
+        if path.name != arguments[0]:
+            raise FileError(
+                "no such file or folder", file=path, mend="check the path: geomosaic mosaic FOLDER"
+            )
+        return
+    if (path / "run.json").is_file() or path.suffix == ".mcap":
+        command = ["inspect", str(path), *more]
+    elif path.is_file() and path.suffix in (".yaml", ".yml"):
+        command = ["run", str(path), *more]
+    elif path.is_dir():
+        command = ["mosaic", str(path), *more]
+    elif path.suffix.lower() in JPEG_SUFFIXES | TIFF_SUFFIXES:
+        command = ["mosaic", str(path.parent)]
+    else:
+        return
+    kind = "folder" if path.is_dir() else "file"
+    raise InputError(f"is a {kind}, not a command", file=path, mend=f"type: geomosaic {shlex.join(command)}")
