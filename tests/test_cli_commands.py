@@ -39,7 +39,7 @@ class Desk:
         recipe_file(folder)
         self.site = distribution(folder / "site")
         self.log = folder / "log"
-        path = os.pathsep.join([str(self.site), str(HERE)])
+        path = os.pathsep.join([str(self.site), str(HERE), str(HERE.parent)])
         self.environment = {**os.environ, "PYTHONPATH": path, "TOY_LOG": str(self.log), "COLUMNS": "120"}
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:

@@ -21,6 +21,7 @@ import typer
 import geomosaic as gm
 from geomosaic.cli.app import build_app
 from geomosaic.cli.main import main
+from geomosaic.errors import InputError
 
 try:  # typer has a click of its own now
     from typer._click.exceptions import MissingParameter, NoArgsIsHelpError, UsageError
@@ -81,7 +82,7 @@ def words(line: str) -> list[str]:
 
 
 def parse(argv: list[str]) -> None:
-    """As the command line does it, but for doing it. Raises: `UsageError`."""
+    """As the command line does it, but for doing it. Raises: `UsageError`, `InputError`."""
     command: Any = typer.main.get_command(build_app(argv))
     context, rest, name = None, argv, "geomosaic"
     while True:
@@ -95,7 +96,7 @@ def parse(argv: list[str]) -> None:
 
 def test_what_is_no_command_does_not_parse() -> None:
     for line in ("reads files", "mosaic", "mosaic frames --no-such-option", "export no-such-form RUN"):
-        with pytest.raises(UsageError):
+        with pytest.raises((UsageError, InputError)):
             parse(line.split())
 
 
@@ -197,7 +198,7 @@ def of_the_pages() -> list[list[str]]:
             with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(typer.Exit):
                 try:
                     parse([STANDS_FOR.get(word, word) for word in words(line)])
-                except UsageError:  # a command's name alone, or a sentence: the test above looks at it
+                except (UsageError, InputError):  # a command's name alone, or a sentence: the test above looks at it
                     continue
             found[tuple(words(line))] = None
     return [list(argv) for argv in found]
@@ -211,7 +212,7 @@ def test_the_commands_of_the_other_pages_run(surveyed: Path, capsys: pytest.Capt
     for number, (name, *more) in enumerate(of_the_pages()):
         run = "scene/run" if name in ("strips", "misplacement") else "flight/frames-mosaic"
         more = [{**STANDS_FOR, "RUN": run}.get(word, word) for word in more]
-        if name == "simulate" and "--help" not in more:
+        if name == "simulate" and not {"--help", "--help-all"} & {*more}:
             small = SMALL if more[0] == "frames" else SMALL_STRIPS
             more = [more[0], f"out{number}", *more[2:], *small.split()]
         if name in ("mosaic", "run", "replay"):
