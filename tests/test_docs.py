@@ -198,7 +198,7 @@ def of_the_pages() -> list[list[str]]:
             with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(typer.Exit):
                 try:
                     parse([STANDS_FOR.get(word, word) for word in words(line)])
-                except (UsageError, InputError):  # a command's name alone, or a sentence: the test above looks at it
+                except (UsageError, InputError):  # a command's name alone, or a sentence
                     continue
             found[tuple(words(line))] = None
     return [list(argv) for argv in found]
