@@ -248,7 +248,7 @@ def run(
     progress: bool = False,
 ) -> Run:
     """`geomosaic run`: a recipe's file, or the name of one that is there. Arguments: as `mosaic`."""
-    from geomosaic.cli.mosaic import run as command
+    from geomosaic.cli.run import run as command
     from geomosaic.cli.options import beside
     from geomosaic.pipeline.named import recipe_path
 

@@ -238,7 +238,7 @@ def test_the_front_door_needs_no_numpy() -> None:
 
 def test_workers_are_made_ready_before_anything_heavy_is_imported() -> None:
     code = (
-        "import sys, geomosaic.cli.mosaic as m, geomosaic.pipeline.executor as e\n"
+        "import sys, geomosaic.cli.running as m, geomosaic.pipeline.executor as e\n"
         "e.prepare_workers = lambda modules: print(*modules, 'numpy' in sys.modules)\n"
         "m.prepare(['survey.read', 'matching.sift', 'no.such'], 2, None)\n"
         "m.prepare(['survey.read'], 1, None)"

@@ -10,15 +10,17 @@ import typer
 from geomosaic import __version__
 from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
-from geomosaic.cli.help import HeadedCommand, HeadedGroup
+from geomosaic.cli.help import HeadedCommand, HeadedGroup, with_help_all
 from geomosaic.cli.inspection import diff, inspect
 from geomosaic.cli.measure import measure
 from geomosaic.cli.misplacement import misplacement
-from geomosaic.cli.mosaic import mosaic, name_methods, run
+from geomosaic.cli.mosaic import mosaic
+from geomosaic.cli.mosaic_options import name_methods
 from geomosaic.cli.qgis_script import qgis_script
 from geomosaic.cli.recipes import recipes
 from geomosaic.cli.recordings import view
 from geomosaic.cli.replaying import replay
+from geomosaic.cli.run import run
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
 from geomosaic.cli.strips import name_strip_methods, strips
@@ -74,7 +76,7 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
         name_strip_methods()
     for heading, commands in _COMMANDS.items():
         for command in commands:
-            app.command(cls=HeadedCommand, rich_help_panel=heading)(command)
+            app.command(cls=HeadedCommand, rich_help_panel=heading)(with_help_all(command))
     for group, (heading, help) in _GENERATED.items():
         part = typer.Typer(cls=HeadedGroup, help=help, no_args_is_help=True, rich_markup_mode=None)
         part.callback()(lambda: None)

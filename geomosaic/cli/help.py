@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -30,59 +33,77 @@ def _show_all(context: typer.Context, asked: bool) -> None:
         raise typer.Exit
 
 
-HelpAll = Annotated[
+_HelpAll = Annotated[
     bool,
     typer.Option(
-        "--help-all",
-        callback=_show_all,
-        is_eager=True,
-        help="Show all options, also those that are rarely needed.",
+        "--help-all", callback=_show_all, is_eager=True, help="Show all options, also the rarely needed."
     ),
 ]
 
 
+def with_help_all(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The function as Typer takes it, with an option `--help-all` if others of its options are rarely needed.
+
+    The option is the command line's alone: from Python the function does not take it.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    parameters = [*signature.parameters.values()]
+    declared = [option for p in parameters for option in getattr(p.annotation, "__metadata__", ())]
+    if not any(_heading(option).startswith(RARE) for option in declared):
+        return command
+
+    @wraps(command)
+    def headed(*, help_all: bool, **options: Any) -> Any:
+        return command(**options)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    parameters.append(inspect.Parameter("help_all", keyword, default=False, annotation=_HelpAll))
+    headed.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    headed.__annotations__ = {p.name: p.annotation for p in parameters}
+    return headed
+
+
 class HeadedCommand(TyperCommand):
-    """A command whose options stand below the headings that they name as `rich_help_panel`, if it has
-    `--help-all`; else in one list."""
+    """A command whose options stand below the headings that they name as `rich_help_panel`, if some of them
+    are rarely needed; else in one list."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Writes the sections in the order of `_ORDER`, headings of the command's own before them."""
-        if not self._rare():
-            super().format_options(ctx, formatter)
-            return
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
-            default = "Arguments" if parameter.param_type_name == "argument" else "Help"
-            heading = getattr(parameter, "rich_help_panel", None) or default
+            if parameter.param_type_name == "argument":
+                heading = "Arguments"
+            else:
+                heading = (_heading(parameter) or "Help") if self._rare() else "Options"
             if record is not None and (ctx.meta.get(_ALL) or not heading.startswith(RARE)):
-                sections.setdefault(heading, []).append(record)
+                sections.setdefault(heading, []).append(_plain(*record))
         _write(formatter, dict(sorted(sections.items(), key=lambda section: _rank(section[0]))))
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Writes how to see the options that are left out."""
         if self._rare() and not ctx.meta.get(_ALL):
             formatter.write_paragraph()
-            formatter.write(f"{self._rare()} more options are rarely needed: {ctx.command_path} --help-all\n")
+            formatter.write(f"For {self._rare()} rarely needed options: {ctx.command_path} --help-all\n")
 
     def _rare(self) -> int:
         """How many options only `--help-all` shows."""
-        if not any(parameter.name == "help_all" for parameter in self.params):
-            return 0
-        return sum((getattr(p, "rich_help_panel", None) or "").startswith(RARE) for p in self.params)
+        return sum(_heading(parameter).startswith(RARE) for parameter in self.params)
 
 
 class HeadedGroup(TyperGroup):
     """A group whose commands stand below the headings that they name as `rich_help_panel`."""
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Writes each command with its first sentence in full."""
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Writes the commands, each with its first sentence in full, and then the group's own options."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for name, command in self.commands.items():
             if not command.hidden:
-                heading = getattr(command, "rich_help_panel", None) or "Commands"
-                sections.setdefault(heading, []).append((name, command.get_short_help_str(limit=1000)))
+                short = command.get_short_help_str(limit=1000)
+                sections.setdefault(_heading(command) or "Commands", []).append((name, short))
         _write(formatter, sections)
+        records = [parameter.get_help_record(ctx) for parameter in self.get_params(ctx)]
+        _write(formatter, {"Options": [record for record in records if record is not None]})
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command of the first argument. Raises `InputError` with the command to type for a path,
@@ -92,6 +113,22 @@ class HeadedGroup(TyperGroup):
                 _propose(args)
             raise UnknownNameError("command", args[0], self.commands)
         return super().resolve_command(ctx, args)
+
+
+def _heading(declared: Any) -> str:
+    """The heading that an option or a command names, or ''."""
+    return getattr(declared, "rich_help_panel", None) or ""
+
+
+def _plain(name: str, text: str) -> tuple[str, str]:
+    """An option's name and help without types and bounds, and a default as `[auto]`: Typer writes
+    `[default: auto; x>=0]`."""
+    name = re.sub(r" <\w+>$", "", name)
+    added = re.search(r"  \[([^][]*)\]$", text)
+    if added is None:
+        return name, text
+    parts = [part for part in added[1].split("; ") if not re.search(r"x<|x>|<x|>x|<=x|>=x", part)]
+    return name, text[: added.start()] + "".join(f" [{part.removeprefix('default: ')}]" for part in parts)
 
 
 def _rank(heading: str) -> int:

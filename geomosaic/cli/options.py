@@ -90,6 +90,22 @@ Overwrite = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
+Aoi = Annotated[
+    Path | None,
+    typer.Option(
+        help="cut the mosaic to the polygons in this file (GeoPackage, GeoJSON, ...)",
+        metavar="F",
+        rich_help_panel=OUTPUT,
+    ),
+]
+AlignTo = Annotated[
+    Path | None,
+    typer.Option(
+        help="use CRS, pixel size and grid of this raster, so that pixels coincide",
+        metavar="TIF",
+        rich_help_panel=RARE,
+    ),
+]
 Sets = Annotated[
     list[str] | None,
     typer.Option(
@@ -182,6 +198,17 @@ def beside(given: Path, what: str) -> Path:
     if not place.name:
         raise InputError("there is no place beside it", file=given, mend="give the run folder with -o")
     return place.with_name(f"{place.stem if place.is_file() else place.name}-{what}")
+
+
+def crs_of(align_to: Path, asked: str) -> str:
+    """The CRS of a raster, or the one that was asked for if it is the same; else `InputError`."""
+    from geomosaic.mosaic.alignment import read_alignment
+
+    alignment = read_alignment(align_to)
+    if asked == "auto":
+        return alignment.crs
+    alignment.check_crs(asked)
+    return asked
 
 
 def name_choices(option: Any, id: str, parameter: str) -> None:

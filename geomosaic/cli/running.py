@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,15 @@ if TYPE_CHECKING:
 
 _OPENED = ("report.html", "project.qgz")
 """Of a run's files those to begin with."""
+
+
+def prepare(stages: Iterable[str], workers: int | None, dask: str | None) -> None:
+    """Has workers made ready, if there are to be some on this machine, while the recipe is read."""
+    from geomosaic.pipeline.announced import modules_of
+    from geomosaic.pipeline.executor import prepare_workers
+
+    if dask is None and (workers or cores()) > 1:
+        prepare_workers(modules_of(stages))
 
 
 def execute(

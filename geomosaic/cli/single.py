@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geomosaic.cli.help import RUNNING, HeadedCommand, HelpAll
+from geomosaic.cli.help import RUNNING, HeadedCommand, with_help_all
 from geomosaic.cli.options import AsJson, Overwrite, Quiet, Sets, Workers, cores
 from geomosaic.errors import FileError, InputError
 
@@ -47,13 +47,10 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
             place, more = ("out", "folder to write"), {"seed": (_Seed, None), "overwrite": (Overwrite, False)}
         else:
             place, more = ("run", "folder of a finished run"), {}
-        headings = simulation_headings(stage)
-        if headings:
-            more["help_all"] = (HelpAll, False)
         more |= {"workers": (Workers, None), "quiet": (Quiet, False)}
-        command = command_of(stage, place, _runner(stage), more, headings)
+        command = command_of(stage, place, _runner(stage), more, simulation_headings(stage))
         told = described(stage) if group == "export" and len(ids) > 1 else None
-        app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=told)(command)
+        app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=told)(with_help_all(command))
 
 
 def _runner(stage: type[Stage]) -> Any:
@@ -64,7 +61,6 @@ def _runner(stage: type[Stage]) -> Any:
         workers: int | None = None,
         overwrite: bool = False,
         quiet: bool = False,
-        help_all: bool = False,
         **options: Any,
     ) -> None:
         from geomosaic.cli.declared import params_from

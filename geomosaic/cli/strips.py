@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from geomosaic.cli.help import ACCURACY, OUTPUT, HelpAll
+from geomosaic.cli.help import ACCURACY, OUTPUT
 from geomosaic.cli.mosaic import recipe_of
 from geomosaic.cli.options import (
     DryRun,
@@ -86,7 +86,6 @@ def strips(
     private: Private = False,
     private_places: PrivatePlaces = False,
     live: Live = False,
-    help_all: HelpAll = False,
 ) -> None:
     """Make one scene of the strips of a satellite's CCDs."""
     given: dict[str, dict[str, Any]] = {
