@@ -248,8 +248,8 @@ def run(
     progress: bool = False,
 ) -> Run:
     """`geomosaic run`: a recipe's file, or the name of one that is there. Arguments: as `mosaic`."""
-    from geomosaic.cli.run import run as command
     from geomosaic.cli.options import beside
+    from geomosaic.cli.run import run as command
     from geomosaic.pipeline.named import recipe_path
 
     stem = recipe_path(str(recipe)).stem.replace("_", "-")

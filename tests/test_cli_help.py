@@ -66,6 +66,26 @@ def test_each_command_has_one_whole_line_in_the_order_of_work(capsys: pytest.Cap
         assert len(line) <= 80 and text == first and text.endswith("."), name
 
 
+@pytest.mark.parametrize("group", ["simulate", "export"])
+def test_each_form_of_a_group_has_one_whole_line(group: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = page(capsys, group, "--help").splitlines()
+    below = lines[lines.index("Commands:") + 1 : lines.index("Options:") - 1]
+    commands = typer.main.get_command(build_app([group])).commands[group].commands
+    assert [line.split()[0] for line in below] == [*commands]
+    assert all(len(line) <= 80 and not line.endswith("...") for line in below)
+
+
+@pytest.mark.parametrize("command", [*HEADED, ["evaluate"], ["measure"]])
+def test_help_names_defaults_and_no_bounds_or_types_of_the_parser(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = "--help-all" if command in HEADED else "--help"
+    text = page(capsys, *command, asked)
+    assert not re.search(r"default: |[<>]=?x|x[<>]|<(path|str)>", text)
+    if command == ["mosaic"]:
+        assert " ".join(text.split()).count("auto is the UTM zone [auto]") == 1
+
+
 @pytest.mark.parametrize("command", HEADED)
 def test_each_option_stands_once_and_help_all_shows_all(
     command: list[str], capsys: pytest.CaptureFixture[str]
@@ -84,7 +104,7 @@ def test_help_ends_with_how_to_see_the_rare_options(capsys: pytest.CaptureFixtur
     whole = options_of(page(capsys, "mosaic", "--help-all"))
     assert {"--fixed-time", "--private-places", "--align-to", "--dem-offset"} <= {*whole[headings.RARE]}
     last = page(capsys, "mosaic", "--help").splitlines()[-1]
-    assert last == f"{len(whole[headings.RARE])} more options are rarely needed: geomosaic mosaic --help-all"
+    assert last == f"For {len(whole[headings.RARE])} rarely needed options: geomosaic mosaic --help-all"
     assert set(HEADINGS) < set(whole)
 
 

@@ -64,6 +64,14 @@ def test_every_argument_is_an_option_of_the_command() -> None:
     assert given <= inspect.signature(command).parameters.keys()
 
 
+@pytest.mark.parametrize("name", ["help_all", "help", "no_such_option"])
+def test_options_of_the_help_and_unknown_ones_raise(name: str, tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
+        gm.mosaic(tmp_path / "frames", **{name: True})
+    assert [path.name for path in tmp_path.iterdir()] == ["frames"]
+
+
 CHEAP = """
 import sys, geomosaic as gm
 heavy = [n for n in ("numpy", "cv2", "osgeo", "rasterio", "typer", "rich", "pydantic") if n in sys.modules]

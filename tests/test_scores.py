@@ -56,4 +56,4 @@ def test_other_files_are_one_line(tmp_path, capsys, content, said):
 @pytest.mark.parametrize("asked", [[], ["--scores", "--reference", "x.tif"]])
 def test_evaluate_wants_one_thing(capsys, asked):
     assert main(["evaluate", "run", *asked]) == 2
-    assert "one of --reference TIF, --surface-reference F and --scores" in capsys.readouterr().err
+    assert "one of --reference TIF, --surface-reference FILE and --scores" in capsys.readouterr().err

@@ -29,7 +29,7 @@ _COMMANDS: Mapping[str, Sequence[Callable[..., Any]]] = {
     "Make a mosaic": (mosaic, strips, run),
     "Before a run": (fetch, recipes, stages),
     "After a run": (inspect, view, measure, evaluate, replay, diff, misplacement),
-    "Simulation and installation": (qgis_script, doctor),
+    "Installation and simulation": (doctor, qgis_script),
 }
 """Commands by their heading in the help, in the order of work."""
 
@@ -38,7 +38,7 @@ _GENERATED = {
         "After a run",
         "Export a finished run in another form.\n\n'geomosaic export RUN' lists what suits it.",
     ),
-    "simulate": ("Simulation and installation", "Simulate surveys with known truth."),
+    "simulate": ("Installation and simulation", "Simulate surveys with known truth."),
 }
 """Groups made from stages: heading and help."""
 

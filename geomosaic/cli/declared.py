@@ -55,7 +55,8 @@ def command_of(
     """
     name, help = place
     keyword = inspect.Parameter.KEYWORD_ONLY
-    parameters = [inspect.Parameter(name, keyword, annotation=Annotated[Path, typer.Argument(help=help)])]
+    argument = typer.Argument(help=help, metavar=name.upper())
+    parameters = [inspect.Parameter(name, keyword, annotation=Annotated[Path, argument])]
     for p in describe_params(stage.Params):
         flag = f"--{p.name.replace('_', '-')}"
         how: dict[str, Any] = {"help": help_line(p), "show_default": False}

@@ -36,7 +36,7 @@ def _show_all(context: typer.Context, asked: bool) -> None:
 _HelpAll = Annotated[
     bool,
     typer.Option(
-        "--help-all", callback=_show_all, is_eager=True, help="Show all options, also the rarely needed."
+        "--help-all", callback=_show_all, is_eager=True, help="Show all options, also rarely needed ones."
     ),
 ]
 

@@ -16,7 +16,7 @@ PosPath = Annotated[
     Path | None,
     typer.Option(
         help="positions and attitudes of the frames (CSV, geo.txt) [the frames' tags]",
-        metavar="F",
+        metavar="FILE",
         rich_help_panel=INPUTS,
     ),
 ]
@@ -28,7 +28,7 @@ CameraPath = Annotated[
     Path | None,
     typer.Option(
         help="interior orientation of the camera (cameras.json, YAML) [the frames' tags]",
-        metavar="F",
+        metavar="FILE",
         rich_help_panel=INPUTS,
     ),
 ]
@@ -36,7 +36,7 @@ DemPath = Annotated[
     Path | None,
     typer.Option(
         help="elevation model of the ground (GeoTIFF or another raster file)",
-        metavar="F",
+        metavar="FILE",
         rich_help_panel=INPUTS,
     ),
 ]
@@ -52,7 +52,7 @@ GcpPath = Annotated[
     Path | None,
     typer.Option(
         help="control and check points with their image positions (gcp_list.txt, CSV)",
-        metavar="F",
+        metavar="FILE",
         rich_help_panel=INPUTS,
     ),
 ]
@@ -60,7 +60,7 @@ GcpOptional = Annotated[
     bool,
     typer.Option(
         "--gcp-optional",
-        help="go on without control where no point of --gcp can be used",
+        help="run without control points if none of --gcp can be used",
         rich_help_panel=INPUTS,
     ),
 ]
@@ -75,8 +75,8 @@ GroundHeight = Annotated[
 SurfaceKind = Annotated[
     str,
     typer.Option(
-        help="ground onto which frames are projected: ties is smooth through the tie points, dense is "
-        "matched between frames",
+        help="ground onto which frames are projected: ties is a smooth surface through the tie points, "
+        "dense is matched between frames",
         metavar="|".join(SURFACES),
         rich_help_panel=SURFACE,
     ),
@@ -85,7 +85,7 @@ OrthoGround = Annotated[
     str | None,
     typer.Option(
         help="with --surface dense, project onto the surface (roofs in place) or the terrain below it; "
-        "auto takes the surface if frames differ clearly less on it [auto]",
+        "auto takes the surface if frames agree clearly better on it [auto]",
         metavar="auto|surface|terrain",
         rich_help_panel=SURFACE,
     ),
@@ -137,14 +137,14 @@ SurfaceReference = Annotated[
     Path | None,
     typer.Option(
         help="elevation model or point cloud to compare the surface of --surface dense with",
-        metavar="F",
+        metavar="FILE",
         rich_help_panel=ACCURACY,
     ),
 ]
 Damaged = Annotated[
     str | None,
     typer.Option(
-        help="damaged frames: leave_out drops them, mask only their damaged parts [leave_out]",
+        help="leave_out drops damaged frames, mask only their damaged parts [leave_out]",
         metavar="leave_out|mask",
         rich_help_panel=RARE,
     ),
@@ -168,7 +168,8 @@ PixelSize = Annotated[
 EdgeRule = Annotated[
     str | None,
     typer.Option(
-        help="trim leaves out ground seen obliquely, coarsely or with a guessed height; keep keeps it [trim]",
+        help="trim leaves out ground seen obliquely or coarsely, or of extrapolated height; keep keeps "
+        "it [trim]",
         metavar="trim|keep",
         rich_help_panel=OUTPUT,
     ),

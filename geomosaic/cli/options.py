@@ -94,7 +94,7 @@ Aoi = Annotated[
     Path | None,
     typer.Option(
         help="cut the mosaic to the polygons in this file (GeoPackage, GeoJSON, ...)",
-        metavar="F",
+        metavar="FILE",
         rich_help_panel=OUTPUT,
     ),
 ]
@@ -155,7 +155,7 @@ Private = Annotated[
     bool,
     typer.Option(
         "--private",
-        help="leave folders, user and host out of the recording, so that strangers may read it",
+        help="leave folders, user and host out of the recording, so that it can be shared",
         rich_help_panel=RARE,
     ),
 ]

@@ -58,7 +58,9 @@ def run(
     strips: Annotated[
         Path | None,
         typer.Option(
-            help="geometry of strips, as --set survey.strips.geometry=F", metavar="F", rich_help_panel=INPUTS
+            help="geometry of strips, as --set survey.strips.geometry=FILE",
+            metavar="FILE",
+            rich_help_panel=INPUTS,
         ),
     ] = None,
     aoi: Aoi = None,

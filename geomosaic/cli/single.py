@@ -49,7 +49,7 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
             place, more = ("run", "folder of a finished run"), {}
         more |= {"workers": (Workers, None), "quiet": (Quiet, False)}
         command = command_of(stage, place, _runner(stage), more, simulation_headings(stage))
-        told = described(stage) if group == "export" and len(ids) > 1 else None
+        told = described(stage) if len(ids) > 1 else None
         app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=told)(with_help_all(command))
 
 
@@ -141,7 +141,8 @@ def evaluate(
     surface_reference: Annotated[
         Path | None,
         typer.Option(
-            help="elevation model (raster) or point cloud (LAS, LAZ) to compare the surface with", metavar="F"
+            help="elevation model (raster) or point cloud (LAS, LAZ) to compare the surface with",
+            metavar="FILE",
         ),
     ] = None,
     scores: Annotated[
@@ -157,7 +158,7 @@ def evaluate(
     """
     if [scores, reference is not None, surface_reference is not None].count(True) != 1:
         raise InputError(
-            "evaluate takes one of --reference TIF, --surface-reference F and --scores",
+            "evaluate takes one of --reference TIF, --surface-reference FILE and --scores",
             mend="see evaluate --help",
         )
     if scores:
