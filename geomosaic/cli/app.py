@@ -26,7 +26,7 @@ from geomosaic.cli.stages import stages
 from geomosaic.cli.strips import name_strip_methods, strips
 
 _COMMANDS: Mapping[str, Sequence[Callable[..., Any]]] = {
-    "Make a mosaic": (mosaic, strips, run),
+    "Make a mosaic": tuple(with_help_all(command) for command in (mosaic, strips, run)),
     "Before a run": (fetch, recipes, stages),
     "After a run": (inspect, view, measure, evaluate, replay, diff, misplacement),
     "Installation and simulation": (doctor, qgis_script),
@@ -76,7 +76,7 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
         name_strip_methods()
     for heading, commands in _COMMANDS.items():
         for command in commands:
-            app.command(cls=HeadedCommand, rich_help_panel=heading)(with_help_all(command))
+            app.command(cls=HeadedCommand, rich_help_panel=heading)(command)
     for group, (heading, help) in _GENERATED.items():
         part = typer.Typer(cls=HeadedGroup, help=help, no_args_is_help=True, rich_markup_mode=None)
         part.callback()(lambda: None)

@@ -16,7 +16,7 @@ def fetch(
         typer.Argument(
             help="lists of addresses (one a line; of a .csv file one a row), addresses of files (https://, "
             "s3://, gs://, az://), or folders of an object store (s3://BUCKET/FOLDER/)",
-            metavar="LIST_OR_URL...",
+            metavar="LIST_OR_URL",
         ),
     ],
     output: Annotated[

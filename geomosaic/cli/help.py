@@ -42,30 +42,25 @@ _HelpAll = Annotated[
 
 
 def with_help_all(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The function as Typer takes it, with an option `--help-all` if others of its options are rarely needed.
-
-    The option is the command line's alone: from Python the function does not take it.
-    """
+    """The function as Typer takes it, with `--help-all` as its last option; from Python it takes no such
+    option."""
     signature = inspect.signature(command, eval_str=True)
-    parameters = [*signature.parameters.values()]
-    declared = [option for p in parameters for option in getattr(p.annotation, "__metadata__", ())]
-    if not any(_heading(option).startswith(RARE) for option in declared):
-        return command
 
     @wraps(command)
     def headed(*, help_all: bool, **options: Any) -> Any:
         return command(**options)
 
     keyword = inspect.Parameter.KEYWORD_ONLY
-    parameters.append(inspect.Parameter("help_all", keyword, default=False, annotation=_HelpAll))
+    help_all = inspect.Parameter("help_all", keyword, default=False, annotation=_HelpAll)
+    parameters = [*signature.parameters.values(), help_all]
     headed.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     headed.__annotations__ = {p.name: p.annotation for p in parameters}
     return headed
 
 
 class HeadedCommand(TyperCommand):
-    """A command whose options stand below the headings that they name as `rich_help_panel`, if some of them
-    are rarely needed; else in one list."""
+    """A command whose options stand below the headings that they name as `rich_help_panel`, if it has
+    `--help-all`; else in one list."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Writes the sections in the order of `_ORDER`, headings of the command's own before them."""
@@ -76,7 +71,7 @@ class HeadedCommand(TyperCommand):
                 heading = "Arguments"
             else:
                 heading = (_heading(parameter) or "Help") if self._rare() else "Options"
-            if record is not None and (ctx.meta.get(_ALL) or not heading.startswith(RARE)):
+            if record is not None and (not heading.startswith(RARE) or ctx.meta.get(_ALL)):
                 sections.setdefault(heading, []).append(_plain(*record))
         _write(formatter, dict(sorted(sections.items(), key=lambda section: _rank(section[0]))))
 
@@ -87,7 +82,9 @@ class HeadedCommand(TyperCommand):
             formatter.write(f"For {self._rare()} rarely needed options: {ctx.command_path} --help-all\n")
 
     def _rare(self) -> int:
-        """How many options only `--help-all` shows."""
+        """How many options only `--help-all` shows; 0 without `--help-all`."""
+        if not any(parameter.name == "help_all" for parameter in self.params):
+            return 0
         return sum(_heading(parameter).startswith(RARE) for parameter in self.params)
 
 
@@ -123,7 +120,7 @@ def _heading(declared: Any) -> str:
 def _plain(name: str, text: str) -> tuple[str, str]:
     """An option's name and help without types and bounds, and a default as `[auto]`: Typer writes
     `[default: auto; x>=0]`."""
-    name = re.sub(r" <\w+>$", "", name)
+    name = re.sub(r" <[^>]+>$", "", name)
     added = re.search(r"  \[([^][]*)\]$", text)
     if added is None:
         return name, text

@@ -27,7 +27,7 @@ class _Scene:
 
 def misplacement(
     runs: Annotated[
-        list[Path], typer.Argument(help="folders of finished runs of `geomosaic strips`", metavar="RUN...")
+        list[Path], typer.Argument(help="folders of finished runs of `geomosaic strips`", metavar="RUN")
     ],
     as_json: AsJson = False,
 ) -> None:

@@ -37,7 +37,7 @@ def replay(
     start: Annotated[
         str,
         typer.Option(
-            "--from", metavar="STAGE", help="first stage to run again; default: the first that --set changes"
+            "--from", metavar="STAGE", help="first stage to run again [the first that --set changes]"
         ),
     ] = "",
     set: Sets = None,
@@ -48,9 +48,7 @@ def replay(
     until: Annotated[str, typer.Option(metavar="STAGE", help="last stage to run")] = "",
     frames: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="folder of the frames now; they are found by content, whatever their names"
-        ),
+        typer.Option(metavar="DIR", help="folder where the frames are now; they are found by content"),
     ] = None,
     quiet: Quiet = False,
     record: Record = "normal",

@@ -48,9 +48,11 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
         else:
             place, more = ("run", "folder of a finished run"), {}
         more |= {"workers": (Workers, None), "quiet": (Quiet, False)}
-        command = command_of(stage, place, _runner(stage), more, simulation_headings(stage))
+        headings = simulation_headings(stage)
+        command = command_of(stage, place, _runner(stage), more, headings)
         told = described(stage) if len(ids) > 1 else None
-        app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=told)(with_help_all(command))
+        command = with_help_all(command) if headings else command
+        app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=told)(command)
 
 
 def _runner(stage: type[Stage]) -> Any:
