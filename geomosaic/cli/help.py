@@ -124,7 +124,7 @@ def _plain(name: str, text: str) -> tuple[str, str]:
     added = re.search(r"  \[([^][]*)\]$", text)
     if added is None:
         return name, text
-    parts = [part for part in added[1].split("; ") if not re.search(r"x<|x>|<x|>x|<=x|>=x", part)]
+    parts = [part for part in added[1].split("; ") if not re.search(r"x[<>]|[<>]=?x", part)]
     return name, text[: added.start()] + "".join(f" [{part.removeprefix('default: ')}]" for part in parts)
 
 
