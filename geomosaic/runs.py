@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import csv
 import html
-import io
+import inspect
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,18 +31,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.errors import FileError
+from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.pipeline.registry import installed
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.option import kinds_of, option_of
+from geomosaic.requests.perform import check_result, perform
+from geomosaic.requests.recipe_request import RecipeRequest
+from geomosaic.requests.replay_request import ReplayRequest
+from geomosaic.requests.run_request import RunRequest
+from geomosaic.requests.strips_request import StripsRequest
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
+    from geomosaic.pipeline.reporter import Reporter
     from geomosaic.recording.model import Recording
 
 Name = str | Path
-Sets = Mapping[str, object] | Sequence[str]
 _TEXTS = ("frame", "status")
 
 
@@ -162,77 +169,19 @@ class Run:
         return f"<figure>{image}<figcaption>{line}</figcaption></figure>"
 
 
-def mosaic(
-    frames: Name,
-    output: Name | None = None,
-    *,
-    pos: Name | None = None,
-    camera: Name | None = None,
-    dem: Name | None = None,
-    gcp: Name | None = None,
-    aoi: Name | None = None,
-    align_to: Name | None = None,
-    reference: Name | None = None,
-    crs: str = "auto",
-    gsd: float | str = "auto",
-    adjust: str | None = None,
-    set: Sets = (),
-    workers: int | None = None,
-    seed: int | None = None,
-    strict: bool = False,
-    overwrite: bool = False,
-    progress: bool = False,
-    **more: Any,
-) -> Run:
+def mosaic(frames: Name, output: Name | None = None, *, progress: bool = False, **options: Any) -> Run:
     """`geomosaic mosaic`: one map-true mosaic of a folder of frames, in `output` (or beside the frames).
-
-    Args: set: any stage's parameters, {"matching.sift.keypoints": 3000}; more: the command's other options,
-    as they stand there; progress: shown on stderr.
-    Raises: what the command says in one line, as one of `geomosaic.errors`.
 
     >>> run = gm.mosaic(folder / "frames", folder / "again", set={"matching.sift.keypoints": 3000}, workers=1)
     >>> run.verdict.grade
     'good'
     """
-    from geomosaic.cli.mosaic import mosaic as command
-    from geomosaic.cli.options import beside
-
-    place = Path(output) if output is not None else beside(Path(frames), "mosaic")
-    files = {
-        "pos": pos, "camera": camera, "dem": dem, "gcp": gcp, "aoi": aoi, "align_to": align_to,
-        "reference": reference,
-    }  # fmt: skip
-    given: dict[str, Any] = {name: None if path is None else Path(path) for name, path in files.items()}
-    given |= {"crs": crs, "gsd": str(gsd), "adjust": adjust, "set": _sets(set), "strict": strict, **more}
-    given |= {"workers": workers, "seed": seed, "overwrite": overwrite, "quiet": not progress}
-    with redirect_stdout(io.StringIO()):
-        command(Path(frames), place, **given)
-    return Run(place)
+    return _made(MosaicRequest, {"frames": frames, "output": output, **options}, progress)
 
 
-def strips(
-    geometry: Name,
-    output: Name | None = None,
-    *,
-    method: str | None = None,
-    map: bool = False,
-    set: Sets = (),
-    workers: int | None = None,
-    seed: int | None = None,
-    overwrite: bool = False,
-    progress: bool = False,
-) -> Run:
-    """`geomosaic strips`: one scene of the strips of staggered CCDs. Arguments: as `mosaic`."""
-    from geomosaic.cli.options import beside
-    from geomosaic.cli.strips import strips as command
-
-    place = Path(output) if output is not None else beside(Path(geometry), "scene")
-    with redirect_stdout(io.StringIO()):
-        command(
-            Path(geometry), place, method, map, _sets(set), workers,
-            seed=seed, overwrite=overwrite, quiet=not progress,
-        )  # fmt: skip
-    return Run(place)
+def strips(geometry: Name, output: Name | None = None, *, progress: bool = False, **options: Any) -> Run:
+    """`geomosaic strips`: one scene of the strips of staggered CCDs."""
+    return _made(StripsRequest, {"geometry": geometry, "output": output, **options}, progress)
 
 
 def run(
@@ -240,43 +189,78 @@ def run(
     input: Name | None = None,
     output: Name | None = None,
     *,
-    set: Sets = (),
-    workers: int | None = None,
-    seed: int | None = None,
-    strict: bool = False,
-    overwrite: bool = False,
     progress: bool = False,
+    **options: Any,
 ) -> Run:
-    """`geomosaic run`: a recipe's file, or the name of one that is there. Arguments: as `mosaic`."""
-    from geomosaic.cli.options import beside
-    from geomosaic.cli.run import run as command
-    from geomosaic.pipeline.named import recipe_path
-
-    stem = recipe_path(str(recipe)).stem.replace("_", "-")
-    place = Path(output) if output is not None else beside(Path(input or recipe), stem)
-    with redirect_stdout(io.StringIO()):
-        command(
-            str(recipe), None if input is None else Path(input), place, set=_sets(set), workers=workers,
-            seed=seed, strict=strict, overwrite=overwrite, quiet=not progress,
-        )  # fmt: skip
-    return Run(place)
+    """`geomosaic run`: a recipe's file, or the name of one that comes with geomosaic."""
+    given = {"name": str(recipe), "input": input, "output": output, **options}
+    return _made(RecipeRequest, given, progress)
 
 
-def replay(
-    recording: Name | Run, output: Name, *, start: str = "", set: Sets = (), workers: int | None = None
-) -> Run:
+def replay(recording: Name | Run, output: Name, *, progress: bool = False, **options: Any) -> Run:
     """`geomosaic replay`: a recorded run again from stage `start` on, or from the first that `set` changes.
 
     >>> again = gm.replay(run, folder / "chain", set={"adjustment.solve.method": "chain"}, workers=1)
     >>> again.summary["recorded_stages"][-1]
     'matching.sift'
     """
-    from geomosaic.cli.recordings import replay as command
+    source = recording.folder if isinstance(recording, Run) else recording
+    return _made(ReplayRequest, {"recording": source, "output": output, **options}, progress)
 
-    source = recording.folder if isinstance(recording, Run) else Path(recording)
-    with redirect_stdout(io.StringIO()):
-        command(source, Path(output), start, _sets(set), workers)
-    return Run(output)
+
+def _made(kind: type[RunRequest], options: Mapping[str, Any], progress: bool) -> Run:
+    """The run of a request. Raises: `UnknownNameError` for an option that it does not have."""
+    known = {its.name for its in fields(kind)}
+    for name in options:
+        if name not in known:
+            raise UnknownNameError("argument", name, known)
+    job = kind(**{**options, "set": _sets(options.get("set", ()))}).job()
+    with _reporter(progress) as reporter:
+        check_result(job, perform(job, reporter))
+    return Run(job.folder)
+
+
+@contextmanager
+def _reporter(progress: bool) -> Iterator[Reporter]:
+    """Shows progress on stderr, or nothing."""
+    from geomosaic.pipeline.reporter import Silent
+
+    if not progress:
+        yield Silent()
+        return
+    from geomosaic.cli import progress as terminal
+
+    with terminal.progress() as reporter:
+        yield reporter
+
+
+def _with_options(function: Callable[..., Run], kind: type[RunRequest]) -> None:
+    """Shows the options of a request in a function's signature and, with their help, in its docstring."""
+    shown = inspect.signature(function).parameters
+    own = [p for p in shown.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+    more, lines = [], []
+    for its in fields(kind):
+        option = option_of(its)
+        if option.heading and its.name not in shown:
+            kinds = kinds_of(kind)[its.name]
+            keyword = inspect.Parameter.KEYWORD_ONLY
+            more.append(inspect.Parameter(its.name, keyword, default=its.default, annotation=kinds))
+            lines.append(f"    {its.name}: {option.help}")
+    function.__signature__ = inspect.Signature([*own, *more], return_annotation="Run")  # type: ignore[attr-defined]
+    said = inspect.getdoc(function) or ""
+    first, example, rest = said.partition("\n\n>>>")
+    listed = "\n".join(lines)
+    raised = "Raises: what the command says in one line, as one of `geomosaic.errors`."
+    function.__doc__ = f"{first}\n\nOptions, beside progress on stderr:\n{listed}\n\n{raised}{example}{rest}"
+
+
+for _function, _request in (
+    (mosaic, MosaicRequest),
+    (strips, StripsRequest),
+    (run, RecipeRequest),
+    (replay, ReplayRequest),
+):
+    _with_options(_function, _request)
 
 
 def open_run(folder: Name) -> Run:
@@ -295,7 +279,8 @@ def stages() -> dict[str, dict[str, Any]]:
     return {stage.id: describe(stage) for stage in installed().all()[0]}
 
 
-def _sets(values: Sets) -> list[str]:
+def _sets(values: Any) -> Any:
+    """STAGE.PARAMETER=VALUE of a mapping; else the values themselves."""
     if not isinstance(values, Mapping):
-        return list(values)
+        return values
     return [f"{k}={v if isinstance(v, str | Path) else json.dumps(v)}" for k, v in values.items()]

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from small_surveys import geomosaic, small_survey, summary
 
-from geomosaic.cli.options import beside
 from geomosaic.cli.running import print_named
 from geomosaic.pipeline.named import recipe_names
+from geomosaic.requests.run_request import beside
 from geomosaic.simulate.survey import SimulatedSurvey
 
 COMMAND = [sys.executable, "-m", "geomosaic.cli.main"]

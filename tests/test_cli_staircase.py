@@ -238,10 +238,11 @@ def test_the_front_door_needs_no_numpy() -> None:
 
 def test_workers_are_made_ready_before_anything_heavy_is_imported() -> None:
     code = (
-        "import sys, geomosaic.cli.running as m, geomosaic.pipeline.executor as e\n"
+        "import sys, geomosaic.pipeline.executor as e\n"
+        "from geomosaic.requests.mosaic_request import MosaicRequest as Request\n"
         "e.prepare_workers = lambda modules: print(*modules, 'numpy' in sys.modules)\n"
-        "m.prepare(['survey.read', 'matching.sift', 'no.such'], 2, None)\n"
-        "m.prepare(['survey.read'], 1, None)"
+        "Request(frames='x', workers=2).prepare(['survey.read', 'matching.sift', 'no.such'])\n"
+        "Request(frames='x', workers=1).prepare(['survey.read'])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["geomosaic.stages.matching_sift", "geomosaic.stages.survey_read", "False"]

@@ -11,7 +11,6 @@ from dask_team import Team, dask_team
 from small_surveys import small_survey
 from test_pipeline_toy import powered
 
-from geomosaic.cli.mosaic import OPTIONAL, STAGES, recipe_of
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.pipeline import executor
 from geomosaic.pipeline.context import Context
@@ -19,6 +18,8 @@ from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.runner import run
+from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
+from geomosaic.requests.run_request import recipe_of
 from geomosaic.simulate.survey import SimulatedSurvey
 
 pytest.importorskip("distributed")
@@ -65,7 +66,7 @@ def recipe(survey: SimulatedSurvey) -> Recipe:
         "adjustment.solve": {"method": "least_squares"},
     }
     stages = [id for id in STAGES if id not in OPTIONAL]
-    return recipe_of("mosaic", "", stages, given, 0, ())
+    return recipe_of(("mosaic", ""), stages, given)
 
 
 @pytest.mark.parametrize("at", ["pairs", "windows"])

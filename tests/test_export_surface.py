@@ -16,7 +16,6 @@ from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from pyproj import CRS, Transformer
 from stac_schema import check_schema
 
-from geomosaic.cli.mosaic import STAGES, recipe_of
 from geomosaic.doors.raster import READ_CACHE_BYTES
 from geomosaic.errors import InputError
 from geomosaic.export.stac import coverage_of_mosaic, stac_item
@@ -26,6 +25,8 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.pipeline.stage import Context
+from geomosaic.requests.mosaic_request import STAGES
+from geomosaic.requests.run_request import recipe_of
 from geomosaic.stages.export_surface import ExportSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
@@ -343,12 +344,12 @@ def test_the_command_wires_the_surfaces_stages(tmp_path):
     """Nothing runs: that every stage gets what it takes is seen when the recipe is made."""
     given = {"survey.read": {"frames": tmp_path}, "quality.surface": {"reference": tmp_path / "dem.tif"}}
     stages = [id for id in STAGES if id != "quality.compare"]
-    recipe = recipe_of("mosaic", "", stages, given, None, ["export.surface.heights=EPSG:5773"])
+    recipe = recipe_of(("mosaic", ""), stages, given, sets=["export.surface.heights=EPSG:5773"])
     made = {step.stage.id: step for step in recipe.steps}
     assert made["export.surface"].params.heights == "EPSG:5773"
     with pytest.raises(InputError, match=r"quality\.surface needs 'surface_file'"):
         without = [id for id in stages if id != "export.surface"]
-        recipe_of("mosaic", "", without, given, None, None)
+        recipe_of(("mosaic", ""), without, given)
 
 
 def test_memory_goes_by_the_block(scene):

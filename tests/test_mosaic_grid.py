@@ -22,7 +22,6 @@ from small_surveys import geomosaic, mosaic, small_survey, summary
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
-from geomosaic.cli.mosaic import OPTIONAL, STAGES
 from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -37,6 +36,7 @@ from geomosaic.pipeline.context import Notes
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single import run_stage
 from geomosaic.placement.model import Placement
+from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
 from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_seams import MosaicSeams

@@ -14,8 +14,8 @@ from small_surveys import small_survey
 
 import geomosaic as gm
 from geomosaic import runs
-from geomosaic.cli.mosaic import mosaic as command
 from geomosaic.errors import FileError, InputError, PoorResultError
+from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.survey.model import Survey
 
 
@@ -59,17 +59,41 @@ def test_errors_are_those_of_the_command(run: gm.Run, tmp_path: Path) -> None:
     assert PoorResultError.exit_code == 3 and not list(tmp_path.iterdir())
 
 
-def test_every_argument_is_an_option_of_the_command() -> None:
-    given = inspect.signature(runs.mosaic).parameters.keys() - {"progress", "more"}
-    assert given <= inspect.signature(command).parameters.keys()
+def test_help_shows_every_option_with_its_default() -> None:
+    shown = inspect.signature(runs.mosaic).parameters
+    assert shown["crs"].default == "auto" and shown["pos"].annotation == Path | None
+    assert not {"dry_run", "as_json", "quiet", "help_all"} & shown.keys()
+    assert "pos_crs: CRS of x and y in the --pos file" in (runs.mosaic.__doc__ or "")
 
 
-@pytest.mark.parametrize("name", ["help_all", "help", "no_such_option"])
-def test_options_of_the_help_and_unknown_ones_raise(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["help_all", "help", "no_such_option", "dry_run"])
+def test_options_of_the_terminal_and_unknown_ones_raise(name: str, tmp_path: Path) -> None:
     (tmp_path / "frames").mkdir()
-    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
+    with pytest.raises(InputError, match=f"unknown argument '{name}'"):
         gm.mosaic(tmp_path / "frames", **{name: True})
     assert [path.name for path in tmp_path.iterdir()] == ["frames"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"workers": 0}, "workers is 0; give at least 1"),
+        ({"workers": 1.5}, "workers is 1.5; give a whole number"),
+        ({"pos": 3}, "pos is 3; give a path"),
+        ({"pdf": "yes"}, "pdf is 'yes'; give True or False"),
+        ({"accuracy": "5 feet"}, "accuracy: '5 feet' is no length"),
+        ({"set": 5}, "set is 5; give a list of texts"),
+    ],
+)
+def test_a_value_of_another_kind_raises(options: dict[str, object], said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        gm.mosaic(tmp_path, **options)
+
+
+def test_a_request_takes_values_as_the_command_line_does() -> None:
+    asked = MosaicRequest(frames="frames", accuracy="5cm", gsd=0.05, set=["mosaic.seams.edges=keep"])
+    assert (asked.frames, asked.accuracy, asked.gsd) == (Path("frames"), 0.05, "0.05")
+    assert asked.parameters()["quality.verdict"] == {"accuracy_m": 0.05}
 
 
 CHEAP = """

@@ -8,10 +8,10 @@ import pytest
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.ccd.methods import METHODS as STRIP_METHODS
-from geomosaic.cli.strips import STAGES as STRIP_STAGES
 from geomosaic.errors import InputError
 from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.registry import installed
+from geomosaic.requests.strips_request import STAGES as STRIP_STAGES
 
 RECIPES = Path(__file__).parents[1] / "recipes"
 

@@ -10,8 +10,9 @@ import platform
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ from recording_scene import RECIPE
 from test_pipeline_toy import recipe_file, registry
 
 from geomosaic.cli.main import main
-from geomosaic.cli.options import Record
 from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.artefacts import texts_in
@@ -30,6 +30,8 @@ from geomosaic.recording.fingerprints import altered_artefacts
 from geomosaic.recording.levels import LEVELS, RecordOptions
 from geomosaic.recording.messages import Metric, Progress
 from geomosaic.recording.privacy import Privacy
+from geomosaic.requests.option import option_of
+from geomosaic.requests.run_request import RunRequest
 
 
 def run_toys(folder: Path, *overrides: str, **options: Any) -> Path:
@@ -252,4 +254,5 @@ def test_wrong_options_end_before_any_work(
 
 
 def test_the_levels_are_those_that_the_help_names() -> None:
-    assert get_args(Record)[1].metavar == "|".join(LEVELS)
+    (record,) = (its for its in fields(RunRequest) if its.name == "record")
+    assert option_of(record).metavar == "|".join(LEVELS)

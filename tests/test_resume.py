@@ -15,11 +15,12 @@ from pathlib import Path
 import pytest
 from small_surveys import small_survey
 
-from geomosaic.cli.mosaic import OPTIONAL, STAGES, recipe_of
 from geomosaic.errors import FileError, OutputError
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.runner import run
+from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
+from geomosaic.requests.run_request import recipe_of
 from geomosaic.simulate.survey import SimulatedSurvey
 
 RESULTS = ("mosaic.tif", "sources.tif", "positions.csv")
@@ -55,7 +56,7 @@ def recipe(frames: Path, camera: Path) -> Recipe:
         "adjustment.solve": {"method": "least_squares"},
     }
     stages = [id for id in STAGES if id not in OPTIONAL]
-    return recipe_of("mosaic", "", stages, given, 0, ())
+    return recipe_of(("mosaic", ""), stages, given)
 
 
 def die(frames: str, camera: str, to: str, at: str, tell: str) -> None:

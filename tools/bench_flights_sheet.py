@@ -17,13 +17,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geomosaic.cli.mosaic import mosaic
 from geomosaic.doors.plain import read_yaml, shown
 from geomosaic.errors import FileError
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.option import kinds_of
 
 KEYS = ("frames", "options", "known", "check_points", "expect")
 EXPECTED = ("tied_share", "seams_px", "parts", "megapixels")
-_OF_THE_BENCH = ("frames", "output", "seed", "workers", "dry_run", "as_json", "return")
+_OF_THE_BENCH = ("frames", "output", "seed", "workers")
 _MOST_BYTES = 1 << 16
 _MEND = "see the head of tools/bench_flights_sheet.py"
 
@@ -87,9 +88,7 @@ def _mapping(value: Any, path: Path, what: str, keys: Sequence[str]) -> dict[str
 
 def _words(options: Any, path: Path) -> list[str]:
     """Options of `geomosaic mosaic` as words of its command line."""
-    kinds = {
-        n.replace("_", "-"): k for n, k in typing.get_type_hints(mosaic).items() if n not in _OF_THE_BENCH
-    }
+    kinds = {n.replace("_", "-"): k for n, k in kinds_of(MosaicRequest).items() if n not in _OF_THE_BENCH}
     words = []
     for name, value in _mapping(options, path, "'options'", tuple(kinds)).items():
         kind = kinds[name]

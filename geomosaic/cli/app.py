@@ -14,21 +14,38 @@ from geomosaic.cli.help import HeadedCommand, HeadedGroup, with_help_all
 from geomosaic.cli.inspection import diff, inspect
 from geomosaic.cli.measure import measure
 from geomosaic.cli.misplacement import misplacement
-from geomosaic.cli.mosaic import mosaic
-from geomosaic.cli.mosaic_options import name_methods
 from geomosaic.cli.qgis_script import qgis_script
-from geomosaic.cli.recipes import recipes
+from geomosaic.cli.recipes import completed, recipes
 from geomosaic.cli.recordings import view
-from geomosaic.cli.replaying import replay
-from geomosaic.cli.run import run
+from geomosaic.cli.requested import RequestCommand
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
-from geomosaic.cli.strips import name_strip_methods, strips
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.recipe_request import RecipeRequest
+from geomosaic.requests.replay_request import ReplayRequest
+from geomosaic.requests.strips_request import StripsRequest
 
-_COMMANDS: Mapping[str, Sequence[Callable[..., Any]]] = {
-    "Make a mosaic": tuple(with_help_all(command) for command in (mosaic, strips, run)),
+_MOSAIC = RequestCommand(MosaicRequest, "mosaic", "Make one map-true mosaic of a folder of aerial frames.")
+_STRIPS = RequestCommand(StripsRequest, "strips", "Make one scene of the strips of a satellite's CCDs.")
+_RUN = RequestCommand(
+    RecipeRequest, "run", "Run a recipe: a YAML file of stages and their parameters.", {"name": completed}
+)
+_REPLAY = RequestCommand(
+    ReplayRequest,
+    "replay",
+    """Run a recorded recipe again from any stage on.
+
+    Results of earlier stages are taken from the recording. Stages that read pixels need the frames in their
+    old folder or in --frames. From the adjustment on, recorded thumbnails replace missing frames. Trust a
+    recording as you would a recipe: it names the files to read.
+    """,
+    plans=False,
+)
+
+_COMMANDS: Mapping[str, Sequence[RequestCommand | Callable[..., Any]]] = {
+    "Make a mosaic": (_MOSAIC, _STRIPS, _RUN),
     "Before a run": (fetch, recipes, stages),
-    "After a run": (inspect, view, measure, evaluate, replay, diff, misplacement),
+    "After a run": (inspect, view, measure, evaluate, _REPLAY, diff, misplacement),
     "Installation and simulation": (doctor, qgis_script),
 }
 """Commands by their heading in the help, in the order of work."""
@@ -47,6 +64,16 @@ def _version(asked: bool) -> None:
     if asked:
         print(f"geomosaic {__version__}")
         raise typer.Exit
+
+
+def _function(
+    command: RequestCommand | Callable[..., Any], asks: bool, argv: Sequence[str]
+) -> Callable[..., Any]:
+    """As Typer takes it. asks: whether help is asked for."""
+    if not isinstance(command, RequestCommand):
+        return command
+    function = command.function(naming=asks and argv[:1] == [command.name])
+    return with_help_all(function) if command.plans else function
 
 
 def build_app(argv: Sequence[str] = ()) -> typer.Typer:
@@ -70,13 +97,9 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
         """Make one map-true mosaic (orthomosaic) of overlapping aerial frames."""
 
     asks = bool({"-h", "--help", "--help-all"} & {*argv})
-    if argv[:1] == ["mosaic"] and asks:
-        name_methods()
-    if argv[:1] == ["strips"] and asks:
-        name_strip_methods()
     for heading, commands in _COMMANDS.items():
         for command in commands:
-            app.command(cls=HeadedCommand, rich_help_panel=heading)(command)
+            app.command(cls=HeadedCommand, rich_help_panel=heading)(_function(command, asks, argv))
     for group, (heading, help) in _GENERATED.items():
         part = typer.Typer(cls=HeadedGroup, help=help, no_args_is_help=True, rich_markup_mode=None)
         part.callback()(lambda: None)

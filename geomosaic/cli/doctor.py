@@ -14,7 +14,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from geomosaic.cli.options import AsJson, cores
+from geomosaic.cli.options import AsJson
+from geomosaic.requests.run_request import cores
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-from geomosaic.cli.options import Quiet, folder_given
+from geomosaic.cli.options import Quiet
+from geomosaic.cli.requested import typer_parser
+from geomosaic.requests.option import folder_given
 
 
 def fetch(
@@ -21,7 +23,9 @@ def fetch(
     ],
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help="folder to write to", metavar="FOLDER", parser=folder_given),
+        typer.Option(
+            "-o", "--output", help="folder to write to", metavar="FOLDER", parser=typer_parser(folder_given)
+        ),
     ],
     insecure: Annotated[
         bool, typer.Option("--insecure", help="allow http:// to other machines than this one")

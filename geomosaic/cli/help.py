@@ -14,14 +14,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.requests.option import ACCURACY, INPUTS, OUTPUT, RARE, RUNNING, SURFACE
 
-INPUTS: Final = "Inputs"
-SURFACE: Final = "Ground and surface"
-ACCURACY: Final = "Adjustment and accuracy"
-OUTPUT: Final = "Output"
-RUNNING: Final = "Running"
-RARE: Final = "Rarely needed"
-"""The heading of options that only `--help-all` shows; `RARE: the camera` is one of several."""
 _ORDER: Final = (INPUTS, SURFACE, ACCURACY, OUTPUT, RUNNING, RARE, "Help")
 _ALL: Final = "geomosaic.help_all"
 

@@ -17,6 +17,7 @@ from geomosaic.pipeline.recipe import Recipe
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.reporter import Reporter
+    from geomosaic.requests.run_request import Job
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,7 @@ class _Listening:
         self.notes.append(text)
 
 
-def show_plan(
-    recipe: Recipe, output: Path, reporter: Reporter, workers: int, dask: str | None, as_json: bool
-) -> None:
+def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
     """Runs the stages up to the last that looks ahead, in a folder that goes, and prints what they found: for
     people, or as JSON with numbers.
 
@@ -60,6 +59,7 @@ def show_plan(
     """
     from geomosaic.pipeline.runner import run
 
+    recipe, output = job.recipe, job.folder
     recipe.check_files(run_folder=output)
     ahead = [i for i, step in enumerate(recipe.steps) if step.stage.looks_ahead]
     begun = _Begun(
@@ -70,7 +70,7 @@ def show_plan(
     summary: dict[str, Any] = {"metrics": {}, "warnings": []}
     if ahead:
         with _beside(output) as folder:
-            summary = run(begun, folder, workers=workers, dask=dask, reporter=listening)
+            summary = run(begun, folder, workers=job.how.workers, dask=job.how.dask, reporter=listening)
     if as_json:
         plan = {
             "stages": [step.stage.id for step in recipe.steps],

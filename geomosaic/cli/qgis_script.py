@@ -6,12 +6,17 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from geomosaic.errors import OutputError
+from geomosaic.requests import mosaic_request, strips_request
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.option import flag_of, kinds_of, option_of
+from geomosaic.requests.strips_request import StripsRequest
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.stage import Stage
@@ -29,13 +34,10 @@ _COMMANDS: Final = {
     ),
 }
 """By command: its name in the toolbox, its help, the parameter that it takes without an option."""
-_OPTIONS: Final = {
-    "mosaic.seams.align_to": "--align-to",
-    "projection.ground.height_m": "--ground-height",
-    "quality.compare.reference": "--reference",
-    "quality.surface.reference": "--surface-reference",
+_REQUESTS: Final[dict[str, tuple[type[MosaicRequest | StripsRequest], Sequence[str]]]] = {
+    "mosaic": (MosaicRequest, mosaic_request.STAGES),
+    "strips": (StripsRequest, strips_request.STAGES),
 }
-"""Parameters whose options do more than set them."""
 _PLAIN: Final = (
     "survey.read.pos", "survey.read.camera", "survey.read.dem", "survey.read.gcp", "survey.read.crs",
     "mosaic.seams.gsd_m", "mosaic.seams.aoi", "mosaic.seams.align_to", "ccd.offsets.method",
@@ -77,22 +79,26 @@ def qgis_script(
 def declared(command: str) -> dict[str, Any]:
     """A command as the script has it: name, texts, words, and what `geomosaic stages --json` says of its
     stages."""
-    from geomosaic.cli import mosaic, strips
     from geomosaic.pipeline.registry import installed
 
     title, help, first = _COMMANDS[command]
-    ids = mosaic.STAGES if command == "mosaic" else strips.STAGES
+    request, ids = _REQUESTS[command]
+    flags = {
+        option_of(its).sets: flag_of(its)
+        for its in fields(request)
+        if kinds_of(request)[its.name] is not bool
+    }
     by_id = {stage.id: stage for stage in installed().all()[0]}
     return {
         "name": f"geomosaic_{command}",
         "display_name": title,
         "help": help,
         "command": [sys.executable, "-m", "geomosaic.cli.main", command],
-        "params": list(_params((by_id[id] for id in ids if id in by_id), first)),
+        "params": list(_params((by_id[id] for id in ids if id in by_id), first, flags)),
     }
 
 
-def _params(stages: Iterable[type[Stage]], first: str) -> Sequence[dict[str, Any]]:
+def _params(stages: Iterable[type[Stage]], first: str, flags: Mapping[str, str]) -> Sequence[dict[str, Any]]:
     from geomosaic.cli.stages import describe
 
     found, plain = [], (first, *_PLAIN)
@@ -105,7 +111,7 @@ def _params(stages: Iterable[type[Stage]], first: str) -> Sequence[dict[str, Any
                 {
                     "key": name.replace(".", "_").upper(),
                     "name": name,
-                    "option": "" if name == first else _OPTIONS.get(name, "--set"),
+                    "option": "" if name == first else flags.get(name, "--set"),
                     "kind": "folder" if name == "survey.read.frames" else kind,
                     "text": _text(of["display_name"] if name not in plain else "", p),
                     "required": name == first,

@@ -1,4 +1,4 @@
-"""`geomosaic inspect`, `replay`, `diff` and `view`: what can be done with a run.mcap."""
+"""`geomosaic view`: a recording in Rerun."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ from typing import Annotated
 
 import typer
 
-from geomosaic.cli.inspection import RecordingFile, diff, inspect, recording_file
-from geomosaic.cli.replaying import replay
-
-__all__ = ["diff", "inspect", "replay", "view"]
+from geomosaic.cli.inspection import RecordingFile, recording_file
 
 
 def view(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import TYPE_CHECKING, Final
 
-from geomosaic.cli.help import RARE
 from geomosaic.pipeline.params import describe_params
+from geomosaic.requests.option import RARE
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.stage import Stage

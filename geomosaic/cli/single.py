@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geomosaic.cli.help import RUNNING, HeadedCommand, with_help_all
-from geomosaic.cli.options import AsJson, Overwrite, Quiet, Sets, Workers, cores
+from geomosaic.cli.help import HeadedCommand, with_help_all
+from geomosaic.cli.options import AsJson, Overwrite, Quiet, Sets, Workers
 from geomosaic.errors import FileError, InputError
+from geomosaic.requests.option import RUNNING
+from geomosaic.requests.run_request import cores
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.context import Notes

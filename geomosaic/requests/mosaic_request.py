@@ -1,0 +1,276 @@
+"""A mosaic of a folder of frames: each field an option of `geomosaic mosaic` and an argument of
+`geomosaic.mosaic`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.requests.of_frames import FramesRequest, crs_of
+from geomosaic.requests.option import (
+    ACCURACY,
+    INPUTS,
+    OUTPUT,
+    RARE,
+    SURFACE,
+    Option,
+    asked,
+    length_given,
+    required,
+)
+from geomosaic.requests.run_request import beside, recipe_of
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.recipe import Recipe
+
+STAGES: Final = (
+    "survey.read",
+    "matching.flying_height",
+    "projection.ground",
+    "placement.pos",
+    "mosaic.estimate",
+    "matching.sift",
+    "adjustment.solve",
+    "adjustment.rig",
+    "surface.dense",
+    "surface.terrain",
+    "mosaic.ground",
+    "mosaic.tones",
+    "mosaic.seams",
+    "mosaic.compose",
+    "export.cog",
+    "export.surface",
+    "quality.compare",
+    "quality.surface",
+    "quality.verdict",
+    "quality.accuracy",
+    "export.layers",
+    "export.project",
+    "mosaic.given",
+    "export.report",
+)
+OPTIONAL: Final = (
+    "matching.flying_height",
+    "surface.dense",
+    "surface.terrain",
+    "mosaic.ground",
+    "export.surface",
+    "quality.compare",
+    "quality.surface",
+)
+"""Run only where they are asked for; the flying height is measured unless the ground's height is given."""
+SURFACES: Final = ("ties", "dense")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MosaicRequest(FramesRequest):
+    """One map-true mosaic of a folder of aerial frames."""
+
+    frames: Path = required(
+        Option("folder of frames (JPEG or TIFF)", "FRAMES_DIR", sets="survey.read.frames")
+    )
+    pos: Path | None = asked(
+        Option(
+            "positions and attitudes of the frames (CSV, geo.txt) [the frames' tags]",
+            "FILE",
+            INPUTS,
+            sets="survey.read.pos",
+        )
+    )
+    pos_crs: str | None = asked(
+        Option("CRS of x and y in the --pos file", "EPSG:n", INPUTS, sets="survey.read.pos_crs")
+    )
+    camera: Path | None = asked(
+        Option(
+            "interior orientation of the camera (cameras.json, YAML) [the frames' tags]",
+            "FILE",
+            INPUTS,
+            sets="survey.read.camera",
+        )
+    )
+    dem: Path | None = asked(
+        Option(
+            "elevation model of the ground (GeoTIFF or another raster file)",
+            "FILE",
+            INPUTS,
+            sets="survey.read.dem",
+        )
+    )
+    dem_offset: float | None = asked(
+        Option(
+            "metres to add to the DEM's heights to make them ellipsoidal",
+            "M",
+            RARE,
+            sets="survey.read.dem_offset_m",
+        )
+    )
+    gcp: Path | None = asked(
+        Option(
+            "control and check points with their image positions (gcp_list.txt, CSV)",
+            "FILE",
+            INPUTS,
+            sets="survey.read.gcp",
+        )
+    )
+    gcp_optional: bool = asked(
+        Option(
+            "run without control points if none of --gcp can be used",
+            None,
+            INPUTS,
+            sets="survey.read.gcp_optional",
+        ),
+        False,
+    )
+    damaged: str | None = asked(
+        Option(
+            "leave_out drops damaged frames, mask only their damaged parts [leave_out]",
+            "leave_out|mask",
+            RARE,
+            sets="survey.read.damaged",
+        )
+    )
+    ground_height: float | None = asked(
+        Option(
+            "ellipsoidal height of flat ground, in metres [measured in the frames]",
+            "M",
+            SURFACE,
+            sets="projection.ground.height_m",
+        )
+    )
+    surface: str = asked(
+        Option(
+            "ground onto which frames are projected: ties is a smooth surface through the tie points, dense "
+            "is matched between frames",
+            "|".join(SURFACES),
+            SURFACE,
+        ),
+        "ties",
+    )
+    ortho: str | None = asked(
+        Option(
+            "with --surface dense, project onto the surface (roofs in place) or the terrain below it; auto "
+            "takes the surface if frames agree clearly better on it [auto]",
+            "auto|surface|terrain",
+            SURFACE,
+            sets="mosaic.ground.ortho",
+        )
+    )
+    adjust: str | None = asked(
+        Option(
+            "adjustment method; 'geomosaic stages adjustment.solve' lists them",
+            "METHOD",
+            RARE,
+            sets="adjustment.solve.method",
+            methods=True,
+        )
+    )
+    accuracy: float | None = asked(
+        Option(
+            "horizontal RMSE that you need, such as 5cm [what the positions can give]",
+            "LENGTH",
+            ACCURACY,
+            sets="quality.verdict.accuracy_m",
+            parse=length_given,
+        )
+    )
+    accuracy_vertical: float | None = asked(
+        Option(
+            "vertical RMSE that you need, such as 10cm",
+            "LENGTH",
+            ACCURACY,
+            sets="quality.verdict.accuracy_vertical_m",
+            parse=length_given,
+        )
+    )
+    accuracy_relative: float | None = asked(
+        Option(
+            "RMSE of distances that you need, in per mille [what the positions can give]",
+            "PERMILLE",
+            ACCURACY,
+            sets="quality.verdict.accuracy_relative_permille",
+            least=0.0,
+        )
+    )
+    reference: Path | None = asked(
+        Option(
+            "orthophoto or satellite image to compare the mosaic with",
+            "TIF",
+            ACCURACY,
+            sets="quality.compare.reference",
+        )
+    )
+    surface_reference: Path | None = asked(
+        Option(
+            "elevation model or point cloud to compare the surface of --surface dense with",
+            "FILE",
+            ACCURACY,
+            sets="quality.surface.reference",
+        )
+    )
+    crs: str = asked(
+        Option("map CRS of the mosaic; auto is the UTM zone", "auto|EPSG:n", OUTPUT, sets="survey.read.crs"),
+        "auto",
+    )
+    gsd: str = asked(
+        Option(
+            "pixel size of the mosaic in metres; auto is that of the frames",
+            "auto|M",
+            OUTPUT,
+            sets="mosaic.seams.gsd_m",
+        ),
+        "auto",
+    )
+    edges: str | None = asked(
+        Option(
+            "trim leaves out ground seen obliquely or coarsely, or of extrapolated height; keep keeps it "
+            "[trim]",
+            "trim|keep",
+            OUTPUT,
+            sets="mosaic.seams.edges",
+        )
+    )
+    pdf: bool = asked(
+        Option(
+            "also print the report to report.pdf (needs Chromium)", None, OUTPUT, sets="export.report.pdf"
+        ),
+        False,
+    )
+
+    def stages(self) -> list[str]:
+        """The stages that are asked for. Raises: `InputError` where options contradict each other."""
+        dense = self.surface == "dense"
+        if self.surface not in SURFACES:
+            raise UnknownNameError("surface", self.surface, SURFACES)
+        if self.surface_reference is not None and not dense:
+            raise InputError(
+                "there is no surface to compare", file=self.surface_reference, mend="add --surface dense"
+            )
+        if self.ortho is not None and not dense:
+            raise InputError(
+                "--ortho chooses between a surface and the ground below it", mend="add --surface dense"
+            )
+        wanted = dict.fromkeys(OPTIONAL, dense) | {
+            "matching.flying_height": self.ground_height is None,
+            "quality.compare": self.reference is not None,
+            "quality.surface": self.surface_reference is not None,
+        }
+        return [id for id in STAGES if wanted.get(id, True)]
+
+    def recipe(self) -> Recipe:
+        """The checked recipe. Raises: `InputError` for what cannot be used."""
+        if self.pdf:
+            from geomosaic.report.pdf import browser
+
+            browser()
+        stages, given = self.stages(), self.parameters()
+        self.prepare(stages)
+        if self.align_to is not None:
+            given["survey.read"]["crs"] = crs_of(self.align_to, self.crs)
+        named = "mosaic", f"frames of {self.frames.name}"
+        return recipe_of(named, stages, given, self.seed, self.set)
+
+    def folder(self) -> Path:
+        """Where the run goes: what is asked for, or a folder beside the frames."""
+        return self.output or beside(self.frames, "mosaic")

@@ -1,0 +1,49 @@
+"""A job done: its recipe run, and a poor result raised where that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from geomosaic.errors import FileError, PoorResultError
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.reporter import Reporter
+    from geomosaic.requests.run_request import Job
+
+
+def perform(job: Job, reporter: Reporter) -> dict[str, Any]:
+    """Runs it. Returns run.json's content. Raises: what the run raises."""
+    from geomosaic.pipeline.runner import run
+
+    try:
+        return run(
+            job.recipe,
+            job.folder,
+            overwrite=job.how.overwrite,
+            workers=job.how.workers,
+            dask=job.how.dask,
+            fixed_time=job.how.fixed_time,
+            given=job.given,
+            reporter=reporter,
+            record=job.recorded,
+        )
+    except FileError as error:
+        if job.given:
+            _name_missing(job, error)
+        raise
+
+
+def _name_missing(job: Job, error: FileError) -> None:
+    from geomosaic.pipeline.given import missing_inputs
+
+    for path in missing_inputs(job.given.values()):
+        mend = "put it back there, name its folder with --frames, or replay from a later stage"
+        raise FileError("an input of the recorded run is gone", file=path, mend=mend) from error
+
+
+def check_result(job: Job, summary: Mapping[str, Any]) -> None:
+    """Raises: if strict, `PoorResultError` for the first shortcoming of a stage."""
+    for text in (step.stage.shortcoming(summary) for step in job.recipe.steps if job.how.strict):
+        if text:
+            raise PoorResultError(text)

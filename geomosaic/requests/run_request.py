@@ -1,0 +1,227 @@
+"""What every run can be asked for, and how a request becomes a recipe."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.requests.option import (
+    OUTPUT,
+    RARE,
+    RUNNING,
+    Option,
+    asked,
+    checked,
+    folder_given,
+    kinds_of,
+    option_of,
+)
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.given import Given
+    from geomosaic.pipeline.recipe import Recipe
+    from geomosaic.recording.levels import RecordOptions
+
+Parameters = dict[str, dict[str, Any]]
+DASK: Final = Option("compute on this Dask cluster instead of this machine", "tcp://HOST:PORT", RARE)
+
+
+def cores() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class How:
+    """How a run works. dask: the address of a cluster that computes instead of this machine; strict: whether
+    a poor result is an error."""
+
+    workers: int
+    dask: str | None
+    fixed_time: bool
+    overwrite: bool
+    strict: bool
+
+
+@dataclass(frozen=True)
+class Job:
+    """A checked recipe, the folder of its run, how it is recorded and works. given: results of its first
+    stages from a recording, by their number; left_out: what cannot be done, and why."""
+
+    recipe: Recipe
+    folder: Path
+    recorded: RecordOptions
+    how: How
+    given: Mapping[int, Given] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRequest(ABC):
+    """Where a run goes, how it works, and how much is recorded of it.
+
+    Raises: `InputError` for a value of another type or out of bounds.
+    """
+
+    output: Path | None = asked(
+        Option(
+            "folder to write the run to [next to the input, such as INPUT-mosaic]",
+            "RUN",
+            OUTPUT,
+            flags=("-o", "--output"),
+            parse=folder_given,
+        )
+    )
+    overwrite: bool = asked(
+        Option("write into a folder that holds other files; results may replace them", None, OUTPUT), False
+    )
+    set: tuple[str, ...] = asked(
+        Option(
+            "set a parameter of a stage ('geomosaic stages' lists them); may be repeated",
+            "STAGE.PARAM=VALUE",
+            RARE,
+        ),
+        (),
+    )
+    workers: int | None = asked(
+        Option("number of worker processes [one per core]", "N", RUNNING, least=1, most=1024)
+    )
+    fixed_time: bool = asked(
+        Option("leave clock times out of the recording, so that equal runs give equal bytes", None, RARE),
+        False,
+    )
+    record: str = asked(
+        Option(
+            "content of run.mcap: off writes none; summary holds figures; normal also images and what a "
+            "replay needs; full also the tie points of each pair",
+            "off|summary|normal|full",
+            RARE,
+        ),
+        "normal",
+    )
+
+    def __post_init__(self) -> None:
+        kinds = kinds_of(type(self))
+        for its in fields(self):
+            value = checked(its.name, option_of(its), kinds[its.name], getattr(self, its.name))
+            object.__setattr__(self, its.name, value)
+
+    @abstractmethod
+    def recipe(self) -> Recipe:
+        """The checked recipe. Raises: `InputError` for what cannot be used."""
+
+    @abstractmethod
+    def folder(self) -> Path:
+        """Where the run goes: what is asked for, or a folder beside the input."""
+
+    def job(self) -> Job:
+        """What the request comes to. Raises: `InputError` for what cannot be used."""
+        recorded, recipe = self.recorded(), self.recipe()
+        return Job(recipe, self.folder(), recorded, self.how())
+
+    def how(self) -> How:
+        """How the run works."""
+        workers = self.workers or cores()
+        return How(workers, self.cluster, self.fixed_time, self.overwrite, self.is_strict)
+
+    @property
+    def is_strict(self) -> bool:
+        """Whether a poor result is an error."""
+        return False
+
+    @property
+    def cluster(self) -> str | None:
+        """The address of a Dask cluster that computes."""
+        return None
+
+    def parameters(self) -> Parameters:
+        """The values that are given, by stage and parameter."""
+        found: Parameters = {}
+        for its in fields(self):
+            value, sets = getattr(self, its.name), option_of(its).sets
+            if sets and value is not None and value is not False:
+                stage, _, name = sets.rpartition(".")
+                found.setdefault(stage, {})[name] = value
+        return found
+
+    def recorded(self) -> RecordOptions:
+        """How the run is recorded. Raises: `UnknownNameError` for another level."""
+        return record_options(self.record)
+
+    def prepare(self, stages: Iterable[str]) -> None:
+        """Has workers made ready, if there are to be some on this machine, while the recipe is read."""
+        from geomosaic.pipeline.announced import modules_of
+        from geomosaic.pipeline.executor import prepare_workers
+
+        if self.cluster is None and (self.workers or cores()) > 1:
+            prepare_workers(modules_of(stages))
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewRunRequest(RunRequest, ABC):
+    """A run from the beginning, not from a recording."""
+
+    seed: int | None = asked(Option("seed of all random numbers", "N", RARE, least=0))
+    private: bool = asked(
+        Option("leave folders, user and host out of the recording, so that it can be shared", None, RARE),
+        False,
+    )
+    private_places: bool = asked(
+        Option(
+            "as --private, and move all places by a secret offset; the recording cannot be replayed, and "
+            "its images still show the ground",
+            None,
+            RARE,
+        ),
+        False,
+    )
+    live: bool = asked(Option("show the run in Rerun while it works", None, RARE), False)
+
+    def recorded(self) -> RecordOptions:
+        """How the run is recorded. Raises: `UnknownNameError` for another level, `InputError` if nothing is
+        to be recorded and shown."""
+        return record_options(self.record, self.private, self.private_places, self.live)
+
+
+def record_options(
+    record: str, private: bool = False, private_places: bool = False, live: bool = False
+) -> RecordOptions:
+    """How a run is recorded. Raises: `UnknownNameError` for another level, `InputError` if nothing is to be
+    recorded and shown."""
+    from geomosaic.recording.levels import LEVELS, RecordOptions
+
+    if record not in LEVELS:
+        raise UnknownNameError("level of --record", record, LEVELS)
+    if live and record == "off":
+        raise InputError("--live shows what is recorded", mend="leave --record off away")
+    return RecordOptions(record, private, private_places, live)
+
+
+def recipe_of(
+    named: tuple[str, str],
+    stages: Sequence[str],
+    given: Mapping[str, Mapping[str, Any]],
+    seed: int | None = None,
+    sets: Sequence[str] = (),
+) -> Recipe:
+    """The checked recipe of some stages. named: its name and description; given: parameters by stage, also of
+    stages that are not among these."""
+    from geomosaic.pipeline.recipe import recipe_from
+    from geomosaic.pipeline.registry import installed
+
+    steps = [{"stage": id, "params": dict(given.get(id, {}))} for id in stages]
+    plain = {"name": named[0], "description": named[1], "seed": seed or 0, "stages": steps}
+    return recipe_from(plain, installed(), sets)
+
+
+def beside(given: Path, what: str) -> Path:
+    """The run folder where none is given: `FRAMES-mosaic` beside `FRAMES`."""
+    place = given if given.name not in ("", "..") else given.resolve()
+    if not place.name:
+        raise InputError("there is no place beside it", file=given, mend="give the run folder with -o")
+    return place.with_name(f"{place.stem if place.is_file() else place.name}-{what}")
