@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from geomosaic.cli import mosaic, strips
 from geomosaic.cli.qgis_script import declared
 from geomosaic.pipeline.recipe import recipe_from
 from geomosaic.pipeline.registry import installed
+from geomosaic.requests import mosaic_request as mosaic
+from geomosaic.requests import strips_request as strips
 
 
 def written(folder: Path) -> dict[str, str]:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, get_args, get_type_hints
+from typing import Any, Final, get_args, get_origin, get_type_hints
 
 from geomosaic.errors import InputError
 
@@ -79,6 +79,10 @@ def checked(name: str, option: Option, kind: Any, value: Any) -> Any:
             return option.parse(value)
         except ValueError as error:
             raise InputError(f"{name}: {error}") from error
+    if get_origin(kind) is tuple:
+        if isinstance(value, list | tuple):
+            return tuple(str(v) for v in value)
+        raise InputError(f"{name} is {value!r}", mend="give a list of texts")
     kinds = set(get_args(kind)) or {kind}
     if Path in kinds and isinstance(value, str | os.PathLike):
         return Path(value)
@@ -93,14 +97,12 @@ def checked(name: str, option: Option, kind: Any, value: Any) -> Any:
         if option.most is not None and value > option.most:
             raise InputError(f"{name} is {value}", mend=f"give at most {option.most:g}")
         return value
-    if tuple in {getattr(k, "__origin__", k) for k in (kind, *kinds)} and isinstance(value, list | tuple):
-        return tuple(str(v) for v in value)
     raise InputError(f"{name} is {value!r}", mend=f"give {_wanted(kinds)}")
 
 
 def _wanted(kinds: set[Any]) -> str:
     names = {Path: "a path", str: "a text", bool: "True or False", float: "a number", int: "a whole number"}
-    return next((text for kind, text in names.items() if kind in kinds), "a list of texts")
+    return next(text for kind, text in names.items() if kind in kinds)
 
 
 def length_given(text: str) -> float:
