@@ -63,7 +63,7 @@ def test_a_block_that_is_told_all_is_solved_as_given() -> None:
 
 
 def test_small_turns_are_found_too() -> None:
-    """Vibration of 0.06 rad/s at 8 Hz: residuals of 0.2 px look well, but positions follow it by 0.4 m."""
+    """Vibration of 0.06 rad/s at 8 Hz: residuals of 0.4 px look well, but positions follow it by 0.4 m."""
     flown = fly(
         3,
         2,
@@ -76,7 +76,7 @@ def test_small_turns_are_found_too() -> None:
         shaking_hz=8.0,
     )
     given, chosen = (METHODS["bundle"](flown.block, Settings(model=m)) for m in ("given", "auto"))
-    assert given.figures["sigma_px"] < 0.3
+    assert given.figures["sigma_px"] < 0.5
     assert chosen.model is not None and chosen.model.taken == ("turning",)
     bent_m = [_bent_m(a.poses.positions_m, flown.truth.positions_m) for a in (given, chosen)]
     assert bent_m[1] < 0.3 * bent_m[0], bent_m

@@ -13,6 +13,7 @@ from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.lens_start import lens_notes, with_lens_starts
 from geomosaic.camera.interior import Camera
 from geomosaic.spread import AtOnce
+from geomosaic.survey.accuracy import POSITION
 
 EXIF_SD_M = np.array([3.0, 3.0, 10.0])
 FISHEYE = Camera("fish", 800, 600, 380.0, 402.0, 297.0, k1=-0.02, kind="fisheye")
@@ -67,6 +68,20 @@ def test_a_reported_focal_length_that_the_images_contradict_is_solved_anew() -> 
     adjusted = METHODS["bundle"](block, Settings())
     assert adjusted.cameras[0].focal_length_px == pytest.approx(1000.0, rel=0.05)
     assert [w.code for w in lens_notes(block, adjusted.cameras)[1]] == ["focal-length-contradicted"]
+
+
+class NothingTried(AtOnce):
+    def map(self, *_: object) -> list[object]:
+        raise AssertionError("lenses are compared")
+
+
+def test_without_positions_rows_read_one_after_the_other_contradict_no_focal_length() -> None:
+    """Rows read at unknown velocities stretch images as another lens does."""
+    flown = assumed(fly(1, relief=hills), 2600.0, 0.02)
+    nowhere = np.full_like(flown.poses.positions_m, POSITION["none"].sd_horizontal_m)
+    cameras = tuple(replace(c, readout_s=0.05) for c in flown.cameras)
+    block = replace(flown, cameras=cameras, poses=replace(flown.poses, positions_sd_m=nowhere))
+    assert with_lens_starts(block, Settings(), NothingTried()) is block
 
 
 def test_a_lens_that_is_reported_rightly_stays() -> None:

@@ -31,6 +31,7 @@ from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
+from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.model import Warn
@@ -122,6 +123,8 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     still = replace(settings, rolling_shutter=False, turning=False)
     trial = _Trial(part, still, chosen_tracks(tracks, ~out), judges, places(at_m, flying_height_m(part)))
     if not unsure(camera):
+        if camera.readout_s and position_assumed(part.poses).all():
+            return camera  # rows read at unknown velocities stretch images as another focal length does
         free = replace(camera, focal_length_sd_px=_FREED * camera.focal_length_px)
         as_given, freed = _judged(f"lens-{camera.name}", trial, [camera, free], spread)
         if freed.solved is None or not freed.beats(as_given) or contradicts(freed.solved, as_given.solved):
