@@ -111,7 +111,8 @@ def test_what_nothing_states_is_not_stated() -> None:
     asked = Requirement(0.05, math.nan, 1.0, "as asked for", 0.05)
     said = dict(answers(found, asked, NO_SEAMS, 0.02))
     assert said["required"] == "horizontal RMSE 5.0 cm, distances 1 per mille: as asked for"
-    assert said["absolute accuracy"] == said["relative accuracy"] == "not stated by this adjustment method"
+    assert said["absolute accuracy"].startswith("not stated: ")
+    assert said["relative accuracy"] == "not stated by this adjustment method"
     assert asprs_statement(found.absolute) == ""
 
 
@@ -178,3 +179,9 @@ def test_land_lies_as_well_beside_the_land_around_as_distances_are_asked_to() ->
     assert gnss.asked(None, None, 1.0).local_m == pytest.approx(0.1)
     assert gnss.asked(0.5, None, 1.0).local_m == pytest.approx(0.1)
     assert gnss.asked(None, None, None) is gnss
+
+
+def test_a_map_that_nothing_places_states_no_absolute_accuracy() -> None:
+    found = accuracy_of(adjusted(place_errors(np.tile([1.2, -0.5, 0.0], (4, 1)))), np.nan, 0.02, placed=False)
+    assert found.absolute.how == "not stated" and np.isnan(found.absolute.rmse_h_m)
+    assert found.relative.rmse_100m_m == pytest.approx(0.0, abs=1e-7)

@@ -126,15 +126,16 @@ class Accuracy:
     relative: RelativeAccuracy
 
 
-def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float) -> Accuracy:
+def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float, *, placed: bool = True) -> Accuracy:
     """The accuracy of a map, by check points where there are three or more, else by the covariance.
 
     Args: seam_px: median mismatch at its seams, NaN where none was measured; pixel_m: its pixel. A mismatch
-    has the errors of two frames in it, as a distance between places of two frames does.
+    has the errors of two frames in it, as a distance between places of two frames does. placed: whether
+    positions or control points place the map in the world; else its absolute accuracy is not stated.
     """
     local_m2 = 2.0 * (np.nan_to_num(seam_px) * pixel_m / _MEDIAN_LENGTH) ** 2
     places, figures = adjusted.places, check_points(adjusted.control)
-    absolute = _estimated(places, local_m2 / 2.0)
+    absolute = _estimated(places if placed else None, local_m2 / 2.0)
     if figures is not None and figures.count >= LEAST_POINTS:
         used = [c for c in adjusted.control if c.check and c.name not in figures.blunders]
         absolute = _measured(figures, np.mean([c.surveyed_sd_m**2 for c in used], axis=0))

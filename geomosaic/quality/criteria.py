@@ -212,6 +212,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the frames' rows were read one after the other while the camera turned, in a way that no tag states",
         "a camera with a global shutter or a gyroscope in its tags, or control points",
     ),
+    "adjustment-step-failed": (
+        NOTED,
+        "a step of the adjustment could not be solved and was left out",
+        "more overlap, or positions of more frames",
+    ),
     "control-unused": (
         "doubtful",
         "no control or check point could be used",

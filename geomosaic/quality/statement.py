@@ -20,6 +20,8 @@ from geomosaic.quality.accuracy import (
 from geomosaic.quality.seam_check import SeamCheck
 
 _STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
+NO_RELATIVE: Final = "not stated by this adjustment method"
+NO_ABSOLUTE: Final = "not stated: no positions, no control points, or an adjustment method without deviations"
 
 
 def answers(
@@ -55,7 +57,7 @@ def _seams(seams: SeamCheck) -> str:
 
 def _relative(relative: RelativeAccuracy, pixel_m: float) -> str:
     if not math.isfinite(relative.scale_permille):
-        return "not stated by this adjustment method"
+        return NO_RELATIVE
     over = [(relative.rmse_100m_m, 100.0), (relative.rmse_whole_m, relative.whole_m)]
     distances = [
         f"{metres(rmse_m)} ({rmse_m / pixel_m:.1f} px) over {length_m:.0f} m"
@@ -67,7 +69,7 @@ def _relative(relative: RelativeAccuracy, pixel_m: float) -> str:
 
 def _absolute(absolute: AbsoluteAccuracy) -> str:
     if not math.isfinite(absolute.rmse_h_m):
-        return "not stated by this adjustment method"
+        return NO_ABSOLUTE
     words = [f"horizontal RMSE {metres(absolute.rmse_h_m)}, CE90 {metres(absolute.ce90_m)}"]
     if math.isfinite(absolute.rmse_v_m):
         words.append(f"vertical RMSE {metres(absolute.rmse_v_m)}, LE90 {metres(absolute.le90_m)}")

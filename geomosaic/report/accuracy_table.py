@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement
 from geomosaic.quality.seam_check import SeamCheck
-from geomosaic.quality.statement import metres
+from geomosaic.quality.statement import NO_ABSOLUTE, NO_RELATIVE, metres
 from geomosaic.report.numbers import UNKNOWN
 
 _OVER_M = 100.0
@@ -57,7 +57,7 @@ def _seams(seams: SeamCheck) -> AccuracyRow:
 def _distances(relative: RelativeAccuracy, required: Requirement, pixel_m: float) -> list[AccuracyRow]:
     title = "Relative"
     if not math.isfinite(relative.scale_permille):
-        return [AccuracyRow(title, "not stated by this adjustment method", UNKNOWN)]
+        return [AccuracyRow(title, NO_RELATIVE, UNKNOWN)]
     rows: list[AccuracyRow] = []
     for rmse_m, length_m in ((relative.rmse_100m_m, _OVER_M), (relative.rmse_whole_m, relative.whole_m)):
         if math.isfinite(rmse_m):
@@ -72,7 +72,7 @@ def _distances(relative: RelativeAccuracy, required: Requirement, pixel_m: float
 def _places(absolute: AbsoluteAccuracy, required: Requirement) -> list[AccuracyRow]:
     title = "Absolute"
     if not math.isfinite(absolute.rmse_h_m):
-        return [AccuracyRow(title, "not stated by this adjustment method", UNKNOWN)]
+        return [AccuracyRow(title, NO_ABSOLUTE, UNKNOWN)]
     figures = (
         ("horizontal", absolute.rmse_h_m, f"CE90 {metres(absolute.ce90_m)}", required.rmse_h_m),
         ("vertical", absolute.rmse_v_m, f"LE90 {metres(absolute.le90_m)}", required.rmse_v_m),

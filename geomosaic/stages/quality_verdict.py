@@ -33,7 +33,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 18
+    version = 19
     wants_frames: ClassVar[bool] = True
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
@@ -114,7 +114,9 @@ class QualityVerdict(Stage):
         )
         known = seams.length_px[np.isfinite(seams.length_px)]
         median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
-        accuracy = accuracy_of(adjusted, float("nan") if median_px is None else median_px, pixel_m)
+        placed = any(f.position.known for f in survey.frames) or any(not c.check for c in adjusted.control)
+        seam_px = float("nan") if median_px is None else median_px
+        accuracy = accuracy_of(adjusted, seam_px, pixel_m, placed=placed)
         verdict = verdict_of(adjusted, seen, accuracy, required)
         chips.record()
         rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
