@@ -183,7 +183,8 @@ def _finished(progress: Progress) -> Solution:
     standardised = image.standardised(at, components)
     weight = np.nan_to_num(student_weight(standardised) / student_weight(np.zeros(1)))
     poses = replace(image.reported, positions_m=at.positions_m, rotations=at.rotations)
-    points_m2 = np.diagonal(stated.reduced.points_inverse, axis1=1, axis2=2)
+    # what a frame's points share is no noise of each of them
+    points_m2 = np.diagonal(stated.reduced.points_inverse, axis1=1, axis2=2) / image.design_effect
     return Solution(
         poses=stated.of(_with_rows_read(poses, problem, at)),
         cameras=_cameras(problem, at),
