@@ -58,22 +58,22 @@ def test_of_more_points_a_frame_more_have_their_error_in_common():
 
 
 def rtk_m(seed: int) -> tuple[float, float]:
-    """RMSE in plan of frames told to 2 cm, where lenses breathe by 1 px: solved, told. Breathing draws a
+    """RMSE in plan of frames reported to 2 cm, where lenses breathe by 1 px: solved, reported. Breathing draws a
     frame's height too, which its own images alone would show."""
     drawn = bench.draw(SMALL, seed)
     block = breathing(drawn.block, size_px(drawn.camera), seed, 1.0)
     true_m, rng = drawn.poses.positions_m, np.random.default_rng([seed, 78])
-    told_m = true_m + rng.normal(0.0, 0.02, true_m.shape)
-    told = replace(block.poses, positions_m=told_m, positions_sd_m=np.full(true_m.shape, 0.02))
-    solved_m = METHODS["bundle"](replace(block, poses=told), Settings(model="given")).poses.positions_m
-    solved, given = (float(np.sqrt(np.square(m - true_m)[:, :2].mean())) for m in (solved_m, told_m))
+    reported_m = true_m + rng.normal(0.0, 0.02, true_m.shape)
+    reported = replace(block.poses, positions_m=reported_m, positions_sd_m=np.full(true_m.shape, 0.02))
+    solved_m = METHODS["bundle"](replace(block, poses=reported), Settings(model="given")).poses.positions_m
+    solved, given = (float(np.sqrt(np.square(m - true_m)[:, :2].mean())) for m in (solved_m, reported_m))
     return solved, given
 
 
 def test_positions_are_not_outweighed_by_what_points_share():
-    """With independent weights solved positions are twice as far off as those told."""
-    solved, told = np.mean([rtk_m(seed) for seed in SEEDS], axis=0)
-    assert solved < 1.4 * told
+    """With independent weights solved positions are twice as far off as those reported."""
+    solved, reported = np.mean([rtk_m(seed) for seed in SEEDS], axis=0)
+    assert solved < 1.4 * reported
 
 
 def test_independent_errors_have_none():

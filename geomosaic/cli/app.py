@@ -67,12 +67,12 @@ def _version(asked: bool) -> None:
 
 
 def _function(
-    command: RequestCommand | Callable[..., Any], asks: bool, argv: Sequence[str]
+    command: RequestCommand | Callable[..., Any], helping: bool, argv: Sequence[str]
 ) -> Callable[..., Any]:
-    """As Typer takes it. asks: whether help is asked for."""
+    """As Typer takes it. helping: whether help is asked for."""
     if not isinstance(command, RequestCommand):
         return command
-    function = command.function(naming=asks and argv[:1] == [command.name])
+    function = command.function(naming=helping and argv[:1] == [command.name])
     return with_help_all(function) if command.plans else function
 
 
@@ -96,10 +96,10 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
     ) -> None:
         """Make one map-true mosaic (orthomosaic) of overlapping aerial frames."""
 
-    asks = bool({"-h", "--help", "--help-all"} & {*argv})
+    helping = bool({"-h", "--help", "--help-all"} & {*argv})
     for heading, commands in _COMMANDS.items():
         for command in commands:
-            app.command(cls=HeadedCommand, rich_help_panel=heading)(_function(command, asks, argv))
+            app.command(cls=HeadedCommand, rich_help_panel=heading)(_function(command, helping, argv))
     for group, (heading, help) in _GENERATED.items():
         part = typer.Typer(cls=HeadedGroup, help=help, no_args_is_help=True, rich_markup_mode=None)
         part.callback()(lambda: None)

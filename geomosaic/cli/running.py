@@ -45,19 +45,19 @@ def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
     """Files first, then figures in the order of stages: verdict, accuracy and what to open come last."""
     from geomosaic.pipeline.recipe import RECORDING
 
-    told = []
+    lines = []
     for file in (*(file for step in recipe.steps for file in step.stage.results), RECORDING):
         if (output / file).exists() and not file.endswith((".aux.xml", "_report.json")):
-            told.append(("recording" if file == RECORDING else Path(file).stem, f"{output / file}"))
+            lines.append(("recording" if file == RECORDING else Path(file).stem, f"{output / file}"))
     if summary["warnings"]:
-        told.append(("warnings", f"{len(summary['warnings'])}, see above and run.json"))
-    told += [pair for step in recipe.steps for pair in step.stage.conclusions(summary)]
+        lines.append(("warnings", f"{len(summary['warnings'])}, see above and run.json"))
+    lines += [pair for step in recipe.steps for pair in step.stage.conclusions(summary)]
     opened = [f"{output / file}" for file in _OPENED if (output / file).exists()]
-    print_named(told + [("open", ", ".join(opened))] * bool(opened))
+    print_named(lines + [("open", ", ".join(opened))] * bool(opened))
 
 
-def print_named(told: Sequence[tuple[str, str]]) -> None:
+def print_named(lines: Sequence[tuple[str, str]]) -> None:
     """Lines of a word and its text, the texts below each other."""
-    width = max(10, *(len(name) for name, _ in told))
-    for name, text in told:
+    width = max(10, *(len(name) for name, _ in lines))
+    for name, text in lines:
         print(f"{name:<{width}} {text}")

@@ -52,9 +52,9 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
         more |= {"workers": (Workers, None), "quiet": (Quiet, False)}
         headings = simulation_headings(stage)
         command = command_of(stage, place, _runner(stage), more, headings)
-        told = described(stage) if len(ids) > 1 else None
+        short = described(stage) if len(ids) > 1 else None
         command = with_help_all(command) if headings else command
-        app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=told)(command)
+        app.command(stage.id.partition(".")[2], cls=HeadedCommand, short_help=short)(command)
 
 
 def _runner(stage: type[Stage]) -> Any:

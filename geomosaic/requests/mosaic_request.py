@@ -271,6 +271,6 @@ class MosaicRequest(FramesRequest):
         named = "mosaic", f"frames of {self.frames.name}"
         return recipe_of(named, stages, given, self.seed, self.set)
 
-    def folder(self) -> Path:
+    def folder(self, recipe: Recipe) -> Path:
         """Where the run goes: what is asked for, or a folder beside the frames."""
         return self.output or beside(self.frames, "mosaic")

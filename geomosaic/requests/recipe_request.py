@@ -71,7 +71,7 @@ class RecipeRequest(FramesRequest):
         self.prepare(step.stage.id for step in loaded.steps)
         return replace(loaded, seed=self.seed) if self.seed is not None else loaded
 
-    def folder(self) -> Path:
+    def folder(self, recipe: Recipe) -> Path:
         """Where the run goes: what is asked for, or a folder beside the input or the recipe's first file."""
         from geomosaic.pipeline.params import file_values
 
@@ -79,5 +79,5 @@ class RecipeRequest(FramesRequest):
             return self.output
         if self.input is not None:
             return beside(self.input, self._file.stem.replace("_", "-"))
-        named = [path for step in self.recipe().steps for path in file_values(step.params).values()]
+        named = [path for step in recipe.steps for path in file_values(step.params).values()]
         return beside((named or [self._file])[0], self._file.stem.replace("_", "-"))

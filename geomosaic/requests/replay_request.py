@@ -44,7 +44,7 @@ class ReplayRequest(RunRequest):
         """The address of a Dask cluster that computes."""
         return self.dask
 
-    def folder(self) -> Path:
+    def folder(self, recipe: Recipe) -> Path:
         """Where the run goes."""
         return self.output
 

@@ -116,13 +116,13 @@ class RunRequest(ABC):
         """The checked recipe. Raises: `InputError` for what cannot be used."""
 
     @abstractmethod
-    def folder(self) -> Path:
-        """Where the run goes: what is asked for, or a folder beside the input."""
+    def folder(self, recipe: Recipe) -> Path:
+        """Where its run goes: what is asked for, or a folder beside the input."""
 
     def job(self) -> Job:
         """What the request comes to. Raises: `InputError` for what cannot be used."""
         recorded, recipe = self.recorded(), self.recipe()
-        return Job(recipe, self.folder(), recorded, self.how())
+        return Job(recipe, self.folder(recipe), recorded, self.how())
 
     def how(self) -> How:
         """How the run works."""

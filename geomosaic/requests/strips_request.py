@@ -56,6 +56,6 @@ class StripsRequest(NewRunRequest):
         named = "strips", f"strips of {self.geometry.name}"
         return recipe_of(named, stages, self.parameters(), self.seed, self.set)
 
-    def folder(self) -> Path:
+    def folder(self, recipe: Recipe) -> Path:
         """Where the run goes: what is asked for, or a folder beside the geometry."""
         return self.output or beside(self.geometry, "scene")
