@@ -106,6 +106,9 @@ bench-flights: DATA = ../flights
 bench-flights: setup ## every flight of a folder, a sheet NAME.yaml each (CONTRIBUTING.md); DATA=../flights, skips without it; ONLY="names"
 	$(PY) tools/bench_flights.py "$(DATA)" $(if $(ONLY),--only $(ONLY)) --out out/bench-flights
 
+results: setup ## docs/results.md from the files in docs/results
+	$(PY) tools/docs/results_page.py
+
 check-qgis: setup ## open layers.gpkg and project.qgz in a real QGIS and draw its window (about 2 minutes); QGIS=options
 	$(PY) tools/check_qgis.py $(QGIS)
 
@@ -128,4 +131,4 @@ format: setup ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

@@ -36,7 +36,7 @@ SMALL = "--lines 1 --frames-per-line 3 --width-px 240 --height-px 180"
 
 
 SMALL_STRIPS = "--ccds 2 --width-px 256 --lines 1500 --row-separation-lines 300"
-HISTORY = ("CHANGELOG.md", "plan.md", "results.md", "older_results.md")
+HISTORY = ("CHANGELOG.md", "plan.md", "results.md")
 """They say what was done, with data that aren't here; what they show is parsed."""
 NOT_RUN = {
     "geomosaic fetch": "asks a server: test_fetch.py has one",
@@ -125,13 +125,41 @@ def test_what_commands_name_is_there() -> None:
         text = page.read_text(encoding="utf-8")
         for target in re.findall(r"(?:^ *|`)make ((?!-)[a-z][a-z-]*)(?=[`\s])", text, re.M):
             assert target in targets, f"{page.name}: make {target}"
-        for tool in re.findall(r"\b(tools/\w+\.(?:py|sh))\b", text):
+        for tool in re.findall(r"\b(tools/[\w/]+\.(?:py|sh))\b", text):
             assert (ROOT / tool).is_file(), f"{page.name}: {tool}"
         for name in re.findall(r"--set ([a-z_]+\.[a-z_0-9]+\.[a-z_0-9]+)=", text):
             example = ROOT / "examples" in page.parents  # stages of its own, which its own tests know
             assert name in known or example, f"{page.name}: --set {name}"
         for name in re.findall(r"geomosaic run ([a-z][a-z-]*)(?=[ `\n])", text):
             assert name in recipes, f"{page.name}: geomosaic run {name}"
+
+
+def test_the_results_page_is_generated(tmp_path: Path) -> None:
+    """After new measurements run `make results`."""
+    written = tmp_path / "results.md"
+    tool = ROOT / "tools" / "docs" / "results_page.py"
+    subprocess.run([sys.executable, tool, "--out", written], cwd=ROOT, check=True)
+    page = written.read_text(encoding="utf-8")
+    assert page == (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert all((ROOT / "docs" / linked).is_file() for linked in re.findall(r"\]\(([^)]+)\)", page))
+
+
+def test_the_results_page_needs_no_particular_row(tmp_path: Path) -> None:
+    """One file alone, of one flight that ended without a mosaic, gives a page."""
+    flights = json.loads((ROOT / "docs" / "results" / "flights.json").read_text(encoding="utf-8"))
+    name, flight = next(iter(flights["flights"].items()))
+    flights["flights"] = {name: flight | {"exit_code": 2}}
+    (tmp_path / "flights.json").write_text(json.dumps(flights), encoding="utf-8")
+    command = [
+        sys.executable,
+        "tools/docs/results_page.py",
+        "--results",
+        tmp_path,
+        "--out",
+        tmp_path / "page.md",
+    ]
+    subprocess.run(command, cwd=ROOT, check=True)
+    assert "**0 of 1**" in (tmp_path / "page.md").read_text(encoding="utf-8")
 
 
 def test_the_notebook_is_of_today() -> None:
