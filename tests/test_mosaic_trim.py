@@ -16,7 +16,7 @@ from test_mosaic_grid import given_for, seams
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.camera.rotation import Rotation
+from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.mosaic.compose import compose
 from geomosaic.mosaic.limits import Limits
 from geomosaic.mosaic.trim import REASONS, looked_at, whole_of
@@ -204,3 +204,18 @@ def test_a_frame_that_matches_no_other_and_shows_land_of_its_own_stays(
     owned, notes = seams(tmp_path, placed(flown, 1, moved_m=60.0))
     assert owned.used[1] and (owned.owner == 2).any()
     assert not [w for w in notes.warnings if w["code"] == "untied-left-out"]
+
+
+def test_a_frame_that_matches_no_other_and_looks_at_the_horizon_gives_no_pixels(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    """Turned by 65 degrees about the east axis, most of the frame lies beyond 60 degrees off the vertical."""
+    given = placed(flown, 1, moved_m=60.0)
+    poses = given["adjusted"].poses
+    rotations = poses.rotations.copy()
+    rotations[1] = exp_turn(np.radians([[65.0, 0.0, 0.0]]))[0] @ rotations[1]
+    given["adjusted"] = replace(given["adjusted"], poses=replace(poses, rotations=rotations))
+    owned, notes = seams(tmp_path, given)
+    assert not owned.used[1]
+    (told,) = [w["text"] for w in notes.warnings if w["code"] == "untied-left-out"]
+    assert "horizon" in told and "frame 01" in told

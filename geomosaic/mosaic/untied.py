@@ -4,35 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import shapely
 
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced
 from geomosaic.mosaic.limits import Limits
-from geomosaic.mosaic.views import FrameView, seen_part
+from geomosaic.mosaic.views import FrameView, SeenPart, seen_part
 from geomosaic.projection.ground import GroundSurface
 
-_SHOWN = tuned(
-    0.5, "share of its land", "that tied frames show: more keeps misplaced frames, less loses land"
-)
+_MOST = sourced(0.5, "share of a frame", "from here on most of it counts", "majority")
 
 
 def needless(
     views: Sequence[FrameView], tied: Sequence[bool], ground: GroundSurface, limits: Limits
 ) -> frozenset[int]:
-    """Frames without tie points of whose land, as far as they see it well, tied frames show most.
+    """Frames without tie points that look beyond the limits for the most part, or of whose land, as far as
+    they see it well, tied frames show most.
 
-    A frame that overlaps others and yet matches none shows water or is spoiled, or lies elsewhere.
+    A frame that overlaps others and yet matches none shows water or is spoiled, or lies elsewhere. One that
+    looks at the horizon sees its land so far off the vertical that a degree of attitude moves it by metres.
     """
 
-    def outline(view: FrameView) -> shapely.Geometry:
-        return shapely.MultiPoint(
-            seen_part(view.pose, view.camera, ground, limits).points_m[:, :2]
-        ).convex_hull
+    def seen(view: FrameView) -> SeenPart:
+        return seen_part(view.pose, view.camera, ground, limits)
 
-    alone = {view.frame: outline(view) for view in views if not tied[view.frame]}
+    def outline(part: SeenPart) -> shapely.Geometry:
+        return shapely.MultiPoint(part.points_m[:, :2]).convex_hull
+
+    alone = {view.frame: seen(view) for view in views if not tied[view.frame]}
     if not alone:
         return frozenset()
-    shown = shapely.union_all([outline(view) for view in views if tied[view.frame]])
-    return frozenset(
-        i for i, land in alone.items() if shapely.intersection(land, shown).area >= _SHOWN * land.area > 0.0
-    )
+    shown = shapely.union_all([outline(seen(view)) for view in views if tied[view.frame]])
+
+    def needed(part: SeenPart) -> bool:
+        if part.quality is not None and np.mean(part.quality >= 1.0) < _MOST:
+            return False
+        land = outline(part)
+        return not shapely.intersection(land, shown).area >= _MOST * land.area > 0.0
+
+    return frozenset(frame for frame, part in alone.items() if not needed(part))

@@ -57,7 +57,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 11
+    version = 12
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -174,14 +174,16 @@ class MosaicSeams(Stage):
 
     @staticmethod
     def _without_needless(frames: Seeing, limits: Limits, adjusted: Adjusted, context: Context) -> Seeing:
-        """Without frames that match no other and show what others show; says which."""
+        """Without frames that match no other and show what others show, or the horizon; names them."""
         tied = [status == "tied" for status in adjusted.status]
         out = needless(frames.views(limits), tied, frames.ground, limits)
         if not out:
             return frames
         number = f"{len(out)} frames match" if len(out) > 1 else "1 frame matches"
         names = ", ".join(frames.survey.frames[i].name for i in sorted(out))
-        text = f"{number} no other and show ground that others show; they give no pixels ({names})"
+        text = (
+            f"{number} no other, and others show their ground or they look at the horizon: left out ({names})"
+        )
         context.warn("untied-left-out", "", text)
         return replace(frames, used=[use and i not in out for i, use in enumerate(frames.used)])
 
