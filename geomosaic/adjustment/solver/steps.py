@@ -45,7 +45,7 @@ _FINE = sourced(
     _Stop(1e-7, 0.01, 0.015, 0.01),
     "shares, deviations",
     "0.02 leaves 0.08 deviations",
-    "tests/test_bundle_oracle.py",
+    "tests/adjustment/test_bundle_oracle.py",
 )
 _FIRST = tuned(_Stop(1e-3, np.inf, 0.0, 0.1), "shares, deviations", "of steps that test a model: no damping")
 _FIRST_STEPS = tuned(4, "steps", "of a test, before and after variance components; fewer lose far models")

@@ -1,0 +1,130 @@
+"""A run on Dask, its scheduler and workers processes of their own: the same pixels, whoever dies meanwhile."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from dask_team import Team, dask_team
+from pipeline_toy import powered
+from small_surveys import small_survey
+
+from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.pipeline import executor
+from geomosaic.pipeline.context import Context
+from geomosaic.pipeline.executor import Workers
+from geomosaic.pipeline.recipe import Recipe
+from geomosaic.pipeline.reporter import Silent
+from geomosaic.pipeline.runner import run
+from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
+from geomosaic.requests.run_request import recipe_of
+from geomosaic.simulate.survey import SimulatedSurvey
+
+pytest.importorskip("distributed")
+RESULTS = ("mosaic.tif", "sources.tif", "positions.csv")
+
+
+class Striking(Silent):
+    """Does something once, when a third of some items is done."""
+
+    def __init__(self, name: str, strike: Callable[[], None]) -> None:
+        self.name, self.strike, self.struck = name, strike, False
+
+    def progress(self, done: int, total: int, text: str) -> None:
+        """See `Reporter`."""
+        if text == self.name and not self.struck and 3 * done >= total:
+            self.struck = True
+            self.strike()
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
+    return small_survey(
+        tmp_path_factory.mktemp("survey"), lines=2, frames_per_line=3, width_px=320, height_px=240, seed=21
+    )
+
+
+@pytest.fixture(scope="module")
+def local(survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("local")
+    run(recipe(survey), folder, fixed_time=True)
+    return folder
+
+
+@pytest.fixture
+def team(tmp_path: Path) -> Iterator[Team]:
+    with dask_team(tmp_path / "dask") as team:
+        yield team
+
+
+def recipe(survey: SimulatedSurvey) -> Recipe:
+    given = {
+        "survey.read": {"frames": survey.frames, "pos": survey.pos, "camera": survey.camera},
+        "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
+        "adjustment.solve": {"method": "least_squares"},
+    }
+    stages = [id for id in STAGES if id not in OPTIONAL]
+    return recipe_of(("mosaic", ""), stages, given)
+
+
+@pytest.mark.parametrize("at", ["pairs", "windows"])
+def test_a_worker_that_is_killed_leaves_the_pixels_as_they_are(
+    at: str, team: Team, survey: SimulatedSurvey, local: Path, tmp_path: Path
+) -> None:
+    striking = Striking(at, team.kill)
+    run(recipe(survey), tmp_path / "run", dask=team.address, fixed_time=True, reporter=striking)
+    assert striking.struck
+    for name in RESULTS:
+        assert (tmp_path / "run" / name).read_bytes() == (local / name).read_bytes()
+
+
+def powers(
+    team: Team, folder: Path, on_progress: Callable[[int, int, str], None] | None = None
+) -> list[float]:
+    """Twelve toy items of a twentieth of a second on Dask."""
+    with Workers(dask=team.address) as workers:
+        context = Context(folder, key="k", workers=workers, on_progress=on_progress)
+        work = functools.partial(powered, power=2, delay_s=0.05)
+        return context.map("powers", work, [float(i) for i in range(12)])
+
+
+@pytest.mark.parametrize(
+    ("deadly", "words"),
+    [
+        (lambda team: [team.kill() for _ in range(2)], "no Dask worker is left at tcp://"),
+        (lambda team: team.scheduler.kill(), "the Dask scheduler at tcp://.* is gone"),
+    ],
+)
+def test_a_cluster_that_is_gone_is_one_line_and_what_is_done_is_kept(
+    deadly: Callable[[Team], object],
+    words: str,
+    team: Team,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Without anybody left a run had waited for ever; a dead scheduler was a `CancelledError` after a page of
+    Dask's own words."""
+    monkeypatch.setattr(executor, "DASK_PATIENCE_S", 1.0)
+    striking = Striking("powers", lambda: deadly(team))
+    with pytest.raises(GeomosaicError, match=f"{words}.*; start it anew and run again; what is done is kept"):
+        powers(team, tmp_path / "run", striking.progress)
+    assert capfd.readouterr().err == ""
+    kept = len([p for p in (tmp_path / "run").rglob("items/*/*") if p.is_file()])
+    seen: list[int] = []
+    with dask_team(tmp_path / "another", workers=1) as other:
+        found = powers(other, tmp_path / "run", lambda done, *_: seen.append(done))
+    assert found == [float(i * i) for i in range(12)] and 4 <= seen[0] == kept < 12
+
+
+def test_workers_of_another_version_are_refused(team: Team, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executor, "__version__", "0.0.7")
+    with (
+        pytest.raises(
+            InputError, match=r"the worker on .* has geomosaic .*, the run 0\.0\.7; install the same"
+        ),
+        Workers(dask=team.address) as workers,
+    ):
+        workers.result(workers.submit(len, ()))

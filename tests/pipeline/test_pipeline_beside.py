@@ -1,0 +1,203 @@
+"""Stages that are begun before their turn: what they say waits for it, and nothing shows who was first."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from pipeline_toy import Numbers, ReadNumbers, powered, recipe_file, told
+
+from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.pipeline.recipe import load_recipe
+from geomosaic.pipeline.registry import Registry
+from geomosaic.pipeline.reporter import Silent
+from geomosaic.pipeline.runner import run
+from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.work import ready
+from geomosaic.recording.reader import read_recording
+
+PATIENCE_S = 20.0
+RECIPE = """
+name: two at once
+seed: 5
+stages:
+  - {stage: toy.read, params: {file: numbers.txt}}
+  - {stage: toy.wait, params: {sign: sign}}
+  - {stage: toy.beside, params: {sign: sign}}
+"""
+
+
+class Wait(Stage):
+    """Waits for a sign of another stage, and says whether it came."""
+
+    id = "toy.wait"
+    display_name = "Wait"
+    group = "Toy"
+    inputs: ClassVar = {"numbers": Numbers}
+    outputs: ClassVar = {"waited": Numbers}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        sign: str = param(help="name of a file")
+        patience_s: float = param(PATIENCE_S, help="how long", unit="s", ge=0.0, affects_output=False)
+        fail: bool = param(False, help="then")
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        sign, until = context.run_folder / params.sign, time.monotonic() + params.patience_s
+        while not sign.exists() and time.monotonic() < until:
+            time.sleep(0.01)
+        told("seen" if sign.exists() else "not seen")
+        context.warn("waited", "", "the first")
+        if params.fail:
+            raise InputError("no pixels", file="x.jpg", mend="take it away")
+        return {"waited": inputs["numbers"]}
+
+
+class Beside(Stage):
+    """Gives a sign, and has its work done elsewhere."""
+
+    id = "toy.beside"
+    display_name = "Beside"
+    group = "Toy"
+    beside = True
+    inputs: ClassVar = {"numbers": Numbers}
+    outputs: ClassVar = {"powers": Numbers}
+
+    class Params(StageParams):
+        """See each parameter's help."""
+
+        sign: str = param(help="name of a file")
+        manner: str = param("plain", help="how it ends", choices=("plain", "fail", "endless"))
+
+    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
+        context.inform("begun")
+        context.warn("beside", "a.jpg", "the second")
+        work = functools.partial(powered, power=2, delay_s=0.0)
+        values = context.map("powers", work, [float(v) for v in inputs["numbers"].values])
+        with context.writing(params.sign) as path:
+            path.touch()
+        if params.manner == "fail":
+            raise InputError("no tie points", file="y.jpg", mend="fly again")
+        while params.manner == "endless":
+            context.check_cancelled()
+            time.sleep(0.01)
+        context.recorder.location("a", 7.5, 51.25, 120.0, 1.0, 2.0, 3.0, "tied")
+        context.metric("toy.largest", max(values))
+        return {"powers": Numbers(np.array(values), "beside")}
+
+
+class Heard(Silent):
+    """What a reporter is told, in order."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def stage_started(self, index: int, total: int, name: str) -> None:
+        self.lines.append(name)
+
+    def warning(self, text: str) -> None:
+        self.lines.append(text)
+
+    def note(self, text: str) -> None:
+        self.lines.append(text)
+
+
+def run_two(folder: Path, *overrides: str, **options: Any) -> dict[str, Any]:
+    """A run of both stages, and of the reading before them."""
+    stages = Registry()
+    for stage in (ReadNumbers, Wait, Beside):
+        stages.register(stage)
+    path = recipe_file(folder.parent, "1 2 3")
+    path.write_text(RECIPE)
+    recipe = load_recipe(path, stages, overrides)
+    return run(recipe, folder, fixed_time=True, **options)
+
+
+@pytest.fixture
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    path = tmp_path / "log"
+    monkeypatch.setenv("TOY_LOG", str(path))
+    return path
+
+
+def test_it_is_begun_before_its_turn_and_heard_when_that_comes(tmp_path: Path, log: Path) -> None:
+    heard = Heard()
+    summary = run_two(tmp_path / "run", workers=2, reporter=heard)
+    assert "seen" in log.read_text().split("\n")
+    assert heard.lines == ["Read numbers", "Wait", "the first", "Beside", "begun", "a.jpg: the second"]
+    assert [w["text"] for w in summary["warnings"]] == ["the first", "the second"]
+    assert summary["metrics"] == {"toy": {"largest": 9.0}}
+
+
+def test_alone_it_waits_for_its_turn(tmp_path: Path, log: Path) -> None:
+    run_two(tmp_path / "run", "toy.wait.patience_s=0", workers=1)
+    assert "not seen" in log.read_text().split("\n")
+
+
+@pytest.mark.parametrize("manner", ["plain", "fail"])
+def test_recordings_are_equal_whoever_was_first(tmp_path: Path, manner: str) -> None:
+    recorded, folder = [], tmp_path / "run"
+    for workers in (1, 2):
+        try:
+            run_two(folder, "toy.wait.patience_s=1", f"toy.beside.manner={manner}", workers=workers)
+        except InputError as error:
+            assert "no tie points" in str(error)
+        recorded.append((folder / "run.mcap").read_bytes())
+        shutil.rmtree(folder)
+    assert recorded[0] == recorded[1]
+
+
+def test_it_ends_with_a_run_that_fails_before_its_turn(tmp_path: Path, log: Path) -> None:
+    with pytest.raises(GeomosaicError, match="no pixels"):
+        run_two(tmp_path / "run", "toy.wait.fail=true", "toy.beside.manner=endless", workers=2)
+    assert "seen" in log.read_text().split("\n")
+    assert not list((tmp_path / "run" / "work" / "toy.beside").glob("calls*"))
+
+
+def test_what_it_recorded_is_there_once_where_an_input_has_changed_meanwhile(
+    tmp_path: Path,
+) -> None:
+    class Edited(Heard):
+        def stage_started(self, index: int, total: int, name: str) -> None:
+            if name == "Beside":
+                tmp_path.joinpath("numbers.txt").write_text("1 2 3 4")
+
+    with pytest.raises(GeomosaicError, match="changed"):
+        run_two(tmp_path / "run", workers=2, reporter=Edited())
+    logged = read_recording(tmp_path / "run" / "run.mcap").topics["/log"]
+    assert logged.messages == 2 + 1  # what both warn of, and the end
+
+
+def test_the_next_run_finds_it(tmp_path: Path) -> None:
+    run_two(tmp_path / "run", workers=2)
+    again = run_two(tmp_path / "run", workers=2)
+    assert again["cached_stages"] == ["toy.read", "toy.wait", "toy.beside"]
+
+
+def test_ready_are_those_that_nobody_gives_anything_to(tmp_path: Path) -> None:
+    class Anew(Beside):
+        id = "toy.anew"
+        outputs: ClassVar = {"numbers": Numbers}
+
+    class After(Beside):
+        id = "toy.after"
+        outputs: ClassVar = {"more": Numbers}
+
+    stages = Registry()
+    for stage in (ReadNumbers, Wait, Beside, Anew, After):
+        stages.register(stage)
+    path = recipe_file(tmp_path)
+    more = [f"  - {{stage: toy.{name}, params: {{sign: {name}}}}}\n" for name in ("anew", "after")]
+    path.write_text(RECIPE + "".join(more))
+    steps = load_recipe(path, stages).steps
+    assert ready(steps, 0) == []  # reading gives the numbers
+    assert ready(steps, 1) == [2, 3]
+    assert ready(steps, 2) == [3]  # the last one waits for numbers given anew
+    assert ready(steps, 4) == []
