@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 CAMERA_FROM_UNIT: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """The unit's axes are the body's, forward, right and down, and forward is the image's top: of all 24
-right-handed assignments the one that the images confirm, see docs/design.md."""
+right-handed assignments the one that the images confirm, see docs/methods/rolling_shutter.md."""
 UNIT_DELAY_S = tuned(0.0425, "s", "lag of a Sequoia's rates: ties 1.59 px, 1.95 with 0.04, 1.82 with 0.045")
 _SAMPLE = sourced(
     np.dtype([("time_us", "<u8"), ("rad_per_s", "<f4", 3), ("flags", "<u4")]),

@@ -32,7 +32,7 @@ def test_mid_latitude_of_the_papers_first_two_frames() -> None:
     assert float(np.degrees(np.arctan2(east, north))) == pytest.approx(azimuth, abs=0.01)
 
 
-# Worst errors in metres over 16 azimuths against the geodesic, (vector, length), as docs/design.md
+# Worst errors in metres over 16 azimuths against the geodesic, (vector, length), as docs/methods/paper_methods.md
 # states them: the vector against east and north at the start point, so with half the convergence.
 MID_LATITUDE_ERRORS_M = {
     (10.0, 42.0): (7.1e-6, 1e-8), (10.0, 60.0): (1.4e-5, 1e-8), (10.0, 80.0): (4.4e-5, 1e-8),

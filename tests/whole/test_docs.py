@@ -29,7 +29,10 @@ except ImportError:
     from click.exceptions import MissingParameter, NoArgsIsHelpError, UsageError
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md"), *(ROOT / "examples").glob("*/*.md")])
+PAGES = sorted(
+    [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "methods").glob("*.md"), *ROOT.glob("*.md"),
+     *(ROOT / "examples").glob("*/*.md")]
+)  # fmt: skip
 GUIDES = ("index", "start", "howto", "python")
 SMALL = "--lines 1 --frames-per-line 3 --width-px 240 --height-px 180"
 """A flight of three small frames does where people simulate a usual one."""
