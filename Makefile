@@ -43,83 +43,83 @@ unit: setup ## pytest, two workers
 	.venv/bin/pytest -n $(WORKERS) --dist loadfile
 
 bench-paper: setup ## the paper's comparison of adjustment methods (about 10 minutes)
-	$(PY) tools/bench_paper.py --out out/bench-paper
+	$(PY) -m tools.bench.bench_paper --out out/bench-paper
 
 bench-composition: setup ## how much like the ground the mosaic looks, on flights of uneven light (about 10 minutes)
-	$(PY) tools/bench_composition.py --out out/bench-composition
+	$(PY) -m tools.bench.bench_composition --out out/bench-composition
 
 bench-surface: setup ## the dense surface of three simulated towns against their truth, and of real flights (40 minutes on two idle cores, reckoned from its parts)
-	$(PY) tools/bench_surface.py --roofs --rival --scale --large --out out/bench-surface
+	$(PY) -m tools.bench.bench_surface --roofs --rival --scale --large --out out/bench-surface
 
 bench-accuracy: bench-monte-carlo bench-bundle ## accuracy on simulated surveys against their truth (about an hour)
-	$(PY) tools/bench_accuracy.py --out out/bench-accuracy --rivals
+	$(PY) -m tools.bench.bench_accuracy --out out/bench-accuracy --rivals
 
 bench-accuracy-raster: setup ## accuracy.tif against the truth on 20 simulated surveys (about 20 minutes); ONLY="names", SEED=first
-	$(PY) tools/bench_accuracy_raster.py $(if $(ONLY),--only $(ONLY)) --first-seed $(SEED) --out out/bench-accuracy-raster \
+	$(PY) -m tools.bench.bench_accuracy_raster $(if $(ONLY),--only $(ONLY)) --first-seed $(SEED) --out out/bench-accuracy-raster \
 	  --results docs/results/accuracy_raster
 
 bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao bound, 30 seeds (about 20 minutes)
-	$(PY) tools/bench_monte_carlo.py --out out/bench-monte-carlo
+	$(PY) -m tools.bench.bench_monte_carlo --out out/bench-monte-carlo
 
 bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, matched once, then solved (about an hour)
-	$(PY) tools/bench_start.py --out out/bench-start
+	$(PY) -m tools.bench.bench_start --out out/bench-start
 
 bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (about 2 hours); SEEDS=n SEED=n WORKERS=n
-	$(PY) tools/bench_dirty.py --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
+	$(PY) -m tools.bench.bench_dirty --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
 
 bench-fixes: setup ## whether each fix that a verdict names changes the outcome, on simulated surveys (about 15 minutes)
-	$(PY) tools/bench_fixes.py --seed $(SEED) --results docs/results/fixes --out out/bench-fixes
+	$(PY) -m tools.bench.bench_fixes --seed $(SEED) --results docs/results/fixes --out out/bench-fixes
 
 bench-halves: DATA = ../flights
 bench-halves: setup ## two maps of every second frame of real flights, beside what both state (about 10 minutes); DATA=../flights
-	$(PY) tools/bench_halves.py "$(DATA)" --results docs/results/halves --out out/bench-halves
+	$(PY) -m tools.bench.bench_halves "$(DATA)" --results docs/results/halves --out out/bench-halves
 
 bench-speed: setup ## real and simulated frames beside the floor and other programs (about an hour); DATA=../shared, skips the real ones without it
-	$(PY) tools/bench_speed.py --shared "$(DATA)" --out out/bench-speed
+	$(PY) -m tools.bench.bench_speed --shared "$(DATA)" --out out/bench-speed
 
 bench-scale: setup ## 50 to 1,000 frames from pixels, 5,000 by observations, 50,000 windows planned (about an hour)
-	$(PY) tools/bench_scale.py --out out/bench-scale
+	$(PY) -m tools.bench.bench_scale --out out/bench-scale
 
 bench-bundle: setup ## 1,000 frames with 300,000 image observations (about a minute)
-	$(PY) tools/bench_bundle.py --whole
+	$(PY) -m tools.bench.bench_bundle --whole
 
 bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says how to get pycolmap (about 2 minutes)
-	$(PY) tools/bench_oracle.py
+	$(PY) -m tools.bench.bench_oracle
 
 bench-recording: setup ## what the recording costs: at most 5 % of the time and 1 MB a frame (about 20 minutes)
-	$(PY) tools/bench_recording.py --out out/bench-recording
+	$(PY) -m tools.bench.bench_recording --out out/bench-recording
 
 bench-worst: setup ## faults that inspect names on simulated surveys, against the truth (about 15 minutes)
-	$(PY) tools/bench_worst.py --out out/bench-worst --seed 301 --results docs/results/worst
+	$(PY) -m tools.bench.bench_worst --out out/bench-worst --seed 301 --results docs/results/worst
 
 bench-strips: setup ## CCD strips against truth: cases, mixed scenes, object space, speed, the paper's figures (about 2 hours)
-	$(PY) tools/bench_strips.py --seeds 20 --methods all --out out/bench-strips
-	$(PY) tools/bench_strips.py --mixed 60 --out out/bench-strips
-	$(PY) tools/bench_strips_crossover.py
-	$(PY) tools/bench_strips_speed.py
-	$(PY) tools/bench_strips_figures.py --out out/bench-strips
+	$(PY) -m tools.bench.bench_strips --seeds 20 --methods all --out out/bench-strips
+	$(PY) -m tools.bench.bench_strips --mixed 60 --out out/bench-strips
+	$(PY) -m tools.bench.bench_strips_crossover
+	$(PY) -m tools.bench.bench_strips_speed
+	$(PY) -m tools.bench.bench_strips_figures --out out/bench-strips
 
 bench-real: setup ## real surveys; needs the data folder, DATA=../shared, and skips without it
-	$(PY) tools/bench_real.py --shared "$(DATA)" --out out/bench-real
+	$(PY) -m tools.bench.bench_real --shared "$(DATA)" --out out/bench-real
 
 bench-flights: DATA = ../flights
 bench-flights: setup ## every flight of a folder, a sheet NAME.yaml each (CONTRIBUTING.md); DATA=../flights, skips without it; ONLY="names"
-	$(PY) tools/bench_flights.py "$(DATA)" $(if $(ONLY),--only $(ONLY)) --out out/bench-flights
+	$(PY) -m tools.bench.bench_flights "$(DATA)" $(if $(ONLY),--only $(ONLY)) --out out/bench-flights
 
 results: setup ## docs/results.md from the files in docs/results
 	$(PY) tools/docs/results_page.py
 
 check-qgis: setup ## open layers.gpkg and project.qgz in a real QGIS and draw its window (about 2 minutes); QGIS=options
-	$(PY) tools/check_qgis.py $(QGIS)
+	$(PY) -m tools.check.check_qgis $(QGIS)
 
 fuzz: setup ## 10,000 spoiled files of every kind through the commands (about 2 hours); CASES=n SEED=n
-	$(PY) tools/fuzz.py --cases $(CASES) --seed $(SEED) --out out/fuzz
+	$(PY) -m tools.fuzz --cases $(CASES) --seed $(SEED) --out out/fuzz
 
 trial-degenerate: setup ## 10,000 degenerate blocks: each has to end finite, without an exception (about 40 minutes); DRAWS=n SEED=n
-	$(PY) tools/trial_degenerate.py --draws $(DRAWS) --seed $(SEED) --workers $(WORKERS) --out out/trial-degenerate
+	$(PY) -m tools.trials.trial_degenerate --draws $(DRAWS) --seed $(SEED) --workers $(WORKERS) --out out/trial-degenerate
 
 chaos: setup ## 200 runs killed, stopped, starved and their inputs changed (about 40 minutes); TRIALS=n SEED=n
-	$(PY) tools/chaos.py --trials $(TRIALS) --seed $(SEED) --out out/chaos
+	$(PY) -m tools.trials.chaos --trials $(TRIALS) --seed $(SEED) --out out/chaos
 
 docs: setup ## the site, by mkdocs-material, in out/site (needs no network to be read)
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet

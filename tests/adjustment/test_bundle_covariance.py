@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from geomosaic.adjustment.kernels.collinearity import INTERIOR, Projections, project
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-import bench_monte_carlo as bench
-from cramer_rao import LENS, cramer_rao, derivatives, lens_of, pose_errors
-
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
+from tools.bench import bench_monte_carlo as bench
+from tools.bench.cramer_rao import LENS, cramer_rao, derivatives, lens_of, pose_errors
 
 SMALL = replace(
     bench.CASES[0],

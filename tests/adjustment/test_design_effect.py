@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-import bench_monte_carlo as bench
-from cramer_rao import size_px
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.design_effect import DesignEffect
+from tools.bench import bench_monte_carlo as bench
+from tools.bench.cramer_rao import size_px
 
 SMALL = replace(
     bench.CASES[0],

@@ -54,7 +54,7 @@ def survey(tmp_path: Path) -> Survey:
 
 
 def test_a_survey_has_no_deviation_that_is_no_number(survey: Survey) -> None:
-    """A replay fell where frames' reach was drawn. Found by `tools/fuzz.py`, seed 922, case 3535."""
+    """A replay fell where frames' reach was drawn. Found by `make fuzz`, seed 922, case 3535."""
     first, *others = survey.frames
     for wrong in (
         replace(first, attitude=replace(first.attitude, sd_tilt_deg=float("nan"))),

@@ -136,7 +136,7 @@ def test_a_lens_of_no_known_kind_is_no_artefact() -> None:
 
 
 def test_cameras_without_focal_length_or_pixels_are_of_no_artefact() -> None:
-    """A replay fell where it divided by them. Found by `tools/fuzz.py`, seed 922, case 1344."""
+    """A replay fell where it divided by them. Found by `make fuzz`, seed 922, case 1344."""
     block = fly(1, points=300).block
     n = len(block.names)
     data = encode(Adjusted(block.poses, block.cameras, ("tied",) * n, (), (), block.ground))
@@ -150,7 +150,7 @@ def test_cameras_without_focal_length_or_pixels_are_of_no_artefact() -> None:
 
 
 def test_artefacts_of_different_frames_are_not_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A replay fell where it counted both. Found by `tools/fuzz.py`, seed 922, case 2653."""
+    """A replay fell where it counted both. Found by `make fuzz`, seed 922, case 2653."""
     blocks = [fly(1, 1, n, points=50).block for n in (4, 5)]
     artefacts = [Adjusted(b.poses, b.cameras, ("tied",) * len(b.names), (), (), b.ground) for b in blocks]
     steps: dict[int, Adjusted] = dict(enumerate((*artefacts[:1], *artefacts)))

@@ -20,7 +20,7 @@ from geomosaic.stages import reporting
 def test_pairs_that_see_no_ground_together_have_no_misalignment(
     method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One frame looks up: its pairs' tie points lie nowhere. Found by `tools/fuzz.py`, seed 922, case 1355."""
+    """One frame looks up: its pairs' tie points lie nowhere. Found by `make fuzz`, seed 922, case 1355."""
     block = fly(1, points=600).block
     rotations = block.poses.rotations.copy()
     rotations[4] = about_x(3.0) @ rotations[4]

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-from bench_accuracy_raster_judge import Errors, freedoms, judged, missed, table, together
-
 from geomosaic.adjustment.model import GroundPlaces
+from tools.bench.bench_accuracy_raster_judge import Errors, freedoms, judged, missed, table, together
 
 AT_M = np.random.default_rng(1).uniform(-50.0, 50.0, (900, 2))
 

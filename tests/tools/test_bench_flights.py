@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 from small_surveys import small_survey
 
 from geomosaic.errors import FileError
-
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
-
-from bench_flights import main  # noqa: E402
-from bench_flights_sheet import read_flights, read_sheet  # noqa: E402
+from tools.bench.bench_flights import main
+from tools.bench.bench_flights_sheet import read_flights, read_sheet
 
 
 def test_flights_of_a_folder_are_run_and_their_results_merged(

@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 from quality_images import write_tif
 
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
-
-from bench_scale import BLOCKS, growth  # noqa: E402
-from bench_speed_judge import steps_of  # noqa: E402
-from bench_speed_measure import measured  # noqa: E402
-from bench_speed_parts import parts_of  # noqa: E402
-from bench_speed_table import Result, against_floor, behind, missed, side_by_side  # noqa: E402
+from tools.bench.bench_scale import BLOCKS, growth
+from tools.bench.bench_speed_judge import steps_of
+from tools.bench.bench_speed_measure import measured
+from tools.bench.bench_speed_parts import parts_of
+from tools.bench.bench_speed_table import Result, against_floor, behind, missed, side_by_side
 
 OURS = {"wall_s": 20.0, "peak_mb": 900.0, "frames_used": 18.0, "ssim": 0.98}
 

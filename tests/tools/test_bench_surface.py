@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -14,11 +12,8 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.displacement import Displacements
 from geomosaic.surface.cells import Cells
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-from bench_surface_judge import frames_seeing
-from bench_surface_roofs import _both_ways
+from tools.bench.bench_surface_judge import frames_seeing
+from tools.bench.bench_surface_roofs import _both_ways
 
 
 def test_frames_see_what_nothing_stands_before_at_its_true_height() -> None:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from quality_images import write_tif
 
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
-
-from bench_worst import calibration, paired, rows, water_seen  # noqa: E402
+from tools.bench.bench_worst import calibration, paired, rows, water_seen
 
 
 @pytest.mark.parametrize(("east_m", "share"), [(100.0, 0.0), (500.0, 1.0), (300.0, 0.5), (-900.0, 0.0)])

@@ -10,15 +10,13 @@ import time
 from pathlib import Path
 from random import Random
 
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
+from tools.fuzz.fuzz_formats import tiff_tags
+from tools.fuzz.fuzz_mutations import Nasty, a_table, some_bytes, some_text
+from tools.fuzz.fuzz_trees import a_json, a_yaml, an_xml
+from tools.fuzz.fuzz_verdict import Result, difference
+from tools.trials.trial_box import changes, snapshot, waited_s
 
-from fuzz_formats import tiff_tags  # noqa: E402
-from fuzz_mutations import Nasty, a_table, some_bytes, some_text  # noqa: E402
-from fuzz_trees import a_json, a_yaml, an_xml  # noqa: E402
-from fuzz_verdict import Result, difference  # noqa: E402
-from trial_box import changes, snapshot, waited_s  # noqa: E402
-
+ROOT = Path(__file__).parents[2]
 CASES = 18
 
 
@@ -26,7 +24,7 @@ def test_spoiled_files_are_refused_or_read_and_nothing_else_happens(tmp_path: Pa
     """A case of each kind or two, each in a process of its own, through the real commands."""
     words = ["--cases", str(CASES), "--seed", "8", "--out", str(tmp_path / "fuzz")]
     done = subprocess.run(
-        [sys.executable, str(TOOLS / "fuzz.py"), *words], capture_output=True, text=True, timeout=300
+        [sys.executable, "-m", "tools.fuzz", *words], cwd=ROOT, capture_output=True, text=True, timeout=300
     )
     told = json.loads((tmp_path / "fuzz" / "fuzz.json").read_text())
     assert done.returncode == 0, done.stdout + done.stderr

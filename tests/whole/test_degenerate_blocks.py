@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +14,7 @@ from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.errors import NotSolvableError
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
-from trial_degenerate import problems, tried
+from tools.trials.trial_degenerate import problems, tried
 
 
 @pytest.mark.parametrize("first", range(20_000, 20_060, 20))

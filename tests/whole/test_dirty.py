@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,7 @@ from small_surveys import geomosaic
 
 from geomosaic.simulate.dirty import FAULTS, GROUND_SHARES, KIND_SHARES, OVERLAP, dirty_survey
 from geomosaic.simulate.survey import landscape_of
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-import bench_dirty
-import bench_dirty_judge
+from tools.bench import bench_dirty, bench_dirty_judge
 
 TINY = ["--width-px", "96", "--height-px", "72", "--height-above-ground-m", "8", "--ground-pixel-m", "0.1"]
 DRAWN = [dirty_survey(seed) for seed in range(1, 301)]

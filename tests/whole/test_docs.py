@@ -130,6 +130,11 @@ def test_what_commands_name_is_there() -> None:
             assert target in targets, f"{page.name}: make {target}"
         for tool in re.findall(r"\b(tools/[\w/]+\.(?:py|sh))\b", text):
             assert (ROOT / tool).is_file(), f"{page.name}: {tool}"
+        for tool in re.findall(r"-m (tools(?:\.\w+)+)", text):
+            path = ROOT / tool.replace(".", "/")
+            assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), (
+                f"{page.name}: {tool}"
+            )
         for name in re.findall(r"--set ([a-z_]+\.[a-z_0-9]+\.[a-z_0-9]+)=", text):
             example = ROOT / "examples" in page.parents  # stages of its own, which its own tests know
             assert name in known or example, f"{page.name}: --set {name}"

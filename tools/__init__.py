@@ -1,0 +1,1 @@
+"""Benchmarks, trials and checks of this repository: `python -m tools.bench.bench_flights` from its root."""

@@ -1,0 +1,144 @@
+"""Every flight of a folder through `geomosaic mosaic` with its defaults, one after another.
+
+    python -m tools.bench.bench_flights DATA [--only NAME...] [--limit-s 3600] [--workers N]
+                                            [--results docs/results/flights] [--out out/bench-flights]
+
+DATA holds a sheet NAME.yaml for each flight (`bench_flights_sheet.py` lists its keys). Each run is a process
+of its own. RESULTS.json and RESULTS.md hold the newest result of each flight, with its commit: flights that
+are not run keep theirs. Exit code 1 if a flight fails or misses what its sheet expects; 0 where there is no
+DATA. The geomosaic that is run is the one that Python imports: PYTHONPATH=TREE measures another tree.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import geomosaic
+from geomosaic.errors import GeomosaicError
+from tools.bench.bench_flights_figures import figures_of, figures_of_failed
+from tools.bench.bench_flights_sheet import Flight, read_flights
+from tools.bench.bench_flights_table import tables
+from tools.bench.bench_speed_measure import measured
+
+PROGRAM = Path(sys.executable).with_name("geomosaic")
+
+
+def run_flight(flight: Flight, data: Path, asked: argparse.Namespace) -> dict[str, Any]:
+    """Runs a flight and returns its row of the results."""
+    run = asked.out / flight.name
+    shutil.rmtree(run, ignore_errors=True)
+    workers = [] if asked.workers is None else ["--workers", str(asked.workers)]
+    words = ["mosaic", str(flight.frames), *flight.words, "--seed", str(asked.seed), *workers]
+    taken = measured([PROGRAM, *words, "-o", run], asked.out / f"{flight.name}.log", most_s=asked.limit_s)
+    figures = figures_of_failed(PROGRAM, run) if taken.failed else figures_of(run, flight.check_points)
+    failed = _relative(taken.failed, data)
+    return {
+        "exit_code": None if taken.stopped else taken.code,
+        "failed": failed,
+        "missed": [failed] if failed else missed(flight, figures),
+        "expect": dict(flight.expect),
+        **figures,
+        "wall_s": round(taken.wall_s, 1),
+        "processor_s": round(taken.processor_s, 1),
+        "peak_mb": round(taken.peak_mb),
+        "command": _relative(shlex.join(["geomosaic", *words]), data),
+        "known": flight.known,
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
+        "commit": commit(),
+        "seed": asked.seed,
+    }
+
+
+def _relative(text: str, data: Path) -> str:
+    """A text whose paths count from the folder of flights."""
+    return text.replace(f"{data}/", "").replace(f"{data.parent}/", "../")
+
+
+def missed(flight: Flight, figures: Mapping[str, Any]) -> list[str]:
+    """What the sheet expects and the run does not reach; a figure that the run does not have is missed."""
+    lines = []
+    for key, wanted in flight.expect.items():
+        found = figures.get(key)
+        least = key == "tied_share"
+        if found is None or (found < wanted if least else found > wanted):
+            shown = "unknown" if found is None else f"{found:.3g}"
+            lines.append(f"{key} {shown}, expected at {'least' if least else 'most'} {wanted:g}")
+    return lines
+
+
+def commit() -> str:
+    """Of the tree that geomosaic is imported from."""
+    tree = Path(geomosaic.__file__).parents[1]
+    words = ["git", "-C", tree, "describe", "--always", "--dirty", "--exclude=*"]
+    return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
+
+
+def merge(results: Path, rows: Mapping[str, Any]) -> None:
+    """Writes RESULTS.json and RESULTS.md: new rows replace those of the same flights."""
+    path = results.with_suffix(".json")
+    before = json.loads(path.read_text())["flights"] if path.exists() else {}
+    flights = dict(sorted({**before, **rows}.items()))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    whole = {"title": "Flights", "command": "make bench-flights DATA=folder", "flights": flights}
+    path.write_text(json.dumps(whole, indent=1) + "\n")
+    head = (
+        "# Flights\n\n`make bench-flights DATA=folder`; machine, date, command and seed are in the JSON.\n\n"
+    )
+    results.with_suffix(".md").write_text(head + tables(flights))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs what is asked for, prints the table and merges the results."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path, help="folder of sheets NAME.yaml")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="run these flights alone")
+    parser.add_argument("--limit-s", type=float, default=3600.0, help="a flight that takes longer is stopped")
+    parser.add_argument("--workers", type=int, help="workers of each run [its default]")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--results", type=Path, default=Path("docs/results/flights"), help="without suffix")
+    parser.add_argument("--out", type=Path, default=Path("out/bench-flights"), help="for the run folders")
+    asked = parser.parse_args(argv)
+    data = asked.data.resolve()
+    if not data.is_dir():
+        print(f"skipped: there is no folder {asked.data}; name the folder of flights with DATA=folder")
+        return 0
+    try:
+        flights = read_flights(data, asked.only)
+    except GeomosaicError as error:
+        print(error, file=sys.stderr)
+        return 2
+    asked.out.mkdir(parents=True, exist_ok=True)
+    rows: dict[str, Any] = {}
+    for flight in flights:
+        if not flight.frames.is_dir():
+            print(f"skipped: {flight.name}: there is no folder {flight.frames}", flush=True)
+            continue
+        rows[flight.name] = run_flight(flight, data, asked)
+        merge(asked.results, rows)
+        wrong = "; ".join(rows[flight.name]["missed"])
+        print(f"{flight.name}: {rows[flight.name]['wall_s']:.0f} s, {wrong or 'ok'}", flush=True)
+    if not rows:
+        print(f"skipped: {asked.data} has no flights to run")
+        return 0
+    print("\n" + tables(rows))
+    return 1 if any(row["missed"] for row in rows.values()) else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,108 @@
+"""Planning a composition of 50,000 windows, apart from all pixels: who owns what, who sees what, the steps.
+
+    python -m tools.bench.bench_scale_plan [--windows 50000]
+
+Nadir frames of 4000 x 3000 px at their own ground pixel over flat land, 70 % forward and 50 % side overlap,
+as many as the mosaic has room for (some 7,000), at their true poses. Prints JSON: frames, windows, steps
+with more than one frame, seconds of processor of each part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from typing import Any
+
+import numpy as np
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.mosaic.blends import BLENDS
+from geomosaic.mosaic.compose import WINDOW_PX
+from geomosaic.mosaic.frame_source import FrameSource
+from geomosaic.mosaic.grid import output_grid
+from geomosaic.mosaic.ownership import cell_px_of, nearest_nadir
+from geomosaic.mosaic.plan import Asking, Planning, windows
+from geomosaic.mosaic.scene import Scene
+from geomosaic.mosaic.sight import cells_in_view
+from geomosaic.mosaic.views import frame_views
+from geomosaic.projection.ground import GroundSurface
+
+GSD_M, HEIGHT_M, CRS = 0.025, 100.0, "EPSG:32632"
+WIDE_PX, HIGH_PX = 4000, 3000
+STEP_M = 0.5 * WIDE_PX * GSD_M, 0.3 * HIGH_PX * GSD_M
+REACH_PX = 32.0
+
+
+def scene_of(number_of_windows: int) -> tuple[Scene, tuple[bool, ...]]:
+    """A square block whose mosaic has about so many windows, and which of its frames are in use: all."""
+    side_m = number_of_windows**0.5 * WINDOW_PX * GSD_M
+    across, along = (
+        max(int((side_m - px * GSD_M) / step) + 1, 1)
+        for px, step in zip((WIDE_PX, HIGH_PX), STEP_M, strict=True)
+    )
+    east, north = np.meshgrid(np.arange(across) * STEP_M[0], np.arange(along) * STEP_M[1])
+    n = east.size
+    centred = [a.ravel() - a.mean() for a in (east, north)]
+    poses = Poses(
+        np.column_stack([*centred, np.full(n, HEIGHT_M)]),
+        np.broadcast_to(Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0).matrix, (n, 3, 3)),
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+    )
+    camera = Camera("plain", WIDE_PX, HIGH_PX, HEIGHT_M / GSD_M, WIDE_PX / 2.0, HIGH_PX / 2.0)
+    work_frame = LocalFrame(9.0, 48.0, 500.0)
+    ground = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
+    used = (True,) * n
+    views = frame_views(work_frame, CRS, poses, [camera] * n, used, ground)
+    names = [f"{i:05d}.jpg" for i in range(n)]
+    grid = output_grid(CRS, views, GSD_M, names)
+    return Scene(work_frame, ground, grid, views), used
+
+
+def planned(number_of_windows: int) -> dict[str, Any]:
+    """Seconds of processor of each part, and what came out."""
+    clock = {}
+
+    def took(name: str, since: float) -> float:
+        now = time.process_time()
+        clock[name] = round(now - since, 3)
+        return now
+
+    at = time.process_time()
+    scene, used = scene_of(number_of_windows)
+    at = took("frames on the map", at)
+    ownership, _ = nearest_nadir(scene, used, cell_px_of(scene))
+    at = took("who owns what", at)
+    halo_px = BLENDS["multi_band"].halo_px(REACH_PX)
+    seen = {v.frame: cells_in_view(scene, v, halo_px) for v in scene.views}
+    at = took("who sees what", at)
+    order = windows(scene.grid, WINDOW_PX)
+    at = took("order of windows", at)
+    sources = {v.frame: FrameSource(scene.grid, ownership, v) for v in scene.views}
+    planning = Planning(ownership, sources, seen, halo_px, REACH_PX)
+    steps, asking = [], Asking(seen)
+    for of_window in planning.steps(order):
+        asking.add(of_window)
+        steps.append(of_window.step)
+    took("steps and cells asked of frames", at)
+    return {
+        "frames": len(scene.views),
+        "windows": len(order),
+        "steps_of_several": sum(len(step.parts) > 1 for step in steps),
+        "seconds": clock,
+    }
+
+
+def main() -> None:
+    """Prints what planning took."""
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ask.add_argument("--windows", type=int, default=50_000)
+    print(json.dumps(planned(ask.parse_args().windows)))
+
+
+if __name__ == "__main__":
+    main()
