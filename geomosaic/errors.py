@@ -32,17 +32,17 @@ def _restored(kind: type[GeomosaicError], args: tuple[Any, ...], state: dict[str
 class InputError(GeomosaicError, ValueError):
     """What the user gave can't be used.
 
-    `problem` says what is wrong, `file` names where, `mend` says what to do about it.
+    `problem` says what is wrong, `file` names where, `fix` says what to do about it.
     """
 
     exit_code = 2
 
-    def __init__(self, problem: str, *, file: str | Path | None = None, mend: str | None = None) -> None:
+    def __init__(self, problem: str, *, file: str | Path | None = None, fix: str | None = None) -> None:
         self.problem = problem
         self.file = None if file is None else str(file)
-        self.mend = mend
+        self.fix = fix
         text = problem if file is None else f"{file}: {problem}"
-        super().__init__(" ".join(f"{text}; {mend}".split()) if mend else " ".join(text.split()))
+        super().__init__(" ".join(f"{text}; {fix}".split()) if fix else " ".join(text.split()))
 
 
 class FileError(InputError, OSError):
@@ -58,8 +58,8 @@ class UnknownNameError(InputError, LookupError):
     def __init__(self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None) -> None:
         names = sorted(known)
         near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-        mend = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"
-        super().__init__(f"unknown {kind} '{name}'", file=file, mend=mend)
+        fix = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"
+        super().__init__(f"unknown {kind} '{name}'", file=file, fix=fix)
 
 
 class OutputError(GeomosaicError, OSError):
@@ -67,9 +67,9 @@ class OutputError(GeomosaicError, OSError):
 
     exit_code = 2
 
-    def __init__(self, problem: str, *, file: str | Path, mend: str | None = None) -> None:
+    def __init__(self, problem: str, *, file: str | Path, fix: str | None = None) -> None:
         self.file = str(file)
-        super().__init__(" ".join(f"{file}: {problem}{'; ' + mend if mend else ''}".split()))
+        super().__init__(" ".join(f"{file}: {problem}{'; ' + fix if fix else ''}".split()))
 
 
 class LinkError(OutputError):

@@ -55,11 +55,16 @@ _TEXTS = ("frame", "status")
 
 @dataclass(frozen=True)
 class Judgement:
-    """Whether the map can be trusted: good, doubtful or bad; why, and what would mend it."""
+    """Whether the map can be trusted: good, doubtful or bad; why, and what would fix it."""
 
     grade: str
     text: str
-    mend: str
+    fix: str
+
+    @property
+    def mend(self) -> str:
+        """`fix`, as it was called."""
+        return self.fix
 
 
 class Run:
@@ -114,7 +119,8 @@ class Run:
         told = self.summary.get("verdict")
         if told is None:
             return None
-        return Judgement(told["grade"], f"{told['cause']}; {told['text']}".removeprefix("; "), told["mend"])
+        fix = told["fix"] if "fix" in told else told["mend"]
+        return Judgement(told["grade"], f"{told['cause']}; {told['text']}".removeprefix("; "), fix)
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -143,15 +149,13 @@ class Run:
         steps = self.summary["recipe"]["stages"]
         kinds = {n: kind for step in steps for n, kind in installed().get(step["stage"]).outputs.items()}
         if name not in kinds:
-            raise FileError(
-                f"this run made no '{name}'", file=self.folder, mend=f"it made {', '.join(kinds)}"
-            )
+            raise FileError(f"this run made no '{name}'", file=self.folder, fix=f"it made {', '.join(kinds)}")
         return load_artefact(self.folder, self.summary, name, kinds[name])
 
     def _file(self, name: str) -> Path:
         path = self.files.get(name)
         if path is None:
-            raise FileError(f"holds no {name}", file=self.folder, mend=f"it holds {', '.join(self.files)}")
+            raise FileError(f"holds no {name}", file=self.folder, fix=f"it holds {', '.join(self.files)}")
         return path
 
     def __repr__(self) -> str:

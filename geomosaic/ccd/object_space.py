@@ -78,7 +78,7 @@ def read_object_space(geometry: StripGeometry) -> ObjectSpace | None:
             raise InputError(
                 f"has {what} of {time_s[0]:.3f} to {time_s[-1]:.3f} s, but strips of {duration_s:.3f} s",
                 file=g.model,
-                mend="give the tables of the whole scene; time 0 is the first line's upper edge",
+                fix="give the tables of the whole scene; time 0 is the first line's upper edge",
             )
     level_m = 0.0 if g.rpc is None else float(read_rpc(g.rpc).offset[4])
     lines = np.linspace(0.0, max(g.lines), _SAMPLE_LINES)[:, None]
@@ -87,7 +87,7 @@ def read_object_space(geometry: StripGeometry) -> ObjectSpace | None:
     lonlat = np.concatenate([ground[..., :2].reshape(-1, 2) for ground in sampled])
     if not np.isfinite(lonlat).all():
         raise InputError(
-            "looks past the Earth", file=g.model, mend="check the attitude's and the looks' signs"
+            "looks past the Earth", file=g.model, fix="check the attitude's and the looks' signs"
         )
     if g.dem is None:
         return level_ground(model, level_m)

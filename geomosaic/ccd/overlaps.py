@@ -23,7 +23,7 @@ from geomosaic.survey.strips import StripGeometry
 Edge = Literal["left", "right"]
 Columns = Callable[[int, Edge, int, int], NDArray[Any]]
 """The first (`left`) or last (`right`) read_px columns of a CCD's strip, of its lines start to stop."""
-_MEND = "copy it again, then run once more"
+_FIX = "copy it again, then run once more"
 
 
 class Strips:
@@ -115,7 +115,7 @@ class StripFiles(Strips):
         try:
             return {edge: self._files[ccd].read(1, window=window) for edge, window in windows.items()}
         except (RasterioError, ValueError, OSError) as error:
-            raise FileError(f"can't be read: {error}", file=path, mend=_MEND) from error
+            raise FileError(f"can't be read: {error}", file=path, fix=_FIX) from error
 
 
 def strips_in_memory(geometry: StripGeometry, edges: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Strips:

@@ -65,7 +65,7 @@ def scene_rpc(geometry: StripGeometry, layout: SceneLayout, space: ObjectSpace |
     seen = list(_seen(geometry, layout, space))
     if not seen:
         raise InputError(
-            "no strip has a line in the scene", file=geometry.model, mend="check the model's times"
+            "no strip has a line in the scene", file=geometry.model, fix="check the model's times"
         )
     raster, ground = (np.concatenate(parts) for parts in zip(*seen, strict=True))
     line = raster[:, 1] + layout.first_line

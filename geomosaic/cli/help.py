@@ -143,7 +143,7 @@ def _propose(arguments: Sequence[str]) -> None:
     if not path.exists():
         if path.name != arguments[0]:
             raise FileError(
-                "no such file or folder", file=path, mend="check the path: geomosaic mosaic FOLDER"
+                "no such file or folder", file=path, fix="check the path: geomosaic mosaic FOLDER"
             )
         return
     if (path / "run.json").is_file() or path.suffix == ".mcap":
@@ -157,4 +157,4 @@ def _propose(arguments: Sequence[str]) -> None:
     else:
         return
     kind = "folder" if path.is_dir() else "file"
-    raise InputError(f"is a {kind}, not a command", file=path, mend=f"type: geomosaic {shlex.join(command)}")
+    raise InputError(f"is a {kind}, not a command", file=path, fix=f"type: geomosaic {shlex.join(command)}")

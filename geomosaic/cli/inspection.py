@@ -117,7 +117,7 @@ def _repair(recorded: Recording, out: Path) -> None:
     from geomosaic.recording.repair import repaired
 
     if out.exists():
-        raise OutputError("is there already", file=out, mend="give another name with --repair")
+        raise OutputError("is there already", file=out, fix="give another name with --repair")
     with files.writing(out) as temporary:
         count = repaired(recorded, temporary)
     print(f"repaired   {out}, {count} messages")

@@ -38,7 +38,7 @@ def measure(
     from geomosaic.quality.run_measures import ASSUMED, measure_lines, measure_polygons
 
     if line is None and polygon is None:
-        raise InputError("there is nothing to measure", mend="give --line FILE or --polygon FILE")
+        raise InputError("there is nothing to measure", fix="give --line FILE or --polygon FILE")
     rasters = _rasters(run)
     found: dict[str, Any] = {"run": str(run)}
     if line is not None:
@@ -67,8 +67,8 @@ def _rasters(run: Path) -> RunRasters:
         path_within(run, name) for name in ("accuracy.tif", "surface.tif", "surface_confidence.tif")
     )
     if not accuracy.is_file():
-        mend = "run it again with the stage quality.accuracy in its recipe"
-        raise FileError("the run has no accuracy.tif", file=run, mend=mend)
+        fix = "run it again with the stage quality.accuracy in its recipe"
+        raise FileError("the run has no accuracy.tif", file=run, fix=fix)
     matched = surface.is_file() and confidence.is_file()
     return RunRasters(accuracy, summary, *((surface, confidence) if matched else (None, None)))
 

@@ -66,7 +66,7 @@ def _scene(run: Path) -> _Scene:
     figures = metrics.get("misplacement")
     if not isinstance(figures, dict) or not isinstance(figures.get("misplaced", ""), bool | None):
         raise InputError(
-            "reports no misplacement", file=run / "run.json", mend="give runs of `geomosaic strips`"
+            "reports no misplacement", file=run / "run.json", fix="give runs of `geomosaic strips`"
         )
     method = str(metrics.get("offsets", {}).get("method", ""))
     return _Scene(

@@ -99,6 +99,6 @@ def _beside(output: Path) -> Iterator[Path]:
     """A folder for a while on the disk that the run would be written to."""
     near = next(p for p in (output.absolute(), *output.absolute().parents) if p.is_dir())
     if not os.access(near, os.W_OK):
-        raise OutputError("can't be written to", file=near, mend="choose another output folder with -o")
+        raise OutputError("can't be written to", file=near, fix="choose another output folder with -o")
     with tempfile.TemporaryDirectory(prefix=".geomosaic-plan-", dir=near) as folder:
         yield Path(folder)

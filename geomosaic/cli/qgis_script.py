@@ -72,7 +72,7 @@ def qgis_script(
             print(path)
     except OSError as error:
         raise OutputError(
-            f"can't be written ({error.strerror})", file=folder, mend="give another folder"
+            f"can't be written ({error.strerror})", file=folder, fix="give another folder"
         ) from error
 
 

@@ -27,7 +27,7 @@ def execute(job: Job, *, dry_run: bool = False, as_json: bool = False, quiet: bo
 
     if as_json and not dry_run:
         raise InputError(
-            "--json says what --dry-run finds", mend="add --dry-run, or read run.json after the run"
+            "--json says what --dry-run finds", fix="add --dry-run, or read run.json after the run"
         )
     for line in job.left_out:
         print(f"left out   {line}")

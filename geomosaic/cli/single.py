@@ -163,12 +163,12 @@ def evaluate(
     if [scores, reference is not None, surface_reference is not None].count(True) != 1:
         raise InputError(
             "evaluate takes one of --reference TIF, --surface-reference FILE and --scores",
-            mend="see evaluate --help",
+            fix="see evaluate --help",
         )
     if scores:
         _scores(targets, as_json)
     elif len(targets) > 1:
-        raise InputError("evaluate compares one run at a time", mend="see evaluate --help")
+        raise InputError("evaluate compares one run at a time", fix="see evaluate --help")
     elif surface_reference is not None:
         _compare_surface(targets[0], surface_reference, set, as_json)
     else:
@@ -200,7 +200,7 @@ def _compare(target: Path, reference: Path | None, set: Sets, as_json: bool) -> 
     stage, params = _referring("quality.compare", reference, set)
     path = target / "mosaic.tif" if target.is_dir() else target
     if not path.is_file():
-        raise FileError("no such file", file=path, mend="give a finished run's folder or a GeoTIFF")
+        raise FileError("no such file", file=path, fix="give a finished run's folder or a GeoTIFF")
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work:
         file = Context(path.absolute().parent, work_folder=Path(work)).run_file(path.name)
     summary, inputs = _inputs(stage, target) if (target / "run.json").is_file() else ({}, {})
@@ -219,7 +219,7 @@ def _compare_surface(run: Path, reference: Path, set: Sets, as_json: bool) -> No
 
     stage, params = _referring("quality.surface", reference, set)
     if "surface_file" not in read_summary(run)["artefacts"]:
-        raise FileError("this run has no surface to compare", file=run, mend="run it with --surface dense")
+        raise FileError("this run has no surface to compare", file=run, fix="run it with --surface dense")
     summary, inputs = _inputs(stage, run)
     values, notes = _run(stage, params, RunFolder(run), inputs, summary)
     if as_json:

@@ -50,8 +50,8 @@ def read_addresses(path: Path) -> list[str]:
     Blank lines and those that begin with # are passed over. Raises: `FileError` as `read_text`, and for a
     line without an address or a row with several.
     """
-    mend = "write one address a line"
-    lines = read_text(path, _LIST_BYTES, "a list of addresses", mend).splitlines()
+    fix = "write one address a line"
+    lines = read_text(path, _LIST_BYTES, "a list of addresses", fix).splitlines()
     found = []
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -59,15 +59,15 @@ def read_addresses(path: Path) -> list[str]:
         try:
             cells = next(csv.reader([line])) if path.suffix.lower() == ".csv" else [line]
         except csv.Error as error:
-            raise FileError(f"line {number} is no row of a table", file=path, mend=mend) from error
+            raise FileError(f"line {number} is no row of a table", file=path, fix=fix) from error
         here = [cell.strip() for cell in cells if is_address(cell)]
         if len(here) == 1:
             found += here
         elif here or found or path.suffix.lower() != ".csv":
             count = "several addresses" if here else f"no address ({_KNOWN})"
-            raise FileError(f"line {number} holds {count}", file=path, mend=mend)
+            raise FileError(f"line {number} holds {count}", file=path, fix=fix)
     if not found:
-        raise FileError("holds no address", file=path, mend=mend)
+        raise FileError("holds no address", file=path, fix=fix)
     return found
 
 
@@ -82,33 +82,33 @@ def parsed(text: str, insecure: bool = False) -> Address:
     scheme, _, rest = text.partition("://")
     scheme = scheme.lower()
     if printable(text) != text:
-        raise InputError("holds what no address can", file=printable(text), mend="correct it")
+        raise InputError("holds what no address can", file=printable(text), fix="correct it")
     if scheme in _STORES:
         bucket, _, key = rest.partition("/")
         if not bucket:
-            raise InputError("names no bucket", file=text, mend=f"write {scheme}://BUCKET/FOLDER/")
+            raise InputError("names no bucket", file=text, fix=f"write {scheme}://BUCKET/FOLDER/")
         shown = f"{scheme}://{rest}"
         return Address(shown, _STORES[scheme] + rest, file_name(key.rpartition("/")[2], shown))
     if scheme not in ("https", "http"):
-        raise InputError("is no address that is read", file=text, mend=f"give {_KNOWN}")
+        raise InputError("is no address that is read", file=text, fix=f"give {_KNOWN}")
     try:
         url = urlsplit(quote(text, safe="%/:?[]@!$&'()*+,;=~"))
         local = _is_this_machine(url.hostname or "")
     except ValueError as error:
-        raise InputError("is no address", file=text, mend="correct it") from error
+        raise InputError("is no address", file=text, fix="correct it") from error
     shown = f"{scheme}://{url.netloc.rpartition('@')[2]}{url.path}"
     if not url.hostname:
-        raise InputError("names no host", file=shown, mend="write https://HOST/PATH")
+        raise InputError("names no host", file=shown, fix="write https://HOST/PATH")
     if "@" in url.netloc:
-        mend = "give them as GDAL takes them (GDAL_HTTP_USERPWD, or ~/.netrc)"
-        raise InputError("holds credentials", file=shown, mend=mend)
+        fix = "give them as GDAL takes them (GDAL_HTTP_USERPWD, or ~/.netrc)"
+        raise InputError("holds credentials", file=shown, fix=fix)
     if scheme == "http" and not (insecure or local):
-        mend = "write https://, or allow it with --insecure"
-        raise InputError("goes over the network unencrypted", file=shown, mend=mend)
+        fix = "write https://, or allow it with --insecure"
+        raise InputError("goes over the network unencrypted", file=shown, fix=fix)
     last = url.path.rpartition("/")[2]
     if not last:
-        mend = "write a list of its files, one a line"
-        raise InputError("is a folder, and folders of web servers aren't listed", file=shown, mend=mend)
+        fix = "write a list of its files, one a line"
+        raise InputError("is a folder, and folders of web servers aren't listed", file=shown, fix=fix)
     whole = f"{scheme}://{url.netloc}{url.path}" + (f"?{url.query}" if url.query else "")
     return Address(shown, f"/vsicurl/{whole}", file_name(unquote(last, errors="surrogateescape"), shown))
 
@@ -120,7 +120,7 @@ def file_name(name: str, shown: str) -> str:
     """
     if printable(name) != name or {"/", "\\"} & set(name) or len(name.encode()) > _NAME_BYTES:
         problem = "names a file as none of a survey can be named"
-        raise InputError(problem, file=printable(shown), mend="rename it there, or take it out of the list")
+        raise InputError(problem, file=printable(shown), fix="rename it there, or take it out of the list")
     return name
 
 

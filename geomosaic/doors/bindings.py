@@ -11,7 +11,7 @@ from geomosaic.errors import BindingsError
 _LIBRARY: Final = "install libgdal-dev (Debian, Ubuntu), gdal-devel (Fedora) or gdal (Homebrew), or use conda"
 
 
-def _mend() -> str:
+def _fix() -> str:
     """What to install, for the libgdal that is here."""
     if shutil.which("gdal-config") is None:
         return _LIBRARY
@@ -28,6 +28,6 @@ try:
 except ImportError as error:
     missing = isinstance(error, ModuleNotFoundError) and error.name == "osgeo"
     problem = "are not installed" if missing else f"don't work ({error})"
-    raise BindingsError(f"GDAL's Python bindings {problem}; {_mend()}") from error
+    raise BindingsError(f"GDAL's Python bindings {problem}; {_fix()}") from error
 
 __all__ = ["gdal", "gdal_array", "ogr", "osr"]

@@ -35,7 +35,7 @@ def check_name(path: Path) -> None:
         str(path).encode()
     except UnicodeEncodeError as error:
         whole = os.fsencode(path).decode("utf-8", "backslashreplace")
-        raise FileError("its name is not in UTF-8", file=whole, mend="rename it") from error
+        raise FileError("its name is not in UTF-8", file=whole, fix="rename it") from error
 
 
 def mode_of(path: Path) -> int:
@@ -47,7 +47,7 @@ def mode_of(path: Path) -> int:
         return 0
 
 
-def check_regular(path: Path, mend: str, named: str = "") -> None:
+def check_regular(path: Path, fix: str, named: str = "") -> None:
     """`FileError` for what is missing, or no regular file: a folder, a device or a pipe, which may never end.
 
     Args: named says in the message where the path stands.
@@ -58,18 +58,18 @@ def check_regular(path: Path, mend: str, named: str = "") -> None:
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise FileError(f"there is no such file{named}", file=file, mend=mend) from error
+        raise FileError(f"there is no such file{named}", file=file, fix=fix) from error
     except OSError as error:
-        raise FileError(f"can't be read ({error.strerror}){named}", file=file, mend=mend) from error
+        raise FileError(f"can't be read ({error.strerror}){named}", file=file, fix=fix) from error
     except ValueError as error:
-        raise FileError(f"no file can have such a name{named}", file=printable(file), mend=mend) from error
+        raise FileError(f"no file can have such a name{named}", file=printable(file), fix=fix) from error
     if not stat.S_ISREG(mode):
         kind = next((kind for is_kind, kind in _KINDS if is_kind(mode)), "something else")
-        mend = "write what it gives to a file first" if stat.S_ISFIFO(mode) else mend
-        raise FileError(f"is no regular file but {kind}{named}", file=file, mend=mend)
+        fix = "write what it gives to a file first" if stat.S_ISFIFO(mode) else fix
+        raise FileError(f"is no regular file but {kind}{named}", file=file, fix=fix)
 
 
-def read_bytes(path: Path, most_bytes: int, kind: str, mend: str) -> bytes:
+def read_bytes(path: Path, most_bytes: int, kind: str, fix: str) -> bytes:
     """A regular file's content, read once and without waiting.
 
     Args: kind: what it is to be, as in `is too large for a camera file`.
@@ -77,7 +77,7 @@ def read_bytes(path: Path, most_bytes: int, kind: str, mend: str) -> bytes:
     that the system makes up (/proc), which don't hold what their size says.
     """
     path = Path(path)
-    check_regular(path, mend)
+    check_regular(path, fix)
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
         with os.fdopen(handle, "rb") as file:
@@ -85,31 +85,31 @@ def read_bytes(path: Path, most_bytes: int, kind: str, mend: str) -> bytes:
             readable = stat.S_ISREG(status.st_mode) and status.st_size <= most_bytes
             content = file.read(most_bytes + 1) or b"" if readable else b""
     except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path, mend=mend) from error
+        raise FileError(f"can't be read ({error.strerror})", file=path, fix=fix) from error
     if max(len(content), status.st_size) > most_bytes:
         size = f"{most_bytes >> 20} MB" if most_bytes >= 1 << 20 else f"{most_bytes >> 10} kB"
-        raise FileError(f"is too large for {kind}: more than {size}", file=path, mend="is it the right file?")
+        raise FileError(f"is too large for {kind}: more than {size}", file=path, fix="is it the right file?")
     if len(content) != status.st_size or not stat.S_ISREG(status.st_mode):
-        raise FileError("changes while it is read", file=path, mend="copy what it gives to a file first")
+        raise FileError("changes while it is read", file=path, fix="copy what it gives to a file first")
     if not content:
-        raise FileError("is empty", file=path, mend=mend)
+        raise FileError("is empty", file=path, fix=fix)
     return content
 
 
-def read_text(path: Path, most_bytes: int, kind: str, mend: str) -> str:
+def read_text(path: Path, most_bytes: int, kind: str, fix: str) -> str:
     """A text file's content: UTF-8 or UTF-16 with or without a mark, else Latin-1, `printable` line by line.
 
     Raises: as `read_bytes`, and `FileError` for what holds zero bytes.
     """
-    return decoded(read_bytes(path, most_bytes, kind, mend), path, mend)
+    return decoded(read_bytes(path, most_bytes, kind, fix), path, fix)
 
 
-def decoded(content: bytes, path: Path, mend: str) -> str:
+def decoded(content: bytes, path: Path, fix: str) -> str:
     """Bytes as `read_text` gives them; path is for the message."""
     try:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if "\x00" in text:
-        raise FileError("is no text file", file=path, mend=mend)
+        raise FileError("is no text file", file=path, fix=fix)
     return printable(text, keep="\t\n\r")

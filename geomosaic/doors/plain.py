@@ -33,17 +33,17 @@ def shown(value: object) -> str:
         return "too large a number"
 
 
-def read_yaml(path: Path, most_bytes: int, kind: str, mend: str) -> Any:
+def read_yaml(path: Path, most_bytes: int, kind: str, fix: str) -> Any:
     """What a YAML file holds; raises as `files.read_bytes` and `plain_yaml` do."""
-    return plain_yaml(read_bytes(path, most_bytes, kind, mend), path, mend)
+    return plain_yaml(read_bytes(path, most_bytes, kind, fix), path, fix)
 
 
-def read_json(path: Path, most_bytes: int, kind: str, mend: str) -> Any:
+def read_json(path: Path, most_bytes: int, kind: str, fix: str) -> Any:
     """What a JSON file holds; raises as `files.read_bytes` and `plain_json` do."""
-    return plain_json(read_bytes(path, most_bytes, kind, mend), path, mend)
+    return plain_json(read_bytes(path, most_bytes, kind, fix), path, fix)
 
 
-def plain_yaml(content: bytes | str, file: str | Path | None, mend: str) -> Any:
+def plain_yaml(content: bytes | str, file: str | Path | None, fix: str) -> Any:
     """YAML without tags, anchors, merges and keys given twice.
 
     Raises: `FileError`, one line that says where and why.
@@ -52,13 +52,13 @@ def plain_yaml(content: bytes | str, file: str | Path | None, mend: str) -> Any:
         text = content if isinstance(content, str) else content.decode("utf-8-sig")
         return yaml.load(text, _PlainLoader)  # noqa: S506  a SafeLoader
     except UnicodeDecodeError as error:
-        raise FileError("is no valid YAML: it is no text in UTF-8", file=file, mend=mend) from error
+        raise FileError("is no valid YAML: it is no text in UTF-8", file=file, fix=fix) from error
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""
         why = getattr(error, "problem", None) or getattr(error, "reason", None) or "a value can't be read"
         problem = f"is no valid YAML{where}: {printable(str(why))[:120]}"
-        raise FileError(problem, file=file, mend=mend) from error
+        raise FileError(problem, file=file, fix=fix) from error
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -112,7 +112,7 @@ def _refused(problem: str, at: Any) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)
 
 
-def plain_json(content: bytes, file: str | Path | None, mend: str) -> Any:
+def plain_json(content: bytes, file: str | Path | None, fix: str) -> Any:
     """JSON as the standard has it: no NaN, no key given twice.
 
     Raises: `FileError`, one line that says why.
@@ -127,10 +127,10 @@ def plain_json(content: bytes, file: str | Path | None, mend: str) -> Any:
             object_pairs_hook=_mapping,
         )
     except UnicodeDecodeError as error:
-        raise FileError("is no valid JSON: it is no text in UTF-8", file=file, mend=mend) from error
+        raise FileError("is no valid JSON: it is no text in UTF-8", file=file, fix=fix) from error
     except (ValueError, RecursionError) as error:
         why = "too many levels" if isinstance(error, RecursionError) else printable(str(error))[:120]
-        raise FileError(f"is no valid JSON: {why}", file=file, mend=mend) from error
+        raise FileError(f"is no valid JSON: {why}", file=file, fix=fix) from error
 
 
 def _whole(text: str) -> int:

@@ -18,7 +18,7 @@ from geomosaic.errors import FileError, GeomosaicError
 
 Floats = NDArray[np.float64]
 SUFFIXES: Final = (".las", ".laz")
-_MEND: Final = "give a point cloud as LAS or LAZ"
+_FIX: Final = "give a point cloud as LAS or LAZ"
 _AGAIN: Final = "copy it again"
 _HEAD: Final = struct.Struct("<4s90xHIIBHI")
 """Up to the number of points: signature, header's size, offset to points, records before them, format, bytes
@@ -78,7 +78,7 @@ def open_points(path: Path) -> Iterator[PointCloud]:
     """
     import laspy  # which brings a client of the web; hardly a run opens a cloud
 
-    check_regular(path, _MEND)
+    check_regular(path, _FIX)
     _check_head(path)
     with path.open("rb") as file:
         with _strange(path, "is no LAS or LAZ file that can be read"):
@@ -92,12 +92,12 @@ def _check_head(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(_HEAD.size)
     if len(head) < _HEAD.size or head[:4] != b"LASF":
-        raise FileError("is no LAS or LAZ file", file=path, mend=_MEND)
+        raise FileError("is no LAS or LAZ file", file=path, fix=_FIX)
     _, header, offset, records, _, point, _ = _HEAD.unpack(head)
     if not header <= offset <= size or records > min(_MOST_RECORDS, (offset - header) // _RECORD_BYTES):
-        raise FileError("has a header that asks for more than its size", file=path, mend=_AGAIN)
+        raise FileError("has a header that asks for more than its size", file=path, fix=_AGAIN)
     if point > _MOST_POINT_BYTES:
-        raise FileError(f"has points of {point} bytes", file=path, mend="write them without extra bytes")
+        raise FileError(f"has points of {point} bytes", file=path, fix="write them without extra bytes")
 
 
 def _crs(header: Any) -> CRS | None:
@@ -127,4 +127,4 @@ def _strange(path: Path, problem: str) -> Iterator[None]:
     except BaseException as error:
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        raise FileError(problem, file=path, mend=_AGAIN) from error
+        raise FileError(problem, file=path, fix=_AGAIN) from error

@@ -49,7 +49,7 @@ class Purpose:
 
     drivers: tuple[str, ...]
     problem: str
-    mend: str
+    fix: str
     sidecars: bool = False
     missing: tuple[str, str] = "there is no such file", "check the path"
 
@@ -130,7 +130,7 @@ def open_raster(path: Path, purpose: Purpose) -> Raster:
         with unreferenced_is_fine(), rasterio.Env(**options):
             raster = Raster(path, driver=[*purpose.drivers], sharing=False)
     except (*_FAILURES, ValueError) as error:
-        raise FileError(purpose.problem, file=path, mend=purpose.mend) from error
+        raise FileError(purpose.problem, file=path, fix=purpose.fix) from error
     try:
         _check_blocks(raster, path)
     except FileError:
@@ -146,40 +146,40 @@ def open_with_osgeo(path: Path, purpose: Purpose) -> Any:
     try:
         return gdal.OpenEx(str(path), gdal.OF_RASTER, allowed_drivers=drivers, sibling_files=[path.name])
     except RuntimeError as error:
-        raise FileError(purpose.problem, file=path, mend=purpose.mend) from error
+        raise FileError(purpose.problem, file=path, fix=purpose.fix) from error
 
 
 @contextmanager
-def reading(path: Path, problem: str = "can't be read whole", mend: str = _AGAIN) -> Iterator[None]:
+def reading(path: Path, problem: str = "can't be read whole", fix: str = _AGAIN) -> Iterator[None]:
     """Puts `FileError` in the place of what GDAL says of a raster whose data can't be read."""
     try:
         yield
     except FileError:
         raise
     except _FAILURES as error:
-        raise FileError(problem, file=path, mend=mend) from error
+        raise FileError(problem, file=path, fix=fix) from error
 
 
 def _regular(path: Path, purpose: Purpose) -> Path:
     """The absolute path of a regular file; what looks like one but opens something else is refused."""
     named = path if len(str(path)) < 256 else f"{str(path)[:255]}..."
     if str(path).startswith("/vsi"):
-        raise FileError("is no path of a file on this machine", file=named, mend=purpose.mend)
+        raise FileError("is no path of a file on this machine", file=named, fix=purpose.fix)
     try:
         folder = stat.S_ISDIR(path.stat().st_mode)
     except (OSError, ValueError) as error:
-        raise FileError(purpose.missing[0], file=named, mend=purpose.missing[1]) from error
+        raise FileError(purpose.missing[0], file=named, fix=purpose.missing[1]) from error
     if folder:
-        raise FileError(purpose.problem, file=named, mend=purpose.mend)
-    check_regular(path, purpose.mend)
+        raise FileError(purpose.problem, file=named, fix=purpose.fix)
+    check_regular(path, purpose.fix)
     return path.absolute()
 
 
 def _check_blocks(raster: Raster, path: Path) -> None:
     """GDAL decodes whole blocks, of all bands where they are interleaved: few bytes may ask for gigabytes."""
     if raster.count > MOST_BANDS:
-        mend = f"take out the needed ones, at most {MOST_BANDS}"
-        raise FileError(f"has {raster.count} bands", file=path, mend=mend)
+        fix = f"take out the needed ones, at most {MOST_BANDS}"
+        raise FileError(f"has {raster.count} bands", file=path, fix=fix)
     interleaved = raster.interleaving is not None and raster.interleaving.name == "pixel"
     bytes_each = [
         rows * cols * _BYTES.get(kind, 16)
@@ -188,7 +188,7 @@ def _check_blocks(raster: Raster, path: Path) -> None:
     needed = sum(bytes_each) if interleaved else max(bytes_each, default=0)
     if needed > _MOST_BLOCK_BYTES:
         problem = f"is stored in blocks of {needed / 1e9:.1f} GB"
-        raise FileError(problem, file=path, mend="write it in tiles (gdal_translate -co TILED=YES)")
+        raise FileError(problem, file=path, fix="write it in tiles (gdal_translate -co TILED=YES)")
 
 
 def _go_offline() -> None:

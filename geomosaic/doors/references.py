@@ -19,10 +19,10 @@ _MOST_XML_BYTES: Final = 16 << 20  # a VRT of 10,000 tiles has some 5 MB
 _MOST_SOURCES: Final = 10_000  # opening each takes about 1 ms
 _MOST_DEPTH: Final = 4
 _HEAD_BYTES: Final = 4096  # GDAL looks for <VRTDataset in the first 1 to 4 kB, wherever it stands
-_VRT_MEND: Final = "make one file of it with gdal_translate"
+_VRT_FIX: Final = "make one file of it with gdal_translate"
 _TEXTS: Final = frozenset({".prj", ".wld", ".clr", ".hdr", ".stx", ".txt", ".qpj"})
 _MOST_TEXT_BYTES: Final = 1 << 20  # GDAL reads them whole; a projection of many words has 5 kB
-_SIDECAR_MEND: Final = "take it away"
+_SIDECAR_FIX: Final = "take it away"
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _MOSAIC_TAGS = """
     VRTDataset SRS GeoTransform Metadata MDI BlockXSize BlockYSize OverviewList VRTRasterBand
@@ -56,7 +56,7 @@ def check_sidecars(path: Path) -> None:
         if not lower.startswith(f"{stem}.") or file.name == path.name or file.is_dir():
             continue
         if not file.is_file():
-            raise FileError(f"is no regular file beside {path.name}", file=file, mend=_SIDECAR_MEND)
+            raise FileError(f"is no regular file beside {path.name}", file=file, fix=_SIDECAR_FIX)
         if lower.endswith(".aux.xml"):
             _check_aux(file)
         elif lower.endswith((".ovr", ".msk")) and lower.startswith(f"{name}."):
@@ -64,7 +64,7 @@ def check_sidecars(path: Path) -> None:
         elif lower.endswith((".aux", ".rrd")):
             _check_plain(file, (b"EHFA",))
         elif file.suffix.lower() in _TEXTS and file.stat().st_size > _MOST_TEXT_BYTES:
-            raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=file, mend=_SIDECAR_MEND)
+            raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=file, fix=_SIDECAR_FIX)
 
 
 def sources_of(path: Path) -> list[Path]:
@@ -91,18 +91,18 @@ def check_sources(path: Path, check_file: Callable[[Path], None]) -> list[Path]:
                 _check_once(check_file, file)
             continue
         if depth >= _MOST_DEPTH:
-            raise FileError(f"VRTs lie more than {_MOST_DEPTH} deep in it", file=path, mend=_VRT_MEND)
+            raise FileError(f"VRTs lie more than {_MOST_DEPTH} deep in it", file=path, fix=_VRT_FIX)
         if depth:
             check_sidecars(file)
         for text, beside in _named(file, *_state(file)):
             source = _local(file, text, beside)
             if source in (path, file):
-                raise FileError("the VRT is a source of itself", file=path, mend=_VRT_MEND)
+                raise FileError("the VRT is a source of itself", file=path, fix=_VRT_FIX)
             if source not in seen:
                 seen.add(source)
                 waiting.append((source, depth + 1))
         if len(seen) > _MOST_SOURCES:
-            raise FileError(f"has more than {_MOST_SOURCES:,} sources", file=path, mend=_VRT_MEND)
+            raise FileError(f"has more than {_MOST_SOURCES:,} sources", file=path, fix=_VRT_FIX)
     return sorted(seen - {path})
 
 
@@ -127,21 +127,21 @@ def _local(vrt: Path, text: str, beside: bool) -> Path:
     source = vrt.parent / text if beside else Path(text)
     if "\0" in text or "://" in text or str(source).startswith("/vsi") or not source.is_absolute():
         problem = f"its source '{shown}' is no path of a file on this machine"
-        raise FileError(problem, file=vrt, mend="name a local file")
+        raise FileError(problem, file=vrt, fix="name a local file")
     try:
         regular = stat.S_ISREG(source.stat().st_mode)
     except OSError as error:
         problem = f"its source '{shown}' is not there"
-        raise FileError(problem, file=vrt, mend="copy it too, or correct the VRT") from error
+        raise FileError(problem, file=vrt, fix="copy it too, or correct the VRT") from error
     if not regular:
-        raise FileError(f"its source '{shown}' is no regular file", file=vrt, mend="name a local file")
+        raise FileError(f"its source '{shown}' is no regular file", file=vrt, fix="name a local file")
     return Path(os.path.abspath(source))  # noqa: PTH100 - GDAL follows no links in the name either
 
 
 @lru_cache(maxsize=64)
 def _named(path: Path, *_state: int) -> tuple[tuple[str, bool], ...]:
     """The sources a VRT names, each with whether it counts from the VRT's folder."""
-    return tuple(_sources(_parsed(path, "VRT", _VRT_MEND), path))
+    return tuple(_sources(_parsed(path, "VRT", _VRT_FIX), path))
 
 
 def _sources(root: Element, path: Path) -> Iterator[tuple[str, bool]]:
@@ -155,35 +155,35 @@ def _sources(root: Element, path: Path) -> Iterator[tuple[str, bool]]:
             known = element.get("domain", "") != "GEOLOCATION"
         if not known:
             what = f"{tag} {subclass or element.get('name', '') or element.get('domain', '')}".strip()[:80]
-            raise FileError(f"the VRT holds a {what}, which isn't followed", file=path, mend=_VRT_MEND)
+            raise FileError(f"the VRT holds a {what}, which isn't followed", file=path, fix=_VRT_FIX)
         if tag in _PATH_TAGS:
             beside = element.get("relativeToVRT", element.get("relativetoVRT", "0")).strip()
             yield (element.text or "").strip(), beside not in ("", "0")
 
 
 def _check_aux(path: Path) -> None:
-    for element in _parsed(path, "sidecar", _SIDECAR_MEND).iter():
+    for element in _parsed(path, "sidecar", _SIDECAR_FIX).iter():
         names = element.get("domain", "").upper(), element.get("key", "").upper()
         if "OVERVIEWS" in names or "OVERVIEW_FILE" in names:
-            raise FileError("the sidecar refers to another file", file=path, mend=_SIDECAR_MEND)
+            raise FileError("the sidecar refers to another file", file=path, fix=_SIDECAR_FIX)
 
 
-def _parsed(path: Path, what: str, mend: str) -> Element:
+def _parsed(path: Path, what: str, fix: str) -> Element:
     with path.open("rb") as file:
         text = file.read(_MOST_XML_BYTES + 1)
     if len(text) > _MOST_XML_BYTES:
-        raise FileError(f"the {what} is over {_MOST_XML_BYTES >> 20} MB", file=path, mend=mend)
+        raise FileError(f"the {what} is over {_MOST_XML_BYTES >> 20} MB", file=path, fix=fix)
     try:
         root: Element = fromstring(text, forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
-        raise FileError(f"the {what} is no well-formed XML", file=path, mend=mend) from error
+        raise FileError(f"the {what} is no well-formed XML", file=path, fix=fix) from error
     return root
 
 
 def _check_plain(path: Path, magics: tuple[bytes, ...]) -> None:
     head = _head(path)
     if not head.startswith(magics) or b"<VRTDataset" in head or b"<GDAL_" in head:
-        raise FileError("is not the overview or mask its name says", file=path, mend=_SIDECAR_MEND)
+        raise FileError("is not the overview or mask its name says", file=path, fix=_SIDECAR_FIX)
 
 
 def _is_vrt(path: Path) -> bool:
@@ -196,5 +196,5 @@ def _head(path: Path) -> bytes:
             return file.read(_HEAD_BYTES)
     except OSError as error:
         raise FileError(
-            f"can't be read ({error.strerror})", file=path, mend="is it the right file?"
+            f"can't be read ({error.strerror})", file=path, fix="is it the right file?"
         ) from error

@@ -70,15 +70,15 @@ def listed(folder: Address) -> tuple[list[Remote], list[str]]:
         handle = gdal.OpenDir(base, 0)
         if handle is None:
             problem = f"can't be listed ({_said() or 'no such folder, no right to it, or no answer'})"
-            raise InputError(problem, file=folder.text, mend="check the address and the store's credentials")
+            raise InputError(problem, file=folder.text, fix="check the address and the store's credentials")
         try:
             while (entry := gdal.GetNextDirEntry(handle)) is not None:
                 if entry.IsDirectory():
                     folders.append(printable(entry.name))
                     continue
                 if len(files) == MOST_FILES:
-                    mend = "give a folder of the store that holds one survey"
-                    raise InputError(f"holds more than {MOST_FILES:,} files", file=folder.text, mend=mend)
+                    fix = "give a folder of the store that holds one survey"
+                    raise InputError(f"holds more than {MOST_FILES:,} files", file=folder.text, fix=fix)
                 text = f"{folder.text.rstrip('/')}/{entry.name}"
                 address = Address(printable(text), f"{base}/{entry.name}", file_name(entry.name, text))
                 tag = _plain_tag(entry.extra.get("ETag", ""))
@@ -104,7 +104,7 @@ def look(address: Address) -> Remote:
             raise _not_given(address)
     if status.size <= 0:
         problem = "is empty, or its server doesn't tell its size"
-        raise InputError(problem, file=address.text, mend="check what lies there")
+        raise InputError(problem, file=address.text, fix="check what lies there")
     return Remote(address, status.size, max(0, status.mtime), _plain_tag(headers.get("etag", "")))
 
 
@@ -118,7 +118,7 @@ def copy(remote: Remote, to: BinaryIO, stopped: Callable[[], bool]) -> None:
     while done < remote.size_bytes:
         if tries == _TRIES:
             problem = f"breaks off after {done:,} of {remote.size_bytes:,} bytes"
-            raise InputError(problem, file=address.text, mend="fetch again: what is there already stays")
+            raise InputError(problem, file=address.text, fix="fetch again: what is there already stays")
         if tries:
             gdal.VSICurlPartialClearCache(address.vsi)
         with closing(_pieces(remote, done)) as pieces:
@@ -133,8 +133,8 @@ def copy(remote: Remote, to: BinaryIO, stopped: Callable[[], bool]) -> None:
     if tries > 1 or remote.size_bytes > _PIECE_BYTES:
         now = look(address)
         if not remote.is_same(now.size_bytes, now.changed_s, now.tag):
-            mend = "fetch again once it is whole"
-            raise InputError("changes while it is fetched", file=address.text, mend=mend)
+            fix = "fetch again once it is whole"
+            raise InputError("changes while it is fetched", file=address.text, fix=fix)
 
 
 def _pieces(remote: Remote, start: int) -> Generator[bytes, None, None]:
@@ -170,7 +170,7 @@ def _opened(name: str, shown: str) -> Iterator[None]:
         if isinstance(error, GeomosaicError):
             raise
         problem = f"can't be fetched ({_shown(str(error))})"
-        raise InputError(problem, file=shown, mend="fetch it by other means") from error
+        raise InputError(problem, file=shown, fix="fetch it by other means") from error
     finally:
         gdal.PopErrorHandler()
 
@@ -184,7 +184,7 @@ def _check_redirect(address: Address, location: str) -> None:
     if here.hostname == there.hostname and (there.scheme == "https" or here.netloc == there.netloc):
         return
     told = printable(f"{there.scheme}://{there.netloc.rpartition('@')[2]}{there.path}")[:200]
-    raise InputError(f"leads to {told}", file=address.text, mend="if that is right, write it into the list")
+    raise InputError(f"leads to {told}", file=address.text, fix="if that is right, write it into the list")
 
 
 def _check_kind(address: Address, head: bytes) -> None:
@@ -196,8 +196,8 @@ def _check_kind(address: Address, head: bytes) -> None:
         what = "a message of its server"
     else:
         return
-    mend = "look at it in a browser; does it want credentials?"
-    raise InputError(f"is no {kind or 'file of a survey'} but {what}", file=address.text, mend=mend)
+    fix = "look at it in a browser; does it want credentials?"
+    raise InputError(f"is no {kind or 'file of a survey'} but {what}", file=address.text, fix=fix)
 
 
 def _plain_tag(tag: str) -> str:
@@ -218,11 +218,11 @@ def _not_given(address: Address) -> InputError:
     code = re.search(r"HTTP response code: (\d+)", said)
     number = int(code[1]) if code else 0
     if number in (404, 410):
-        problem, mend = "there is no such file", "correct the address, or take it out of the list"
+        problem, fix = "there is no such file", "correct the address, or take it out of the list"
     elif number in (401, 403):
-        problem, mend = f"its server refuses it (HTTP {number})", "check the address and the credentials"
+        problem, fix = f"its server refuses it (HTTP {number})", "check the address and the credentials"
     elif number:
-        problem, mend = f"its server answers with HTTP {number}", "try again later"
+        problem, fix = f"its server answers with HTTP {number}", "try again later"
     else:
-        problem, mend = f"can't be reached ({said or 'no answer'})", "check the address and the network"
-    return InputError(problem, file=address.text, mend=mend)
+        problem, fix = f"can't be reached ({said or 'no answer'})", "check the address and the network"
+    return InputError(problem, file=address.text, fix=fix)

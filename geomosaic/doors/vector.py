@@ -70,7 +70,7 @@ def read_shapes(path: Path, kind: Kind = POLYGON) -> Shapes:
     several layers with some, no CRS, more than 2 million vertices, or can't be read.
     """
     if str(path).startswith("/vsi"):
-        raise FileError("is no path of a file on this machine", file=path, mend=kind.wanted)
+        raise FileError("is no path of a file on this machine", file=path, fix=kind.wanted)
     check_regular(path, kind.wanted)
     path = path.absolute()
     check_sidecars(path)
@@ -80,16 +80,16 @@ def read_shapes(path: Path, kind: Kind = POLYGON) -> Shapes:
         found = {layer.GetName(): (layer, _of_kind(layer, path, kind)) for layer in layers}
         found = {name: of for name, of in found.items() if of[1]}
         if not found:
-            raise FileError(f"has no {kind.name}", file=path, mend=kind.wanted)
+            raise FileError(f"has no {kind.name}", file=path, fix=kind.wanted)
         if len(found) > 1:
             names = printable(", ".join(found))[:200]
-            mend = "write the layer that is meant to a file of its own (ogr2ogr area.gpkg FILE LAYER)"
-            raise FileError(f"has {kind.name}s in {len(found)} layers ({names})", file=path, mend=mend)
+            fix = "write the layer that is meant to a file of its own (ogr2ogr area.gpkg FILE LAYER)"
+            raise FileError(f"has {kind.name}s in {len(found)} layers ({names})", file=path, fix=fix)
         ((layer, shapes),) = found.values()
         reference = layer.GetSpatialRef()
         if reference is None or (reference.GetName() or "").lower().startswith(("undefined", "unknown")):
-            mend = "say which its coordinates are (ogr2ogr -a_srs EPSG:n area.gpkg FILE)"
-            raise FileError("has no coordinate reference system", file=path, mend=mend)
+            fix = "say which its coordinates are (ogr2ogr -a_srs EPSG:n area.gpkg FILE)"
+            raise FileError("has no coordinate reference system", file=path, fix=fix)
         return Shapes(tuple(shapes), str(reference.ExportToWkt(["FORMAT=WKT2_2019"])))
 
 
@@ -100,7 +100,7 @@ def _said(path: Path, kind: Kind) -> Iterator[None]:
     try:
         yield
     except (RuntimeError, shapely.errors.ShapelyError) as error:
-        raise FileError(f"can't be read as a file of {kind.name}s", file=path, mend=kind.wanted) from error
+        raise FileError(f"can't be read as a file of {kind.name}s", file=path, fix=kind.wanted) from error
     finally:
         gdal.PopErrorHandler()
 
@@ -109,14 +109,14 @@ def open_vector(path: Path, kind: Kind = POLYGON) -> Any:
     """Polygons or lines, or a run's own layers, as osgeo's dataset; `FileError` for none of `DRIVERS`."""
     driver = gdal.IdentifyDriverEx(str(path), gdal.OF_VECTOR, list(DRIVERS))
     if driver is None:
-        raise FileError(f"is no file of {kind.name}s that is read", file=path, mend=kind.wanted)
+        raise FileError(f"is no file of {kind.name}s that is read", file=path, fix=kind.wanted)
     if driver.ShortName in _TEXTS and path.stat().st_size > _MOST_TEXT_BYTES:
-        raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=path, mend="write it as a GeoPackage")
+        raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=path, fix="write it as a GeoPackage")
     options = []
     if driver.ShortName == "GPKG":  # read as it lies there: SQLite would put files beside it
         log = path.with_name(f"{path.name}-wal")
         if log.exists() and log.stat().st_size:
-            raise FileError("is being written by another program", file=path, mend="close it there first")
+            raise FileError("is being written by another program", file=path, fix="close it there first")
         options = ["IMMUTABLE=YES"]
     return gdal.OpenEx(str(path), gdal.OF_VECTOR, allowed_drivers=[driver.ShortName], open_options=options)
 
@@ -134,7 +134,7 @@ def _of_kind(layer: Any, path: Path, kind: Kind) -> list[Any]:
             vertices += int(shapely.get_num_coordinates(found[-1]))
         if number >= _MOST_FEATURES or vertices > _MOST_VERTICES:
             problem = f"has more than {_MOST_FEATURES:,} features or {_MOST_VERTICES:,} vertices"
-            raise FileError(problem, file=path, mend="simplify it, or take the part that is meant")
+            raise FileError(problem, file=path, fix="simplify it, or take the part that is meant")
     return found
 
 

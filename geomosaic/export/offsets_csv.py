@@ -21,7 +21,7 @@ _TRUTH_COLUMNS = COLUMNS[:4]
 _ROWS_AT_ONCE = 4096
 _MOST_BYTES_A_ROW = 200
 _LARGEST = 1e9
-_MEND = "give the offsets.csv of a run of these strips"
+_FIX = "give the offsets.csv of a run of these strips"
 
 
 def write_offsets_csv(path: Path, pairs: tuple[PairOffsets, ...]) -> None:
@@ -35,7 +35,7 @@ def write_offsets_csv(path: Path, pairs: tuple[PairOffsets, ...]) -> None:
             for pair in pairs:
                 file.writelines(_texts(pair))
     except OSError as error:
-        raise OutputError(error.strerror or str(error), file=path, mend="free some space") from error
+        raise OutputError(error.strerror or str(error), file=path, fix="free some space") from error
 
 
 def _texts(pair: PairOffsets) -> Iterator[str]:
@@ -54,20 +54,20 @@ def _texts(pair: PairOffsets) -> Iterator[str]:
 def read_offsets_csv(path: Path, geometry: StripGeometry) -> tuple[PairOffsets, ...]:
     """The offsets in a stranger's offsets.csv, which must fit the geometry.
 
-    Raises: `FileError` or `InputError` with one line that names the file and the mend.
+    Raises: `FileError` or `InputError` with one line that names the file and the fix.
     """
     found = []
     for pair, rows in _pairs(path, geometry, COLUMNS):
         sd = np.stack([rows["sd_col_px"], rows["sd_line_px"]])
         if (sd < 0.0).any():
-            raise FileError("has a negative standard deviation", file=path, mend=_MEND)
+            raise FileError("has a negative standard deviation", file=path, fix=_FIX)
         label = np.full(len(rows), len(LABELS), dtype=np.uint8)
         for k, word in enumerate(LABELS):
             label[rows["label"] == word] = k
         if (label == len(LABELS)).any():
             line = int(np.argmax(label == len(LABELS)))
             problem = f"the label of pair {pair}, line {line} is none of {', '.join(LABELS)}"
-            raise FileError(problem, file=path, mend=_MEND)
+            raise FileError(problem, file=path, fix=_FIX)
         found.append(PairOffsets(pair, rows["dcol_px"].copy(), rows["dline_px"].copy(), sd[0], sd[1], label))
     return tuple(found)
 
@@ -75,7 +75,7 @@ def read_offsets_csv(path: Path, geometry: StripGeometry) -> tuple[PairOffsets, 
 def read_true_offsets(path: Path, geometry: StripGeometry) -> dict[int, Floats]:
     """Offsets (lines, 2) dcol, dline by pair, of a file that has at least the columns pair to dline_px.
 
-    Raises: `FileError` or `InputError` with one line that names the file and the mend.
+    Raises: `FileError` or `InputError` with one line that names the file and the fix.
     """
     return {
         pair: np.stack([rows["dcol_px"], rows["dline_px"]], axis=1)
@@ -92,21 +92,21 @@ def _pairs(
     wanted = [k for k in geometry.pairs if geometry.lines[k] and geometry.lines[k + 1]]
     if table["pair"][starts].tolist() != wanted:
         there = ", ".join(str(k) for k in wanted)
-        raise InputError(f"hasn't the pairs of this geometry, which are {there}", file=path, mend=_MEND)
+        raise InputError(f"hasn't the pairs of this geometry, which are {there}", file=path, fix=_FIX)
     for pair, rows in zip(wanted, np.split(table, starts[1:]), strict=True):
         lines = geometry.lines[pair]
         if len(rows) != lines or not np.array_equal(rows["line"], np.arange(lines)):
             problem = f"hasn't the lines 0 to {lines - 1} of pair {pair}, one row each"
-            raise InputError(problem, file=path, mend=_MEND)
+            raise InputError(problem, file=path, fix=_FIX)
         yield pair, rows
 
 
 def _table(path: Path, geometry: StripGeometry, columns: tuple[str, ...]) -> NDArray[Any]:
     most = _MOST_BYTES_A_ROW * (sum(geometry.lines) + 100)
-    header, _, rows = read_text(path, most, "offsets of these strips", _MEND).partition("\n")
+    header, _, rows = read_text(path, most, "offsets of these strips", _FIX).partition("\n")
     names = tuple(name.strip() for name in header.split(","))
     if not set(columns) <= set(names) or len(set(names)) < len(names):
-        raise FileError(f"hasn't the columns {', '.join(columns)}", file=path, mend=_MEND)
+        raise FileError(f"hasn't the columns {', '.join(columns)}", file=path, fix=_FIX)
     kinds = [("label", "U12") if name == "label" else (name, np.float64) for name in columns]
     places = [names.index(name) for name in columns]
     try:
@@ -116,8 +116,8 @@ def _table(path: Path, geometry: StripGeometry, columns: tuple[str, ...]) -> NDA
             table = np.loadtxt(file, kinds, delimiter=",", comments=None, usecols=places, ndmin=1)
     except ValueError as error:
         problem = "isn't a table of offsets: a row is short or holds no numbers"
-        raise FileError(problem, file=path, mend=_MEND) from error
+        raise FileError(problem, file=path, fix=_FIX) from error
     for name in columns:
         if name != "label" and not (np.abs(table[name]) <= _LARGEST).all():
-            raise FileError(f"has a {name} that is not finite", file=path, mend=_MEND)
+            raise FileError(f"has a {name} that is not finite", file=path, fix=_FIX)
     return table

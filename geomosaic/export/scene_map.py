@@ -100,6 +100,6 @@ def write_scene_map(
 def check_rpc_there(rpc: Rpc | None, scene: Path) -> Rpc:
     """`InputError` for a scene that nothing lays on a map."""
     if rpc is None:
-        mend = "give 'model' or 'rpc' in the geometry file and run the recipe again"
-        raise InputError("has neither a model nor an RPC", file=scene, mend=mend)
+        fix = "give 'model' or 'rpc' in the geometry file and run the recipe again"
+        raise InputError("has neither a model nor an RPC", file=scene, fix=fix)
     return rpc

@@ -139,7 +139,7 @@ def mosaic_window(mosaic: Raster, row: int, col: int, size: tuple[int, int], by:
 def _shown(mosaic: Raster, row: int, col: int, size: tuple[int, int], by: int) -> Bools:
     """Where any of the mosaic's pixels in one of the grid's is valid."""
     found = np.zeros((size[0] * by, size[1] * by), dtype=bool)
-    with reading(Path(mosaic.name), OWN.problem, OWN.mend):
+    with reading(Path(mosaic.name), OWN.problem, OWN.fix):
         valid = mosaic.dataset_mask(window=mosaic_window(mosaic, row, col, size, by)) > 0
     found[: valid.shape[0], : valid.shape[1]] = valid
     return np.asarray(found.reshape(size[0], by, size[1], by).any(axis=(1, 3)))

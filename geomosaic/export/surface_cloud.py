@@ -74,7 +74,7 @@ def _colours(mosaic: Raster, block: SurfaceBlock, by: int) -> NDArray[np.uint16]
     size = block.height_m.shape[0], block.height_m.shape[1]
     bands = [1, 2, 3] if mosaic.count >= 3 else [1, 1, 1]
     window = mosaic_window(mosaic, block.row, block.col, size, by)
-    with reading(Path(mosaic.name), OWN.problem, OWN.mend):
+    with reading(Path(mosaic.name), OWN.problem, OWN.fix):
         pixels = mosaic.read(bands, window=window)
         valid = mosaic.dataset_mask(window=window) > 0
     number = _sums(valid.astype(np.float32), size, by)

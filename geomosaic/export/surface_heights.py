@@ -66,11 +66,11 @@ def vertical_of(text: str) -> CRS | None:
     except CRSError as error:
         raise InputError(
             f"'{text}' is no vertical coordinate reference system",
-            mend="give ellipsoidal, or an EPSG code such as EPSG:5773",
+            fix="give ellipsoidal, or an EPSG code such as EPSG:5773",
         ) from error
     if not crs.is_vertical or crs.is_compound:
         raise InputError(
-            f"'{crs.name}' has no heights alone", mend="give a vertical CRS such as EPSG:5773 (EGM96)"
+            f"'{crs.name}' has no heights alone", fix="give a vertical CRS such as EPSG:5773 (EGM96)"
         )
     return crs
 
@@ -84,7 +84,7 @@ def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
     if is_local(grid.crs):
         if vertical is not None:
             raise InputError(
-                "a mosaic in a local frame has no heights above a geoid", mend="leave heights ellipsoidal"
+                "a mosaic in a local frame has no heights above a geoid", fix="leave heights ellipsoidal"
             )
         return HeightSystem(grid.crs, "", "above the local frame's origin, in its unit", none)
     share = np.linspace(0.0, 1.0, _GEOID_NODES)
@@ -95,8 +95,8 @@ def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
     try:
         undulation_m = ellipsoidal_offsets_m(vertical, lonlat[..., 0], lonlat[..., 1])
     except InputError as error:
-        mend = "write ellipsoidal heights (export.surface.heights=ellipsoidal), or install its grid"
-        raise InputError(error.problem, mend=mend) from error
+        fix = "write ellipsoidal heights (export.surface.heights=ellipsoidal), or install its grid"
+        raise InputError(error.problem, fix=fix) from error
     plane = CRS.from_user_input(grid.crs).to_2d()
     both = CompoundCRS(name=f"{plane.name} + {vertical.name}", components=[plane, vertical])
     return HeightSystem(both.to_wkt(), "", f"{vertical.name}, metres", undulation_m)

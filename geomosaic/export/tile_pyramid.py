@@ -92,7 +92,7 @@ class Pyramid:
         west, north = block[0] * size * side_m - EQUATOR_M / 2.0, EQUATOR_M / 2.0 - block[1] * size * side_m
         with (
             open_raster(self.mosaic, OWN) as tiff,
-            reading(self.mosaic, OWN.problem, OWN.mend),
+            reading(self.mosaic, OWN.problem, OWN.fix),
             WarpedVRT(
                 tiff, crs="EPSG:3857", transform=Affine(side_m, 0.0, west, 0.0, -side_m, north), width=size,
                 height=size, resampling=Resampling.bilinear if self.finer else Resampling.average,

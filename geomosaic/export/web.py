@@ -128,8 +128,8 @@ def _zooms(
     degrees. Raises `InputError` without a map."""
     with open_raster(mosaic_file, OWN) as tiff:
         if tiff.crs is None:
-            mend = "lay it on a map first, such as with geomosaic export map"
-            raise InputError("has no map projection", file=mosaic_file, mend=mend)
+            fix = "lay it on a map first, such as with geomosaic export map"
+            raise InputError("has no map projection", file=mosaic_file, fix=fix)
         check_on_earth(tiff.crs.to_wkt(), "web map")
         west, south, east, north = transform_bounds(tiff.crs, "OGC:CRS84", *tiff.bounds)
         gsd_m, side_m = tiff.res[0], max(tiff.width, tiff.height) * tiff.res[0]

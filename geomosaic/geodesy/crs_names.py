@@ -75,11 +75,11 @@ class StatedCrs:
         """Whether it says no less than the system itself: its code, definition or own name."""
         return not self.by_name or _plain(self.text) == _plain(crs.name)
 
-    def ambiguous(self, which: Iterable[CRS], mend: str) -> AmbiguousCrsError:
+    def ambiguous(self, which: Iterable[CRS], fix: str) -> AmbiguousCrsError:
         """The error that lists what the text may mean."""
         names = [label(crs) for crs in which]
         more = f" and {len(names) - 6} more" if len(names) > 6 else ""
-        return AmbiguousCrsError(f"{shown(self.text)} may be any of {', '.join(names[:6])}{more}", mend=mend)
+        return AmbiguousCrsError(f"{shown(self.text)} may be any of {', '.join(names[:6])}{more}", fix=fix)
 
 
 @lru_cache(maxsize=512)
@@ -135,20 +135,20 @@ def coded_crs(text: str) -> StatedCrs | None:
     return StatedCrs(text, ((code,),))
 
 
-def required_crs(text: str, mend: str) -> StatedCrs:
+def required_crs(text: str, fix: str) -> StatedCrs:
     """What a text that must name a CRS says.
 
-    Raises: `InputError` with the nearest names; mend: what to do where none is near.
+    Raises: `InputError` with the nearest names; fix: what to do where none is near.
     """
     try:
         found = stated_crs(text)
     except InputError as error:
-        raise InputError(error.problem, mend=mend) from error
+        raise InputError(error.problem, fix=fix) from error
     if found is None:
         near = nearest_names(text)
         raise InputError(
             f"{shown(text)} is no known coordinate reference system",
-            mend=f"did you mean {near}? Else {mend}" if near else mend,
+            fix=f"did you mean {near}? Else {fix}" if near else fix,
         )
     return found
 

@@ -44,7 +44,7 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
     if axis.direction != "up" or axis.unit_conversion_factor != 1.0:
         raise InputError(
             f"heights of '{vertical.name}' are counted {axis.direction} in {axis.unit_name}",
-            mend="convert them to metres upwards first",
+            fix="convert them to metres upwards first",
         )
     if not vertical.is_vertical or "ellips" in vertical.name.lower():
         return np.zeros(lon_deg.shape)
@@ -66,5 +66,5 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
     lacking = f" (one of {', '.join(sorted(grids)[:4])})" if grids else ""
     raise InputError(
         f"the geoid grid for '{vertical.name}' isn't installed{lacking}",
-        mend="give the ellipsoidal minus orthometric height (--dem-offset METRES), or install proj-data",
+        fix="give the ellipsoidal minus orthometric height (--dem-offset METRES), or install proj-data",
     )

@@ -46,7 +46,7 @@ def check_on_earth(crs: str, what: str) -> None:
     if is_local(crs) or CRS.from_user_input(crs).type_name == "Engineering CRS":
         raise InputError(
             f"a mosaic in a local frame has no place on the Earth: no {what} can be made of it",
-            mend="give the frames positions with --pos, or control points with --gcp",
+            fix="give the frames positions with --pos, or control points with --gcp",
         )
 
 
@@ -67,7 +67,7 @@ def map_crs(text: str, lonlat: tuple[float, float] | None = None) -> CRS:
                 raise stated.ambiguous(fitting, _GIVE_CODE)
             return fitting[0]
     raise InputError(
-        f"'{text}' is no map projection in metres", mend="give a projected CRS such as EPSG:32632"
+        f"'{text}' is no map projection in metres", fix="give a projected CRS such as EPSG:32632"
     )
 
 
@@ -108,7 +108,7 @@ def _map_from_geodetic(crs: str) -> Transformer:
         return Transformer.from_crs("EPSG:4979", CRS.from_user_input(crs).to_2d(), always_xy=True)
     except ProjError as error:
         problem = f"PROJ knows no way into the coordinate reference system ({error})"
-        raise InputError(problem, mend="give one with an EPSG code") from error
+        raise InputError(problem, fix="give one with an EPSG code") from error
 
 
 @lru_cache(maxsize=32)

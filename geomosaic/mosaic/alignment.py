@@ -35,14 +35,14 @@ class Alignment:
             raise InputError(
                 f"is in {ours}, but the mosaic in {theirs} (survey.read.crs)",
                 file=self.file,
-                mend=f"leave --crs out or give --crs {ours}, or align to a raster in {theirs}",
+                fix=f"leave --crs out or give --crs {ours}, or align to a raster in {theirs}",
             )
 
     def check_gsd(self, gsd_m: float) -> None:
         """`InputError` unless another ground pixel that was asked for is the raster's."""
         if abs(gsd_m / self.gsd_m - 1.0) > 1e-6:
             problem = f"has pixels of {self.gsd_m:.10g} m, but {gsd_m:g} m are asked for (mosaic.seams.gsd_m)"
-            raise InputError(problem, file=self.file, mend="leave --gsd out, or --align-to")
+            raise InputError(problem, file=self.file, fix="leave --gsd out, or --align-to")
 
 
 def read_alignment(path: Path) -> Alignment:
@@ -54,19 +54,19 @@ def read_alignment(path: Path) -> Alignment:
     with open_raster(path, REFERENCE) as raster:
         t = raster.transform
         if raster.crs is None or t.is_identity or not np.isfinite(t).all():
-            mend = "say where it lies (gdal_edit.py -a_srs EPSG:n -a_ullr WEST NORTH EAST SOUTH FILE)"
-            raise FileError("has no place on the map", file=path, mend=mend)
+            fix = "say where it lies (gdal_edit.py -a_srs EPSG:n -a_ullr WEST NORTH EAST SOUTH FILE)"
+            raise FileError("has no place on the map", file=path, fix=fix)
         crs = CRS.from_wkt(raster.crs.to_wkt())
         crs = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
         if not crs.is_projected or any(a.unit_conversion_factor != 1.0 for a in crs.axis_info[:2]):
-            mend = f"warp it to one first (gdalwarp -t_srs {_metric(raster, crs)} FILE OUT)"
-            raise FileError(f"is in {_name(crs)}, no map projection in metres", file=path, mend=mend)
+            fix = f"warp it to one first (gdalwarp -t_srs {_metric(raster, crs)} FILE OUT)"
+            raise FileError(f"is in {_name(crs)}, no map projection in metres", file=path, fix=fix)
         if t.b != 0.0 or t.d != 0.0 or t.a <= 0.0 or t.e >= 0.0:
             problem = "is turned or upside down: its rows don't run from west to east, the first in the north"
-            raise FileError(problem, file=path, mend=f"warp it first (gdalwarp -t_srs {_name(crs)} FILE OUT)")
+            raise FileError(problem, file=path, fix=f"warp it first (gdalwarp -t_srs {_name(crs)} FILE OUT)")
         if abs(t.a + t.e) * max(raster.width, raster.height) > _OFF_PX * t.a:
             problem = f"has pixels of {t.a:.10g} x {-t.e:.10g} m, no squares"
-            raise FileError(problem, file=path, mend=f"warp it first (gdalwarp -tr {t.a:g} {t.a:g} FILE OUT)")
+            raise FileError(problem, file=path, fix=f"warp it first (gdalwarp -tr {t.a:g} {t.a:g} FILE OUT)")
         return Alignment(path, crs.to_string(), float(t.a), (float(t.c), float(t.f)))
 
 

@@ -123,8 +123,8 @@ def read_outline(path: Path) -> Outline:
     except shapely.errors.GEOSException:
         whole = shapely.MultiPolygon()
     if not (whole.area > 0.0 and np.isfinite(shapely.bounds(whole)).all()):
-        mend = "correct it in a GIS (QGIS: Fix geometries)"
-        raise InputError("its polygons hold nothing, or have coordinates that are none", file=path, mend=mend)
+        fix = "correct it in a GIS (QGIS: Fix geometries)"
+        raise InputError("its polygons hold nothing, or have coordinates that are none", file=path, fix=fix)
     return Outline(path, whole, found.crs, mended)
 
 
@@ -136,7 +136,7 @@ def area_seen(outline: Outline, crs: str, views: Sequence[FrameView]) -> tuple[A
     """
     if is_local(crs):
         problem = "can't be found on a map that lies nowhere on Earth"
-        raise InputError(problem, file=outline.file, mend="give the frames positions, or control points")
+        raise InputError(problem, file=outline.file, fix="give the frames positions, or control points")
     boxes = shapely.box(*np.array([v.bounds_m for v in views]).T)
     frames = shapely.union_all(boxes)
     geometry, near = _on_map(outline, crs, frames.bounds)
@@ -174,7 +174,7 @@ def _on_map(outline: Outline, crs: str, bounds_m: Sequence[float]) -> tuple[Any,
         )
     except ProjError as error:
         problem = f"PROJ knows no way from its coordinate reference system to the map's ({error})"
-        raise InputError(problem, file=outline.file, mend="write it in one with an EPSG code") from error
+        raise InputError(problem, file=outline.file, fix="write it in one with an EPSG code") from error
     if not np.isfinite([west, south, east, north]).all():
         return shapely.MultiPolygon(), 0.0
     boxes = [shapely.box(west, south, east, north)]
@@ -208,7 +208,7 @@ def elsewhere(outline: Outline, crs: str, views: Sequence[FrameView]) -> InputEr
     return InputError(
         f"the area lies elsewhere than what the frames see: it at {area}, they at {survey}",
         file=outline.file,
-        mend=f"is its coordinate reference system right ({name})?",
+        fix=f"is its coordinate reference system right ({name})?",
     )
 
 

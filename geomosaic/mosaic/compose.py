@@ -230,19 +230,19 @@ def _written(raster: Raster, made: Kept[BlendedBlock]) -> list[Blended]:
 def common_kind(frames: Sequence[Frame]) -> Frame:
     """A frame whose bands and data type all share."""
     if not frames:
-        raise InputError("no frame is left to make a mosaic of", mend="check the positions and attitudes")
+        raise InputError("no frame is left to make a mosaic of", fix="check the positions and attitudes")
     first = frames[0]
     for frame in frames:
         if (frame.bands, frame.dtype) != (first.bands, first.dtype):
             raise InputError(
                 f"has {frame.bands} bands of {frame.dtype}, {first.name} {first.bands} of {first.dtype}",
                 file=frame.path,
-                mend="mosaic frames of one kind at a time",
+                fix="mosaic frames of one kind at a time",
             )
     if first.dtype not in DTYPES:
         raise InputError(
             f"pixels of type {first.dtype} can't be resampled",
             file=first.path,
-            mend=f"convert the frames to one of {', '.join(DTYPES)}",
+            fix=f"convert the frames to one of {', '.join(DTYPES)}",
         )
     return first

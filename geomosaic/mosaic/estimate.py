@@ -176,7 +176,7 @@ def estimate_scene(
         raise InputError(
             f"the scene would have {width_px:,} x {height_px:,} px, {gigapixels:,.3g} gigapixels, "
             f"more than {max_gigapixels:g}",
-            mend="check the strips' sizes and row_separation_lines, "
+            fix="check the strips' sizes and row_separation_lines, "
             f"or --set mosaic.strips.max_gigapixels={math.ceil(gigapixels)}",
         )
     pixels = filled_share * width_px * height_px

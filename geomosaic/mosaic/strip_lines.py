@@ -83,7 +83,7 @@ class StripLines:
             found = self._strip.read(1, window=Window(0, start, self.width_px, stop - start))
         except (RasterioError, ValueError, OSError) as error:
             raise FileError(
-                f"can't be read: {error}", file=self._path, mend="copy it again, then run once more"
+                f"can't be read: {error}", file=self._path, fix="copy it again, then run once more"
             ) from error
         self.lines_read += stop - start
         return np.asarray(found)

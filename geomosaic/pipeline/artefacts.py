@@ -2,7 +2,8 @@
 
 An artefact is an uncompressed zip with a tree in JSON (`tree.json`) and one `.npy` member for each
 array. Equal artefacts give equal bytes, so a hash of the bytes names the artefact. Nothing in the file
-is ever executed or imported: a class is known by its name only if the type asked for contains it.
+is ever executed or imported: a class is known by its name only if the type asked for contains it. A class
+may map names that its fields had in earlier versions to those they have (`FORMERLY`).
 """
 
 from __future__ import annotations
@@ -341,7 +342,8 @@ def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
         cls = known.get(tree["is"])
         if cls is None:
             raise ValueError(f"it holds a {tree['is']!r}, which doesn't belong there")
-        return cls(**{str(name): _value(v, file, known) for name, v in tree["fields"].items()})
+        names: Mapping[str, str] = getattr(cls, "FORMERLY", {})
+        return cls(**{names.get(n, str(n)): _value(v, file, known) for n, v in tree["fields"].items()})
     ((kind, content),) = tree.items()
     match kind:
         case "float":

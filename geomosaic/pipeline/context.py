@@ -225,7 +225,7 @@ class Context:
         """Where a file artefact lies. Raises `FileError` if it isn't there any more."""
         path = self._folder.within(file.name)
         if not path.exists():
-            raise FileError("the file is gone", file=path, mend="run the recipe again")
+            raise FileError("the file is gone", file=path, fix="run the recipe again")
         return path
 
     def map(

@@ -40,9 +40,9 @@ def found_frames(recording: Recording, folder: Path) -> dict[Path, Path]:
     they are called. Raises `FileError` if one isn't there."""
     wanted = dict(_recorded_files(recording))
     if not wanted:
-        raise InputError("it names no frames", file=recording.path, mend="replay without --frames")
+        raise InputError("it names no frames", file=recording.path, fix="replay without --frames")
     if not folder.is_dir():
-        raise FileError("no such folder", file=folder, mend="give the folder that holds the frames")
+        raise FileError("no such folder", file=folder, fix="give the folder that holds the frames")
     hashes = FileHashes()
     below: dict[str, Path] = {}
     for path in sorted(p for p in folder.absolute().rglob("*") if p.is_file()):
@@ -50,8 +50,8 @@ def found_frames(recording: Recording, folder: Path) -> dict[Path, Path]:
     missing = [path for path, mark in wanted.items() if mark not in below]
     if missing:
         count = f"{len(missing)} of {len(wanted)} files of the recorded survey aren't below it"
-        mend = "give the folder that holds them, unchanged"
-        raise FileError(f"{count}, the first is {missing[0].name}", file=folder, mend=mend)
+        fix = "give the folder that holds them, unchanged"
+        raise FileError(f"{count}, the first is {missing[0].name}", file=folder, fix=fix)
     return {path: below[mark] for path, mark in wanted.items()}
 
 
@@ -111,19 +111,19 @@ def with_thumbnails(
     gone = frames_gone(given)
     thumbnails = _thumbnails(recording)
     lacking = [f.name for f in gone if f.name not in thumbnails]
-    mend = "put the frames back there, or name their folder with --frames"
+    fix = "put the frames back there, or name their folder with --frames"
     if not gone:
         return recipe, dict(given), []
     if lacking:
         few = f"{len(lacking)} of them have no thumbnail in the recording, such as {lacking[0]}"
-        raise FileError(f"the frames are gone, and {few}", file=gone[0].path, mend=mend)
+        raise FileError(f"the frames are gone, and {few}", file=gone[0].path, fix=fix)
     steps, out = _without_pixels(recipe.steps, given)
     kept = {s.stage.id for s in steps}
     if lost := [s.stage.id for s in recipe.steps if s.stage.id in _WANTED and s.stage.id not in kept]:
         needed = next(s.stage for i, s in enumerate(recipe.steps) if i not in given and s.stage.wants_frames)
         without = "" if needed.id in lost else f", without which there is no {lost[0]}"
         problem = f"the frames are gone, and {needed.id} takes their pixels{without}"
-        raise FileError(problem, file=gone[0].path, mend=mend)
+        raise FileError(problem, file=gone[0].path, fix=fix)
     out.append("full resolution: the mosaic is of the recorded thumbnails")
     folder = output.absolute() / _STAND_INS
     made = {i: _standing_in(g, thumbnails, folder) for i, g in given.items()}
@@ -183,7 +183,7 @@ def _standing_in(given: Given, thumbnails: Mapping[str, bytes], folder: Path) ->
             name = f"{i:06d}.jpg"
             if not 0 < f.width_px * f.height_px <= _MOST_FRAME_PX:
                 problem = f"can't be {f.width_px} x {f.height_px} px, as the recording says"
-                raise FileError(problem, file=f.path, mend="take another copy of the recording")
+                raise FileError(problem, file=f.path, fix="take another copy of the recording")
             brought[f"{_STAND_INS}/{name}"] = partial(_enlarged, thumbnails[f.name], f.width_px, f.height_px)
             image = dataclasses.replace(f, path=str(folder / name), bands=3, dtype="uint8", valid_mask=None)
             frames.append(dataclasses.replace(image, nodata=None, whole_rows=None))

@@ -61,8 +61,8 @@ _tasks = _Tasks()
 def _guarded(version: str, function: Callable[[Any], Any], item: Any) -> tuple[Any, int, int]:
     """(result, process id, peak memory of that process in bytes); runs in the worker."""
     if version != __version__:
-        mine, mend = f"the worker on {socket.gethostname()} has geomosaic {__version__}", "install the same"
-        raise InputError(f"{mine}, the run {version}", mend=mend)
+        mine, fix = f"the worker on {socket.gethostname()} has geomosaic {__version__}", "install the same"
+        raise InputError(f"{mine}, the run {version}", fix=fix)
     cv2 = sys.modules.get("cv2")
     if cv2 is not None:
         cv2.setNumThreads(1)
@@ -282,12 +282,12 @@ class Workers:
         try:
             distributed: Any = importlib.import_module("distributed")
         except ImportError as error:
-            raise InputError("Dask is not installed", mend="pip install 'geomosaic[dask]'") from error
+            raise InputError("Dask is not installed", fix="pip install 'geomosaic[dask]'") from error
         try:
             self._client = distributed.Client(address, timeout=DASK_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(
-                f"no Dask scheduler answers at {address}", mend="start one or leave --dask away"
+                f"no Dask scheduler answers at {address}", fix="start one or leave --dask away"
             ) from error
         for name in ("distributed", "distributed.client"):  # whose lines are tracebacks when a cluster dies
             logging.getLogger(name).setLevel(logging.CRITICAL)

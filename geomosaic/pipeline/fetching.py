@@ -114,7 +114,7 @@ def _told(wanted: Sequence[Address], reporter: Reporter) -> tuple[list[Remote], 
     for remote in found:
         if remote.size_bytes > _MOST_BYTES:
             problem = f"has {remote.size_bytes / 1e9:,.1f} GB, more than {_MOST_BYTES >> 30} GiB"
-            raise InputError(problem, file=remote.address.text, mend="is it the right file?")
+            raise InputError(problem, file=remote.address.text, fix="is it the right file?")
     return found, skipped
 
 
@@ -125,20 +125,20 @@ def _is_wanted(address: Address) -> bool:
 def _check_names(addresses: Sequence[Address]) -> None:
     """`InputError` for two files of one name; capitals don't tell them apart on every disk."""
     if len(addresses) > MOST_FILES:
-        raise InputError(f"more than {MOST_FILES:,} files are asked for", mend="fetch one survey at a time")
+        raise InputError(f"more than {MOST_FILES:,} files are asked for", fix="fetch one survey at a time")
     by_name: dict[str, Address] = {}
     for address in addresses:
         other = by_name.setdefault(address.name.casefold(), address)
         if other is not address:
             problem = f"its name is that of {other.text} too"
-            raise InputError(problem, file=address.text, mend="fetch them into two folders")
+            raise InputError(problem, file=address.text, fix="fetch them into two folders")
 
 
 def _check_room(left: Sequence[Remote], folder: Path) -> None:
     needed, free = sum(remote.size_bytes for remote in left), shutil.disk_usage(folder).free
     if left and needed + _SPARE_BYTES > free:
         problem = f"{needed / 1e9:,.2f} GB are to be fetched, and {free / 1e9:,.2f} GB are free"
-        raise OutputError(problem, file=folder, mend="free some or choose another folder")
+        raise OutputError(problem, file=folder, fix="free some or choose another folder")
 
 
 class _Noted:
@@ -184,7 +184,7 @@ class _Noted:
             return
         changed = remote.address.name in self._entries
         problem = "was changed since it was fetched" if changed else "is in the way: it was not fetched"
-        raise OutputError(problem, file=path, mend="move it away, or allow it with --overwrite")
+        raise OutputError(problem, file=path, fix="move it away, or allow it with --overwrite")
 
     def add(self, remotes: Sequence[Remote]) -> None:
         """Notes what is about to be fetched; of a file that is to be replaced, once the new one is whole."""
@@ -252,7 +252,7 @@ def _locked(folder: Path) -> Iterator[None]:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError as error:
-        problem, mend = "another fetch is writing here", "wait for it or choose another folder"
-        raise OutputError(problem, file=folder, mend=mend) from error
+        problem, fix = "another fetch is writing here", "wait for it or choose another folder"
+        raise OutputError(problem, file=folder, fix=fix) from error
     finally:
         os.close(handle)

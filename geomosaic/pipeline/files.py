@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, TypeGuard
 from geomosaic.errors import GeomosaicError, LinkError, OutputError
 
 _LEFTOVER = re.compile(r"\..+\.\d+\.geomosaic\.(part(\..+)?|old)")
-_MENDS = {
+_FIXES = {
     errno.ENOSPC: ("no space left on the disk", "free some or choose another output folder"),
     errno.EDQUOT: ("the disk quota is used up", "free some or choose another output folder"),
     errno.EACCES: ("no permission to write", "choose an output folder of your own"),
@@ -38,10 +38,10 @@ def is_output_error(error: BaseException) -> TypeGuard[OSError]:
 
 def output_error(error: OSError, path: Path) -> OutputError:
     """What the user can do about a failed write."""
-    problem, mend = _MENDS.get(
+    problem, fix = _FIXES.get(
         error.errno or 0, (f"can't be written ({error.strerror or error})", "see the disk")
     )
-    return OutputError(problem, file=path, mend=mend)
+    return OutputError(problem, file=path, fix=fix)
 
 
 def make_folder(folder: Path) -> Path:
@@ -164,7 +164,7 @@ def path_within(folder: Path, name: str) -> Path:
     for part in parts:
         at = at / part
         if at.is_symlink():
-            raise LinkError("is a link, and links are not followed there", file=at, mend="remove it")
+            raise LinkError("is a link, and links are not followed there", file=at, fix="remove it")
     return at
 
 

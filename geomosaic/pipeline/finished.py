@@ -20,11 +20,11 @@ def read_summary(run_folder: Path) -> dict[str, Any]:
     path = files.path_within(run_folder, RUN_JSON)
     if not path.exists():
         raise FileError(
-            f"is no finished run ({RUN_JSON} is missing)", file=run_folder, mend="give a run's folder"
+            f"is no finished run ({RUN_JSON} is missing)", file=run_folder, fix="give a run's folder"
         )
     summary = read_json(path, _MAX_BYTES, "a run's summary", "run the recipe again")
     if not isinstance(summary, dict) or not isinstance(summary.get("artefacts"), dict):
-        raise FileError("doesn't describe a run", file=path, mend="run the recipe again")
+        raise FileError("doesn't describe a run", file=path, fix="run the recipe again")
     return summary
 
 
@@ -35,7 +35,7 @@ def load_artefact(run_folder: Path, summary: dict[str, Any], name: str, kind: ty
     """
     entry = summary["artefacts"].get(name)
     if not isinstance(entry, dict) or entry.get("type") != type_name(kind):
-        raise FileError(f"this run made no '{name}'", file=run_folder, mend="run a recipe that does")
+        raise FileError(f"this run made no '{name}'", file=run_folder, fix="run a recipe that does")
     try:
         with files.open_own(files.path_within(run_folder, str(entry.get("file")))) as file:
             return decode(file, kind)
@@ -44,4 +44,4 @@ def load_artefact(run_folder: Path, summary: dict[str, Any], name: str, kind: ty
     for kept in reversed(recording.artefacts):
         if kept.name == name and kept.fingerprint == entry.get("fingerprint"):
             return decode(artefact_data(recording, kept), kind)
-    raise FileError(f"holds no '{name}' any more", file=run_folder, mend="run the recipe again")
+    raise FileError(f"holds no '{name}' any more", file=run_folder, fix="run the recipe again")

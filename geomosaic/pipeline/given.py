@@ -132,14 +132,14 @@ def given_stages(recording: Recording, recipe: Recipe, count: int) -> dict[int, 
     counts = {len(a.poses) for a in artefacts if isinstance(getattr(a, "poses", None), Poses)}
     if len(surveys) > 1 or len(counts | {len(s) for s in surveys}) > 1:
         problem = "its surveys and poses are of different frames"
-        raise FileError(problem, file=recording.path, mend="run the recipe itself")
+        raise FileError(problem, file=recording.path, fix="run the recipe itself")
     return given
 
 
 def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
     """The recorded outcome of a recipe's step. Raises `FileError` if it isn't there, whole."""
     stage = recipe.steps[index].stage
-    mend = f"replay with --from {stage.id} or an earlier stage"
+    fix = f"replay with --from {stage.id} or an earlier stage"
     record = next(
         (s for s in recording.stages if s.index == index and s.stage_id == stage.id and s.finished), None
     )
@@ -152,7 +152,7 @@ def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
     }
     if record is None or not entries.keys() >= stage.outputs.keys():
         problem = f"the recording has no whole outcome of stage {stage.id}"
-        raise FileError(problem, file=recording.path, mend=mend)
+        raise FileError(problem, file=recording.path, fix=fix)
     try:
         outputs: dict[str, Any] = {
             name: decode(_as_recorded(recording, record, entries[name]), kind)
@@ -160,7 +160,7 @@ def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
         }
         notes = Notes.from_plain(record.notes)
     except FileError as error:
-        raise FileError(error.problem, file=recording.path, mend=mend) from error
+        raise FileError(error.problem, file=recording.path, fix=fix) from error
     return Given(recording, record, entries, outputs, notes)
 
 
@@ -197,8 +197,8 @@ def bring_files(recipe: Recipe, given: Mapping[int, Given], folder: RunFolder) -
                     with folder.writing(file) as temporary:
                         shutil.copyfile(source, temporary, follow_symlinks=False)
                 elif name in wanted:
-                    mend = f"replay with --from {recipe.steps[index].stage.id} or an earlier stage"
-                    raise FileError(f"the file of '{name}' is gone", file=source, mend=mend)
+                    fix = f"replay with --from {recipe.steps[index].stage.id} or an earlier stage"
+                    raise FileError(f"the file of '{name}' is gone", file=source, fix=fix)
 
 
 def _named_files(artefact: Any) -> list[str]:

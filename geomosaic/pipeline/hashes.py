@@ -174,6 +174,4 @@ def _is_file(path: Path) -> bool:
 
 
 def _changed(path: Path) -> FileError:
-    return FileError(
-        "was changed while the run read it", file=path, mend="run again once nobody writes to it"
-    )
+    return FileError("was changed while the run read it", file=path, fix="run again once nobody writes to it")

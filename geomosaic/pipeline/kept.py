@@ -207,7 +207,7 @@ class Lent(Generic[Item, Result]):
             data[: self.head_bytes]
         )  # what is unpickled is what was checked, whoever writes meanwhile
         if fingerprint_of_bytes(head, data[self.head_bytes :]) != self.mark:
-            raise FileError("isn't what the run wrote", file=self.path, mend="run again")
+            raise FileError("isn't what the run wrote", file=self.path, fix="run again")
         (count,) = _LENGTH.unpack_from(head)
         ends, at = [], (1 + count) * _LENGTH.size
         for (length,) in _LENGTH.iter_unpack(head[_LENGTH.size : at]):
@@ -263,7 +263,7 @@ def _read(path: Path, read: Callable[[typing.BinaryIO], Result]) -> Result:
         raise FileError(
             f"isn't there for the process at work on {socket.gethostname()}",
             file=path,
-            mend="with --dask the run folder must have the same path on all machines; else run again",
+            fix="with --dask the run folder must have the same path on all machines; else run again",
         ) from error
     except OSError as error:
-        raise FileError(f"can't be read ({error.strerror or error})", file=path, mend="run again") from error
+        raise FileError(f"can't be read ({error.strerror or error})", file=path, fix="run again") from error

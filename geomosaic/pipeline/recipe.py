@@ -32,7 +32,7 @@ RUN_JSON = "run.json"
 RECORDING = "run.mcap"
 UNFINISHED = "run.unfinished.mcap"
 _MAX_BYTES = 1 << 20
-_MEND = "see docs/recipes.md"
+_FIX = "see docs/recipes.md"
 _KEYS = ("name", "description", "seed", "stages")
 
 
@@ -73,11 +73,11 @@ class Recipe:
             for name, path in file_values(step.params).items():
                 check_name(path)
                 if (address := address_in(path)) is not None and not _exists(path):
-                    mend = "files at URLs are fetched first: geomosaic fetch LIST_OR_URL -o FOLDER"
-                    raise FileError("is no path of a file on this machine", file=address, mend=mend)
+                    fix = "files at URLs are fetched first: geomosaic fetch LIST_OR_URL -o FOLDER"
+                    raise FileError("is no path of a file on this machine", file=address, fix=fix)
                 if not _exists(path):
-                    mend = f"give an existing one for {step.stage.id}.{name}"
-                    raise FileError("no such file or folder", file=path, mend=mend)
+                    fix = f"give an existing one for {step.stage.id}.{name}"
+                    raise FileError("no such file or folder", file=path, fix=fix)
                 if run_folder is not None:
                     self._check_apart(path, run_folder)
         for step in steps:
@@ -95,16 +95,16 @@ class Recipe:
     def _check_apart(self, given: Path, run_folder: Path) -> None:
         """No folder is read and written to at once, and nothing is read where the cache is tidied."""
         path, folder = given.resolve(), run_folder.resolve()
-        mend = "give another output folder"
+        fix = "give another output folder"
         if path == folder:
             problem = "would be read and written at once, and results be taken for frames"
-            raise InputError(problem, file=given, mend=mend)
+            raise InputError(problem, file=given, fix=fix)
         if path == folder / "work" or folder / "work" in path.parents:
             problem = f"lies in the run's cache {folder / 'work'}, which is tidied"
-            raise InputError(problem, file=given, mend=mend)
+            raise InputError(problem, file=given, fix=fix)
         if path.parent == folder and path.name in self.results():
             problem = "would be overwritten by the run's own file of that name"
-            raise InputError(problem, file=given, mend=mend)
+            raise InputError(problem, file=given, fix=fix)
 
 
 def _exists(path: Path) -> bool:
@@ -129,7 +129,7 @@ def parse_recipe(
     base: Path | None = None,
 ) -> Recipe:
     """A recipe from YAML, see `recipe_from`."""
-    return recipe_from(plain_yaml(text, file, _MEND), registry, overrides, file=file, base=base)
+    return recipe_from(plain_yaml(text, file, _FIX), registry, overrides, file=file, base=base)
 
 
 def recipe_from(
@@ -145,10 +145,10 @@ def recipe_from(
 
     overrides: `stage.id.param=value`; the value is a YAML scalar. base: the folder that relative paths
     start from (default: the current one). given: artefacts that are there before the first stage.
-    Raises `InputError` and its kin with one line that names the file, the stage and the mend.
+    Raises `InputError` and its kin with one line that names the file, the stage and the fix.
     """
     if not isinstance(plain, dict) or not isinstance(plain.get("stages"), list) or not plain["stages"]:
-        raise InputError("has no list 'stages'", file=file, mend=_MEND)
+        raise InputError("has no list 'stages'", file=file, fix=_FIX)
     if unknown := [key for key in plain if key not in _KEYS]:
         raise UnknownNameError("key", shown(unknown[0]).strip("'"), _KEYS, file=file)
     seed = plain.get("seed", 0)
@@ -175,15 +175,13 @@ def _entry(entry: Any, i: int, file: str | None) -> tuple[str, dict[str, Any]]:
     if isinstance(entry, str):
         return entry, {}
     if not isinstance(entry, dict) or not isinstance(entry.get("stage"), str):
-        raise InputError(f"stage number {i + 1} has no name", file=file, mend="write '- stage: ID'")
+        raise InputError(f"stage number {i + 1} has no name", file=file, fix="write '- stage: ID'")
     if unknown := [key for key in entry if key not in ("stage", "params")]:
         kind = f"key of stage {entry['stage']}"
         raise UnknownNameError(kind, str(unknown[0]), ("stage", "params"), file=file)
     params = entry.get("params") or {}
     if not isinstance(params, dict):
-        raise InputError(
-            f"stage {entry['stage']}: params is no mapping", file=file, mend="write 'key: value'"
-        )
+        raise InputError(f"stage {entry['stage']}: params is no mapping", file=file, fix="write 'key: value'")
     return entry["stage"], {str(key): value for key, value in params.items()}
 
 
@@ -204,7 +202,7 @@ def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[st
     target, equals, text = override.partition("=")
     id, dot, name = target.strip().rpartition(".")
     if not (equals and dot and id and name):
-        raise InputError(f"--set {override}: not understood", mend="write --set stage.id.parameter=value")
+        raise InputError(f"--set {override}: not understood", fix="write --set stage.id.parameter=value")
     if id not in (stage.id for stage in stages):
         raise UnknownNameError(
             "stage of this recipe", id, (stage.id for stage in stages), file=f"--set {override}"
@@ -216,7 +214,7 @@ def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[st
                 raise UnknownNameError(
                     f"parameter of stage {id}", name, stage.Params.model_fields, file=f"--set {override}"
                 )
-            value = plain_yaml(text, f"--set {override}", _MEND)
+            value = plain_yaml(text, f"--set {override}", _FIX)
             as_text = isinstance(value, str | int | float) and not isinstance(value, bool)
             if as_text and (accepts(field.annotation, Path) or accepts(field.annotation, str)):
                 value = text
@@ -232,9 +230,9 @@ def check_wiring(stages: Sequence[type[Stage]], given: Mapping[str, type], file:
                 if name in stage.optional_inputs:
                     continue
                 later = [s.id for s in stages[i + 1 :] if name in s.outputs]
-                mend = f"move {later[0]} before it" if later else f"add a stage that gives '{name}' before it"
+                fix = f"move {later[0]} before it" if later else f"add a stage that gives '{name}' before it"
                 raise InputError(
-                    f"stage {stage.id} needs '{name}', which no earlier stage gives", file=file, mend=mend
+                    f"stage {stage.id} needs '{name}', which no earlier stage gives", file=file, fix=fix
                 )
             kind, source = there[name]
             if not _fits(kind, wanted):
@@ -246,7 +244,7 @@ def check_wiring(stages: Sequence[type[Stage]], given: Mapping[str, type], file:
         for name in stage.outputs:
             if name in there and name not in taken:
                 problem = f"gives '{name}', which {there[name][1]} has given and it doesn't take"
-                raise InputError(f"stage {stage.id} {problem}", file=file, mend="leave one of them out")
+                raise InputError(f"stage {stage.id} {problem}", file=file, fix="leave one of them out")
         there.update({name: (kind, stage.id) for name, kind in stage.outputs.items()})
 
 

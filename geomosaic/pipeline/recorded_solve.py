@@ -33,7 +33,7 @@ def solved_of(recording: Recording) -> Solved | None:
         warned(recording),
     )
     if problem := solved.problem():
-        raise FileError(problem, file=recording.path, mend="run the recipe again")
+        raise FileError(problem, file=recording.path, fix="run the recipe again")
     return solved
 
 
@@ -44,6 +44,6 @@ def _last(recording: Recording, name: str, kind: type[Kind]) -> Kind | None:
             try:
                 value: Kind = decode(artefact_data(recording, entry), kind)
             except FileError as error:
-                raise FileError(f"{name}: {error.problem}", file=recording.path, mend=error.mend) from error
+                raise FileError(f"{name}: {error.problem}", file=recording.path, fix=error.fix) from error
             return value
     return None

@@ -47,7 +47,7 @@ class RunFolder:
             raise OutputError(
                 "is not empty and not geomosaic's",
                 file=path,
-                mend="choose a new or empty folder, or allow it with --overwrite",
+                fix="choose a new or empty folder, or allow it with --overwrite",
             )
         for name in results:
             folder._check_free(name)
@@ -114,7 +114,7 @@ class RunFolder:
             yield
         except BlockingIOError as error:
             raise OutputError(
-                "another run is writing here", file=self.path, mend="wait for it or choose another folder"
+                "another run is writing here", file=self.path, fix="wait for it or choose another folder"
             ) from error
         finally:
             os.close(handle)
@@ -131,7 +131,7 @@ class RunFolder:
         path = self.within(name)
         if name in self._made or self.overwrite or not os.path.lexists(path):
             return
-        raise OutputError("is in the way, and geomosaic did not make it", file=path, mend=_OVERWRITE)
+        raise OutputError("is in the way, and geomosaic did not make it", file=path, fix=_OVERWRITE)
 
     def _listed(self) -> set[str]:
         try:

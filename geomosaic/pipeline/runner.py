@@ -223,7 +223,7 @@ class _Run:
                 raise FileError(
                     "has changed since the recording, which holds the old one",
                     file=path,
-                    mend="run the recipe again, or put the old file back",
+                    fix="run the recipe again, or put the old file back",
                 )
 
     def _tidy(self) -> None:
@@ -280,7 +280,7 @@ class _Run:
             if self._summary["cached_stages"] and may_be_forged_data(error):
                 work = self._folder.within(WORK)
                 problem = f"{stage.id} fails on what is kept there ({type(error).__name__}: {error})"
-                raise FileError(problem, file=work, mend="remove it and run again") from error
+                raise FileError(problem, file=work, fix="remove it and run again") from error
             raise
         kept = self._cache.keep(stage, task.key, values, task.context, task.lineage, task.voice.spool)
         return kept, "work", task.seconds if early else 0.0

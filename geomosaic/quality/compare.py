@@ -87,7 +87,7 @@ def compare(
     """
     if not (16 <= patch_px <= 512 and 1 <= step_px <= 4096 and 1 <= search_px <= 4096):
         raise InputError(
-            "patch, step or search out of bounds", mend="patch 16 to 512 px, step and search up to 4096 px"
+            "patch, step or search out of bounds", fix="patch 16 to 512 px, step and search up to 4096 px"
         )
     with ExitStack() as stack:
         a = stack.enter_context(open_map(mosaic))
@@ -98,7 +98,7 @@ def compare(
         side = max(step_px, _BLOCK_PX // step_px * step_px)
         windows = list(blocks(a.height, a.width, side) if parts is None else parts)
         if not windows:
-            raise InputError("none of its parts lies in the mosaic", file=reference, mend="give others")
+            raise InputError("none of its parts lies in the mosaic", file=reference, fix="give others")
         glanced = [Window(0, 0, a.width, a.height)] if parts is None else windows
         tones = _tones(a, pair, glanced, match_tone, mosaic, reference)
         compared: list[_Part] = []
@@ -110,7 +110,7 @@ def compare(
             progress(len(windows), len(windows))
         if not any(p.shared_px for p in compared):
             raise InputError(
-                "does not overlap the mosaic", file=reference, mend="give a reference of the same place"
+                "does not overlap the mosaic", file=reference, fix="give a reference of the same place"
             )
         t = a.transform
         affine = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f]]) * metres
@@ -275,11 +275,11 @@ def _tones(
         read.append([part.ravel() for image in images for part in image])
     a, a_valid, b, b_valid = map(np.concatenate, zip(*read, strict=True))
     if not a_valid.any():
-        raise FileError("has no valid pixel", file=path, mend="give a mosaic with pixels in it")
+        raise FileError("has no valid pixel", file=path, fix="give a mosaic with pixels in it")
     both = a_valid & b_valid
     if not both.any():
         raise InputError(
-            "does not overlap the mosaic", file=reference, mend="give a reference of the same place"
+            "does not overlap the mosaic", file=reference, fix="give a reference of the same place"
         )
     eight_bits = mosaic.dtypes[0] == "uint8" and pair.dtypes[0] == "uint8"
     span = 255.0 if eight_bits else max(float(np.ptp(b[both])), 1e-6)

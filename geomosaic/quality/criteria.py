@@ -26,7 +26,7 @@ class Criterion:
     bad: float
     unit: str
     cause: str
-    mend: str
+    fix: str
     reason: str
     inner: bool = False
     of_land: bool = False

@@ -53,11 +53,11 @@ def _rows(path: Path) -> dict[str, list[float]]:
         reader = csv.DictReader(io.StringIO(text, newline=""))
         columns, rows = reader.fieldnames or (), list(reader)
     except csv.Error as error:
-        raise FileError(f"can't be read: {error}", file=path, mend="give a positions.csv") from error
+        raise FileError(f"can't be read: {error}", file=path, fix="give a positions.csv") from error
     missing = [c for c in ("frame", *_NUMBERS) if c not in columns]
     if missing:
         raise FileError(
-            f"no column '{missing[0]}'", file=path, mend="give a positions.csv as geomosaic writes it"
+            f"no column '{missing[0]}'", file=path, fix="give a positions.csv as geomosaic writes it"
         )
     out = {}
     for line, row in enumerate(rows, start=2):
@@ -69,5 +69,5 @@ def _rows(path: Path) -> dict[str, list[float]]:
                 raise ValueError("a number isn't finite")
             out[row["frame"]] = numbers
         except (ValueError, TypeError) as error:
-            raise FileError(f"line {line}: {error}", file=path, mend="correct the row") from error
+            raise FileError(f"line {line}: {error}", file=path, fix="correct the row") from error
     return out

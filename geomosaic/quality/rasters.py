@@ -26,14 +26,14 @@ def open_map(path: Path) -> Raster:
     dataset = open_raster(path, REFERENCE)
     if dataset.crs is None or dataset.transform.is_identity:
         dataset.close()
-        raise FileError("has no coordinate reference system", file=path, mend=REFERENCE.mend)
+        raise FileError("has no coordinate reference system", file=path, fix=REFERENCE.fix)
     return dataset
 
 
 def pixel_m(dataset: Raster, path: Path) -> tuple[float, float]:
     """Side of the pixel in metres, and metres per unit of the map."""
     if not dataset.crs.is_projected:
-        raise FileError("is not in a map projection", file=path, mend="warp it to a projected CRS first")
+        raise FileError("is not in a map projection", file=path, fix="warp it to a projected CRS first")
     metres = float(dataset.crs.linear_units_factor[1])
     return float(np.sqrt(abs(dataset.transform.determinant))) * metres, metres
 
@@ -54,7 +54,7 @@ def on_grid_of(mosaic: Raster, other: Raster, path: Path, transform: Affine | No
         )
     except RasterioError as error:
         raise InputError(
-            "can't be brought into the mosaic's CRS", file=path, mend="warp it to the mosaic's CRS first"
+            "can't be brought into the mosaic's CRS", file=path, fix="warp it to the mosaic's CRS first"
         ) from error
 
 

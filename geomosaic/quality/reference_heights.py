@@ -73,12 +73,12 @@ def read_reference(
 
 def _crs_of(path: Path, crs: CRS | None) -> CRS:
     if crs is None:
-        mend = "assign its coordinate reference system (pdal translate --writers.las.a_srs=EPSG:n)"
-        raise FileError("the point cloud has no coordinate reference system", file=path, mend=mend)
+        fix = "assign its coordinate reference system (pdal translate --writers.las.a_srs=EPSG:n)"
+        raise FileError("the point cloud has no coordinate reference system", file=path, fix=fix)
     level = crs.sub_crs_list[0] if crs.is_compound else crs
     if not level.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in level.axis_info):
         problem = f"the point cloud's coordinate reference system '{level.name}' is no map in metres"
-        raise FileError(problem, file=path, mend="reproject it to a map projection in metres")
+        raise FileError(problem, file=path, fix="reproject it to a map projection in metres")
     return crs
 
 
@@ -100,8 +100,8 @@ def _datum(
         added_m = ellipsoidal_offset_m(theirs, *lonlat)
         added_m -= 0.0 if ours is None else ellipsoidal_offset_m(ours, *lonlat)
     except InputError as error:
-        mend = "give what is to be added to its heights (quality.surface.offset_m)"
-        raise InputError(error.problem, file=path, mend=mend) from error
+        fix = "give what is to be added to its heights (quality.surface.offset_m)"
+        raise InputError(error.problem, file=path, fix=fix) from error
     return added_m, f"{theirs.name}, offset {added_m:+.2f} m"
 
 

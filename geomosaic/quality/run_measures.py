@@ -80,8 +80,8 @@ def measure_polygons(rasters: RunRasters, polygons: Shapes, file: Path) -> tuple
         found = []
         for number, polygon in enumerate(on_map(polygons, crs, file), start=1):
             if not polygon.is_valid or polygon.area == 0.0:
-                mend = "correct it in a GIS (QGIS: Fix geometries)"
-                raise InputError(f"polygon {number} crosses itself or is empty", file=file, mend=mend)
+                fix = "correct it in a GIS (QGIS: Fix geometries)"
+                raise InputError(f"polygon {number} crosses itself or is empty", file=file, fix=fix)
             sd_m = relative_sd_m(accuracy, rasters.summary, shapely.get_coordinates(polygon))
             found.append(MeasuredPolygon(area_of(polygon, sd_m, scale, crs), _volume(rasters, polygon)))
     return crs.name, found
@@ -94,15 +94,15 @@ def on_map(shapes: Shapes, crs: CRS, file: Path) -> list[Any]:
         way = Transformer.from_crs(shapes.crs, crs.to_2d(), always_xy=True)
     except ProjError as error:
         problem = f"PROJ knows no way from its coordinate reference system to the map's ({error})"
-        raise InputError(problem, file=file, mend="write it in one with an EPSG code") from error
+        raise InputError(problem, file=file, fix="write it in one with an EPSG code") from error
 
     def there(at: Floats) -> Floats:
         return np.column_stack(way.transform(at[:, 0], at[:, 1]))
 
     found = [shapely.transform(shape, there) for shape in shapes.geometries]
     if not all(np.isfinite(shapely.get_coordinates(shape)).all() for shape in found):
-        mend = "check its coordinate reference system"
-        raise InputError("has coordinates that are nowhere on the run's map", file=file, mend=mend)
+        fix = "check its coordinate reference system"
+        raise InputError("has coordinates that are nowhere on the run's map", file=file, fix=fix)
     return found
 
 
@@ -168,7 +168,7 @@ def _sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
     window, out = _window(raster, at_m), np.full(len(at_m), np.nan)
     if not (window.width and window.height):
         return out
-    with reading(Path(raster.name), OWN.problem, OWN.mend):
+    with reading(Path(raster.name), OWN.problem, OWN.fix):
         values = raster.read(band, window=window, masked=True)
     known = np.asarray(values.astype(np.float64).filled(np.nan))
     cols, rows = _pixels(raster, at_m)

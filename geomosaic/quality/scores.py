@@ -54,7 +54,7 @@ CRITERIA = (
 
 _MOST_BYTES = tuned(64_000, "bytes", "of a scores file: the form saves some 500")
 _MOST_LETTERS = tuned(200, "letters", "of a run's or viewer's name: more do not fit a line")
-_MEND: Final = "give files that a report's score form saved"
+_FIX: Final = "give files that a report's score form saved"
 
 
 @dataclass(frozen=True)
@@ -78,15 +78,15 @@ class RunScores:
 
 def read_opinion(path: Path) -> Opinion:
     """A file of a report's form. Raises: `FileError` where it is anything else."""
-    told = read_json(path, _MOST_BYTES, "scores", _MEND)
+    told = read_json(path, _MOST_BYTES, "scores", _FIX)
     given = told.get("scores") if isinstance(told, dict) else None
     if not isinstance(given, dict):
-        raise FileError("holds no scores", file=path, mend=_MEND)
+        raise FileError("holds no scores", file=path, fix=_FIX)
     levels, scores = {level.score for level in CCIR_500_1}, {}
     for criterion in CRITERIA:
         score: Any = given.get(criterion.key)
         if type(score) is not int or score not in levels:
-            raise FileError(f"has no score of 1 to 5 for {criterion.key!r}", file=path, mend=_MEND)
+            raise FileError(f"has no score of 1 to 5 for {criterion.key!r}", file=path, fix=_FIX)
         scores[criterion.key] = score
     run, viewer, date = (printable(str(told.get(k) or ""))[:_MOST_LETTERS] for k in ("run", "viewer", "date"))
     return Opinion(run or printable(path.stem), viewer, date, scores)

@@ -31,7 +31,7 @@ class SurfaceComparison:
 
     datum: how their heights were brought together. by_slope: of the surface, between pixels; by_kind: the
     reference's classes; by_support: matched, or held by what lies around. fit: what shift and tilt of the
-    reference would mend, after_fit: what is left then. difference_m: (rows, cols) means in cells of cell_m
+    reference would fix, after_fit: what is left then. difference_m: (rows, cols) means in cells of cell_m
     from the upper left corner (west_m, north_m), NaN where nothing could be compared.
     """
 
@@ -60,13 +60,13 @@ def compare_surface(
     with open_raster(surface, OWN) as raster, open_raster(confidence, OWN) as support:
         check_on_earth(raster.crs.to_wkt(version="WKT2_2019"), "comparison with a reference")
         heights = _Heights(raster, surface)
-        with reading(confidence, OWN.problem, OWN.mend):
+        with reading(confidence, OWN.problem, OWN.fix):
             views = support.read(2)
         points = read_reference(reference, raster, offset_m, warn)
     off = heights.at(points.east_m, points.north_m) - points.height_m
     known = np.isfinite(off)
     if not known.any():
-        raise InputError("does not overlap the surface", file=reference, mend="give one of the same place")
+        raise InputError("does not overlap the surface", file=reference, fix="give one of the same place")
     off, at = off[known], heights.pixel(points.east_m[known], points.north_m[known])
     slopes, slope_names = slope_classes(heights.slope_deg()[at])
     matched = (views[at] > 0).astype(np.intp)
@@ -102,7 +102,7 @@ class _Heights:
     """A surface's raster in memory, as the surface it was made of."""
 
     def __init__(self, raster: Raster, path: Path) -> None:
-        with reading(path, OWN.problem, OWN.mend):
+        with reading(path, OWN.problem, OWN.fix):
             self._m = np.where(raster.read_masks(1) > 0, raster.read(1), np.float32(np.nan))
         self.pixel_m, self.west_m, self.north_m = raster.transform.a, raster.transform.c, raster.transform.f
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from scipy.stats import norm
@@ -32,12 +32,13 @@ class Evidence:
     """One reason: a figure and its grade; the likely cause and the fix where it is not good. effect: what it
     does to the map in metres, and where."""
 
+    FORMERLY: ClassVar[dict[str, str]] = {"mend": "fix"}
     name: str
     value: float
     unit: str
     grade: str
     cause: str = ""
-    mend: str = ""
+    fix: str = ""
     effect: str = ""
 
     @property
@@ -56,10 +57,11 @@ class Verdict:
     was drawn from.
     """
 
+    FORMERLY: ClassVar[dict[str, str]] = {"mend": "fix"}
     grade: str
     text: str
     cause: str
-    mend: str
+    fix: str
     evidence: tuple[Evidence, ...]
     accuracy: Accuracy
     required: Requirement
@@ -102,7 +104,7 @@ def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Req
         grade=GRADES[0] if noted else worst.grade,
         text=_text(adjusted, figures, metres(required.local_m)),
         cause="" if noted else _cause(worst),
-        mend="" if noted else worst.mend,
+        fix="" if noted else worst.fix,
         evidence=evidence,
         accuracy=accuracy,
         required=required,
@@ -142,7 +144,7 @@ def _some(names: Sequence[str]) -> str:
 def _judged(name: str, value: float, required: Requirement, asked_px: float) -> Evidence:
     criterion, asked = CRITERIA[name], metres(required.local_m)
     grade = criterion.grade(value, asked_px)
-    words = ("", "") if grade == GRADES[0] else (criterion.cause.replace(ASKED, asked), criterion.mend)
+    words = ("", "") if grade == GRADES[0] else (criterion.cause.replace(ASKED, asked), criterion.fix)
     return Evidence(name, value, criterion.unit, grade, *words)
 
 
@@ -165,14 +167,12 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
     )
     over_100_m = f"{metres(relative.permille / 10.0)} over 100 m"
     out = []
-    for name, value, most, unit, mend in asked:
+    for name, value, most, unit, fix in asked:
         if np.isfinite(value) and np.isfinite(most):
             missed = value > most
             cause = f"the requirement is missed: {most:.2f} {unit}, {required.why}" if missed else ""
             effect = over_100_m if missed and unit == "per mille" else ""
-            out.append(
-                Evidence(name, value, unit, GRADES[int(missed)], cause, mend if missed else "", effect)
-            )
+            out.append(Evidence(name, value, unit, GRADES[int(missed)], cause, fix if missed else "", effect))
     return out
 
 

@@ -116,7 +116,7 @@ class Inspection:
         found = [p for p in self.pairs if {p["left"], p["right"]} == names]
         if not found:
             problem = f"{a} and {b} were not compared: by their positions they don't overlap"
-            raise InputError(problem, file=self.recording.path, mend="give a pair of neighbours")
+            raise InputError(problem, file=self.recording.path, fix="give a pair of neighbours")
         return found[0] | self._residuals(found[0])
 
     def _residuals(self, pair: dict[str, Any]) -> dict[str, Any]:
@@ -148,7 +148,7 @@ class Inspection:
         if self.solved is None:
             mend = "give a recording of frames that holds artefacts"
             problem = self.unreadable or "no frames are recorded"
-            raise InputError(problem, file=self.recording.path, mend=mend)
+            raise InputError(problem, file=self.recording.path, fix=mend)
         return self.solved
 
     def _known(self, name: str) -> str:

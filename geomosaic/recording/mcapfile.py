@@ -46,12 +46,12 @@ def opened(path: Path) -> IO[bytes]:
     check_regular(path, MEND)
     try:
         if path.stat().st_size == 0:  # as the system's own files say of themselves (/proc)
-            raise FileError("this file is empty", file=path, mend=MEND)
+            raise FileError("this file is empty", file=path, fix=MEND)
         return path.open("rb")
     except FileError:
         raise
     except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path, mend=MEND) from error
+        raise FileError(f"can't be read ({error.strerror})", file=path, fix=MEND) from error
 
 
 def items(path: Path, file: IO[bytes], more: Callable[[], bool] = lambda: False) -> Iterator[Item]:
@@ -74,7 +74,7 @@ def items(path: Path, file: IO[bytes], more: Callable[[], bool] = lambda: False)
             if offset == 0:
                 problem = "this is no MCAP file, or it was cut off in its header"
                 empty = file.seek(0, 2) == 0
-                raise FileError("this file is empty" if empty else problem, file=path, mend=MEND) from error
+                raise FileError("this file is empty" if empty else problem, file=path, fix=MEND) from error
             cut = isinstance(error, EndOfFile)
             text = "it was cut off" if cut else f"damaged behind byte {offset} ({error})"
             yield Item(offset, None, problem=text)

@@ -145,7 +145,7 @@ class MessageFile:
             yield
         except OSError as error:
             mend = "free some space or choose another output folder"
-            self._failure = OutputError(error.strerror or str(error), file=self._path, mend=mend)
+            self._failure = OutputError(error.strerror or str(error), file=self._path, fix=mend)
             self._closed = True
             if hasattr(self, "_file"):
                 with contextlib.suppress(OSError):

@@ -70,7 +70,7 @@ def read_recording(path: Path) -> Recording:
                 recording.problem = printable(item.problem)
     most_bytes = MOST_UNPACKED * path.stat().st_size + _ALWAYS_BYTES
     if sum(a.total_bytes for a in recording.artefacts) > most_bytes:
-        raise FileError(f"its artefacts would take more than {most_bytes} bytes", file=path, mend=MEND)
+        raise FileError(f"its artefacts would take more than {most_bytes} bytes", file=path, fix=MEND)
     recording.stages.sort(key=lambda stage: stage.index)
     return recording
 
@@ -98,7 +98,7 @@ def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str
                     event = StageEvent.FromString(item.record.data)
                 except BROKEN as error:
                     text = "what its stages recorded is damaged"
-                    raise FileError(text, file=recording.path, mend="run the recipe again") from error
+                    raise FileError(text, file=recording.path, fix="run the recipe again") from error
                 now = -1 if event.finished else event.stage_index
             elif now == stage_index:
                 yield item.topic, item.schema, item.record.data
@@ -120,12 +120,12 @@ def artefact_data(recording: Recording, entry: ArtefactEntry) -> bytes:
                                 raise ValueError("it is longer than it says")
             except BROKEN as error:
                 text = f"artefact '{printable(entry.name)}' is damaged ({printable(str(error))})"
-                raise FileError(text, file=recording.path, mend="run again") from error
+                raise FileError(text, file=recording.path, fix="run again") from error
     if not entry.complete or len(data) != entry.total_bytes:
         raise FileError(
             f"artefact '{printable(entry.name)}' of stage {printable(entry.stage_id)} is incomplete",
             file=recording.path,
-            mend="replay from an earlier stage, or run again",
+            fix="replay from an earlier stage, or run again",
         )
     return bytes(data)
 
@@ -137,14 +137,14 @@ def printable(text: str) -> str:
 
 def _check_ours(path: Path, item: Item) -> None:
     if isinstance(item.record, Header) and item.record.profile != PROFILE:
-        raise FileError("this MCAP is no recording of geomosaic", file=path, mend=MEND)
+        raise FileError("this MCAP is no recording of geomosaic", file=path, fix=MEND)
     if isinstance(item.record, Metadata) and item.record.name == PROFILE:
         written = item.record.metadata.get("format", "unknown")
         if written != FORMAT:
             raise FileError(
                 f"a recording of format {printable(written)}, while this version reads {FORMAT}",
                 file=path,
-                mend="read it with the geomosaic that wrote it",
+                fix="read it with the geomosaic that wrote it",
             )
 
 

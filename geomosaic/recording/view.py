@@ -51,7 +51,7 @@ def write_rrd(recording: Recording, path: Path) -> None:
     try:
         temporary.touch()
     except OSError as error:
-        raise OutputError(error.strerror or str(error), file=path, mend="choose another file") from error
+        raise OutputError(error.strerror or str(error), file=path, fix="choose another file") from error
     try:
         stream = rerun.RecordingStream("geomosaic", recording_id=recording.path.parent.name or "run")
         stream.save(temporary, default_blueprint=layout(recording))
@@ -81,9 +81,7 @@ def told(path: Path) -> Story:
                 continue
             left_bytes -= len(item.record.data)
             if left_bytes < 0:
-                raise FileError(
-                    "what it shows would take far more than the file itself", file=path, mend=MEND
-                )
+                raise FileError("what it shows would take far more than the file itself", file=path, fix=MEND)
             try:
                 message = SHOWN[item.schema].FromString(item.record.data)
                 story.take(item.topic, message, item.record.sequence, item.record.log_time)

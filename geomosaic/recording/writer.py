@@ -255,13 +255,11 @@ class Recorder(StageCalls, StripCalls):
         if schema == Progress.DESCRIPTOR.full_name:
             return  # how far another run was
         if schema not in _CLASSES:
-            raise InputError(
-                f"no stage records a '{topic_part(schema)}'", mend="replay from an earlier stage"
-            )
+            raise InputError(f"no stage records a '{topic_part(schema)}'", fix="replay from an earlier stage")
         try:
             message = fix_of(data) if schema in AS_JSON else _CLASSES[schema].FromString(data)
         except (*BROKEN, TypeError, KeyError, AttributeError) as error:
-            raise InputError(f"a {schema} is damaged", mend="replay from an earlier stage") from error
+            raise InputError(f"a {schema} is damaged", fix="replay from an earlier stage") from error
         self._write(topic, message)
 
     def flush(self) -> None:

@@ -24,7 +24,7 @@ _COLOURS: Final = ((65, 150, 26), (106, 217, 166), (191, 255, 255), (97, 174, 25
 
 def accuracy_image(path: Path, origin: NDArray[np.float64]) -> MapImage | None:
     """The layer of a run's accuracy.tif, from the map's origin; None where nothing is known."""
-    with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.mend):
+    with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.fix):
         scale = max(1.0, max(raster.shape) / _WIDEST_PX)
         shape = max(1, round(raster.height / scale)), max(1, round(raster.width / scale))
         sd_m = raster.read(1, out_shape=shape, resampling=Resampling.nearest)

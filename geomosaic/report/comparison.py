@@ -38,7 +38,7 @@ def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:
         (
             "mean displacement",
             f"{signed(f.mean_east_m, 'm')} east, {signed(f.mean_north_m, 'm')} north",
-            "mosaic minus reference; what a single shift would mend",
+            "mosaic minus reference; what a single shift would fix",
         ),
         (
             "RMSE after similarity",

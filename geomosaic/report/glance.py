@@ -45,7 +45,7 @@ def glance(path: Path, longest_px: int = _LONGER_SIDE_PX) -> Glance:
 
     Values of other than 8 bits are stretched between their 1st and 99th percentile.
     """
-    with open_raster(path, OWN) as dataset, reading(path, OWN.problem, OWN.mend):
+    with open_raster(path, OWN) as dataset, reading(path, OWN.problem, OWN.fix):
         return glance_of(dataset, longest_px, _QUALITY)
 
 

@@ -29,13 +29,13 @@ Fact = tuple[str, str, str]
 @dataclass(frozen=True)
 class Judged:
     """The first words. grade: `good`, `doubtful`, `bad`, or empty where nothing was judged; why: sentences;
-    mend: the fix; accuracy: the answers to what people ask of a map; points: of check and of control points
+    fix: the fix; accuracy: the answers to what people ask of a map; points: of check and of control points
     their kind, number, RMSE in plan and in height, and blunders; standard: the sentence that the ASPRS
     standard asks for."""
 
     grade: str
     why: str
-    mend: str = ""
+    fix: str = ""
     accuracy: AccuracyTable | None = None
     points: Sequence[tuple[str, str, str, str, str]] = ()
     standard: str = ""

@@ -132,7 +132,7 @@ def seam_crops(
     Greys are stretched between the crop's 1st and 99th percentile. Raises: `FileError`.
     """
     out = []
-    with open_raster(path, OWN) as scene, reading(path, OWN.problem, OWN.mend):
+    with open_raster(path, OWN) as scene, reading(path, OWN.problem, OWN.fix):
         for place in places:
             row = scene_row(geometry, pair, place.line, first_line)
             wide, high = min(CROP_PX[0], scene.width), min(CROP_PX[1], scene.height)

@@ -23,7 +23,7 @@ from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectr
 from geomosaic.report.table import Cell, Table, TableRow, number
 from geomosaic.survey.strips import StripGeometry
 
-_MENDS = {
+_FIXES = {
     "bad": "Look at that seam below; another method of offsets may do better there (What next).",
     "doubtful": "Look at the seams that could not be checked below.",
     "": "Look at the seams below: nothing in the strips says how well they lie.",
@@ -65,7 +65,7 @@ def render_strips_report(
         Shown(
             title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
             run=name,
-            judged=Judged(grade := _grade(quality), strips_verdict(quality), _MENDS.get(grade, "")),
+            judged=Judged(grade := _grade(quality), strips_verdict(quality), _FIXES.get(grade, "")),
             image=image,
             caption="Lines run downwards in the order they were taken. The full image is mosaic.tif.",
             facts=_facts(geometry, offsets, quality, mosaic),

@@ -108,7 +108,7 @@ def _reduced(
     path: Path, band: int, most_px: int, resampling: Resampling = Resampling.average
 ) -> tuple[Floats32, float]:
     """A band (rows, cols) at a reduced size, NaN where it is unknown, and the side of its pixels in m."""
-    with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.mend):
+    with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.fix):
         scale = max(1.0, max(raster.shape) / most_px)
         shape = max(1, round(raster.height / scale)), max(1, round(raster.width / scale))
         values = raster.read(band, out_shape=shape, resampling=resampling, masked=True)

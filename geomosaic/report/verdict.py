@@ -1,4 +1,4 @@
-"""The report's first words: can the mosaic be trusted, why, and what would mend it."""
+"""The report's first words: can the mosaic be trusted, why, and what would fix it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NOT_JUDGED = "The recipe has no stage quality.verdict."
 
 @dataclass(frozen=True)
 class VerdictSection:
-    """What the template shows. evidence: (name, figure, grade, cause, mend); seams: (left, right, how far the
+    """What the template shows. evidence: (name, figure, grade, cause, fix); seams: (left, right, how far the
     ground jumps, easting, northing), worst first; patterns: images with their captions."""
 
     judged: Judged
@@ -50,7 +50,7 @@ def verdict_section(
         judged=Judged(
             verdict.grade,
             f"{cause}{_sentence(verdict.text)}",
-            _sentence(verdict.mend),
+            _sentence(verdict.fix),
             accuracy_table(verdict.accuracy, verdict.required, verdict.seams, pixel_m),
             rows,
             asprs_statement(verdict.accuracy.absolute),
@@ -75,7 +75,7 @@ def _row(e: Evidence) -> tuple[str, str, str, str, str]:
     """A warning that counts as evidence is named by its code, and is there or not: it has no figure.
     The cause is followed by what it does to the map, and where."""
     cause = "; ".join(filter(None, [e.cause, e.effect]))
-    return e.name.replace("-", " "), e.figure if e.unit else "", e.grade, cause, e.mend
+    return e.name.replace("-", " "), e.figure if e.unit else "", e.grade, cause, e.fix
 
 
 def _sentence(words: str) -> str:

@@ -245,11 +245,11 @@ class MosaicRequest(FramesRequest):
             raise UnknownNameError("surface", self.surface, SURFACES)
         if self.surface_reference is not None and not dense:
             raise InputError(
-                "there is no surface to compare", file=self.surface_reference, mend="add --surface dense"
+                "there is no surface to compare", file=self.surface_reference, fix="add --surface dense"
             )
         if self.ortho is not None and not dense:
             raise InputError(
-                "--ortho chooses between a surface and the ground below it", mend="add --surface dense"
+                "--ortho chooses between a surface and the ground below it", fix="add --surface dense"
             )
         wanted = dict.fromkeys(OPTIONAL, dense) | {
             "matching.flying_height": self.ground_height is None,

@@ -82,7 +82,7 @@ def checked(name: str, option: Option, kind: Any, value: Any) -> Any:
     if get_origin(kind) is tuple:
         if isinstance(value, list | tuple):
             return tuple(str(v) for v in value)
-        raise InputError(f"{name} is {value!r}", mend="give a list of texts")
+        raise InputError(f"{name} is {value!r}", fix="give a list of texts")
     kinds = set(get_args(kind)) or {kind}
     if Path in kinds and isinstance(value, str | os.PathLike):
         return Path(value)
@@ -93,11 +93,11 @@ def checked(name: str, option: Option, kind: Any, value: Any) -> Any:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if (float in kinds and number) or (int in kinds and isinstance(value, int) and number):
         if option.least is not None and value < option.least:
-            raise InputError(f"{name} is {value}", mend=f"give at least {option.least:g}")
+            raise InputError(f"{name} is {value}", fix=f"give at least {option.least:g}")
         if option.most is not None and value > option.most:
-            raise InputError(f"{name} is {value}", mend=f"give at most {option.most:g}")
+            raise InputError(f"{name} is {value}", fix=f"give at most {option.most:g}")
         return value
-    raise InputError(f"{name} is {value!r}", mend=f"give {_wanted(kinds)}")
+    raise InputError(f"{name} is {value!r}", fix=f"give {_wanted(kinds)}")
 
 
 def _wanted(kinds: set[Any]) -> str:

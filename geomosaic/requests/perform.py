@@ -38,8 +38,8 @@ def _name_missing(job: Job, error: FileError) -> None:
     from geomosaic.pipeline.given import missing_inputs
 
     for path in missing_inputs(job.given.values()):
-        mend = "put it back there, name its folder with --frames, or replay from a later stage"
-        raise FileError("an input of the recorded run is gone", file=path, mend=mend) from error
+        fix = "put it back there, name its folder with --frames, or replay from a later stage"
+        raise FileError("an input of the recorded run is gone", file=path, fix=fix) from error
 
 
 def check_result(job: Job, summary: Mapping[str, Any]) -> None:

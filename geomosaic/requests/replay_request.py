@@ -62,10 +62,10 @@ class ReplayRequest(RunRequest):
         recorded = read_recording(path)
         if path.absolute().parent == self.output.absolute():
             raise InputError(
-                "this is the run to be replayed", file=self.output, mend="give another folder with -o"
+                "this is the run to be replayed", file=self.output, fix="give another folder with -o"
             )
         if not recorded.recipe_yaml:
-            raise FileError("it holds no recipe", file=path, mend="run the recipe itself")
+            raise FileError("it holds no recipe", file=path, fix="run the recipe itself")
         places = found_frames(recorded, self.frames) if self.frames is not None else {}
         moved = [f"survey.read.frames={self.frames}"] if self.frames is not None else []
         sets = [*self.set, *moved]
@@ -131,5 +131,5 @@ def _first_stage(recipe: Recipe, start: str, sets: list[str], file: Path) -> int
     if changed and min(changed) < first:
         earlier = min(changed)
         problem = f"--set {changed[earlier]} changes a stage before {start}"
-        raise InputError(problem, mend=f"replay with --from {ids[earlier]}")
+        raise InputError(problem, fix=f"replay with --from {ids[earlier]}")
     return first

@@ -77,7 +77,7 @@ def true_points(
     if len(places) < plan.control_points:
         raise InputError(
             f"room for {len(places)} control points on open ground that two frames see",
-            mend="ask for fewer control_points, or for more overlap",
+            fix="ask for fewer control_points, or for more overlap",
         )
     out = []
     for k, j in enumerate(places[_far_apart(en[places], plan.control_points)]):

@@ -161,62 +161,62 @@ class SurveyPlan:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not np.isfinite(value):
-                raise InputError(f"{field.name} is {value}", mend="give a number")
+                raise InputError(f"{field.name} is {value}", fix="give a number")
             if field.name in positive and value <= 0:
-                raise InputError(f"{field.name} is {value}", mend="give a number above 0")
+                raise InputError(f"{field.name} is {value}", fix="give a number above 0")
             if field.name.endswith(("_sd", "_sd_m", "_sd_deg")) and value is not None and value < 0:
-                raise InputError(f"{field.name} is {value}", mend="give 0 or more")
+                raise InputError(f"{field.name} is {value}", fix="give 0 or more")
         self._check_shares()
         self._check_tags()
         if min(self.width_px, self.height_px) < 64:
-            raise InputError("frames smaller than 64 pixels", mend="give a larger width_px and height_px")
+            raise InputError("frames smaller than 64 pixels", fix="give a larger width_px and height_px")
         lines = self.lines if self.kind in ("block", "crossed") else 1
         if self.stale_yaw_line and not 2 <= self.stale_yaw_line <= lines * (1 + (self.kind == "crossed")):
             raise InputError(
                 f"stale_yaw_line is {self.stale_yaw_line}",
-                mend="give the number of a later flight line, or 0",
+                fix="give the number of a later flight line, or 0",
             )
         for listed in ("lost", "turned", "no_gps", "blurred"):
             self.numbered(listed)
         if not self.kept:
-            raise InputError("all frames are lost", mend="leave some of them in")
+            raise InputError("all frames are lost", fix="leave some of them in")
         if self.duplicates > len(self.kept):
-            raise InputError("more duplicates than frames", mend="give fewer duplicates")
+            raise InputError("more duplicates than frames", fix="give fewer duplicates")
 
     def _check_shares(self) -> None:
         if not (0.0 <= self.forward_overlap < 1.0 and 0.0 <= self.side_overlap < 1.0):
-            raise InputError("an overlap is outside 0 to 1", mend="give a share such as 0.7")
+            raise InputError("an overlap is outside 0 to 1", fix="give a share such as 0.7")
         if min(self.water_share, self.smooth_forest_share, self.moving_cars, self.rolling_shutter_s,
                self.wind_in_trees_m, self.exposure_time_s, self.vibration_deg_per_s,
                self.updraft_m_per_s, self.altitude_step_m, self.gyroscope_sd_deg_per_s) < 0.0:  # fmt: skip
-            raise InputError("a share, number or time is below 0", mend="give 0 or more")
+            raise InputError("a share, number or time is below 0", fix="give 0 or more")
         if min(self.take_off_frames, self.landing_frames, self.oblique_frames, self.horizon_frames,
                self.duplicates) < 0:  # fmt: skip
-            raise InputError("a number of frames is below 0", mend="give 0 or more")
+            raise InputError("a number of frames is below 0", fix="give 0 or more")
         if not (0.0 <= self.clouds <= 1.0 and 0.0 <= self.auto_exposure <= 1.0):
-            raise InputError("a share is outside 0 to 1", mend="give a share such as 0.3")
+            raise InputError("a share is outside 0 to 1", fix="give a share such as 0.3")
         if self.water_share + self.smooth_forest_share > 1.0:
-            raise InputError("water and forest cover more than all land", mend="give shares that sum to 1")
+            raise InputError("water and forest cover more than all land", fix="give shares that sum to 1")
         if self.dem is not None and self.relief_m:
-            raise InputError("both a DEM and hills are given", mend="leave one of dem and relief_m away")
+            raise InputError("both a DEM and hills are given", fix="leave one of dem and relief_m away")
 
     def _check_tags(self) -> None:
         if self.format != "jpeg" and self.pos_in != "csv":
-            raise InputError("TIFF frames are written without EXIF", mend="give pos_in csv")
+            raise InputError("TIFF frames are written without EXIF", fix="give pos_in csv")
         if self.pos_in == "csv" and (self.gyroscope_told or self.readout_told or self.lens_in_tags):
-            raise InputError("tags are asked for in frames without tags", mend="give pos_in exif or both")
+            raise InputError("tags are asked for in frames without tags", fix="give pos_in exif or both")
         if not (self.camera_model.isascii() and self.camera_model.isprintable()):
-            raise InputError("a camera model is plain text", mend="give a name such as FC330")
+            raise InputError("a camera model is plain text", fix="give a name such as FC330")
         if self.rolling_shutter_s == 0.0:
             for needing in ("vibration_deg_per_s", "updraft_m_per_s", "readout_told", "gyroscope_told"):
                 if getattr(self, needing):
                     raise InputError(
-                        f"{needing} without a rolling shutter", mend="give rolling_shutter_s above 0"
+                        f"{needing} without a rolling shutter", fix="give rolling_shutter_s above 0"
                     )
         if self.lens == "fisheye" and (self.p1 or self.p2):
-            raise InputError("a fisheye has no decentring here", mend="leave p1 and p2 at 0")
+            raise InputError("a fisheye has no decentring here", fix="leave p1 and p2 at 0")
         if self.lens == "fisheye" and self.lens_told and self.lens_in_tags and (self.k2 or self.k3):
-            raise InputError("a fisheye's tags hold k1 alone", mend="leave k2 and k3 at 0")
+            raise InputError("a fisheye's tags hold k1 alone", fix="leave k2 and k3 at 0")
 
     @property
     def frames(self) -> int:
@@ -288,7 +288,7 @@ class SurveyPlan:
             first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
             if not 1 <= first <= last <= self.frames:
                 raise InputError(
-                    f"{field}: '{part}' names no frames of 1 to {self.frames}", mend="write it like 4-6,9"
+                    f"{field}: '{part}' names no frames of 1 to {self.frames}", fix="write it like 4-6,9"
                 )
             found.update(range(first - 1, last))
         return frozenset(found)

@@ -138,6 +138,6 @@ def raster_relief(
         raise InputError(
             f"the DEM has no heights for {lacking:.0f} % of the survey",
             file=dem,
-            mend="give a DEM that reaches further, or another lon_deg and lat_deg",
+            fix="give a DEM that reaches further, or another lon_deg and lat_deg",
         )
     return RasterRelief(west, south, step, heights)

@@ -133,7 +133,7 @@ def _given_rad(plan: StripPlan, time_s: Floats) -> Floats:
         rows = list(csv.reader(io.StringIO(plan.motion.read_text(encoding="utf-8-sig"))))
         if not rows or [cell.strip() for cell in rows[0]] != ["time_s", "along_px", "across_px"]:
             raise InputError(
-                "its first line isn't time_s,along_px,across_px", file=plan.motion, mend="name the columns so"
+                "its first line isn't time_s,along_px,across_px", file=plan.motion, fix="name the columns so"
             )
         table = np.array([[float(cell) for cell in row] for row in rows[1:] if row])
     except InputError:
@@ -141,11 +141,11 @@ def _given_rad(plan: StripPlan, time_s: Floats) -> Floats:
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=plan.motion) from error
     except (ValueError, csv.Error) as error:
-        raise InputError("holds what is no number", file=plan.motion, mend="give a CSV of numbers") from error
+        raise InputError("holds what is no number", file=plan.motion, fix="give a CSV of numbers") from error
     if table.ndim != 2 or table.shape[1] != 3 or not np.isfinite(table).all():
-        raise InputError("isn't a table of three numbers a line", file=plan.motion, mend="complete it")
+        raise InputError("isn't a table of three numbers a line", file=plan.motion, fix="complete it")
     if (np.diff(table[:, 0]) <= 0.0).any():
-        raise InputError("its times don't rise from line to line", file=plan.motion, mend="sort it by time")
+        raise InputError("its times don't rise from line to line", file=plan.motion, fix="sort it by time")
     out[:, 1] = np.interp(time_s, table[:, 0], table[:, 1]) * plan.pixel_rad
     out[:, 0] = np.interp(time_s, table[:, 0], table[:, 2]) * plan.pixel_rad
     return out

@@ -90,22 +90,22 @@ class StripPlan:
             raise InputError(
                 f"an overlap of {self.overlap_px} px, read {self.read_px} px, doesn't fit strips of "
                 f"{self.width_px} px",
-                mend="overlap_px <= read_px <= width_px, and overlap_px below half of it",
+                fix="overlap_px <= read_px <= width_px, and overlap_px below half of it",
             )
         if self.lines <= self.row_separation_lines:
             raise InputError(
-                f"{self.lines} lines are no more than the rows' separation", mend="give more lines"
+                f"{self.lines} lines are no more than the rows' separation", fix="give more lines"
             )
         if not 0.0 < self.altitude_m < _HIGHEST_M:
             raise InputError(
                 f"{self.parallax_m_per_line:g} m of height for a line between rows "
                 f"{self.row_separation_lines:g} lines apart wants an orbit above 2000 km",
-                mend="give a smaller parallax_m_per_line or row_separation_lines",
+                fix="give a smaller parallax_m_per_line or row_separation_lines",
             )
         for name, each in (("dead", 1), ("short", 2), ("lost", 3), ("repeated", 3)):
             for fault in self.faults(name, each):
                 if not 1 <= fault[0] <= self.ccds:
-                    raise InputError(f"{name}: there is no CCD {fault[0]}", mend=f"give 1 to {self.ccds}")
+                    raise InputError(f"{name}: there is no CCD {fault[0]}", fix=f"give 1 to {self.ccds}")
 
     def faults(self, name: str, each: int) -> list[tuple[int, ...]]:
         """The entries of `dead`, `short`, `lost` or `repeated`: `each` whole numbers, first the CCD."""
@@ -114,7 +114,7 @@ class StripPlan:
         for part in filter(None, text.split(",")):
             if not re.fullmatch(r"\d+(:\d+)*", part) or part.count(":") != each - 1:
                 form = ":".join(("ccd", "lines" if each == 2 else "line", "count")[:each])
-                raise InputError(f"{name} is '{text}'", mend=f"give {form}, several with commas")
+                raise InputError(f"{name} is '{text}'", fix=f"give {form}, several with commas")
             found.append(tuple(int(v) for v in part.split(":")))
         return found
 

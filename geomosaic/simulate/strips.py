@@ -179,4 +179,4 @@ def _paths(out: Path, plan: StripPlan, strips: tuple[Path, ...], scene: bool) ->
 
 def _check_folder(out: Path) -> None:
     if (out / "geometry.yaml").exists() or list(out.glob("ccd*.tif")):
-        raise OutputError("holds strips already", file=out, mend="give another folder, or empty it")
+        raise OutputError("holds strips already", file=out, fix="give another folder, or empty it")

@@ -382,12 +382,12 @@ def _check_folder(out: Path, names: list[str]) -> None:
         (out / "frames").mkdir(parents=True, exist_ok=True)
         there = {p.name for p in (out / "frames").iterdir() if not p.name.startswith(".")}
     except OSError as error:
-        raise OutputError(error.strerror or "can't be made", file=out, mend="give another folder") from error
+        raise OutputError(error.strerror or "can't be made", file=out, fix="give another folder") from error
     strange = sorted(there - set(names))
     ours = (out / "truth" / "truth.json").exists()
     if strange or (there and not ours):
         raise OutputError(
             f"holds frames of something else ({(strange or sorted(there))[0]})",
             file=out / "frames",
-            mend="give an empty folder or remove them",
+            fix="give an empty folder or remove them",
         )

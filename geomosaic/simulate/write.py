@@ -67,7 +67,7 @@ def whole(path: Path) -> Iterator[Path]:
         if isinstance(error, OutputError):
             raise
         raise OutputError(
-            error.strerror or str(error), file=path, mend="free some space or give another folder"
+            error.strerror or str(error), file=path, fix="free some space or give another folder"
         ) from error
     finally:
         part.unlink(missing_ok=True)

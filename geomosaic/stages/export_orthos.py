@@ -101,7 +101,7 @@ class ExportOrthos(Stage):
                     written.append((int(cells[number]), -number))
             if not written:
                 problem = "no frame shows anything of the mosaic's area"
-                raise InputError(problem, mend="run the recipe again")
+                raise InputError(problem, fix="run the recipe again")
             lowest_first = [folder / names[-number] for _, number in sorted(written)]
             write_orthos_vrt(lowest_first, folder / VRT)
         context.metric("orthos.frames", len(written))

@@ -45,7 +45,7 @@ class MosaicEstimateStrips(Stage):
         laid = in_recipe(context, ExportMap)
         if laid and geometry.model is None and geometry.rpc is None:
             problem = "the scene can't be laid on the map: the geometry file names neither a model nor an RPC"
-            raise InputError(problem, mend="give 'model' or 'rpc' there, or leave --map away")
+            raise InputError(problem, fix="give 'model' or 'rpc' there, or leave --map away")
         told = {
             "ccds": len(geometry.ccds),
             "width_px": geometry.width_px,

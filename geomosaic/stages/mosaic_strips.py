@@ -83,7 +83,7 @@ class MosaicStrips(Stage):
             context.warn(warning.code, warning.frame, warning.text)
         by_object = params.space == "object" or (params.space == "auto" and offsets.method == "virtual_line")
         if by_object and space is None:
-            raise InputError("object space needs a rigorous model", mend="give 'model' in the geometry file")
+            raise InputError("object space needs a rigorous model", fix="give 'model' in the geometry file")
         layout: SceneLayout
         if by_object and space is not None:
             layout = virtual_layout(geometry, space, params.ends)

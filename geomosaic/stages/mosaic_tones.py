@@ -50,7 +50,7 @@ class MosaicTones(Stage):
         if survey.other_bands and params.even == "always":
             raise InputError(
                 "a rig's bands are measured values, and each would need tones of its own",
-                mend="leave mosaic.tones.even at auto or never",
+                fix="leave mosaic.tones.even at auto or never",
             )
         alike = all(f.bands == bands for f in frames)
         images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands

@@ -128,7 +128,7 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
                 else f"lies {floor - height:.1f} m below the ground"
             )
             raise InputError(
-                problem, file=name, mend="give heights with --pos, or check the DEM's --dem-offset"
+                problem, file=name, fix="give heights with --pos, or check the DEM's --dem-offset"
             )
     return heights_m, sd_m
 

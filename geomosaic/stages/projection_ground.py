@@ -86,7 +86,7 @@ class ProjectionGround(Stage):
             raise InputError(
                 f"how high the frames flew above the ground is unknown, and {unasked}",
                 file=survey.frames[0].path,
-                mend=f"give --dem, or the ground's height with --ground-height METRES{stage}",
+                fix=f"give --dem, or the ground's height with --ground-height METRES{stage}",
             )
         above = flown.above_ground_m
         context.warn(

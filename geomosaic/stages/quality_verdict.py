@@ -63,12 +63,12 @@ class QualityVerdict(Stage):
 
     @classmethod
     def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """The grade, why, and what would mend it."""
+        """The grade, why, and what would fix it."""
         verdict = summary.get("verdict")
         if not isinstance(verdict, dict):
             return []
         why = f" {verdict['cause']};" if verdict["cause"] else ""
-        fix = [("fix", verdict["mend"])] if verdict["mend"] else []
+        fix = [("fix", verdict["fix"])] if verdict["fix"] else []
         answered = [(q.removesuffix(" accuracy"), answer) for q, answer in verdict.get("answers", [])]
         return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *fix, *answered]
 
@@ -125,7 +125,7 @@ class QualityVerdict(Stage):
         context.report("verdict", reported(verdict, pixel_m))
         context.report("accuracy", statement.reported(accuracy, verdict.required))
         if verdict.grade != "good":
-            context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.mend}")
+            context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.fix}")
         context.metric("seams.median_px", median_px)
         context.metric("seams.percentile_95_px", most_px)
         context.metric("seams.measured", int(known.size))
@@ -149,8 +149,8 @@ def reported(verdict: Verdict, pixel_m: float) -> dict[str, Any]:
         "grade": verdict.grade,
         "text": verdict.text,
         "cause": verdict.cause,
-        "fix": verdict.mend,
-        "mend": verdict.mend,
+        "fix": verdict.fix,
+        "mend": verdict.fix,
         "answers": statement.answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m),
-        "evidence": [asdict(e) | {"fix": e.mend} for e in verdict.evidence],
+        "evidence": [asdict(e) | {"mend": e.fix} for e in verdict.evidence],
     }

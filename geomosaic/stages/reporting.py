@@ -198,7 +198,7 @@ def report_estimate(context: Context, estimate: Estimate) -> None:
             f"no space left on the disk: a mosaic of {estimate.width_px:,} x {estimate.height_px:,} px "
             f"takes {room(estimate.disk_gb)}, {room((free_gb, free_gb))} are free",
             file=context.run_folder,
-            mend="free some, choose another output folder or a coarser --gsd",
+            fix="free some, choose another output folder or a coarser --gsd",
         )
 
 

@@ -261,11 +261,11 @@ class SimulateFrames(Stage):
         drawn = None
         if params.dirty is None:
             if params.without:
-                raise InputError("without is for dirty surveys", mend="give dirty too, or leave it away")
+                raise InputError("without is for dirty surveys", fix="give dirty too, or leave it away")
             plan = SurveyPlan(seed=context.seed, **options)
         else:
             if context.seed:
-                raise InputError("both dirty and a seed are given", mend="leave the seed away")
+                raise InputError("both dirty and a seed are given", fix="leave the seed away")
             given = {name: options[name] for name in options if name in params.model_fields_set}
             without = [name.strip() for name in params.without.split(",") if name.strip()]
             drawn = dirty_survey(params.dirty, given, without)

@@ -79,7 +79,7 @@ class SurfaceDense(Stage):
         seen = np.vstack([np.zeros((0, 2)), *outlines])
         seen = seen[np.isfinite(seen).all(axis=1)]
         if not len(seen):
-            raise InputError("no frame sees the ground", mend="run without --surface dense")
+            raise InputError("no frame sees the ground", fix="run without --surface dense")
         wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
         cells = cells_over(seen.min(axis=0), seen.max(axis=0), wanted_m)
         if cells.cell_m > wanted_m:

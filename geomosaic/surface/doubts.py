@@ -33,7 +33,7 @@ def doubts(counted: Counted, level: Level, known: str) -> Iterator[tuple[str, st
         )
     beyond = counted.beyond / max(counted.matched, 1)
     if beyond > _MOST_AT_END:
-        ground, mend = (
+        ground, fix = (
             ("elevation model that was given", "its heights may count from another level (--dem-offset)")
             if known == "dem"
             else ("ground that was known before", "an elevation model (--dem) tells where to search")
@@ -41,5 +41,5 @@ def doubts(counted: Counted, level: Level, known: str) -> Iterator[tuple[str, st
         yield (
             "surface-out-of-reach",
             f"{100.0 * beyond:.0f} % of the surface lies at the end of what is searched, "
-            f"{-level.lowest_m:.0f} m below to {level.highest_m:.0f} m above the {ground}; {mend}",
+            f"{-level.lowest_m:.0f} m below to {level.highest_m:.0f} m above the {ground}; {fix}",
         )

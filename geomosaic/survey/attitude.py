@@ -64,7 +64,7 @@ def _lacks(table: Table, convention: str, columns: str) -> InputError:
     return InputError(
         f"has no columns {columns} for the attitude convention '{convention}'",
         file=table.path,
-        mend=f"name them, or choose another of {', '.join(CONVENTIONS)}",
+        fix=f"name them, or choose another of {', '.join(CONVENTIONS)}",
     )
 
 

@@ -36,7 +36,7 @@ _PLAIN_KEYS: Final = (
     "name", "width_px", "height_px", "focal_length_px", "focal_length_mm", "pixel_size_um",
     "principal_col_px", "principal_row_px", "focal_length_sd_px", "readout_s", "kind", *TERMS,
 )  # fmt: skip
-_MEND: Final = "see docs/inputs.md for the camera file's keys"
+_FIX: Final = "see docs/inputs.md for the camera file's keys"
 
 Entry = Mapping[str, Any]
 
@@ -57,14 +57,14 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
     if isinstance(content, dict) and "width_px" in content:
         content = {str(content.get("name") or path.stem): content}
     if not isinstance(content, dict) or not content or not all(isinstance(e, dict) for e in content.values()):
-        raise InputError("holds no cameras", file=path, mend=_MEND)
+        raise InputError("holds no cameras", file=path, fix=_FIX)
     return tuple(_camera(printable(str(name)), entry, path) for name, entry in content.items())
 
 
 def _load(path: Path) -> Any:
     if path.suffix.lower() == ".json":
-        return read_json(path, _MAX_BYTES[".json"], "a camera file", _MEND)
-    return read_yaml(path, _MAX_BYTES[".yaml"], "a camera file", _MEND)
+        return read_json(path, _MAX_BYTES[".json"], "a camera file", _FIX)
+    return read_yaml(path, _MAX_BYTES[".yaml"], "a camera file", _FIX)
 
 
 def _camera(name: str, entry: Entry, path: Path) -> Camera:
@@ -82,11 +82,11 @@ def _camera(name: str, entry: Entry, path: Path) -> Camera:
             )
             break
     else:
-        raise InputError(f"camera '{name}' has none of {', '.join(readers)}", file=path, mend=_MEND)
+        raise InputError(f"camera '{name}' has none of {', '.join(readers)}", file=path, fix=_FIX)
     if camera.width_px < 1 or camera.height_px < 1 or camera.focal_length_px <= 0.0:
-        raise InputError(f"camera '{name}': size and focal length must be above 0", file=path, mend=_MEND)
+        raise InputError(f"camera '{name}': size and focal length must be above 0", file=path, fix=_FIX)
     if problem := lens_problem(camera):
-        raise InputError(f"camera '{name}': {problem}", file=path, mend=f"correct it; {_MEND}")
+        raise InputError(f"camera '{name}': {problem}", file=path, fix=f"correct it; {_FIX}")
     return camera
 
 
@@ -96,7 +96,7 @@ def _opensfm(name: str, entry: Entry, path: Path) -> Camera:
         raise InputError(
             f"camera '{name}': projection '{entry['projection_type']}' isn't handled",
             file=path,
-            mend=f"known: {', '.join(sorted(_OPENSFM_MODELS))}",
+            fix=f"known: {', '.join(sorted(_OPENSFM_MODELS))}",
         )
     get = _getter(name, entry, path)
     width, height = get("width"), get("height")
@@ -129,7 +129,7 @@ def _one_focal(name: str, focal: float, entry: Entry, get: Callable[..., float],
         raise InputError(
             f"camera '{name}': focal_x {focal:g} and focal_y {other:g} differ by more than 1 %",
             file=path,
-            mend="calibrate with square pixels",
+            fix="calibrate with square pixels",
         )
     return (focal + other) / 2.0
 
@@ -140,7 +140,7 @@ def _orthority(name: str, entry: Entry, path: Path) -> Camera:
         raise InputError(
             f"camera '{name}': type '{entry['type']}' isn't handled",
             file=path,
-            mend=f"known: {', '.join(sorted(_ORTHORITY_MODELS))}",
+            fix=f"known: {', '.join(sorted(_ORTHORITY_MODELS))}",
         )
     get = _getter(name, entry, path)
     (width, height), sensor = _pair(name, entry, "im_size", path), entry.get("sensor_size")
@@ -151,9 +151,7 @@ def _orthority(name: str, entry: Entry, path: Path) -> Camera:
     else:
         across, down = _pair(name, entry, "sensor_size", path)
         if abs(width / across / (height / down) - 1.0) > 0.01:
-            raise InputError(
-                f"camera '{name}': sensor_size and im_size differ in shape", file=path, mend=_MEND
-            )
+            raise InputError(f"camera '{name}': sensor_size and im_size differ in shape", file=path, fix=_FIX)
         focal = focal_len * (width / across + height / down) / 2.0
     return Camera(
         name=name,
@@ -185,7 +183,7 @@ def _plain(name: str, entry: Entry, path: Path) -> Camera:
     focal_sd = get("focal_length_sd_px", abs(focal) * FOCAL_LENGTH["camera-file"].sd_relative)
     if not 0.0 <= focal_sd <= abs(focal):
         problem = f"camera '{name}' has {shown(focal_sd)} for focal_length_sd_px"
-        raise InputError(problem, file=path, mend="give a deviation from 0 to the focal length")
+        raise InputError(problem, file=path, fix="give a deviation from 0 to the focal length")
     return Camera(
         name=name,
         width_px=round(width),
@@ -204,7 +202,7 @@ def _getter(name: str, entry: Entry, path: Path) -> Callable[..., float]:
         value = entry.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             problem = "has no" if value is None else f"has {shown(value)} for"
-            raise InputError(f"camera '{name}' {problem} {key}", file=path, mend="give it as a number")
+            raise InputError(f"camera '{name}' {problem} {key}", file=path, fix="give it as a number")
         return float(value)
 
     return get
@@ -213,9 +211,9 @@ def _getter(name: str, entry: Entry, path: Path) -> Callable[..., float]:
 def _pair(name: str, entry: Entry, key: str, path: Path) -> tuple[float, float]:
     value = entry.get(key)
     if not isinstance(value, list) or len(value) != 2:
-        raise InputError(f"camera '{name}': {key} isn't [width, height]", file=path, mend=_MEND)
+        raise InputError(f"camera '{name}': {key} isn't [width, height]", file=path, fix=_FIX)
     get = _getter(name, {f"{key}[{i}]": v for i, v in enumerate(value)}, path)
     pair = get(f"{key}[0]"), get(f"{key}[1]")
     if min(pair) <= 0.0:
-        raise InputError(f"camera '{name}': {key} must be above 0", file=path, mend=_MEND)
+        raise InputError(f"camera '{name}': {key} must be above 0", file=path, fix=_FIX)
     return pair

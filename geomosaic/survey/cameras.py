@@ -310,12 +310,12 @@ def _fitting(header: FrameHeader, cameras: Sequence[Camera], path: Path, wanted:
         raise InputError(
             f"several cameras fit frame {header.name} of {size}: {known}",
             file=path,
-            mend="name each frame's in the POS file's column 'camera'",
+            fix="name each frame's in the POS file's column 'camera'",
         )
     raise InputError(
         f"no camera for frame {header.name} of {size}: {known}",
         file=path,
-        mend="give a camera file of this frame size, or of a whole multiple's shape",
+        fix="give a camera file of this frame size, or of a whole multiple's shape",
     )
 
 

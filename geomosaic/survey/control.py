@@ -52,7 +52,7 @@ def read_control(path: Path, frames: FrameNames, near: Floats = NOWHERE) -> Cont
     A point without a height determines the plan alone; where all heights are 0 none has one.
 
     Args: near: longitudes and latitudes (k, 2) of the frames, where these have positions.
-    Raises: `InputError` naming the file, the line and the mend.
+    Raises: `InputError` naming the file, the line and the fix.
     """
     table, stated = control_table(path, frames)
     found = places_of(table, stated, near, GIVE_CRS)
@@ -66,7 +66,7 @@ def read_control(path: Path, frames: FrameNames, near: Floats = NOWHERE) -> Cont
         of.setdefault(name or f"{lon:.8f} {lat:.8f}", []).append(i)
     if len(of) > _MOST_POINTS:
         problem = f"has {len(of):,} points, more than {_MOST_POINTS:,}"
-        raise InputError(problem, file=path, mend="take the best of them")
+        raise InputError(problem, file=path, fix="take the best of them")
     merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
     seen, absent = _measurements(table, of, frames)
     stated_m = _stated_deviations_m(table)
@@ -126,7 +126,7 @@ def _one_place(
     worst = int(np.argmax(away_m))
     if away_m[worst] >= RESURVEYED.value - _ROUNDED_M:
         problem = f"line {table.lines[rows[worst]]}: point '{name}' has moved by {away_m[worst]:.3g} m"
-        raise InputError(problem, file=table.path, mend="give each point one position")
+        raise InputError(problem, file=table.path, fix="give each point one position")
     from_first = places[:, :2] - places[0, :2]
     from_first[:, 0] = (from_first[:, 0] + 180.0) % 360.0 - 180.0 if worst else 0.0
     lon, lat = (places[0, :2] + from_first.mean(axis=0)).tolist()
@@ -180,8 +180,8 @@ def _measurements(
             continue
         for column, value in (("col", cols[i]), ("row", rows[i])):
             if math.isnan(value):
-                mend = "fill it in or remove the line"
-                raise InputError(f"line {table.lines[i]}: no {column}", file=table.path, mend=mend)
+                fix = "fill it in or remove the line"
+                raise InputError(f"line {table.lines[i]}: no {column}", file=table.path, fix=fix)
         seen.setdefault(names[i], []).append((frame, cols[i], rows[i]))
     return seen, absent
 
@@ -190,6 +190,6 @@ def _is_check(kind: str | None, name: str, line: int, path: Path) -> bool:
     kind = (kind or "").lower()
     if kind not in ("", "check", "checkpoint", "check point", "control", "gcp"):
         raise InputError(
-            f"line {line}: kind {shown(kind)} is unknown", file=path, mend="write control or check"
+            f"line {line}: kind {shown(kind)} is unknown", file=path, fix="write control or check"
         )
     return kind.startswith("check") or (not kind and name.upper().startswith("CHK"))

@@ -43,11 +43,11 @@ _MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(
 def control_table(path: Path, frames: FrameNames) -> tuple[Table, StatedCrs | None]:
     """A table with a line per measurement or point, and the CRS of x and y.
 
-    Raises: `InputError` naming the file, the line and the mend.
+    Raises: `InputError` naming the file, the line and the fix.
     """
     lines = read_lines(path, _MOST_LINES, "measurements")
     if not lines:
-        raise InputError("the file of control points is empty", file=path, mend="give a line per measurement")
+        raise InputError("the file of control points is empty", file=path, fix="give a line per measurement")
     stated, lines = read_head(path, lines, ALIASES, GIVE_CRS)
     stated = stated or given_crs(path, None, GIVE_CRS)
     lines = [line if line.comment else replace(line, text=frames.quoted(line.text)) for line in lines]

@@ -83,8 +83,8 @@ def lonlat_of_control(points: Sequence[ControlPoint]) -> Floats:
 
 
 def _error(file: ControlFile, reason: _Unusable) -> InputError:
-    mend = f"{reason.fix}, or add --gcp-optional to go on without control points"
-    return InputError(reason.problem, file=file.path, mend=mend)
+    fix = f"{reason.fix}, or add --gcp-optional to go on without control points"
+    return InputError(reason.problem, file=file.path, fix=fix)
 
 
 def _inside(

@@ -81,7 +81,7 @@ def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
         try:
             data = file.read_bytes()
         except OSError as error:
-            raise FileError(f"can't be read ({error.strerror})", file=file, mend=FRAME.mend) from error
+            raise FileError(f"can't be read ({error.strerror})", file=file, fix=FRAME.fix) from error
         return _of_jpeg(data, parse_structure(data, file, whole=False))
     return _of_tiff(file), None
 

@@ -95,18 +95,18 @@ def check_grid(source: Raster, path: Path) -> None:
     """`FileError` for a raster that is turned or upside down, or whose values are no heights in metres."""
     t = source.transform
     if not np.isfinite([*t, *source.bounds]).all():
-        raise FileError("the DEM's place on the map is no number", file=path, mend="correct its georeference")
+        raise FileError("the DEM's place on the map is no number", file=path, fix="correct its georeference")
     if t.b != 0.0 or t.d != 0.0 or t.a <= 0.0 or t.e >= 0.0:
-        raise FileError("the DEM is not north-up", file=path, mend="warp it with gdalwarp first")
+        raise FileError("the DEM is not north-up", file=path, fix="warp it with gdalwarp first")
     if np.dtype(source.dtypes[0]).kind not in "iuf":
-        raise FileError(f"the DEM's values are {source.dtypes[0]}", file=path, mend="give heights")
+        raise FileError(f"the DEM's values are {source.dtypes[0]}", file=path, fix="give heights")
     if (source.units[0] or "").lower() not in _METRES:
         raise FileError(
-            f"the DEM's heights are in {source.units[0]}", file=path, mend="convert them to metres"
+            f"the DEM's heights are in {source.units[0]}", file=path, fix="convert them to metres"
         )
     if not np.isfinite([source.scales[0], source.offsets[0]]).all() or source.scales[0] == 0.0:
         problem = f"the DEM's scale is {source.scales[0]:g}, its offset {source.offsets[0]:g}"
-        raise FileError(problem, file=path, mend="correct them (gdal_edit.py -scale 1 -offset 0)")
+        raise FileError(problem, file=path, fix="correct them (gdal_edit.py -scale 1 -offset 0)")
 
 
 def read_heights(
@@ -123,7 +123,7 @@ def read_heights(
         check_grid(source, path)
         wanted = _window(source, bounds, (1, 1))
         if wanted is None:
-            raise FileError("the DEM does not cover the survey", file=path, mend="give one that does")
+            raise FileError("the DEM does not cover the survey", file=path, fix="give one that does")
         t, sides = source.transform, (wanted.height, wanted.width)
         steps = [
             max(1.0, side / _MOST_PIXELS, finest / pixel)

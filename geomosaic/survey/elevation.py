@@ -45,7 +45,7 @@ def read_elevation(
     gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
     if len(gaps) == len(frame_names):
         raise InputError(
-            "the DEM has no heights under the frames", file=path, mend="give one that has (see its nodata)"
+            "the DEM has no heights under the frames", file=path, fix="give one that has (see its nodata)"
         )
     if gaps:
         text = f"{path.name}: no height under {len(gaps)} frames ({', '.join(gaps[:3])})"
@@ -61,24 +61,22 @@ def check_dem(path: Path) -> tuple[CRS, Any]:
     """
     with open_raster(path, DEM) as dem:
         if dem.crs is None:
-            mend = "assign its coordinate reference system (gdal_edit.py -a_srs EPSG:n)"
-            raise InputError("the DEM has no coordinate reference system", file=path, mend=mend)
+            fix = "assign its coordinate reference system (gdal_edit.py -a_srs EPSG:n)"
+            raise InputError("the DEM has no coordinate reference system", file=path, fix=fix)
         check_grid(dem, path)
         try:
             crs = CRS.from_wkt(dem.crs.to_wkt())
         except CRSError as error:
             problem = "the DEM's coordinate reference system can't be understood"
-            raise InputError(
-                problem, file=path, mend="assign another (gdal_edit.py -a_srs EPSG:n)"
-            ) from error
+            raise InputError(problem, file=path, fix="assign another (gdal_edit.py -a_srs EPSG:n)") from error
         level = crs.sub_crs_list[0] if crs.is_compound else crs
         if not level.is_geographic and not level.is_projected:
             problem = f"the DEM's coordinate reference system '{level.name}' is a {level.type_name}"
-            raise InputError(problem, file=path, mend="give the DEM in a map projection or in degrees")
+            raise InputError(problem, file=path, fix="give the DEM in a map projection or in degrees")
         try:
             MapProjection(crs.to_wkt()).map_from_geodetic(0.0, 0.0)
         except InputError as error:
-            raise InputError(error.problem, file=path, mend=error.mend) from error
+            raise InputError(error.problem, file=path, fix=error.fix) from error
         return crs, dem.bounds
 
 
@@ -93,7 +91,7 @@ def _with_datum(
         try:
             offset = ellipsoidal_offset_m(vertical, *middle)
         except InputError as error:
-            raise InputError(error.problem, file=path, mend=error.mend) from error
+            raise InputError(error.problem, file=path, fix=error.fix) from error
         return replace(model, offset_m=offset, vertical=f"{vertical.name}, offset {offset:+.2f} m"), []
     text = (
         f"{path.name}: no vertical datum, so its heights are taken in the datum of the frames' heights; "
@@ -116,5 +114,5 @@ def _check_cover(path: Path, crs: CRS, bounds: Any, names: Sequence[str], lonlat
     raise InputError(
         f"the DEM does not cover {outside.sum()} of {len(names)} frames: {names[i]} lies {far} outside",
         file=path,
-        mend="give a DEM of the whole survey",
+        fix="give a DEM of the whole survey",
     )

@@ -38,7 +38,7 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
     folder = folder.absolute()
     if not folder.is_dir():
         problem = "is no folder" if folder.exists() else "there is no such folder"
-        raise FileError(problem, file=folder, mend="give the folder that holds the frames")
+        raise FileError(problem, file=folder, fix="give the folder that holds the frames")
     check_name(folder)
     inputs = {p.absolute() for p in other}
     files, folders = _listed(folder)
@@ -56,7 +56,7 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
         raise InputError(
             f"holds no JPEG or TIFF frames ({', '.join(held) or 'it is empty'})",
             file=folder,
-            mend="give the folder that holds the frames themselves",
+            fix="give the folder that holds the frames themselves",
         )
     return _called(frames, top)
 
@@ -108,7 +108,7 @@ def _below(folder: Path) -> list[Path]:
             raise InputError(
                 f"holds no frames, but more than {_MOST_FOLDERS} folders to look for them",
                 file=folder,
-                mend="give the folder of the flight",
+                fix="give the folder of the flight",
             )
     return found
 
@@ -132,7 +132,7 @@ def _called(frames: Collection[Path], top: Path) -> dict[Path, str]:
     again = Counter(called.values())
     twice = next((name for name in called.values() if again[name] > 1), None)
     if twice is not None:
-        raise InputError("its name reads like that of another frame", file=twice, mend="rename it")
+        raise InputError("its name reads like that of another frame", file=twice, fix="rename it")
     return called
 
 
@@ -161,16 +161,16 @@ def _check_size(mask: Path, header: FrameHeader) -> None:
     with open_raster(mask, MASK) as raster:
         size = raster.width, raster.height
         if raster.driver == "GTiff":
-            with reading(mask, MASK.problem, MASK.mend):
-                check_blocks(raster, mask, MASK.mend)
+            with reading(mask, MASK.problem, MASK.fix):
+                check_blocks(raster, mask, MASK.fix)
         damage = ""
         if raster.driver == "PNG":
-            damage = png_damage(read_bytes(mask, _MOST_MASK_BYTES, "a mask", MASK.mend))
+            damage = png_damage(read_bytes(mask, _MOST_MASK_BYTES, "a mask", MASK.fix))
     if damage:
-        raise FileError(f"the mask is damaged: {damage}", file=mask, mend="copy or make it again")
+        raise FileError(f"the mask is damaged: {damage}", file=mask, fix="copy or make it again")
     if size != (header.width_px, header.height_px):
         raise FileError(
             f"the mask has {size[0]} x {size[1]} pixels, its frame {header.width_px} x {header.height_px}",
             file=mask,
-            mend="make a mask of the frame's size",
+            fix="make a mask of the frame's size",
         )

@@ -12,14 +12,14 @@ from geomosaic.survey.table import Aliases, Line, column_of, is_number, split
 
 
 def read_head(
-    path: Path, lines: list[Line], aliases: Aliases, mend: str
+    path: Path, lines: list[Line], aliases: Aliases, fix: str
 ) -> tuple[StatedCrs | None, list[Line]]:
     """The CRS of a file's first line, and the other lines: the columns' names first where they stand there.
 
     Comments before are left out, unless one is the CRS or names the columns. Without a CRS, the first of the
     lines names columns or is one of numbers.
 
-    Args: mend: how a CRS is given, for the error.
+    Args: fix: how a CRS is given, for the error.
     Raises: `InputError` for a first line that is none of these, with the names of systems most like it.
     """
     names: Line | None = None
@@ -27,17 +27,17 @@ def read_head(
         if is_wkt(line.text):
             text, i = _whole_wkt(lines, i)
             line = replace(line, text=text)
-            columns, crs = False, _crs(path, line, mend)
+            columns, crs = False, _crs(path, line, fix)
         else:
             columns = _names_columns(line, aliases, path)
-            crs = None if columns or has_numbers(line) else _crs(path, line, mend)
+            crs = None if columns or has_numbers(line) else _crs(path, line, fix)
         if crs is not None:
             after = lines[i + 1 :]
             named = bool(after) and _names_columns(after[0], aliases, path)
             return crs, after if names is None or named else [names, *after]
         if not line.comment:
             if names is None and not columns and not has_numbers(line):
-                raise _unknown(path, line, mend)
+                raise _unknown(path, line, fix)
             return None, lines[i:] if names is None or columns else [names, *lines[i:]]
         if columns:
             names = line
@@ -59,12 +59,12 @@ def _names_columns(line: Line, aliases: Aliases, path: Path) -> bool:
     return len({column for column in names_known(line, aliases, path) if column}) > 1
 
 
-def _crs(path: Path, line: Line, mend: str) -> StatedCrs | None:
+def _crs(path: Path, line: Line, fix: str) -> StatedCrs | None:
     """What a line says of a CRS; of a comment only a code, PROJ string or WKT counts."""
     try:
         return coded_crs(line.text) if line.comment else stated_crs(line.text)
     except InputError as error:
-        raise InputError(f"line {line.number}: {error.problem}", file=path, mend=mend) from error
+        raise InputError(f"line {line.number}: {error.problem}", file=path, fix=fix) from error
 
 
 def _whole_wkt(lines: list[Line], first: int) -> tuple[str, int]:
@@ -76,10 +76,10 @@ def _whole_wkt(lines: list[Line], first: int) -> tuple[str, int]:
     return text, last
 
 
-def _unknown(path: Path, line: Line, mend: str) -> InputError:
+def _unknown(path: Path, line: Line, fix: str) -> InputError:
     near = nearest_names(line.text)
     return InputError(
         f"line {line.number}: {shown(line.text)} names no columns and no known coordinate reference system",
         file=path,
-        mend=f"did you mean {near}? Else {mend}" if near else mend,
+        fix=f"did you mean {near}? Else {fix}" if near else fix,
     )

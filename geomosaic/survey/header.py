@@ -67,13 +67,13 @@ def read_header(path: Path) -> FrameHeader:
     size = f"{header.width_px} x {header.height_px} pixels"
     needed = header.width_px * header.height_px * header.bands * _BYTES.get(header.dtype, 8)
     if max(header.width_px, header.height_px) > _MOST_SIDE_PX or needed > _MOST_BYTES:
-        mend = f"a frame has at most {_MOST_SIDE_PX:,} px a side and {_MOST_BYTES >> 30} GB of pixels"
-        raise FileError(f"{size} in {header.bands} bands are too many", file=path, mend=mend)
+        fix = f"a frame has at most {_MOST_SIDE_PX:,} px a side and {_MOST_BYTES >> 30} GB of pixels"
+        raise FileError(f"{size} in {header.bands} bands are too many", file=path, fix=fix)
     if header.dtype not in DTYPES:
         raise InputError(
             f"pixels of type {header.dtype} aren't handled",
             file=path,
-            mend=f"convert the frame to one of {', '.join(sorted(DTYPES))}",
+            fix=f"convert the frame to one of {', '.join(sorted(DTYPES))}",
         )
     return header
 
@@ -81,21 +81,21 @@ def read_header(path: Path) -> FrameHeader:
 def _jpeg_header(path: Path) -> FrameHeader:
     jpeg = read_structure(path, whole=False)
     if jpeg.bits != 8:
-        raise InputError(f"a JPEG of {jpeg.bits} bits isn't handled", file=path, mend="convert it to TIFF")
+        raise InputError(f"a JPEG of {jpeg.bits} bits isn't handled", file=path, fix="convert it to TIFF")
     exif = exif_from_block(jpeg.exif) if jpeg.exif else Exif()
     bands = 1 if jpeg.bands == 1 else 3
     return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
 
 
 def _tiff_header(path: Path) -> FrameHeader:
-    with open_raster(path, FRAME) as tiff, reading(path, FRAME.problem, FRAME.mend):
+    with open_raster(path, FRAME) as tiff, reading(path, FRAME.problem, FRAME.fix):
         _check_packing(tiff, path)
-        check_blocks(tiff, path, FRAME.mend)
+        check_blocks(tiff, path, FRAME.fix)
         alpha = [i for i in tiff.colorinterp if i == ColorInterp.alpha]
         bands = tiff.count - len(alpha)
         dtypes = {str(d) for d in tiff.dtypes}
         if len(dtypes) != 1 or bands < 1:
-            raise InputError("has bands of several types", file=path, mend="convert them to one type")
+            raise InputError("has bands of several types", file=path, fix="convert them to one type")
         items = {**tiff.tags(), **tiff.tags(ns="EXIF")}
         packet = "".join(tiff.tags(ns="xml:XMP").values()).encode()
         with path.open("rb") as file:
@@ -113,10 +113,10 @@ def _check_packing(tiff: Raster, path: Path) -> None:
     unpacked = tiff.width * tiff.height * sum(_BYTES.get(str(kind), 8) for kind in tiff.dtypes)
     if unpacked > max(_SMALL_BYTES, _MOST_RATIO * size):
         problem = f"{size:,} bytes can't hold {tiff.width} x {tiff.height} pixels in {tiff.count} bands"
-        raise FileError(problem, file=path, mend=FRAME.mend)
+        raise FileError(problem, file=path, fix=FRAME.fix)
 
 
-def check_blocks(tiff: Raster, path: Path, mend: str) -> None:
+def check_blocks(tiff: Raster, path: Path, fix: str) -> None:
     """Every strip or tile is there, lies within the file, and isn't larger than its pixels.
 
     Of more than some thousands an even share is looked at. Raises: `FileError`.
@@ -134,9 +134,9 @@ def check_blocks(tiff: Raster, path: Path, mend: str) -> None:
             start = int(tiff.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band) or 0)
             length = int(tiff.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band) or 0)
             if start + length > size:
-                raise FileError("the TIFF is truncated: its image data don't end", file=path, mend=mend)
+                raise FileError("the TIFF is truncated: its image data don't end", file=path, fix=fix)
             if not (start and length) and tiff.nodata is None:
-                raise FileError("a part of the TIFF's image data is missing", file=path, mend=mend)
+                raise FileError("a part of the TIFF's image data is missing", file=path, fix=fix)
             if tiff.compression is None and length > largest:
                 problem = f"the TIFF's header is damaged: {length:,} bytes for {largest:,} bytes of pixels"
-                raise FileError(problem, file=path, mend=mend)
+                raise FileError(problem, file=path, fix=fix)

@@ -70,7 +70,7 @@ def read_structure(path: Path, whole: bool = True) -> JpegStructure:
     except (OSError, ValueError) as error:  # mmap of an empty file is a ValueError
         empty = path.is_file() and path.stat().st_size == 0
         problem = "the file is empty" if empty else f"can't be read ({error})"
-        raise FileError(problem, file=path, mend=_TRUNCATED) from error
+        raise FileError(problem, file=path, fix=_TRUNCATED) from error
 
 
 def parse_structure(data: bytes | mmap.mmap, path: Path, whole: bool = True) -> JpegStructure:
@@ -82,15 +82,15 @@ def parse_structure(data: bytes | mmap.mmap, path: Path, whole: bool = True) -> 
     data; MPF's own lengths are wrong in files whose header was enlarged afterwards.
     """
     if bytes(data[:2]) != b"\xff\xd8":
-        raise FileError("is no JPEG file", file=path, mend="take it out of the folder")
+        raise FileError("is no JPEG file", file=path, fix="take it out of the folder")
     at, size, exif, xmp = 2, None, b"", b""
     size_at, progressive, restart, sampling = 0, False, 0, b""
     while True:
         head = bytes(data[at : at + 4])
         if len(head) < 4:
-            raise FileError("the JPEG is truncated in its header", file=path, mend=_TRUNCATED)
+            raise FileError("the JPEG is truncated in its header", file=path, fix=_TRUNCATED)
         if head[0] != 0xFF:
-            raise FileError("the JPEG's header is damaged", file=path, mend=_TRUNCATED)
+            raise FileError("the JPEG's header is damaged", file=path, fix=_TRUNCATED)
         marker = head[1]
         if marker == 0xFF:  # fill byte
             at += 1
@@ -112,15 +112,15 @@ def parse_structure(data: bytes | mmap.mmap, path: Path, whole: bool = True) -> 
             xmp = xmp or body[len(_XMP) :]
         at += 2 + int.from_bytes(head[2:4], "big")
     if size is None or 0 in size:
-        raise FileError("the JPEG's header states no size", file=path, mend=_TRUNCATED)
+        raise FileError("the JPEG's header states no size", file=path, fix=_TRUNCATED)
     bits, height, width, bands = size
     start = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
     if (len(data) - start) * 8 < -(-width // 8) * -(-height // 8):  # a block of 8 x 8 takes at least a bit
         raise FileError(
-            f"{len(data) - start:,} bytes can't hold {width} x {height} pixels", file=path, mend=_TRUNCATED
+            f"{len(data) - start:,} bytes can't hold {width} x {height} pixels", file=path, fix=_TRUNCATED
         )
     if whole and data.rfind(_EOI, max(at, len(data) - 65536)) < 0 and data.rfind(_EOI, at) < 0:
-        raise FileError("the JPEG is truncated: its image data don't end", file=path, mend=_TRUNCATED)
+        raise FileError("the JPEG is truncated: its image data don't end", file=path, fix=_TRUNCATED)
     across, down = (max((s >> 4 for s in sampling), default=1), max((s & 15 for s in sampling), default=1))
     block_px = (8, 8) if bands == 1 else (8 * across, 8 * down)
     return JpegStructure(

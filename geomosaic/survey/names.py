@@ -43,7 +43,7 @@ class FrameNames:
         found = self._by_name.get(folded) or self._by_stem.get(folded) or self._by_stem.get(stem) or []
         if len(found) > 1:
             raise InputError(
-                f"'{text}' may be any of {', '.join(found)}", mend="write its extension and capitals"
+                f"'{text}' may be any of {', '.join(found)}", fix="write its extension and capitals"
             )
         return found[0] if found else None
 

@@ -117,7 +117,7 @@ def _matched(
         try:
             frame = names.find(row.name)
         except InputError as error:
-            raise InputError(f"line {row.line}: {error.problem}", file=pos.path, mend=error.mend) from error
+            raise InputError(f"line {row.line}: {error.problem}", file=pos.path, fix=error.fix) from error
         if frame is None:
             strangers.append(row)
             continue
@@ -125,7 +125,7 @@ def _matched(
             raise InputError(
                 f"frame {frame} stands in line {rows[frame].line} and again in line {row.line}",
                 file=pos.path,
-                mend="remove one of them",
+                fix="remove one of them",
             )
         rows[frame] = row
     lacking = [name for name in own if name not in rows]
@@ -134,13 +134,13 @@ def _matched(
         raise InputError(
             f"line {row.line}: '{row.name}' is no frame in {headers[0].path.parent}",
             file=pos.path,
-            mend=f"remove the line or add the frame; {names.near(row.name)}",
+            fix=f"remove the line or add the frame; {names.near(row.name)}",
         )
     if lacking and strict:
         raise InputError(
             f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}",
             file=pos.path,
-            mend="add them, or take these frames out of the folder",
+            fix="add them, or take these frames out of the folder",
         )
     warnings = []
     if strangers:
@@ -219,7 +219,7 @@ def _against_exif(
             f"longitude and latitude are swapped: the frames' own GPS says {known[0, 0]:.5f}, "
             f"{known[0, 1]:.5f} for {both[0][2]}",
             file=pos.path,
-            mend="exchange the two columns or their names",
+            fix="exchange the two columns or their names",
         )
     i = int(np.argmax(away))
     if away[i] <= _FAR_M:
@@ -240,7 +240,7 @@ def check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position]) 
         raise InputError(
             f"lies {away[i] / 1000.0:.0f} km from the middle of the survey",
             file=headers[i].path,
-            mend="correct its position, or take the frame out of the folder",
+            fix="correct its position, or take the frame out of the folder",
         )
 
 

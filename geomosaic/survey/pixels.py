@@ -22,7 +22,7 @@ from geomosaic.survey.small import HALF, Spare, brightness, means, padded
 Mask = NDArray[np.uint8]
 
 REDUCTIONS = sourced((1, 2, 4, 8), "px a side", "of smaller decodes; others blur", "libjpeg: 8 x 8 blocks")
-_MEND: Final = "copy it again from the camera, or take it out of the folder"
+_FIX: Final = "copy it again from the camera, or take it out of the folder"
 
 
 def read_pixels(
@@ -47,7 +47,7 @@ def read_pixels(
     path = Path(frame.path)
     for named in filter(None, (frame.path, frame.valid_mask)):
         if not Path(named).is_absolute():  # in the current folder lies what nobody named
-            raise FileError("is no full path", file=named, mend="run the recipe again from its first stage")
+            raise FileError("is no full path", file=named, fix="run the recipe again from its first stage")
     bands = frame.bands
     if path.suffix.lower() in JPEG_SUFFIXES:
         bands = 1 if luma else bands
@@ -59,7 +59,7 @@ def read_pixels(
         pixels = means(pixels, reduction)
     expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), bands)
     if pixels.shape != expected:
-        raise FileError(f"has changed: {pixels.shape} pixels instead of {expected}", file=path, mend=_MEND)
+        raise FileError(f"has changed: {pixels.shape} pixels instead of {expected}", file=path, fix=_FIX)
     if frame.valid_mask is not None:
         sidecar = _read_mask(Path(frame.valid_mask), (frame.height_px, frame.width_px))
         valid = sidecar if valid is None else np.minimum(valid, sidecar)
@@ -73,7 +73,7 @@ def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArra
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path, mend=_MEND) from error
+        raise FileError(f"can't be read ({error.strerror})", file=path, fix=_FIX) from error
     parse_structure(data, path, whole=frame.whole_rows is None)  # what is missing is filled with grey
     try:
         if reduction == 1:
@@ -81,12 +81,12 @@ def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArra
         half = decoded(data, frame.bands, HALF)
         return means(brightness(half) if bands == 1 else half, reduction // HALF)
     except ValueError as error:
-        raise FileError("the JPEG can't be decoded", file=path, mend=_MEND) from error
+        raise FileError("the JPEG can't be decoded", file=path, fix=_FIX) from error
 
 
 def _read_tiff(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask | None]:
     """By rasterio: it knows nodata, internal masks, alpha, any number of bands, and what is missing."""
-    with reading(path, "the TIFF can't be decoded whole", _MEND), open_raster(path, FRAME) as tiff:
+    with reading(path, "the TIFF can't be decoded whole", _FIX), open_raster(path, FRAME) as tiff:
         bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
         window = Window(0, 0, tiff.width, tiff.height if whole_rows is None else whole_rows)
         pixels = tiff.read([i for i, c in bands if c != ColorInterp.alpha], window=window)
@@ -105,12 +105,12 @@ def _read_tiff(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask |
 
 def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
     """255 where any colour is above 0; an alpha band says nothing."""
-    with open_raster(path, MASK) as mask, reading(path, MASK.problem, MASK.mend):
+    with open_raster(path, MASK) as mask, reading(path, MASK.problem, MASK.fix):
         if mask.shape != shape:
             raise FileError(
                 f"the mask has {mask.width} x {mask.height} pixels, its frame {shape[1]} x {shape[0]}",
                 file=path,
-                mend="make a mask of the frame's size",
+                fix="make a mask of the frame's size",
             )
         if mask.colorinterp[0] == ColorInterp.palette:
             colours = mask.colormap(1)

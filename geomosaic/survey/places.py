@@ -42,18 +42,18 @@ class Places:
     notes: list[Warn]
 
 
-def given_crs(path: Path, crs: str | None, mend: str) -> StatedCrs | None:
+def given_crs(path: Path, crs: str | None, fix: str) -> StatedCrs | None:
     """The CRS given, else that of a .prj file of the same name beside the file, else None."""
     prj = path.with_suffix(".prj")
     if crs is not None:
-        return required_crs(crs, mend)
+        return required_crs(crs, fix)
     if not prj.is_file():
         return None
     text = read_text(prj, _PRJ_BYTES, "a .prj file", "give the CRS as WKT, or remove it")
     try:
         return required_crs(" ".join(text.split()), "give the CRS as WKT, or remove it")
     except InputError as error:
-        raise InputError(error.problem, file=prj, mend=error.mend) from error
+        raise InputError(error.problem, file=prj, fix=error.fix) from error
 
 
 def check_area(crs: CRS, lon_deg: float, lat_deg: float, what: str, file: Path | None = None) -> list[Warn]:
@@ -72,7 +72,7 @@ def check_area(crs: CRS, lon_deg: float, lat_deg: float, what: str, file: Path |
         f"{crs.name} ({reach})"
     )
     if away_m > _FAR_OUTSIDE_M:
-        raise InputError(problem, file=file, mend="give the coordinate reference system that belongs to them")
+        raise InputError(problem, file=file, fix="give the coordinate reference system that belongs to them")
     return [Warn("crs-outside-area", "", f"{problem}; distances on the map may be wrong")]
 
 
@@ -91,17 +91,17 @@ def check_columns(table: Table, aliases: Aliases, item: str, what: str) -> None:
             raise InputError(
                 f"no column for the {meaning} (found: {found})",
                 file=table.path,
-                mend=f"name it one of: {', '.join(aliases[column])}",
+                fix=f"name it one of: {', '.join(aliases[column])}",
             )
 
 
-def places_of(table: Table, stated: StatedCrs | None, near: Floats, mend: str) -> Places:
+def places_of(table: Table, stated: StatedCrs | None, near: Floats, fix: str) -> Places:
     """Where the items of a table lie, by longitude and latitude, or by x and y in the CRS that is stated.
 
     Of several systems that a name may mean, and of both orders of x and y, the first that puts the items
     near the frames is taken; where these have no position, the first in whose area of use the items lie.
 
-    Args: near: longitudes and latitudes (k, 2) of the frames; mend: how a CRS is given, for errors.
+    Args: near: longitudes and latitudes (k, 2) of the frames; fix: how a CRS is given, for errors.
     Raises: `AmbiguousCrsError` where systems are left that put the items at different places; `InputError`
     naming the line of a value out of range, or columns that are swapped.
     """
@@ -111,11 +111,11 @@ def places_of(table: Table, stated: StatedCrs | None, near: Floats, mend: str) -
         return Places(lonlat, None, None, [])
     xy = np.column_stack([table.required("x"), table.required("y")])
     if stated is None:
-        raise InputError("x and y have no coordinate reference system", file=table.path, mend=mend)
+        raise InputError("x and y have no coordinate reference system", file=table.path, fix=fix)
     try:
-        crs, swapped = _chosen(stated, xy, near, mend)
+        crs, swapped = _chosen(stated, xy, near, fix)
     except AmbiguousCrsError as error:
-        raise AmbiguousCrsError(error.problem, file=table.path, mend=mend) from error
+        raise AmbiguousCrsError(error.problem, file=table.path, fix=fix) from error
     notes = []
     name = table.path.name
     if not stated.is_name_of(crs):
@@ -136,7 +136,7 @@ def places_of(table: Table, stated: StatedCrs | None, near: Floats, mend: str) -
     return Places(lonlat, crs, None if crs.is_geographic else horizontal, notes)
 
 
-def _chosen(stated: StatedCrs, xy: Floats, near: Floats, mend: str) -> tuple[CRS, bool]:
+def _chosen(stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> tuple[CRS, bool]:
     """The CRS that is meant, and whether x and y are exchanged."""
     degrees = bool((np.abs(xy) <= 180.0).all())
     every = [stated.meant(group) for group in stated.groups]
@@ -150,7 +150,7 @@ def _chosen(stated: StatedCrs, xy: Floats, near: Floats, mend: str) -> tuple[CRS
                     group, some[:, ::-1] if swapped else some, frames, 0.0 if swapped else _FAR_M
                 )
                 if fitting:
-                    _check_one_place(stated, fitting, mend)
+                    _check_one_place(stated, fitting, fix)
                     return next(iter(fitting)), swapped
     return groups[0][0], False
 
@@ -180,12 +180,12 @@ def _lonlat(crs: CRS, xy: Floats) -> Floats | None:
     return lonlat if (np.abs(degrees) <= [180.0, 90.0]).all() and np.isfinite(lonlat).all() else None
 
 
-def _check_one_place(stated: StatedCrs, fitting: Mapping[CRS, Floats], mend: str) -> None:
+def _check_one_place(stated: StatedCrs, fitting: Mapping[CRS, Floats], fix: str) -> None:
     """`AmbiguousCrsError` where systems put points farther apart than points are known."""
     first, *others = fitting.values()
     apart = [np.linalg.norm(mid_latitude_offset_m(*first.T, *other.T), axis=1).max() for other in others]
     if max(apart, default=0.0) > CONTROL.sd_horizontal_m:
-        raise stated.ambiguous(fitting, mend)
+        raise stated.ambiguous(fitting, fix)
 
 
 def away_from(near: Floats, lonlat: Floats) -> tuple[Floats, float]:
@@ -202,14 +202,14 @@ def _check_range(table: Table, lonlat: Floats) -> None:
         raise InputError(
             f"line {line}: the position lies outside the area of its coordinate system",
             file=table.path,
-            mend="check the columns and the coordinate reference system",
+            fix="check the columns and the coordinate reference system",
         )
     lat_bad, lon_bad = np.abs(lonlat[:, 1]) > 90.0, np.abs(lonlat[:, 0]) > 180.0
     if lat_bad.all() and (np.abs(lonlat[:, 0]) <= 90.0).all() and (np.abs(lonlat[:, 1]) <= 180.0).all():
         raise InputError(
             f"longitude and latitude are swapped (line {table.lines[0]}: latitude {lonlat[0, 1]:g})",
             file=table.path,
-            mend="exchange the two columns or their names",
+            fix="exchange the two columns or their names",
         )
     nowhere = (lonlat == 0.0).all(axis=1)
     if nowhere.any():
@@ -217,7 +217,7 @@ def _check_range(table: Table, lonlat: Floats) -> None:
             f"line {table.lines[int(np.argmax(nowhere))]}: longitude and latitude are both 0, "
             "as written by a receiver without a fix",
             file=table.path,
-            mend="correct them, or take the line and its frame out",
+            fix="correct them, or take the line and its frame out",
         )
     for bad, axis, name, limit in ((lat_bad, 1, "latitude", 90), (lon_bad, 0, "longitude", 180)):
         if bad.any():
@@ -225,7 +225,7 @@ def _check_range(table: Table, lonlat: Floats) -> None:
             raise InputError(
                 f"line {table.lines[i]}: {name} {lonlat[i, axis]:g} is outside -{limit} to {limit}",
                 file=table.path,
-                mend="correct it (decimal degrees), or name the columns x and y and give their CRS",
+                fix="correct it (decimal degrees), or name the columns x and y and give their CRS",
             )
 
 
@@ -254,7 +254,7 @@ def heights_of(table: Table, crs: CRS | None, lonlat: Floats) -> tuple[Floats, l
             raise InputError(
                 error.problem,
                 file=table.path,
-                mend="give ellipsoidal heights (height_ellipsoidal_m), or install proj-data",
+                fix="give ellipsoidal heights (height_ellipsoidal_m), or install proj-data",
             ) from error
     elif column == "height":
         text = (

@@ -72,7 +72,7 @@ def plausible_positions(
         worst = float(heights[0] if np.isfinite(heights[0]) else above[np.flatnonzero(given)[0]])
         raise InputError(
             f"no frame has a height that can be: {names[int(np.argmax(given))]} has {worst:g} m",
-            mend="give heights in metres, or leave them out: images show how high they were taken",
+            fix="give heights in metres, or leave them out: images show how high they were taken",
         )
     kept = tuple(
         replace(

@@ -123,7 +123,7 @@ def read_pos(
     Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
     .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
     whose names those with blanks are found.
-    Raises: `InputError` naming the file, the line and the mend.
+    Raises: `InputError` naming the file, the line and the fix.
     """
     notes: list[Warn] = []
     table, stated = _table(path, crs, frames, notes)
@@ -137,7 +137,7 @@ def read_pos(
     names, lines = table.texts("frame"), table.lines
     if None in names:
         line = lines[names.index(None)]
-        raise InputError(f"line {line}: no frame name", file=path, mend="fill it in or remove it")
+        raise InputError(f"line {line}: no frame name", file=path, fix="fill it in or remove it")
     known: dict[str, Floats] = {
         "height_ellipsoidal_m": heights,
         "height_above_ground_m": table.numbers("height_above_ground"),
@@ -174,7 +174,7 @@ def _table(
 ) -> tuple[Table, StatedCrs | None]:
     lines = read_lines(path, _MOST_LINES, "lines of frames")
     if not lines:
-        raise InputError("the POS file is empty", file=path, mend="give a header line and a line per frame")
+        raise InputError("the POS file is empty", file=path, fix="give a header line and a line per frame")
     odm, lines = read_head(path, lines, ALIASES, _GIVE_CRS)
     lines = [replace(line, text=frames.quoted(line.text)) for line in lines]
     file_crs = odm or given_crs(path, given, _GIVE_CRS)
@@ -191,7 +191,7 @@ def _table(
         raise InputError(
             "has no header line that names the columns",
             file=path,
-            mend="put one first: frame,lon_deg,lat_deg,height_ellipsoidal_m,yaw_deg,pitch_deg,roll_deg",
+            fix="put one first: frame,lon_deg,lat_deg,height_ellipsoidal_m,yaw_deg,pitch_deg,roll_deg",
         )
     projected = file_crs is not None and not all(crs_of(c).is_geographic for c in file_crs.groups[0])
     columns = ("frame", "x", "y", *_PIX4D[3:]) if projected else _PIX4D
@@ -217,7 +217,7 @@ def deviation(table: Table, whole: str, *parts: str) -> Floats:
     if (values < 0.0).any():
         line = table.lines[int(np.argmax((values < 0.0).any(axis=0)))]
         raise InputError(
-            f"line {line}: a standard deviation of {np.nanmin(values):g}", file=table.path, mend="correct it"
+            f"line {line}: a standard deviation of {np.nanmin(values):g}", file=table.path, fix="correct it"
         )
     sd = np.sqrt(np.mean(np.square(values), axis=0))
     return np.where(sd == 0.0, np.nan, sd)

@@ -115,7 +115,7 @@ def read_survey(
     `usable.DAMAGED`; leave_out: one of `strays.LEAVE_OUT`; strict: frames that can't be used, frames without
     a line in pos and lines without a frame are errors; inspect: `damage.wholeness` of many frames;
     progress: called with frames done, frames in all, and what is being done.
-    Raises: `InputError` and `FileError`, one line that names the file and the mend.
+    Raises: `InputError` and `FileError`, one line that names the file and the fix.
     """
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
     table = None
@@ -306,7 +306,7 @@ def _check_alike(headers: Sequence[FrameHeader]) -> None:
     raise InputError(
         f"has {_kind(odd[0].bands, odd[0].dtype)}, {kinds[usual]} other frames have {_kind(*usual)}{few}",
         file=odd[0].path,
-        mend="convert it, or take it out of the folder",
+        fix="convert it, or take it out of the folder",
     )
 
 
@@ -331,7 +331,7 @@ def _check_local(local: bool, folder: Path, crs: str, dem: Path | None) -> None:
             raise InputError(
                 f"no frame has a position: {what}",
                 file=folder,
-                mend="give positions with --pos or control points with --gcp",
+                fix="give positions with --pos or control points with --gcp",
             )
 
 

@@ -19,11 +19,11 @@ from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_model import read_model
 
 _MAX_BYTES = tuned(1 << 20, "bytes", "of an RPC as text: larger is opened as a raster that holds one")
-_MEND: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
-_RPC: Final = Purpose(("GTiff",), "is no RPC and no raster that holds one", _MEND)
-_DEM_MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"
+_FIX: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
+_RPC: Final = Purpose(("GTiff",), "is no RPC and no raster that holds one", _FIX)
+_DEM_FIX: Final = "give a DEM of the whole scene, or leave 'dem' out"
 _PAST: Final = "looks past the Earth"
-_PAST_MEND: Final = "check the attitude's and the looks' signs"
+_PAST_FIX: Final = "check the attitude's and the looks' signs"
 
 
 def read_rpc(path: Path) -> Rpc:
@@ -31,20 +31,20 @@ def read_rpc(path: Path) -> Rpc:
 
     Raises: `FileError` or `InputError` naming the file.
     """
-    check_regular(path, _MEND)
+    check_regular(path, _FIX)
     try:
         if path.stat().st_size <= _MAX_BYTES:
-            content = read_bytes(path, _MAX_BYTES, "an RPC", _MEND)
+            content = read_bytes(path, _MAX_BYTES, "an RPC", _FIX)
             if b"LINE_OFF" in content and b"\0" not in content:
-                return parse_rpc(decoded(content, path, _MEND))
+                return parse_rpc(decoded(content, path, _FIX))
         with open_raster(path, _RPC) as raster:
             return Rpc.from_metadata(raster.tags(ns="RPC"))
     except FileError:
         raise
     except InputError as error:
-        raise InputError(error.problem, file=path, mend=_MEND) from error
+        raise InputError(error.problem, file=path, fix=_FIX) from error
     except (OSError, ValueError) as error:
-        raise FileError(_RPC.problem, file=path, mend=_MEND) from error
+        raise FileError(_RPC.problem, file=path, fix=_FIX) from error
 
 
 def checked_model(path: Path, ccds: int, line_rate_hz: float) -> Pushbroom:
@@ -54,13 +54,13 @@ def checked_model(path: Path, ccds: int, line_rate_hz: float) -> Pushbroom:
         raise InputError(
             f"has looks for {len(model.right_tan)} CCDs, the geometry has {ccds}",
             file=path,
-            mend="give one for each, dead ones too",
+            fix="give one for each, dead ones too",
         )
     if abs(model.line_rate_hz / line_rate_hz - 1.0) > 1e-3:
         raise InputError(
             f"has {model.line_rate_hz:g} lines a second, the geometry {line_rate_hz:g}",
             file=path,
-            mend="correct line_rate_hz",
+            fix="correct line_rate_hz",
         )
     return model
 
@@ -74,10 +74,10 @@ def check_pixel(model: Pushbroom, size_px: tuple[int, int], pixel_m: float, file
     left, right = model.ground_from_image(len(model.right_tan) // 2, [col - 0.5, col + 0.5], line, 0.0)
     own_m = float(np.hypot(*mid_latitude_offset_m(left[0], left[1], right[0], right[1])))
     if not np.isfinite(own_m):
-        raise InputError(_PAST, file=path, mend=_PAST_MEND)
+        raise InputError(_PAST, file=path, fix=_PAST_FIX)
     if not 0.5 <= own_m / pixel_m <= 2.0:
         problem = f"ground_pixel_m is {pixel_m:g}, but pixels of {path.name} measure {own_m:.3g} m"
-        raise InputError(problem, file=file, mend="correct ground_pixel_m, or give the model of these strips")
+        raise InputError(problem, file=file, fix="correct ground_pixel_m, or give the model of these strips")
 
 
 def check_cover(dem: Path, model: Pushbroom, size_px: tuple[int, int], height_m: float) -> None:
@@ -94,7 +94,7 @@ def check_cover(dem: Path, model: Pushbroom, size_px: tuple[int, int], height_m:
     if not inside.any():
         at = f"{np.median(lon):.3f}, {np.median(lat):.3f} deg"
         raise InputError(
-            f"the DEM does not cover the strips: the model looks at {at}", file=dem, mend=_DEM_MEND
+            f"the DEM does not cover the strips: the model looks at {at}", file=dem, fix=_DEM_FIX
         )
 
 
@@ -112,19 +112,19 @@ def check_rpc(
     if (np.abs(middle - wanted / 2.0) > half).any() or (half > wanted).any() or (half < wanted / 4.0).any():
         own, ours = (f"{w:.0f} x {n:.0f}" for n, w in (2.0 * half, wanted))
         why = f"an image of some {own} px, where the strips make {ours}"
-        raise InputError(f"is of another scene: {why}", file=path, mend=_MEND)
+        raise InputError(f"is of another scene: {why}", file=path, fix=_FIX)
     lat, lon, height = (float(v) for v in rpc.offset[2:])
     if model is not None:
         at = model.ground_from_image(len(model.right_tan) // 2, 0.0, size_px[1] / 2.0, height)
         away_m = float(np.hypot(*mid_latitude_offset_m(at[0], at[1], lon, lat)))
         if not away_m < float(np.hypot(*wanted)) * pixel_m:
             why = f"its middle is {away_m / 1000.0:,.0f} km from where the model looks"
-            raise InputError(f"is of another scene: {why}", file=path, mend=_MEND)
+            raise InputError(f"is of another scene: {why}", file=path, fix=_FIX)
     elif dem is not None:
         crs, bounds = check_dem(dem)
         x, y = MapProjection(crs.to_wkt()).map_from_geodetic(lon, lat)
         if not (bounds.left <= x <= bounds.right and bounds.bottom <= y <= bounds.top):
             why = f"its middle ({lon:.3f}, {lat:.3f} deg) is not on {dem.name}"
-            mend = "correct 'rpc' or 'dem'"
-            raise InputError(f"it or {dem.name} is of another scene: {why}", file=path, mend=mend)
+            fix = "correct 'rpc' or 'dem'"
+            raise InputError(f"it or {dem.name} is of another scene: {why}", file=path, fix=fix)
     return rpc

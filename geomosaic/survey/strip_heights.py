@@ -23,7 +23,7 @@ from geomosaic.survey.model import ElevationModel, Warn
 Floats = NDArray[np.float64]
 _TILE_PX = tuned(256, "px a side", "read at once: smaller are many reads; larger hold unused land")
 _MOST_TILES = tuned(384, "tiles", "kept, 200 MB: fewer are read again in a wide scene; more take memory")
-_MEND: Final = "give a DEM of the whole scene, or leave 'dem' out"
+_FIX: Final = "give a DEM of the whole scene, or leave 'dem' out"
 
 
 @dataclass(eq=False)
@@ -97,7 +97,7 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
     low, high = np.array([bounds.left, bounds.bottom]), np.array([bounds.right, bounds.top])
     inside = ((xy >= low) & (xy <= high)).all(axis=1)
     if not inside.any():
-        raise InputError("the DEM does not cover the strips", file=path, mend=_MEND)
+        raise InputError("the DEM does not cover the strips", file=path, fix=_FIX)
     vertical, warnings = vertical_crs(crs), []
     if vertical is None:
         text = f"{path.name}: no vertical datum, so its heights are taken for ellipsoidal"
@@ -107,7 +107,7 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
         try:
             offset_m = ellipsoidal_offset_m(vertical, *np.median(lonlat[inside], axis=0))
         except InputError as error:
-            raise InputError(error.problem, file=path, mend=error.mend) from error
+            raise InputError(error.problem, file=path, fix=error.fix) from error
         model = ElevationModel(str(path), offset_m, f"{vertical.name}, offset {offset_m:+.2f} m")
     with open_raster(path, DEM) as dem:
         pixel = float(dem.transform.a), float(-dem.transform.e)
@@ -115,7 +115,7 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
     sampled = heights(*lonlat[inside].T)
     known = np.isfinite(sampled)
     if not known.any():
-        raise InputError("the DEM has no heights under the strips", file=path, mend=_MEND)
+        raise InputError("the DEM has no heights under the strips", file=path, fix=_FIX)
     heights.mean_m = float(sampled[known].mean())
     heights.span_m = float(sampled[known].min()), float(sampled[known].max())
     lacking = 1.0 - known.sum() / len(lonlat)

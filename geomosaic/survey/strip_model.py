@@ -26,7 +26,7 @@ _MOST_BYTES = tuned(
     "bytes by kind",
     "a table of 200 s at 3 kHz has 60 MB; YAML is slow",
 )
-_MEND: Final = "see docs/simulation.md for the model's form"
+_FIX: Final = "see docs/simulation.md for the model's form"
 
 
 def read_model(path: Path) -> Pushbroom:
@@ -42,10 +42,10 @@ def read_model(path: Path) -> Pushbroom:
     entry = _entry(path)
     rate = _numbers([entry["line_rate_hz"]], 1, "line_rate_hz", path)[0]
     if rate <= 0.0:
-        raise InputError("line_rate_hz must be above 0", file=path, mend=_MEND)
+        raise InputError("line_rate_hz must be above 0", file=path, fix=_FIX)
     looks = entry["looks"]
     if not isinstance(looks, list) or not looks or not all(isinstance(one, dict) for one in looks):
-        raise InputError("looks isn't a list of look angles, one for each CCD", file=path, mend=_MEND)
+        raise InputError("looks isn't a list of look angles, one for each CCD", file=path, fix=_FIX)
     tan = {
         key: np.array(
             [_numbers(one.get(key), 3, f"{key} of CCD {i}", path) for i, one in enumerate(looks, 1)]
@@ -53,7 +53,7 @@ def read_model(path: Path) -> Pushbroom:
         for key in _LOOK_KEYS
     }
     if (tan["right_tan"][:, 1] == 0.0).any():
-        raise InputError("a CCD's right_tan doesn't change with the column", file=path, mend=_MEND)
+        raise InputError("a CCD's right_tan doesn't change with the column", file=path, fix=_FIX)
     orbit = _table(path, entry["orbit"], ORBIT_COLUMNS)
     attitude = _table(path, entry["attitude"], ATTITUDE_COLUMNS)
     return Pushbroom(
@@ -75,52 +75,52 @@ def model_tables(path: Path) -> dict[str, Path]:
 
 
 def _entry(path: Path) -> dict[str, Any]:
-    entry = read_yaml(path, _MOST_BYTES["model"], "a model", _MEND)
+    entry = read_yaml(path, _MOST_BYTES["model"], "a model", _FIX)
     if not isinstance(entry, dict):
-        raise InputError("is no model of CCD strips", file=path, mend=_MEND)
+        raise InputError("is no model of CCD strips", file=path, fix=_FIX)
     for key in entry:
         if key not in _KEYS:
             raise UnknownNameError("model key", shown(key).strip("'"), _KEYS, file=path)
     for key in _KEYS:
         if key not in entry:
-            raise InputError(f"has no {key}", file=path, mend=_MEND)
+            raise InputError(f"has no {key}", file=path, fix=_FIX)
     return entry
 
 
 def _numbers(value: Any, count: int, what: str, path: Path) -> Floats:
     good = isinstance(value, list) and len(value) == count
     if not good or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
-        raise InputError(f"{what} isn't {count} number{'s' if count > 1 else ''}", file=path, mend=_MEND)
+        raise InputError(f"{what} isn't {count} number{'s' if count > 1 else ''}", file=path, fix=_FIX)
     try:
         numbers = np.array(value, dtype=np.float64)
     except OverflowError as error:
-        raise InputError(f"{what} is too large", file=path, mend=_MEND) from error
+        raise InputError(f"{what} is too large", file=path, fix=_FIX) from error
     if not np.isfinite(numbers).all():
-        raise InputError(f"{what} isn't finite", file=path, mend=_MEND)
+        raise InputError(f"{what} isn't finite", file=path, fix=_FIX)
     return numbers
 
 
 def _table_path(model: Path, name: Any) -> Path:
     if not isinstance(name, str) or not name or "\0" in name:
-        raise InputError(f"names {shown(name)} as a table", file=model, mend="give a CSV file's path")
+        raise InputError(f"names {shown(name)} as a table", file=model, fix="give a CSV file's path")
     return model.absolute().parent / name
 
 
 def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
     path = _table_path(model, name)
-    first, _, rest = read_text(path, _MOST_BYTES["table"], "a model's table", _MEND).partition("\n")
+    first, _, rest = read_text(path, _MOST_BYTES["table"], "a model's table", _FIX).partition("\n")
     if tuple(cell.strip() for cell in first.split(",")) != columns:
-        raise InputError(f"its first line isn't {','.join(columns)}", file=path, mend=_MEND)
+        raise InputError(f"its first line isn't {','.join(columns)}", file=path, fix=_FIX)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of a file without rows
             table = np.loadtxt(io.StringIO(rest), delimiter=",", comments=None, quotechar='"', ndmin=2)
     except ValueError as error:
-        raise InputError("holds what is no number, or a line is short", file=path, mend=_MEND) from error
+        raise InputError("holds what is no number, or a line is short", file=path, fix=_FIX) from error
     if table.ndim != 2 or table.shape[1] != len(columns) or len(table) < 4 or not np.isfinite(table).all():
         raise InputError(
-            f"isn't a table of at least four lines of {len(columns)} numbers", file=path, mend=_MEND
+            f"isn't a table of at least four lines of {len(columns)} numbers", file=path, fix=_FIX
         )
     if (np.diff(table[:, 0]) <= 0.0).any():
-        raise InputError("its times don't rise from line to line", file=path, mend="sort it by time")
+        raise InputError("its times don't rise from line to line", file=path, fix="sort it by time")
     return table

@@ -35,7 +35,7 @@ _KEYS: Final = (
     "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",
     "altitude_m", "bit_depth", "nodata", "dem", "rpc", "model",
 )  # fmt: skip
-_MEND: Final = "see docs/inputs.md for the keys of a geometry file"
+_FIX: Final = "see docs/inputs.md for the keys of a geometry file"
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def read_geometry(path: Path) -> StripGeometry:
     the rest has defaults. `bit_depth` is the files' where it isn't given. DEM, RPC and model, where named,
     must be readable and fit: as many CCDs, the same line rate, the same scene.
 
-    Raises: `FileError` or `InputError` with one line that names the file and the mend.
+    Raises: `FileError` or `InputError` with one line that names the file and the fix.
     """
     path = Path(path)
     entry = _load(path)
@@ -126,12 +126,12 @@ def read_geometry(path: Path) -> StripGeometry:
         raise InputError(
             f"says strips of {entry['width_px']:g} columns, but they have {width_px}",
             file=path,
-            mend="correct width_px or give the strips that belong to it",
+            fix="correct width_px or give the strips that belong to it",
         )
     bit_depth = int(number("bit_depth", _BITS[kind], 8, whole=True))
     if bit_depth > _BITS[kind]:
         raise InputError(
-            f"bit_depth is {bit_depth}, but the strips are {kind}", file=path, mend="give at most theirs"
+            f"bit_depth is {bit_depth}, but the strips are {kind}", file=path, fix="give at most theirs"
         )
     geometry = StripGeometry(
         ccds=ccds,
@@ -158,35 +158,35 @@ def _above(model: Pushbroom) -> float:
 
 
 def _load(path: Path) -> Mapping[str, Any]:
-    entry = read_yaml(path, _MAX_BYTES, "a geometry file", _MEND)
+    entry = read_yaml(path, _MAX_BYTES, "a geometry file", _FIX)
     if not isinstance(entry, dict) or "ccds" not in entry:
-        raise InputError("is no geometry of CCD strips: it has no 'ccds'", file=path, mend=_MEND)
+        raise InputError("is no geometry of CCD strips: it has no 'ccds'", file=path, fix=_FIX)
     return entry
 
 
 def _ccds(entry: Mapping[str, Any], path: Path) -> tuple[Ccd, ...]:
     listed = entry["ccds"]
     if not isinstance(listed, list) or not 2 <= len(listed) <= _MOST_CCDS:
-        raise InputError("'ccds' isn't a list of at least two CCDs, left to right", file=path, mend=_MEND)
+        raise InputError("'ccds' isn't a list of at least two CCDs, left to right", file=path, fix=_FIX)
     ccds: list[Ccd] = []
     for i, one in enumerate(listed, 1):
         if not isinstance(one, dict) or not one.keys() <= {"path", "row"}:
-            raise InputError(f"CCD {i} isn't a pair of 'path' and 'row'", file=path, mend=_MEND)
+            raise InputError(f"CCD {i} isn't a pair of 'path' and 'row'", file=path, fix=_FIX)
         row = one.get("row")
         if isinstance(row, bool) or row not in (1, 2):
             raise InputError(
-                f"CCD {i} has row {shown(row)}", file=path, mend="1 is the leading row, 2 the other"
+                f"CCD {i} has row {shown(row)}", file=path, fix="1 is the leading row, 2 the other"
             )
         if ccds and ccds[-1].row == row:
             raise InputError(
-                f"CCDs {i - 1} and {i} are both in row {row}", file=path, mend="neighbours are in other rows"
+                f"CCDs {i - 1} and {i} are both in row {row}", file=path, fix="neighbours are in other rows"
             )
         strip = _file(one, "path", path)
         if strip is not None and strip in [c.path for c in ccds]:
-            raise InputError(f"CCD {i} names a strip a second time: {strip.name}", file=path, mend=_MEND)
+            raise InputError(f"CCD {i} names a strip a second time: {strip.name}", file=path, fix=_FIX)
         ccds.append(Ccd(strip, int(row)))
     if sum(c.path is not None for c in ccds) < 2:
-        raise InputError("names fewer than two strips", file=path, mend="give the strips' paths")
+        raise InputError("names fewer than two strips", file=path, fix="give the strips' paths")
     return tuple(ccds)
 
 
@@ -195,10 +195,10 @@ def _file(entry: Mapping[str, Any], key: str, path: Path) -> Path | None:
     if value is None:
         return None
     if not isinstance(value, str) or not value or "\0" in value:
-        raise InputError(f"{key} is {shown(value)}", file=path, mend="give a file's path")
+        raise InputError(f"{key} is {shown(value)}", file=path, fix="give a file's path")
     found = path.absolute().parent / value
-    mend = "correct it, or take 'path' out where the CCD is dead" if key == "path" else f"correct '{key}'"
-    check_regular(found, mend, f", named as {key} in {path.name}")
+    fix = "correct it, or take 'path' out where the CCD is dead" if key == "path" else f"correct '{key}'"
+    check_regular(found, fix, f", named as {key} in {path.name}")
     return found
 
 
@@ -216,7 +216,7 @@ def _numbers(entry: Mapping[str, Any], path: Path) -> Callable[..., float]:
                 if most < _MOST or (known and value > most)
                 else f"of at least {least:g}"
             )
-            raise InputError(problem, file=path, mend=f"give {wanted} {range_}")
+            raise InputError(problem, file=path, fix=f"give {wanted} {range_}")
         return float(value)
 
     return number
@@ -235,7 +235,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
             lines.append(int(strip.height))
         if count != 1 or kind not in _BITS:
             problem = f"has {count} bands" if count != 1 else f"has {kind} pixels"
-            raise FileError(problem, file=ccd.path, mend="a strip has one band of 8 to 16 bits")
+            raise FileError(problem, file=ccd.path, fix="a strip has one band of 8 to 16 bits")
         found = int(width), str(kind), nodata
         if first is None:
             first = ccd.path, found
@@ -243,7 +243,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
             raise FileError(
                 f"has {_described(*found)}, but {first[0].name} has {_described(*first[1])}",
                 file=ccd.path,
-                mend="strips of one camera agree; give those of one scene",
+                fix="strips of one camera agree; give those of one scene",
             )
     assert first is not None
     width_px, pixels, nodata_value = first[1]
@@ -261,20 +261,20 @@ def _check(geometry: StripGeometry, path: Path) -> None:
         raise InputError(
             f"overlap_px is {g.overlap_px}, strips have {g.width_px} columns",
             file=path,
-            mend="an overlap is less than half a strip",
+            fix="an overlap is less than half a strip",
         )
     if not g.overlap_px <= g.read_px <= g.width_px:
         raise InputError(
             f"read_px is {g.read_px}",
             file=path,
-            mend=f"give from {g.overlap_px} (the overlap) to {g.width_px} (the strip)",
+            fix=f"give from {g.overlap_px} (the overlap) to {g.width_px} (the strip)",
         )
     longest = max(g.lines)
     if longest <= g.row_separation_lines:
         raise InputError(
             f"rows are {g.row_separation_lines:g} lines apart, the longest strip has {longest} lines",
             file=path,
-            mend="give longer strips, or correct row_separation_lines",
+            fix="give longer strips, or correct row_separation_lines",
         )
 
 

@@ -87,7 +87,7 @@ class Table:
                 raise InputError(
                     f"line {self.lines[i]}: {shown(text)} is no number for {column}",
                     file=self.path,
-                    mend="write decimal numbers such as -12.5; leave the field empty where nothing is known",
+                    fix="write decimal numbers such as -12.5; leave the field empty where nothing is known",
                 )
             values.append(value)
         return np.array(values) * self.factors[column]
@@ -103,9 +103,7 @@ class Table:
         values = self.numbers(column)
         if np.isnan(values).any():
             line = self.lines[int(np.argmax(np.isnan(values)))]
-            raise InputError(
-                f"line {line}: no {column}", file=self.path, mend="fill it in or remove the line"
-            )
+            raise InputError(f"line {line}: no {column}", file=self.path, fix="fill it in or remove the line")
         return values
 
 
@@ -126,16 +124,16 @@ def read_lines(path: Path, most: int, item: str) -> list[Line]:
     """
     content = read_bytes(path, _MAX_BYTES, "a table", _WANTED)
     if kind := _other_kind(content[:4096]):
-        raise FileError(f"is {kind}, no table", file=path, mend=_WANTED)
+        raise FileError(f"is {kind}, no table", file=path, fix=_WANTED)
     found = decoded(content, path, _WANTED).splitlines()
     if len(found) > most:
         problem = f"has {len(found):,} lines, more than {most:,} {item}"
-        raise FileError(problem, file=path, mend="is it the right file?")
+        raise FileError(problem, file=path, fix="is it the right file?")
     lines = []
     for number, raw in enumerate(found, start=1):
         if len(raw) > _LONGEST_LINE:
             problem = f"line {number} has {len(raw):,} characters"
-            raise FileError(problem, file=path, mend="give a line per item, of at most 20,000 characters")
+            raise FileError(problem, file=path, fix="give a line per item, of at most 20,000 characters")
         stripped = raw.strip()
         bare = stripped.lstrip("/" if stripped.startswith("//") else "#").lstrip()
         if bare:
@@ -195,7 +193,7 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
         raise InputError(
             f"column {shown(name)} has the unknown unit {shown(unit)}",
             file=path,
-            mend=f"known: {', '.join(sorted(_UNITS))}",
+            fix=f"known: {', '.join(sorted(_UNITS))}",
         )
     return column, _UNITS.get(unit, 1.0)
 
@@ -211,17 +209,17 @@ def read_table(
     unknown: list[str] = []
     if columns is None:
         if not lines:
-            raise InputError("the table is empty", file=path, mend="give a header line and a line per item")
+            raise InputError("the table is empty", file=path, fix="give a header line and a line per item")
         header, lines = lines[0], lines[1:]
         like, known = header.text, []
         names = split(header.text, like)
         if len(names) > _MOST_COLUMNS:
             problem = f"line {header.number} names {len(names):,} columns"
-            raise InputError(problem, file=path, mend=f"give at most {_MOST_COLUMNS}")
+            raise InputError(problem, file=path, fix=f"give at most {_MOST_COLUMNS}")
         for name in names:
             column, factor = column_of(name, aliases, path)
             if column is not None and column in factors:
-                raise InputError(f"two columns for {column}", file=path, mend=f"rename or remove '{name}'")
+                raise InputError(f"two columns for {column}", file=path, fix=f"rename or remove '{name}'")
             if column is None:
                 unknown.append(name)
             else:
@@ -242,12 +240,12 @@ def read_table(
             raise InputError(
                 f"line {line.number} has {len(fields)} fields under {len(known)} columns",
                 file=path,
-                mend="with decimal commas, separate the fields by semicolons",
+                fix="with decimal commas, separate the fields by semicolons",
             )
         numbers.append(line.number)
         rows.append(fields)
     if not rows:
-        raise InputError("the table has a header and no lines", file=path, mend="give a line per item")
+        raise InputError("the table has a header and no lines", file=path, fix="give a line per item")
     cells = {
         column: [None if i >= len(row) or row[i].lower() in _UNKNOWN else row[i] for row in rows]
         for i, column in enumerate(known)

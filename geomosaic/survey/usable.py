@@ -80,8 +80,8 @@ def usable(
             problem = f"the image data are damaged: {found.damage}"
             if mask_damaged:
                 problem += f" (where is not known, or above row {_LEAST_WHOLE * header.height_px:.0f})"
-            mend = "copy it again from the camera, or take it out of the folder"
-            unreadable[name] = FileError(problem, file=header.path, mend=mend)
+            fix = "copy it again from the camera, or take it out of the folder"
+            unreadable[name] = FileError(problem, file=header.path, fix=fix)
     lost = [name for name in files.values() if name in unreadable]
     if lost and (strict or not used):
         raise unreadable[lost[0]]

@@ -171,7 +171,7 @@ def test_a_run_ends_with_verdict_accuracy_and_what_to_open(
     recipe = recipe_from({"name": "mosaic", "stages": steps}, installed())
     for name in ("mosaic.tif", "report.html", "project.qgz"):
         (tmp_path / name).touch()
-    verdict = {"grade": "good", "cause": "", "mend": "", "text": "6 of 6 frames tied"}
+    verdict = {"grade": "good", "cause": "", "fix": "", "text": "6 of 6 frames tied"}
     verdict["answers"] = [["absolute accuracy", "horizontal RMSE 0.03 m"]]
     summary = {"warnings": ["w"], "metrics": {}, "frames": {"tied": 6}, "verdict": verdict}
     _conclude(recipe, tmp_path, summary)

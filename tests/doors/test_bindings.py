@@ -1,4 +1,4 @@
-"""GDAL's bindings are missing or don't fit: one line, with the command that mends it."""
+"""GDAL's bindings are missing or don't fit: one line, with the command that fixes it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OSGEO = {
 
 
 @pytest.mark.parametrize("problem", OSGEO)
-def test_bindings_that_do_not_work_are_one_line_with_the_mend(problem: str, tmp_path: Path) -> None:
+def test_bindings_that_do_not_work_are_one_line_with_the_fix(problem: str, tmp_path: Path) -> None:
     survey = small_survey(tmp_path, lines=1, frames_per_line=2, width_px=240, height_px=180)
     (tmp_path / "site" / "osgeo").mkdir(parents=True)
     (tmp_path / "site" / "osgeo" / "__init__.py").write_text(OSGEO[problem])

@@ -413,7 +413,7 @@ def test_a_mosaic_aligned_to_a_raster_shares_its_pixels(tmp_path: Path, flown: A
     assert seams(tmp_path, given, align_to=old, gsd_m=0.3)[0].grid == grid
 
 
-def test_rasters_that_no_mosaic_can_align_to_are_refused_with_the_mend(tmp_path: Path, flown: Any) -> None:
+def test_rasters_that_no_mosaic_can_align_to_are_refused_with_the_fix(tmp_path: Path, flown: Any) -> None:
     given, _ = flown
     north_up = Affine(0.3, 0.0, 550_000.0, 0.0, -0.3, 5_232_000.0)
     turned = Affine(0.3, 0.01, 550_000.0, 0.01, -0.3, 5_232_000.0)

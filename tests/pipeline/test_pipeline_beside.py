@@ -56,7 +56,7 @@ class Wait(Stage):
         told("seen" if sign.exists() else "not seen")
         context.warn("waited", "", "the first")
         if params.fail:
-            raise InputError("no pixels", file="x.jpg", mend="take it away")
+            raise InputError("no pixels", file="x.jpg", fix="take it away")
         return {"waited": inputs["numbers"]}
 
 
@@ -84,7 +84,7 @@ class Beside(Stage):
         with context.writing(params.sign) as path:
             path.touch()
         if params.manner == "fail":
-            raise InputError("no tie points", file="y.jpg", mend="fly again")
+            raise InputError("no tie points", file="y.jpg", fix="fly again")
         while params.manner == "endless":
             context.check_cancelled()
             time.sleep(0.01)

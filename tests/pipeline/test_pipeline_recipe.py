@@ -1,4 +1,4 @@
-"""A recipe is checked as a whole, and each fault is one line that names file and mend."""
+"""A recipe is checked as a whole, and each fault is one line that names file and fix."""
 
 from __future__ import annotations
 

@@ -443,10 +443,10 @@ def test_items_with_keys_are_made_as_they_are_needed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "error",
     [
-        InputError("bad", file="a.jpg", mend="mend it"),
+        InputError("bad", file="a.jpg", fix="correct it"),
         FileError("cut", file="b.jpg"),
         UnknownNameError("stage", "a.b", ["a.c"]),
-        OutputError("full", file="c.tif", mend="free some"),
+        OutputError("full", file="c.tif", fix="free some"),
         PluginError("broken"),
         CancelledError(),
     ],

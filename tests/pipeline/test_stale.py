@@ -331,7 +331,7 @@ def test_a_folder_in_the_place_of_a_cached_file_is_named(name: str, toys: Toys) 
 
 
 def test_a_stage_that_fails_on_a_forged_artefact_says_where_it_lies(toys: Toys) -> None:  # noqa: F811
-    """Its hashes are right, its content is text where numbers belong: the line names work/ and the mend."""
+    """Its hashes are right, its content is text where numbers belong: the line names work/ and the fix."""
     toys.run()
     folder = entry_of(toys, "toy.read")
     entry = json.loads((folder / "entry.json").read_text())

@@ -145,7 +145,7 @@ def test_sixteen_bits(tmp_path):
     assert c.ssim.ssim == pytest.approx(1.0) and c.figures.share_measured == 1.0
 
 
-def test_errors_name_the_file_and_the_mend(tmp_path):
+def test_errors_name_the_file_and_the_fix(tmp_path):
     image = eight_bits(texture(64, 64, seed=1))
     good = write_tif(tmp_path / "good.tif", image, WEST, NORTH, GSD)
     far = write_tif(tmp_path / "far.tif", image, WEST + 5000.0, NORTH, GSD)

@@ -190,7 +190,7 @@ def test_each_figure_can_spoil_the_verdict() -> None:
 def test_inner_figures_are_noted_and_colour_nothing() -> None:
     """What they do to the map shows in its accuracy and at its seams."""
     found = judged(outcome(figures={"sigma_px": 0.4, "shape_sd_px": 4.0, "sigma_tilt": 9.0}))
-    assert found.grade == "good" and found.cause == found.mend == ""
+    assert found.grade == "good" and found.cause == found.fix == ""
     noted = {e.name: e for e in found.evidence if e.grade == "noted"}
     assert set(noted) == {"shape", "tilts"} and noted["shape"].cause
     shutter = judged(outcome(warnings=(Warn("shutter-doubtful", "", "x"),)))
@@ -210,7 +210,7 @@ def test_a_requirement_that_is_missed_makes_a_map_doubtful() -> None:
     assert asked(0.5, 0.8, 1.0).grade == "good"
     missed = asked(0.1)
     assert missed.grade == "doubtful" and missed.cause.endswith("(absolute accuracy 0.50 m RMSE)")
-    assert "0.10 m RMSE, as asked for" in missed.cause and "--gcp" in missed.mend
+    assert "0.10 m RMSE, as asked for" in missed.cause and "--gcp" in missed.fix
     assert asked(rmse_v_m=0.7).grade == asked(permille=0.9).grade == "doubtful"
 
 
@@ -225,7 +225,7 @@ def test_check_points_are_judged_by_their_common_shift() -> None:
 
     assert grade(shifted(2.0)) == "good"
     off = judged(shifted(4.5))
-    assert off.grade == "doubtful" and "use them as control points" in off.mend
+    assert off.grade == "doubtful" and "use them as control points" in off.fix
     honest = rng.normal(0.0, 0.1, (400, 3))
     point = ControlResidual("c", False, 3, honest[0], np.full(3, 0.1), np.full(3, 0.02))
     assert grade(outcome(control=tuple(replace(point, residual_m=r) for r in honest))) == "good"
@@ -235,9 +235,9 @@ def test_places_that_show_nothing_say_nothing() -> None:
     assert grade(outcome(), seams_of(np.nan, np.nan)) == "good"
 
 
-def test_the_worst_figure_gives_cause_and_mend() -> None:
+def test_the_worst_figure_gives_cause_and_fix() -> None:
     verdict = judged(outcome(figures={"sigma_px": 14.7}), seams_of(1.5))
-    assert verdict.cause.endswith("(image deviation 14.70 px)") and verdict.mend
+    assert verdict.cause.endswith("(image deviation 14.70 px)") and verdict.fix
     assert verdict.text == "5 of 5 frames tied, image deviation 14.70 px, seams 1.50 px"
     assert [e.name for e in verdict.evidence if e.grade != "good"][:2] == ["image deviation", "seams"]
 
@@ -251,7 +251,7 @@ def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
     assert some.grade == "good" and some.text.endswith("7 % of the land may be off by more than 30.0 cm")
     assert (
         much.cause.endswith("(surface unsure 24 %, accuracy.tif shows where)")
-        and "--ortho terrain" in much.mend
+        and "--ortho terrain" in much.fix
     )
     assert [e.figure for e in some.evidence if e.name == "surface unsure"] == ["7 %"]
 
@@ -263,7 +263,7 @@ def test_at_a_limit_stands_the_better_grade() -> None:
 
 
 def test_limits_grow_from_good_to_bad_and_have_reasons() -> None:
-    assert all(c.good < c.bad and c.reason and c.mend for c in CRITERIA.values())
+    assert all(c.good < c.bad and c.reason and c.fix for c in CRITERIA.values())
 
 
 def test_a_mosaic_by_positions_alone_is_not_called_good(
@@ -274,7 +274,7 @@ def test_a_mosaic_by_positions_alone_is_not_called_good(
     run = tmp_path / "run"
     assert mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera, "--adjust", "none") == 0
     told = summary(run)["verdict"]
-    assert told["grade"] in ("doubtful", "bad") and told["cause"] and told["mend"]
+    assert told["grade"] in ("doubtful", "bad") and told["cause"] and told["fix"] == told["mend"] != ""
     out = capsys.readouterr().out.splitlines()
     last = ["verdict", "fix", "seams", "relative", "absolute", "required", "open"]
     assert [line.split()[0] for line in out[-7:]] == last

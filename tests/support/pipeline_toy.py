@@ -192,7 +192,7 @@ class Refuse(Stage):
     def run(self, inputs: Mapping[str, Any], params: StageParams, context: Context) -> dict[str, Any]:
         with context.writing("half.txt") as path:
             path.write_text("half")
-            raise InputError("no pixels", file="x.jpg", mend="take it away")
+            raise InputError("no pixels", file="x.jpg", fix="take it away")
 
 
 STAGES = (ReadNumbers, PowerNumbers, SumNumbers, WriteTotal, Tell, Refuse)

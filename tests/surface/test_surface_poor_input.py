@@ -49,14 +49,14 @@ def test_a_dem_given_as_well_is_where_the_search_starts(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("known", "mend"), [("flat", "(--dem)"), ("tie_surface", "(--dem)"), ("dem", "--dem-offset")]
+    ("known", "fix"), [("flat", "(--dem)"), ("tie_surface", "(--dem)"), ("dem", "--dem-offset")]
 )
-def test_who_gave_an_elevation_model_is_not_told_to_give_one(known: str, mend: str) -> None:
+def test_who_gave_an_elevation_model_is_not_told_to_give_one(known: str, fix: str) -> None:
     level = levels(Cells(0.0, 0.0, 0.4, 8, 8), 100.0)[-1]
     told = dict(doubts(Counted(looked_at=64, matched=64, beyond=10, alike=64), level, known))
     assert list(told) == ["surface-out-of-reach"]
     assert "10 m below to 30 m above" in told["surface-out-of-reach"]
-    assert mend in told["surface-out-of-reach"]
+    assert fix in told["surface-out-of-reach"]
 
 
 def test_run_and_report_say_that_two_frames_are_few(tmp_path: Path) -> None:

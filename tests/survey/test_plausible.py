@@ -134,7 +134,7 @@ def test_all_heights_absurd_are_refused(
 def test_a_mosaic_too_large_is_refused_before_it_is_matched(
     flown: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """By the limit, with the mend; by a frame 10 km off, with its name."""
+    """By the limit, with the fix; by a frame 10 km off, with its name."""
     told = ("--pos", flown.pos, "--camera", flown.camera, *QUICK)
     small = ("--gsd", 0.03, "--set", "mosaic.seams.max_gigapixels=0.001")
     assert mosaic(flown.frames, tmp_path / "run", *told, *small) == 2

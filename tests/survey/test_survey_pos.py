@@ -225,14 +225,14 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_pos_files_are_one_line_naming_file_and_mend(tmp_path: Path, case: str) -> None:
+def test_bad_pos_files_are_one_line_naming_file_and_fix(tmp_path: Path, case: str) -> None:
     text, message = BAD[case]
     with pytest.raises(InputError, match=message) as caught:
         pos(tmp_path, text)
     assert str(caught.value).startswith(f"{tmp_path / 'pos.csv'}: ")
     assert "\n" not in str(caught.value)
     assert caught.value.exit_code == 2
-    assert caught.value.mend
+    assert caught.value.fix
 
 
 def test_unknown_convention_and_missing_columns(tmp_path: Path) -> None:

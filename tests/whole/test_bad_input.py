@@ -1,4 +1,4 @@
-"""What users get wrong: exit 2, one line with file and mend, nothing half-written; or the best mosaic."""
+"""What users get wrong: exit 2, one line with file and fix, nothing half-written; or the best mosaic."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Refused:
         assert text.startswith("geomosaic: ") and "Traceback" not in err
         for word in words:
             assert str(word) in text
-        assert any(w in text for w in ("; ", "did you mean", "must be")), "names no mend"
+        assert any(w in text for w in ("; ", "did you mean", "must be")), "names no fix"
         if run.is_dir():
             assert not FINAL & {p.name for p in run.iterdir()}
             assert {p.name for p in run.iterdir()} <= {MARKER, "run.mcap", "work"}

@@ -26,7 +26,7 @@ KEYS = ("frames", "options", "known", "check_points", "expect")
 EXPECTED = ("tied_share", "seams_px", "parts", "megapixels")
 _OF_THE_BENCH = ("frames", "output", "seed", "workers")
 _MOST_BYTES = 1 << 16
-_MEND = "see the head of tools/bench/bench_flights_sheet.py"
+_FIX = "see the head of tools/bench/bench_flights_sheet.py"
 
 
 @dataclass(frozen=True)
@@ -46,24 +46,22 @@ def read_flights(data: Path, only: Sequence[str] = ()) -> list[Flight]:
     sheets = {path.stem: path for path in sorted(data.glob("*.yaml"))}
     for name in only:
         if name not in sheets:
-            raise FileError(
-                f"there is no sheet {name}.yaml", file=data, mend=f"there are {', '.join(sheets)}"
-            )
+            raise FileError(f"there is no sheet {name}.yaml", file=data, fix=f"there are {', '.join(sheets)}")
     return [read_sheet(path) for name, path in sheets.items() if not only or name in only]
 
 
 def read_sheet(path: Path) -> Flight:
     """A flight by its sheet. Raises `FileError` naming the sheet and the key that is wrong."""
-    sheet = _mapping(read_yaml(path, _MOST_BYTES, "a flight's sheet", _MEND), path, "the sheet", KEYS)
+    sheet = _mapping(read_yaml(path, _MOST_BYTES, "a flight's sheet", _FIX), path, "the sheet", KEYS)
     for key in ("frames", "known", "check_points"):
         if not isinstance(sheet.get(key, ""), str):
-            raise FileError(f"'{key}' is {shown(sheet[key])}, no text", file=path, mend=_MEND)
+            raise FileError(f"'{key}' is {shown(sheet[key])}, no text", file=path, fix=_FIX)
     if not sheet.get("frames"):
-        raise FileError("has no key 'frames'", file=path, mend=_MEND)
+        raise FileError("has no key 'frames'", file=path, fix=_FIX)
     expect = _mapping(sheet.get("expect", {}), path, "'expect'", EXPECTED)
     for key, value in expect.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise FileError(f"'expect: {key}' is {shown(value)}, no number", file=path, mend=_MEND)
+            raise FileError(f"'expect: {key}' is {shown(value)}, no number", file=path, fix=_FIX)
     check_points = sheet.get("check_points")
     return Flight(
         path.stem,
@@ -77,11 +75,11 @@ def read_sheet(path: Path) -> Flight:
 
 def _mapping(value: Any, path: Path, what: str, keys: Sequence[str]) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise FileError(f"{what} is no mapping", file=path, mend=_MEND)
+        raise FileError(f"{what} is no mapping", file=path, fix=_FIX)
     for key in value:
         if key not in keys:
             raise FileError(
-                f"{what} has an unknown key {shown(key)}", file=path, mend=f"keys are {', '.join(keys)}"
+                f"{what} has an unknown key {shown(key)}", file=path, fix=f"keys are {', '.join(keys)}"
             )
     return value
 

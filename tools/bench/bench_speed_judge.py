@@ -228,7 +228,7 @@ class Frames:
             here, there, valid, own_valid, corners, patch_px=PATCH, search_px=search
         )
         if len(found.displacement_px) < 2 * BESIDE:
-            raise InputError("nearly nothing of it is found in the run's mosaic", mend="look at it")
+            raise InputError("nearly nothing of it is found in the run's mosaic", fix="look at it")
         shape = valid.shape[0] // CELL, valid.shape[1] // CELL
         rows, cols = np.indices(shape) * float(CELL) + CELL / 2.0
         near = cKDTree(found.centres_px).query(np.stack([cols, rows], axis=-1), k=BESIDE)[1]

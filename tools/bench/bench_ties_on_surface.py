@@ -1,4 +1,4 @@
-"""Whether tie points taken from the dense surface would mend the adjustment that it was matched on.
+"""Whether tie points taken from the dense surface would fix the adjustment that it was matched on.
 
     python -m tools.bench.bench_ties_on_surface RUN ... [--folds 5] [--truth positions.csv]
 
