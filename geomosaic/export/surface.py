@@ -21,8 +21,8 @@ from geomosaic.mosaic.model import OutputGrid
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window
 from geomosaic.surface.cells import Cells
+from geomosaic.surface.dtm import TerrainModel
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.terrain import TerrainModel
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]

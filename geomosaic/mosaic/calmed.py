@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.surface.terrain import filled
+from geomosaic.surface.dtm import filled
 
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]

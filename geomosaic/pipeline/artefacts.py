@@ -29,6 +29,7 @@ from typing import IO, Any, BinaryIO, Final, TypeVar
 import numpy as np
 
 from geomosaic.errors import FileError
+from geomosaic.pipeline.former_names import present_name
 from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
 
 T = TypeVar("T")
@@ -339,7 +340,7 @@ def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
             raise ValueError("a bare list")
         return tree
     if "is" in tree:
-        cls = known.get(tree["is"])
+        cls = known.get(present_name(tree["is"]))
         if cls is None:
             raise ValueError(f"it holds a {tree['is']!r}, which doesn't belong there")
         names: Mapping[str, str] = getattr(cls, "FORMERLY", {})

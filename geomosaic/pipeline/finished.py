@@ -9,6 +9,7 @@ from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import decode, type_name
+from geomosaic.pipeline.former_names import present_name
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.recording.reader import artefact_data, read_recording
 
@@ -34,7 +35,7 @@ def load_artefact(run_folder: Path, summary: dict[str, Any], name: str, kind: ty
     Raises `FileError` if the run made none of that name and type, or if it is in neither place.
     """
     entry = summary["artefacts"].get(name)
-    if not isinstance(entry, dict) or entry.get("type") != type_name(kind):
+    if not isinstance(entry, dict) or present_name(str(entry.get("type"))) != type_name(kind):
         raise FileError(f"this run made no '{name}'", file=run_folder, fix="run a recipe that does")
     try:
         with files.open_own(files.path_within(run_folder, str(entry.get("file")))) as file:

@@ -8,6 +8,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.artefacts import decode, type_name
+from geomosaic.pipeline.former_names import present_name
 from geomosaic.placement.model import Placement
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import artefact_data
@@ -40,7 +41,7 @@ def solved_of(recording: Recording) -> Solved | None:
 def _last(recording: Recording, name: str, kind: type[Kind]) -> Kind | None:
     """The latest whole artefact of a name and a type that recordings of this version have under it."""
     for entry in reversed(recording.artefacts):
-        if entry.name == name and entry.type_name == type_name(kind) and entry.complete:
+        if entry.name == name and present_name(entry.type_name) == type_name(kind) and entry.complete:
             try:
                 value: Kind = decode(artefact_data(recording, entry), kind)
             except FileError as error:

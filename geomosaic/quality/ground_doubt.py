@@ -16,7 +16,7 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.mosaic.ownership import Ownership
 from geomosaic.mosaic.trim import OFF_PX, looked_at, whole_of
 from geomosaic.projection.ground import WALLED, GroundSurface
-from geomosaic.surface.terrain import TERRAIN
+from geomosaic.surface.dtm import TERRAIN
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]

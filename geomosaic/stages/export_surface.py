@@ -21,8 +21,8 @@ from geomosaic.export.surface_heights import ELLIPSOIDAL, height_system, vertica
 from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.freed import give_back
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.surface.dtm import TerrainModel
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.terrain import TerrainModel
 from geomosaic.survey.model import Survey
 
 FILES = {name: f"{name}.tif" for name in RASTERS}

@@ -11,7 +11,7 @@ from geomosaic.mosaic.choice import agreement
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.surface.terrain import TerrainModel
+from geomosaic.surface.dtm import TerrainModel
 from geomosaic.survey.model import Survey
 
 AUTO: Final = "auto"

@@ -24,8 +24,8 @@ from geomosaic.quality.accuracy_grid import (
 )
 from geomosaic.quality.ground_accuracy import HeightSource
 from geomosaic.quality.ground_doubt import MATCHED
+from geomosaic.surface.dtm import TERRAIN, TerrainModel
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.terrain import TERRAIN, TerrainModel
 from geomosaic.survey.model import Survey
 
 ACCURACY = "accuracy.tif"

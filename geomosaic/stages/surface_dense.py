@@ -19,13 +19,13 @@ from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
-from geomosaic.surface.doubts import doubts
-from geomosaic.surface.fused import RIM_CELLS, Counted, Part, fused
-from geomosaic.surface.joined import joined, rimmed
-from geomosaic.surface.levels import Level, Task, cells_over, levels
+from geomosaic.surface.consistency_filter import RIM_CELLS, FilteredTile, MatchCounts, consistent_heights
+from geomosaic.surface.match_warnings import match_warnings
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.tile import Heights, Picture, Search, matched, picture
-from geomosaic.surface.verticals import Sighted
+from geomosaic.surface.plane_sweep import SweepView
+from geomosaic.surface.pyramid import PyramidLevel, TileTask, cells_covering, pyramid_levels
+from geomosaic.surface.tile_mosaic import mosaic_tiles, with_rim
+from geomosaic.surface.tile_sgm import CensusImage, HeightSearch, TileHeights, census_image, match_tile
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import REDUCTIONS, read_pixels
 from geomosaic.survey.small import Small, Spare
@@ -81,7 +81,7 @@ class SurfaceDense(Stage):
         if not len(seen):
             raise InputError("no frame sees the ground", fix="run without --surface dense")
         wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
-        cells = cells_over(seen.min(axis=0), seen.max(axis=0), wanted_m)
+        cells = cells_covering(seen.min(axis=0), seen.max(axis=0), wanted_m)
         if cells.cell_m > wanted_m:
             text = (
                 f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: as many as one surface may have"
@@ -90,13 +90,13 @@ class SurfaceDense(Stage):
         context.metric("surface.cell_m", cells.cell_m)
         if len(used) < 2:
             context.warn("surface-not-matched", "", "one frame shows no surface: it is as before")
-            surface = joined(cells, base, ())
+            surface = mosaic_tiles(cells, base, ())
             return {"ground": surface.ground(), "surface": surface}
         places = adjusted.poses.positions_m[used]
         flying_m = float(np.median(places[:, 2] - base.up_at(places[:, 0], places[:, 1])))
-        both = levels(cells, flying_m)
+        both = pyramid_levels(cells, flying_m)
         sighted = [
-            [Sighted(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
+            [SweepView(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
             for level in both
         ]
         looks = [
@@ -113,37 +113,37 @@ class SurfaceDense(Stage):
         surface, counted = _matched(context, both, base, sighted, kept)
         for pictures in kept:
             pictures.forget()
-        for code, text in doubts(counted, both[-1], base.kind):
+        for code, text in match_warnings(counted, both[-1], base.kind):
             context.warn(code, "", text)
         context.metric("surface.matched", counted.share)
         return {"ground": surface.ground(), "surface": surface}
 
 
-def _reduction(level: Level, gsd_m: float) -> int:
+def _reduction(level: PyramidLevel, gsd_m: float) -> int:
     """By how much a frame is reduced so that its pixels are about the level's."""
     return min(REDUCTIONS, key=lambda r: abs(np.log(r * gsd_m / level.pixel_m)))
 
 
 def _matched(
     context: Context,
-    levels: Sequence[Level],
+    levels: Sequence[PyramidLevel],
     base: GroundSurface,
-    sighted: Sequence[Sequence[Sighted]],
+    sighted: Sequence[Sequence[SweepView]],
     pictures: Sequence[Kept[Pictures]],
-) -> tuple[DenseSurface, Counted]:
+) -> tuple[DenseSurface, MatchCounts]:
     """Tiles of the coarse level, of the fine one, and what is kept of those with what lies around: each is
     made once, whoever makes it, and lies on the disk until the surface is whole."""
     coarse, fine = levels
     of_coarse, of_fine = sighted
 
-    def items(tasks: Sequence[Task], frames: Sequence[Sighted]) -> Iterator[_Tile]:
+    def items(tasks: Sequence[TileTask], frames: Sequence[SweepView]) -> Iterator[_Tile]:
         for t in tasks:
             yield _Tile(t.search, tuple(frames[k] for k in t.frames), tuple(pictures[k] for k in t.frames))
 
     tasks = coarse.tasks(of_coarse, base, None)
     work, keys = partial(_heights, base), [(t.tile.row, t.tile.col) for t in tasks]
     found = context.map("coarse tiles", work, items(tasks, of_coarse), keys=keys)
-    above = coarse.together(base, tasks, found)
+    above = coarse.assembled(base, tasks, found)
     tasks = fine.tasks(of_fine, base, above)
     tiles, keys = [t.tile for t in tasks], [(t.tile.row, t.tile.col) for t in tasks]
     with context.spooled("fine tiles", work, items(tasks, of_fine), keys) as heights:
@@ -155,8 +155,8 @@ def _matched(
         )
         keeping = partial(_part, base, fine.cells, (fine.lowest_m, fine.highest_m))
         with context.spooled("tiles of the surface", keeping, near, keys) as parts:
-            surface = joined(fine.cells, base, zip(tiles, (p.load() for p in parts), strict=True))
-            counted = sum((p.load().counted for p in parts), Counted())
+            surface = mosaic_tiles(fine.cells, base, zip(tiles, (p.load() for p in parts), strict=True))
+            counted = sum((p.load().counted for p in parts), MatchCounts())
     return surface, counted
 
 
@@ -176,29 +176,31 @@ class _Look:
 class Pictures:
     """A frame as both levels look at it."""
 
-    coarse: Picture
-    fine: Picture
+    coarse: CensusImage
+    fine: CensusImage
 
 
 def _pictures(look: _Look) -> Pictures:
     pixels, valid = read_pixels(look.frame, look.fine, luma=True, spare=look.spare)
     shown = grey(pixels, valid)
     by = look.coarse // look.fine
-    return Pictures(picture(shown, valid, look.turn_rad, by), picture(shown, valid, look.turn_rad))
+    return Pictures(census_image(shown, valid, look.turn_rad, by), census_image(shown, valid, look.turn_rad))
 
 
 @dataclass(frozen=True)
 class _Tile:
     """What is looked for, how the frames that are asked look, and their pictures."""
 
-    search: Search
-    frames: tuple[Sighted, ...]
+    search: HeightSearch
+    frames: tuple[SweepView, ...]
     pictures: tuple[Kept[Pictures], ...]
 
 
-def _heights(base: GroundSurface, tile: _Tile) -> Heights:
+def _heights(base: GroundSurface, tile: _Tile) -> TileHeights:
     seen = [p.look() for p in tile.pictures]
-    return matched(tile.search, base, tile.frames, [p.fine if tile.search.fine else p.coarse for p in seen])
+    return match_tile(
+        tile.search, base, tile.frames, [p.fine if tile.search.fine else p.coarse for p in seen]
+    )
 
 
 @dataclass(frozen=True)
@@ -206,10 +208,10 @@ class _Near:
     """A tile, and the heights of it and of those about it."""
 
     tile: Tile
-    heights: tuple[tuple[Tile, Kept[Heights]], ...]
+    heights: tuple[tuple[Tile, Kept[TileHeights]], ...]
 
 
-def _part(base: GroundSurface, cells: Cells, reach_m: tuple[float, float], near: _Near) -> Part:
+def _part(base: GroundSurface, cells: Cells, reach_m: tuple[float, float], near: _Near) -> FilteredTile:
     tile = near.tile
-    found = rimmed(tile, cells, base, ((other, kept.look()) for other, kept in near.heights))
-    return fused(found, tile.around(cells, RIM_CELLS), base, reach_m)
+    found = with_rim(tile, cells, base, ((other, kept.look()) for other, kept in near.heights))
+    return consistent_heights(found, tile.around(cells, RIM_CELLS), base, reach_m)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.surface.dtm import WIDEST_M, TerrainModel, terrain_model
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.terrain import WIDEST_M, TerrainModel, terrain_model
 
 
 class SurfaceTerrain(Stage):

@@ -1,1 +1,1 @@
-"""The surface that frames show between and above their tie points, matched on the verticals of its cells."""
+"""The surface between and above the tie points, matched by a plane sweep along the verticals of its cells."""

@@ -1,4 +1,4 @@
-"""How differently frames show the points of verticals: the cost of every height."""
+"""How differently frames show the points of a plane sweep: the cost of every height."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.surface.census import NOT_SEEN, Bits
-from geomosaic.surface.verticals import Verticals
+from geomosaic.surface.plane_sweep import PlaneSweep
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
@@ -44,7 +44,7 @@ _AT_ONCE = tuned(1 << 15, "points", "costs computed in one go: more do not fit a
 
 
 def census_costs(
-    verticals: Verticals,
+    sweep: PlaneSweep,
     seen: Sequence[Bits],
     steps: Steps,
     step_m: float,
@@ -54,7 +54,7 @@ def census_costs(
     """The mean number of bits, in quarters, in which the frames that agree best differ from the first one
     that sees the point.
 
-    Args: seen: censuses of the verticals' frames. steps (heights, rows, cols): heights over the base in steps
+    Args: seen: censuses of the sweep's frames. steps (heights, rows, cols): heights over the base in steps
     of step_m. asked: blocks of cells, and the frames that are asked there, the steepest first.
     hidden_below_m: by frame, see `hidden_below`. Returns: as steps.
     """
@@ -66,10 +66,10 @@ def census_costs(
         for first in range(0, len(steps), by):
             here = (slice(first, first + by), *at)
             height_m = steps[here].astype(np.float32) * np.float32(step_m)
-            bent = verticals.bent(height_m)
+            bent = sweep.bent(height_m)
             found = []
             for k in frames:
-                bits = sampled(seen[k], *verticals.places(k, bent, at))
+                bits = sampled(seen[k], *sweep.places(k, bent, at))
                 if k in hidden_below_m:
                     bits[height_m < hidden_below_m[k][at]] = NOT_SEEN
                 found.append(bits)

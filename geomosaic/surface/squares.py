@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
-from geomosaic.surface.verticals import Block, Verticals
+from geomosaic.surface.plane_sweep import Block, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-Shown = tuple[Bytes, Mask | None]
+SquareView = tuple[Bytes, Mask | None]
 _AT_ONCE = tuned(1 << 16, "points", "computed in one go: fewer cost calls; more do not fit a core's cache")
 _NOBODY: Final = -1
 
@@ -27,18 +27,18 @@ class Squares:
 
     def __init__(
         self,
-        verticals: Verticals,
+        sweep: PlaneSweep,
         pictures: Sequence[Bytes],
         asked: Asked,
         rim: int,
         size: tuple[int, int] | None = None,
     ) -> None:
         """asked: blocks of cells, and the frames that are asked there; those of one frame are left out.
-        pictures: grey, of the verticals' frames. size: rows and cols of each with its rims, else those of the
+        pictures: grey, of the sweep's frames. size: rows and cols of each with its rims, else those of the
         largest."""
-        self._verticals, self._pictures, self._rim = verticals, pictures, rim
+        self._sweep, self._pictures, self._rim = sweep, pictures, rim
         self._asked = [(at, frames) for at, frames in asked if len(frames) > 1]
-        shape = verticals.base_m.shape
+        shape = sweep.base_m.shape
         self._size = size or self._largest(shape)
         self._at = [self._widened(at, shape) for at, _ in self._asked]
         """Where each lies in the tile, rim and all."""
@@ -65,7 +65,7 @@ class Squares:
         count = max(_AT_ONCE // max(points * self._size[0] * self._size[1], 1), 1)
         for first in range(0, len(self), count):
             asked = self._asked[first : first + count]
-            yield Squares(self._verticals, self._pictures, asked, self._rim, self._size)
+            yield Squares(self._sweep, self._pictures, asked, self._rim, self._size)
 
     def cut(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values (..., rows, cols) of a tile's cells, (n, ..., rows, cols) of the squares'."""
@@ -87,21 +87,23 @@ class Squares:
 
     @cached_property
     def _terms(self) -> Floats32:
-        """Of each asked frame (frames, 2, 3, n, rows, cols): see `Verticals.terms`."""
+        """Of each asked frame (frames, 2, 3, n, rows, cols): see `PlaneSweep.terms`."""
         found = np.zeros((*self._frames.shape[:1], 2, 3, len(self), *self._size), dtype=np.float32)
         for rank, frames in enumerate(self._frames):
             for k, (frame, at) in enumerate(zip(frames.tolist(), self._at, strict=True)):
                 if frame != _NOBODY:
-                    found[rank, :, :, k] = self._verticals.terms(frame)[..., *at]
+                    found[rank, :, :, k] = self._sweep.terms(frame)[..., *at]
         return found
 
-    def shown(self, height_m: Floats32, hidden_below_m: Mapping[int, Floats32], by: int = 1) -> list[Shown]:
+    def shown(
+        self, height_m: Floats32, hidden_below_m: Mapping[int, Floats32], by: int = 1
+    ) -> list[SquareView]:
         """What each asked frame shows at heights over the base (n, heights, rows, cols), by times as dense
         each way as the cells: grey levels, and where it sees the point; None where it sees all of them.
 
         hidden_below_m (rows, cols of the tile), by frame: see `hidden_below`.
         """
-        bent = self._verticals.bent(height_m)
+        bent = self._sweep.bent(height_m)
         found = []
         for frames, terms in zip(self._frames, self._terms, strict=True):
             col, row = (_place(one, bent, by) for one in terms)
@@ -138,14 +140,14 @@ class Squares:
         return np.asarray(height_m[of] >= low[:, None])
 
 
-def by_first(shown: Sequence[Shown]) -> tuple[Bytes, list[Shown]]:
+def by_first(shown: Sequence[SquareView]) -> tuple[Bytes, list[SquareView]]:
     """What the first frame that sees a place shows there; and what each shows, and where it sees a place and
     is not the first itself. One that is the first everywhere is left out."""
     (first, sees), *others = shown
     if sees is None:
         return first, others
     first, lacking = first.copy(), ~sees
-    found: list[Shown] = [(first, np.zeros_like(sees))]
+    found: list[SquareView] = [(first, np.zeros_like(sees))]
     for grey, sees in others:
         own = lacking if sees is None else lacking & sees
         np.copyto(first, grey, where=own)
@@ -164,7 +166,7 @@ def dense(values: NDArray[Any], by: int, interpolation: int) -> NDArray[Any]:
 
 
 def _place(terms: Floats32, bent: Floats32, by: int) -> Floats32:
-    """Cols or rows in a picture (n, heights, rows, cols); terms: as `Verticals.terms`, (3, n, rows, cols)."""
+    """Cols or rows in a picture (n, heights, rows, cols); terms: as `PlaneSweep.terms`."""
     constant, linear, square = terms if by == 1 else dense(terms, by, cv2.INTER_LINEAR)
     place = bent * square[:, None]
     place += linear[:, None]

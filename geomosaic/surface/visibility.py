@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
-from geomosaic.surface.verticals import WHOLE, Block, Verticals
+from geomosaic.surface.plane_sweep import WHOLE, Block, PlaneSweep
 
 Floats32 = NDArray[np.float32]
 Asked = Sequence[tuple[Block, Sequence[int]]]
@@ -22,17 +22,17 @@ _MOST_HIDDEN = tuned(0.3, "share", "of a block seen by < 2 frames: yards have le
 
 
 def asked_frames(
-    verticals: Verticals, shapes: list[tuple[int, int]], side: int, rim: int, most: int
+    sweep: PlaneSweep, shapes: list[tuple[int, int]], side: int, rim: int, most: int
 ) -> list[tuple[Block, tuple[int, ...]]]:
     """Squares of cells, and for each the frames that see most of it, of those the steepest first; those along
     the tile's edge have its rim as well."""
-    rows, cols = verticals.base_m.shape
+    rows, cols = sweep.base_m.shape
     flat = np.zeros((rows, cols), dtype=np.float32)
     inside, slant = [], []
     for k, (height_px, width_px) in enumerate(shapes):
-        col, row = verticals.places(k, flat)
+        col, row = sweep.places(k, flat)
         inside.append((col >= 0.0) & (col < width_px - 1.0) & (row >= 0.0) & (row < height_px - 1.0))
-        slant.append(1.0 / verticals.towards(k)[2])
+        slant.append(1.0 / sweep.towards(k)[2])
     found = []
     for down in _parts(rows, side, rim):
         for across in _parts(cols, side, rim):
@@ -50,12 +50,12 @@ def _parts(count: int, side: int, rim: int) -> Iterator[slice]:
 
 
 def hidden_below(
-    verticals: Verticals, frame: int, height_m: Floats32, cell_m: float, at: Block = WHOLE
+    sweep: PlaneSweep, frame: int, height_m: Floats32, cell_m: float, at: Block = WHOLE
 ) -> Floats32:
     """The height over the base of the cells at a block from which on a frame sees a cell, if the land (rows,
     cols of the tile) is height_m high: the highest line of sight's foot that anything on the way to the
     camera throws."""
-    east, north, rise = verticals.towards(frame, at)
+    east, north, rise = sweep.towards(frame, at)
     rows, cols = (np.arange(n, dtype=np.float32)[s] for n, s in zip(height_m.shape, at, strict=True))
     col, row = np.meshgrid(cols, rows)
     low = np.full(rise.shape, -np.inf, dtype=np.float32)
@@ -71,7 +71,7 @@ def hidden_below(
     return np.asarray(low - np.float32(_TOLERANCE_CELLS * cell_m))
 
 
-def hidden_from(verticals: Verticals, asked: Asked, height_m: Floats32, cell_m: float) -> dict[int, Floats32]:
+def hidden_from(sweep: PlaneSweep, asked: Asked, height_m: Floats32, cell_m: float) -> dict[int, Floats32]:
     """For each frame that is asked anywhere `hidden_below`, -inf where it isn't; nothing is hidden in blocks
     where many cells of the land itself would be seen by less than two frames: it is too rough to be a surface
     that hides."""
@@ -79,7 +79,7 @@ def hidden_from(verticals: Verticals, asked: Asked, height_m: Floats32, cell_m: 
     for frame in sorted({k for _, chosen in asked for k in chosen}):
         at = _about([block for block, chosen in asked if frame in chosen])
         found[frame] = np.full(height_m.shape, -np.inf, dtype=np.float32)
-        found[frame][at] = hidden_below(verticals, frame, height_m, cell_m, at)
+        found[frame][at] = hidden_below(sweep, frame, height_m, cell_m, at)
     for at, chosen in asked:
         seeing = sum((height_m[at] >= found[k][at]).astype(np.uint8) for k in chosen)
         if float(np.mean(seeing < 2)) > _MOST_HIDDEN:

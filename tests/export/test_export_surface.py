@@ -29,8 +29,8 @@ from geomosaic.requests.mosaic_request import STAGES
 from geomosaic.requests.run_request import recipe_of
 from geomosaic.stages.export_surface import ExportSurface
 from geomosaic.surface.cells import Cells
+from geomosaic.surface.dtm import TerrainModel
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.terrain import TerrainModel
 from geomosaic.survey.model import Survey
 
 LON, LAT, HEIGHT_M = 11.0, 47.0, 600.0

@@ -17,12 +17,12 @@ from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.simulate.standing import heights_on_grid
 from geomosaic.simulate.survey import landscape_of, world_of
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.fused import RIM_CELLS, Counted, fused
-from geomosaic.surface.joined import joined, rimmed
-from geomosaic.surface.levels import Level, levels
+from geomosaic.surface.consistency_filter import RIM_CELLS, MatchCounts, consistent_heights
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.tile import matched, picture
-from geomosaic.surface.verticals import Sighted
+from geomosaic.surface.plane_sweep import SweepView
+from geomosaic.surface.pyramid import PyramidLevel, pyramid_levels
+from geomosaic.surface.tile_mosaic import mosaic_tiles, with_rim
+from geomosaic.surface.tile_sgm import census_image, match_tile
 
 GSD_M = 0.1
 CELL_M = 0.4
@@ -35,7 +35,7 @@ class Scene:
 
     plan: SurveyPlan
     greys: list[NDArray[np.uint8]]
-    sighted: list[Sighted]
+    sighted: list[SweepView]
     base: GroundSurface
     flying_m: float
 
@@ -46,32 +46,35 @@ class Scene:
 
     def matched(
         self, cells: Cells, base: GroundSurface | None = None, backwards: bool = False
-    ) -> tuple[DenseSurface, Counted, Level]:
+    ) -> tuple[DenseSurface, MatchCounts, PyramidLevel]:
         """The surface, what its cells count, and the fine level."""
         base = base or self.base
         above = None
-        both = levels(cells, self.flying_m)
+        both = pyramid_levels(cells, self.flying_m)
         for level in both:
             by = round(level.pixel_m / GSD_M)
-            frames = [Sighted(s.pose, s.camera, by) for s in self.sighted]
+            frames = [SweepView(s.pose, s.camera, by) for s in self.sighted]
             pictures = [
-                picture(grey, None, s.turn_rad, by) for grey, s in zip(self.greys, self.sighted, strict=True)
+                census_image(grey, None, s.turn_rad, by)
+                for grey, s in zip(self.greys, self.sighted, strict=True)
             ]
             tasks = level.tasks(frames, base, above)
             done = {
-                t.tile: matched(
+                t.tile: match_tile(
                     t.search, base, [frames[k] for k in t.frames], [pictures[k] for k in t.frames]
                 )
                 for t in (tasks[::-1] if backwards else tasks)
             }
-            above = level.together(base, tasks, [done[t.tile] for t in tasks])
+            above = level.assembled(base, tasks, [done[t.tile] for t in tasks])
         reach_m = both[-1].lowest_m, both[-1].highest_m
         parts = []
         for tile in done:
-            near = rimmed(tile, cells, base, [(t, h) for t, h in done.items() if t.touches(tile, RIM_CELLS)])
-            parts.append((tile, fused(near, tile.around(cells, RIM_CELLS), base, reach_m)))
-        counted = sum((part.counted for _, part in parts), Counted())
-        return joined(cells, base, parts), counted, both[-1]
+            near = with_rim(
+                tile, cells, base, [(t, h) for t, h in done.items() if t.touches(tile, RIM_CELLS)]
+            )
+            parts.append((tile, consistent_heights(near, tile.around(cells, RIM_CELLS), base, reach_m)))
+        counted = sum((part.counted for _, part in parts), MatchCounts())
+        return mosaic_tiles(cells, base, parts), counted, both[-1]
 
     def truth(self, surface: DenseSurface) -> tuple[NDArray[np.floating], NDArray[np.uint8]]:
         """Errors (m) of each cell, and what is there: 0 ground, 1 a roof, 2 a crown; 3 within 1 m of a wall,
@@ -120,7 +123,7 @@ def scene(out: Path, **plan: Any) -> Scene:
     camera: Camera = full.camera()
     files = sorted(survey.frames.iterdir())
     greys = [cv2.imread(str(f), cv2.IMREAD_GRAYSCALE) for f in files]
-    sighted = [Sighted(flight.poses[i], camera, 1.0) for i in range(len(files))]
+    sighted = [SweepView(flight.poses[i], camera, 1.0) for i in range(len(files))]
     world = world_of(full, flight)
     level_m = world.relief.base_m - flight.work_frame.height_ellipsoidal_m
     base = GroundSurface("flat", 0.0, 0.0, 1.0, np.full((1, 1), level_m))

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
-from geomosaic.surface.fused import RIM_CELLS, Counted, Part, fused
-from geomosaic.surface.held import lower_side
-from geomosaic.surface.joined import joined
-from geomosaic.surface.tile import Heights
+from geomosaic.surface.consistency_filter import RIM_CELLS, FilteredTile, MatchCounts, consistent_heights
+from geomosaic.surface.tile_mosaic import mosaic_tiles
+from geomosaic.surface.tile_sgm import TileHeights
+from geomosaic.surface.void_fill import void_heights
 
 FLAT = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
 CELL_M = 0.4
@@ -21,8 +21,10 @@ def filled(over_m: NDArray[np.float32], held: NDArray[np.bool_]) -> NDArray[np.f
     """A surface's heights over a level base, of a part that holds some cells."""
     cells = Cells(0.0, 0.0, CELL_M, *over_m.shape)
     sd_m = np.where(held, np.float32(np.nan), np.float32(0.1))
-    part = Part(np.where(held, np.float32(0.0), over_m), sd_m, (~held).astype(np.uint8), Counted())
-    return joined(cells, FLAT, [(Tile(0, 0, *over_m.shape), part)]).up_m
+    part = FilteredTile(
+        np.where(held, np.float32(0.0), over_m), sd_m, (~held).astype(np.uint8), MatchCounts()
+    )
+    return mosaic_tiles(cells, FLAT, [(Tile(0, 0, *over_m.shape), part)]).up_m
 
 
 def house(rows: int = 60, cols: int = 80) -> NDArray[np.float32]:
@@ -78,7 +80,7 @@ def test_held_heights_do_not_depend_on_where_squares_meet() -> None:
     rng = np.random.default_rng(1)
     over_m = rng.normal(0.0, 3.0, (520, 540)).astype(np.float32)
     known = rng.uniform(size=over_m.shape) < 0.4
-    whole, enclosed = lower_side(over_m, known)
+    whole, enclosed = void_heights(over_m, known)
     there = enclosed & ~known
     assert there[~known].mean() > 0.9
     assert np.array_equal(filled(over_m, ~known)[there], whole[there])
@@ -88,10 +90,10 @@ def kept(alike: NDArray[np.float32], up_m: NDArray[np.float32], frames: int = 2)
     """Which cells stay where two frames see them, or more."""
     nothing = np.zeros(up_m.shape, dtype=np.float32)
     seeing = np.full(up_m.shape, frames, dtype=np.uint8)
-    heights = Heights(up_m, alike, np.where(alike > 0.6, seeing, 0).astype(np.uint8), seeing, nothing)
+    heights = TileHeights(up_m, alike, np.where(alike > 0.6, seeing, 0).astype(np.uint8), seeing, nothing)
     cells = Cells(0.0, 0.0, CELL_M, *up_m.shape)
     return np.isfinite(
-        np.pad(fused(heights, cells, FLAT, (-5.0, 30.0)).sd_m, RIM_CELLS, constant_values=np.nan)
+        np.pad(consistent_heights(heights, cells, FLAT, (-5.0, 30.0)).sd_m, RIM_CELLS, constant_values=np.nan)
     )
 
 

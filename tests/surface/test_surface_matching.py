@@ -18,13 +18,13 @@ from geomosaic.pipeline.finished import load_artefact
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages import surface_dense as stage_module
 from geomosaic.stages.surface_dense import SurfaceDense
-from geomosaic.surface import levels as levels_module
+from geomosaic.surface import pyramid as levels_module
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.doubts import doubts
-from geomosaic.surface.fused import fused
-from geomosaic.surface.levels import levels
+from geomosaic.surface.consistency_filter import consistent_heights
+from geomosaic.surface.match_warnings import match_warnings
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.tile import Heights
+from geomosaic.surface.pyramid import pyramid_levels
+from geomosaic.surface.tile_sgm import TileHeights
 from geomosaic.survey.model import Survey
 
 GROUND, ROOF, CROWN, WALL = range(4)
@@ -93,14 +93,14 @@ def test_no_spikes_at_the_rim(town: Scene) -> None:
 def test_two_frames_have_to_look_alike_where_three_need_not(seeing: int, alike: float, kept: bool) -> None:
     """Between two some height costs little by chance; before, it stood as a mast of 20 m at the rim."""
     flat, shape = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1))), (40, 40)
-    heights = Heights(
+    heights = TileHeights(
         np.full(shape, 20.0, dtype=np.float32),
         np.full(shape, alike, dtype=np.float32),
         np.full(shape, seeing if alike > 0.6 else 0, dtype=np.uint8),
         np.full(shape, seeing, dtype=np.uint8),
         np.full(shape, 5.5, dtype=np.float32),
     )
-    part = fused(heights, Cells(0.0, 0.0, 0.4, *shape), flat, (-5.0, 30.0))
+    part = consistent_heights(heights, Cells(0.0, 0.0, 0.4, *shape), flat, (-5.0, 30.0))
     assert ((part.views > 0) == kept).all()
     assert np.allclose(part.over_m, 20.0 if kept else 0.0)
 
@@ -112,14 +112,14 @@ def test_groves_with_some_sure_cells_stay_where_water_with_fewer_is_held(every: 
     alike = np.full(shape, 0.2, dtype=np.float32)
     alike.ravel()[::every] = 0.9
     views = np.where(alike > 0.6, 3, 0).astype(np.uint8)
-    heights = Heights(
+    heights = TileHeights(
         np.full(shape, 8.0, dtype=np.float32),
         alike,
         views,
         np.full(shape, 3, dtype=np.uint8),
         np.full(shape, 2.5, dtype=np.float32),
     )
-    part = fused(heights, Cells(0.0, 0.0, 0.4, *shape), flat, (-5.0, 30.0))
+    part = consistent_heights(heights, Cells(0.0, 0.0, 0.4, *shape), flat, (-5.0, 30.0))
     assert np.allclose(part.over_m, 8.0 if kept else 0.0)
     assert part.over_m.dtype == part.sd_m.dtype == np.float32
 
@@ -127,7 +127,7 @@ def test_groves_with_some_sure_cells_stay_where_water_with_fewer_is_held(every: 
 def test_tiles_end_where_two_frames_do(town: Scene) -> None:
     """What one frame sees, and a margin about it, is not worked on, and hardly anything that two see is left out."""
     cells = town.cells(160.0)
-    level = levels(cells, town.flying_m)[-1]
+    level = pyramid_levels(cells, town.flying_m)[-1]
     flat = np.zeros((cells.rows, cells.cols), dtype=np.float32)
     nothing = DenseSurface(cells, flat + np.float32(town.base.up_m.item()), flat, flat.astype(np.uint8))
     seeing = town.frames_seeing(nothing)
@@ -150,7 +150,7 @@ def test_cells_that_no_frame_sees_keep_the_base(town: Scene) -> None:
     surface, counted, level = town.matched(town.cells(20.0, 500.0, 500.0))
     assert (surface.views == 0).all()
     assert np.allclose(surface.up_m, town.base.up_m)
-    told = dict(doubts(counted, level, town.base.kind))
+    told = dict(match_warnings(counted, level, town.base.kind))
     assert list(told) == ["surface-not-matched"]
 
 
@@ -161,16 +161,16 @@ def test_two_frames_give_a_surface_that_says_so(town: Scene) -> None:
     errors_m, kind = pair.truth(surface)
     seen = (pair.frames_seeing(surface) == 2) & (kind == GROUND)
     assert float(np.median(np.abs(errors_m[seen]))) < GSD_M
-    told = dict(doubts(counted, level, town.base.kind))
+    told = dict(match_warnings(counted, level, town.base.kind))
     assert "surface-two-views" in told
 
 
 def test_hills_beyond_the_search_are_told_and_a_base_that_knows_them_finds_them(town: Scene, found) -> None:
     deep = GroundSurface("flat", 0.0, 0.0, 1.0, town.base.up_m - 17.0)
     _, counted, level = town.matched(town.cells(24.0), deep)
-    told = dict(doubts(counted, level, town.base.kind))
+    told = dict(match_warnings(counted, level, town.base.kind))
     assert told.keys() & {"surface-out-of-reach", "surface-not-matched"}
-    told = dict(doubts(*found[1:], town.base.kind))
+    told = dict(match_warnings(*found[1:], town.base.kind))
     assert not told
 
 
@@ -181,7 +181,7 @@ def test_water_stays_as_it_was(tmp_path) -> None:
     assert counted.looked_at > 1000
     assert counted.share < 0.3
     assert float(np.mean(land)) < 0.1
-    told = dict(doubts(counted, level, lake.base.kind))
+    told = dict(match_warnings(counted, level, lake.base.kind))
     assert "surface-not-matched" in told
 
 

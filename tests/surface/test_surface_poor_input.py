@@ -13,9 +13,9 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.simulate.flight import fly
 from geomosaic.simulate.survey import world_of
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.doubts import doubts
-from geomosaic.surface.fused import Counted
-from geomosaic.surface.levels import levels
+from geomosaic.surface.consistency_filter import MatchCounts
+from geomosaic.surface.match_warnings import match_warnings
+from geomosaic.surface.pyramid import pyramid_levels
 
 
 def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:
@@ -23,7 +23,7 @@ def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:
     surface, counted, level = line.matched(line.cells(12.0))
     assert line.frames_seeing(surface).max() == 2
     assert surface.views.max() <= 2
-    told = dict(doubts(counted, level, line.base.kind))
+    told = dict(match_warnings(counted, level, line.base.kind))
     assert told.keys() & {"surface-two-views", "surface-not-matched"}
     assert np.isfinite(surface.up_m).all()
 
@@ -52,8 +52,8 @@ def test_a_dem_given_as_well_is_where_the_search_starts(tmp_path) -> None:
     ("known", "fix"), [("flat", "(--dem)"), ("tie_surface", "(--dem)"), ("dem", "--dem-offset")]
 )
 def test_who_gave_an_elevation_model_is_not_told_to_give_one(known: str, fix: str) -> None:
-    level = levels(Cells(0.0, 0.0, 0.4, 8, 8), 100.0)[-1]
-    told = dict(doubts(Counted(looked_at=64, matched=64, beyond=10, alike=64), level, known))
+    level = pyramid_levels(Cells(0.0, 0.0, 0.4, 8, 8), 100.0)[-1]
+    told = dict(match_warnings(MatchCounts(looked_at=64, matched=64, beyond=10, alike=64), level, known))
     assert list(told) == ["surface-out-of-reach"]
     assert "10 m below to 30 m above" in told["surface-out-of-reach"]
     assert fix in told["surface-out-of-reach"]

@@ -1,4 +1,4 @@
-"""Where frames see verticals, what hides them, and how neighbours' costs are summed."""
+"""Where frames see sweep, what hides them, and how neighbours' costs are summed."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import census
 from geomosaic.surface.costs import PER_BIT, census_costs
+from geomosaic.surface.plane_sweep import PlaneSweep, SweepView
 from geomosaic.surface.squares import Squares
-from geomosaic.surface.tile import steps_about
-from geomosaic.surface.verticals import Sighted, Verticals
+from geomosaic.surface.tile_sgm import search_steps
 from geomosaic.surface.visibility import asked_frames, hidden_below
 
 LEVEL = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
@@ -34,13 +34,13 @@ def looking_down(east_m: float, north_m: float, up_m: float = 100.0, yaw_deg: fl
 def test_places_are_the_collinearity_equations() -> None:
     pose = looking_down(3.0, -4.0)
     cells = Cells(-70.0, -60.0, 0.5, 240, 280)
-    verticals = Verticals(cells, LEVEL, [Sighted(pose, CAMERA, 2.0)], -10.0, 30.0)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(pose, CAMERA, 2.0)], -10.0, 30.0)
     east, north = cells.axes_m()
     for height_m in (-8.0, 0.0, 13.0, 28.0):
         points = np.stack(np.broadcast_arrays(east, north[:, None], height_m), axis=-1)
         col, row = np.moveaxis(pose.image_from_ground(CAMERA, points), -1, 0)
         seen = (col >= 0.0) & (col <= 800.0) & (row >= 0.0) & (row <= 600.0)
-        places = verticals.places(0, verticals.bent(np.full(seen.shape, height_m, dtype=np.float32)))
+        places = sweep.places(0, sweep.bent(np.full(seen.shape, height_m, dtype=np.float32)))
         for found, true in zip(places, (col / 2.0 - 0.5, row / 2.0 - 0.5), strict=True):
             assert seen.sum() > 10_000
             assert float(np.abs(found - true)[seen].max()) < 0.15
@@ -51,22 +51,22 @@ def test_a_frame_sees_up_to_its_rim_where_high_points_are_out_of_its_lens() -> N
     pose = looking_down(0.0, 0.0, yaw_deg=0.0)
     narrow = dataclasses.replace(CAMERA, k1=-0.35)
     cells = Cells(-60.0, -45.0, 0.5, 180, 240)
-    verticals = Verticals(cells, LEVEL, [Sighted(pose, narrow, 1.0)], -10.0, 60.0)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(pose, narrow, 1.0)], -10.0, 60.0)
     east, north = cells.axes_m()
     points = np.stack(np.broadcast_arrays(east, north[:, None], 0.0), axis=-1)
     col, row = np.moveaxis(pose.image_from_ground(narrow, points), -1, 0)
     inside = (col >= 0.0) & (col <= 800.0) & (row >= 0.0) & (row <= 600.0)
-    found = verticals.places(0, np.zeros(inside.shape, dtype=np.float32))[0]
+    found = sweep.places(0, np.zeros(inside.shape, dtype=np.float32))[0]
     assert np.isfinite(found[inside]).all()
 
 
 def test_a_wall_hides_what_lies_behind_it() -> None:
     pose = looking_down(40.0, 0.0)
     cells = Cells(-10.0, -10.0, 1.0, 20, 20)
-    verticals = Verticals(cells, LEVEL, [Sighted(pose, CAMERA, 1.0)], -5.0, 30.0)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(pose, CAMERA, 1.0)], -5.0, 30.0)
     land = np.zeros((20, 20), dtype=np.float32)
     land[:, 12] = 8.0  # a wall to the east, where the camera is
-    low = hidden_below(verticals, 0, land, 1.0)
+    low = hidden_below(sweep, 0, land, 1.0)
     behind, away_m = low[10, 10], 2.0
     # the line of sight over the wall's top falls by 100 / 40 a metre; what is a cell too low counts as seen
     assert behind == pytest.approx(8.0 - away_m * 100.0 / 40.0 - 1.0, abs=1.7)
@@ -81,8 +81,8 @@ def test_frames_that_see_all_of_a_square_are_asked_first_and_of_those_the_steepe
         looking_down(0.0, 0.0),
     ]
     cells = Cells(-8.0, -8.0, 0.5, 32, 32)
-    verticals = Verticals(cells, LEVEL, [Sighted(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
-    [(_, asked)] = asked_frames(verticals, [(600, 800)] * 4, 32, 0, 3)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
+    [(_, asked)] = asked_frames(sweep, [(600, 800)] * 4, 32, 0, 3)
     assert asked[:2] == (3, 1)
     assert 2 not in asked
 
@@ -93,17 +93,17 @@ def test_a_height_that_two_frames_agree_on_costs_least(  # of three, one of whic
     cells = Cells(-8.0, -8.0, 0.25, 64, 64)
     scene = np.kron(random.integers(0, 255, (80, 80)), np.ones((4, 4))).astype(np.uint8)
     poses = [looking_down(x, 0.0, yaw_deg=0.0) for x in (0.0, 30.0, -30.0)]
-    sighted = [Sighted(p, CAMERA, 1.0) for p in poses]
+    sighted = [SweepView(p, CAMERA, 1.0) for p in poses]
     views = [_seen(scene, pose, 5.0) for pose in poses[:2]]
     views.append(random.integers(0, 255, (600, 800)).astype(np.uint8))
-    verticals = Verticals(cells, LEVEL, sighted, -5.0, 30.0)
+    sweep = PlaneSweep(cells, LEVEL, sighted, -5.0, 30.0)
     steps = np.broadcast_to(np.arange(-2, 12, dtype=np.int16)[:, None, None], (14, 64, 64))
     whole = [((slice(0, 64), slice(0, 64)), (0, 1, 2))]
-    costs = census_costs(verticals, [census(v) for v in views], steps, 1.0, whole, {})
+    costs = census_costs(sweep, [census(v) for v in views], steps, 1.0, whole, {})
     best = cheapest(aggregated(costs, steps), steps)
     assert float(np.median(np.abs(best[8:-8, 8:-8] - 5.0))) < 0.3
     blind = {k: np.full((64, 64), np.inf, dtype=np.float32) for k in range(3)}
-    none = census_costs(verticals, [census(v) for v in views], steps, 1.0, whole, blind)
+    none = census_costs(sweep, [census(v) for v in views], steps, 1.0, whole, blind)
     assert (none == none[0, 0, 0]).all()
     assert none[0, 0, 0] < 12 * PER_BIT
 
@@ -113,7 +113,7 @@ def test_squares_show_what_their_own_frames_see() -> None:
     random = np.random.default_rng(3)
     cells = Cells(-8.0, -8.0, 0.25, 70, 40)
     frames = [looking_down(x, 3.0) for x in (0.0, 12.0, -14.0)]
-    verticals = Verticals(cells, LEVEL, [Sighted(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
     views = [random.integers(0, 255, (600, 800)).astype(np.uint8) for _ in frames]
     asked = [
         ((slice(0, 32), slice(0, 32)), (2, 0)),
@@ -123,7 +123,7 @@ def test_squares_show_what_their_own_frames_see() -> None:
     ]
     height_m = random.uniform(0.0, 9.0, (70, 40)).astype(np.float32)
     low_m = np.full((70, 40), 4.0, dtype=np.float32)
-    squares = Squares(verticals, views, asked, rim=2)
+    squares = Squares(sweep, views, asked, rim=2)
     several = squares.cut(height_m)[:, None]
     for rank, (grey, sees) in enumerate(squares.shown(several, {0: low_m})):
         shown, seen = (np.full((70, 40), 7, dtype=np.uint8) for _ in range(2))
@@ -133,7 +133,7 @@ def test_squares_show_what_their_own_frames_see() -> None:
             if rank >= len(whom):
                 assert not seen[at].any()
                 continue
-            places = verticals.places(whom[rank], verticals.bent(height_m[at]), at)
+            places = sweep.places(whom[rank], sweep.bent(height_m[at]), at)
             expected = cv2.remap(
                 views[whom[rank]], *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
             )
@@ -188,17 +188,17 @@ def test_a_frame_that_lies_off_the_others_is_not_what_they_are_compared_with(mov
     poses = [looking_down(x, 0.0, yaw_deg=0.0) for x in (0.0, 10.0, -10.0, 20.0)]
     taken = [looking_down(0.0, moved_m, yaw_deg=0.0), *poses[1:]]
     seen = [census(_seen(scene.astype(np.uint8), pose, 5.0)) for pose in taken]
-    verticals = Verticals(cells, LEVEL, [Sighted(p, CAMERA, 1.0) for p in poses], -5.0, 30.0)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(p, CAMERA, 1.0) for p in poses], -5.0, 30.0)
     steps = np.broadcast_to(np.arange(-2, 12, dtype=np.int16)[:, None, None], (14, 64, 64))
     block = slice(16, 48), slice(16, 48)
-    [(_, found)] = agreeing(verticals, seen, steps, 1.0, [(block, (0, 1, 2, 3))], 3)
+    [(_, found)] = agreeing(sweep, seen, steps, 1.0, [(block, (0, 1, 2, 3))], 3)
     assert found == asked
 
 
 def test_beside_a_wall_of_more_heights_than_are_looked_at_a_cell_has_those_of_its_side() -> None:
     about = np.zeros((20, 40), dtype=np.float32)
     about[:, 20:] = 100.0
-    steps = steps_about(about)
+    steps = search_steps(about)
     assert len(steps) < 100
     assert (steps.min(axis=0) <= about - 4).all()
     assert (steps.max(axis=0) >= about + 3).all()

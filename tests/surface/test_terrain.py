@@ -14,8 +14,8 @@ from geomosaic.simulate.relief import Relief
 from geomosaic.simulate.standing import CROWN, GROUND, ROOF, heights_on_grid
 from geomosaic.stages.surface_terrain import SurfaceTerrain
 from geomosaic.surface.cells import Cells
+from geomosaic.surface.dtm import TERRAIN, filled, terrain_model
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.terrain import TERRAIN, filled, terrain_model
 
 CELL_M = 0.5
 SIDE = 440

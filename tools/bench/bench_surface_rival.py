@@ -15,8 +15,8 @@ from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
+from geomosaic.surface.dtm import filled
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.terrain import filled
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 

@@ -13,7 +13,7 @@ from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.refinement import SURE, UNSEEN
-from geomosaic.surface.tile import Heights
+from geomosaic.surface.tile_sgm import TileHeights
 
 Floats32 = NDArray[np.float32]
 _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -21,7 +21,9 @@ _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 _SD_CELLS = tuned((1.0, 0.3, 0.15, 0.1, 0.05), "cells", "by correlation; 68 % of simulated ones are within")
 _WRONG = tuned((0.5, 0.35, 0.22, 0.12, 0.02), "share", "that have a step's other height, by correlation")
 _ASIDE_CELLS = tuned(0.3, "cells", "horizontal error: simulated crowns of slope 3 are off by 0.6 to 1.3")
-_AROUND_CELLS = tuned(13, "cells", "window of steps and support: `sharpening`'s reach both ways, and itself")
+_AROUND_CELLS = tuned(
+    13, "cells", "window of steps and support: `edge_refinement`'s reach both ways, and itself"
+)
 _DISTINCT_BITS = tuned(4.5, "bits", "kept without correlation: simulated lakes stay below 4.6, woods do not")
 _WITNESSES = tuned(3, "frames", "for a cell kept by cost alone: two lift meadows at the rim by 14 to 24 m")
 _LEAST_VIEWS = sourced(2, "frames", "views that a match takes", "a pair")
@@ -34,12 +36,12 @@ _LEAST_ALIKE = tuned(0.2, "correlation", "of a cell seen by two: lower is chance
 _EVENED_CELLS = tuned(9, "cells", "window of the bilateral filter: larger takes longer and rounds off ridges")
 _NOISE_CELLS = tuned(0.4, "cells", "height noise, 2 to 3 deviations: larger removes kerbs and low walls")
 RIM_CELLS: Final = 12
-"""About a tile, that `fused` looks at: what is kept asks six around, and evening four around that."""
+"""Margin around a tile that `consistent_heights` reads: six cells for support, four for the filter."""
 _END_CELLS = tuned(4.0, "cells", "height margin that counts as a limit: smaller misses cut-off relief")
 
 
 @dataclass(frozen=True)
-class Counted:
+class MatchCounts:
     """Cells: looked_at, that two frames see; matched, with a view; beyond, of these at an end of what was
     searched, or past it; alike, where frames are alike; by_two, of these where only two are."""
 
@@ -49,8 +51,8 @@ class Counted:
     alike: int = 0
     by_two: int = 0
 
-    def __add__(self, other: Counted) -> Counted:
-        return Counted(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+    def __add__(self, other: MatchCounts) -> MatchCounts:
+        return MatchCounts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def share(self) -> float:
@@ -59,17 +61,19 @@ class Counted:
 
 
 @dataclass(frozen=True)
-class Part:
+class FilteredTile:
     """What was matched of a tile's cells, (rows, cols) each: over_m, the height over the base, 0 where it is
     held; sd_m, NaN where it is; views, as a surface's."""
 
     over_m: Floats32
     sd_m: Floats32
     views: NDArray[np.uint8]
-    counted: Counted
+    counted: MatchCounts
 
 
-def fused(found: Heights, cells: Cells, base: GroundSurface, reach_m: tuple[float, float]) -> Part:
+def consistent_heights(
+    found: TileHeights, cells: Cells, base: GroundSurface, reach_m: tuple[float, float]
+) -> FilteredTile:
     """What is kept of the heights of cells that have `RIM_CELLS` others on every side.
 
     Args: reach_m: from where to where over the base heights were searched.
@@ -81,11 +85,11 @@ def fused(found: Heights, cells: Cells, base: GroundSurface, reach_m: tuple[floa
     witnessed = found.seeing >= _WITNESSES
     distinct = witnessed & (found.distinct >= _DISTINCT_BITS)
     by_two = ~witnessed & (found.alike >= _LEAST_ALIKE) & (support >= _SURE_ABOUT_TWO)
-    by_two &= _sure_and_like(found, cells.cell_m) >= _SUPPORT_OF_TWO
+    by_two &= _support_at_same_height(found, cells.cell_m) >= _SUPPORT_OF_TWO
     supported = by_two | (witnessed & (support >= _SUPPORT))
     kept = (supported | distinct) & (found.alike > UNSEEN)
     views = np.where(kept, np.maximum(found.views, np.uint8(_LEAST_VIEWS) * (distinct | by_two)), np.uint8(0))
-    over_m = _even(np.where(kept, found.up_m - base_m, np.float32(0.0)), cells.cell_m)
+    over_m = _bilateral(np.where(kept, found.up_m - base_m, np.float32(0.0)), cells.cell_m)
     sd_m = np.where(kept, _sd_m(found, cells.cell_m), np.float32(np.nan))
     inner = slice(RIM_CELLS, -RIM_CELLS), slice(RIM_CELLS, -RIM_CELLS)
     over_m, sd_m, views = (np.ascontiguousarray(a[inner]) for a in (over_m * kept, sd_m, views))
@@ -93,10 +97,10 @@ def fused(found: Heights, cells: Cells, base: GroundSurface, reach_m: tuple[floa
     matched, alike = views > 0, found.views[inner]
     beyond = matched & ((over_m < ends_m[0]) | (over_m > ends_m[1]))
     of = found.alike[inner] > UNSEEN, matched, beyond, alike > 0, (alike > 0) & (alike < _WITNESSES)
-    return Part(over_m, sd_m, views, Counted(*(int(cells.sum()) for cells in of)))
+    return FilteredTile(over_m, sd_m, views, MatchCounts(*(int(cells.sum()) for cells in of)))
 
 
-def _sure_and_like(found: Heights, cell_m: float) -> Floats32:
+def _support_at_same_height(found: TileHeights, cell_m: float) -> Floats32:
     """The share of the cells around that are sure, and of the same height."""
     reach = _LIKE_AROUND_CELLS // 2
     rows, cols = found.up_m.shape
@@ -110,7 +114,7 @@ def _sure_and_like(found: Heights, cell_m: float) -> Floats32:
     return np.asarray(count / np.float32(_LIKE_AROUND_CELLS**2), dtype=np.float32)
 
 
-def _sd_m(found: Heights, cell_m: float) -> Floats32:
+def _sd_m(found: TileHeights, cell_m: float) -> Floats32:
     """Of matched heights: by how alike frames are, by the lean of the surface, by steps nearby."""
     own = cell_m * np.interp(found.alike, _ALIKE, _SD_CELLS)
     lean = np.hypot(*np.gradient(found.up_m))
@@ -121,7 +125,7 @@ def _sd_m(found: Heights, cell_m: float) -> Floats32:
     return np.asarray(np.sqrt(own**2 + (_ASIDE_CELLS * lean) ** 2 + wrong**2), dtype=np.float32)
 
 
-def _even(over_m: Floats32, cell_m: float) -> Floats32:
+def _bilateral(over_m: Floats32, cell_m: float) -> Floats32:
     """Without the noise of single cells; edges stay."""
     return np.asarray(
         cv2.bilateralFilter(over_m, _EVENED_CELLS, _NOISE_CELLS * cell_m, _EVENED_CELLS / 4.0), np.float32

@@ -19,12 +19,12 @@ Floats32 = NDArray[np.float32]
 _REACH_CELLS = tuned(32, "cells", "search each way: a house of 10 m hides 12 m of ground at 50 degrees")
 _ENCLOSED = tuned(6, "directions", "with a known cell that enclose a void: fewer extend houses past the rim")
 _SHARE_AROUND = tuned(0.25, "share", "known cells around: fewer, as on water, are partly chance and too low")
-_EVENED_CELLS = tuned(5, "cells", "median of filled heights: smaller leaves streaks; a mean makes ramps")
-AROUND_CELLS: Final = _REACH_CELLS + _EVENED_CELLS // 2
+_MEDIAN_CELLS = tuned(5, "cells", "median of filled heights: smaller leaves streaks; a mean makes ramps")
+SEARCH_CELLS: Final = _REACH_CELLS + _MEDIAN_CELLS // 2
 """About some cells, from where their heights come."""
 
 
-def lower_side(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
+def void_heights(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
     """Of cells (rows, cols) the second lowest of the nearest known values in eight directions, evened out:
     the lowest alone may be a wrong one; infinite where few are known. Which cells known ones enclose; others
     may lie at the rim of what was matched, where one house would be carried on."""
@@ -32,21 +32,21 @@ def lower_side(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
     count = np.zeros(values.shape, dtype=np.uint8)
     for quarters in range(4 * known.any()):
         turned, where = np.rot90(values, quarters), np.rot90(known, quarters)
-        sheared = _nearest(_sheared(turned), _sheared(where))
-        for near in (_nearest(turned, where), _unsheared(sheared, turned.shape[1])):
+        sheared = _nearest_above(_sheared(turned), _sheared(where))
+        for near in (_nearest_above(turned, where), _unsheared(sheared, turned.shape[1])):
             near = np.rot90(near, -quarters)
             np.minimum(second, np.maximum(lowest, near), out=second)
             np.minimum(lowest, near, out=lowest)
             count += near < np.inf
     far = np.float32(np.finfo(np.float32).max)
-    evened = np.asarray(cv2.medianBlur(np.minimum(second, far), _EVENED_CELLS), dtype=np.float32)
+    evened = np.asarray(cv2.medianBlur(np.minimum(second, far), _MEDIAN_CELLS), dtype=np.float32)
     window = (_REACH_CELLS + 1, _REACH_CELLS + 1)
     share = cv2.blur(known.astype(np.float32), window, borderType=cv2.BORDER_CONSTANT)
     there = (evened < far) & (share >= _SHARE_AROUND)
     return np.where(there, evened, np.float32(np.inf)), there & (count >= _ENCLOSED)
 
 
-def _nearest(values: Floats32, known: Bools) -> Floats32:
+def _nearest_above(values: Floats32, known: Bools) -> Floats32:
     """Of each cell the last known value in the rows before; infinite where it is farther than is looked."""
     row = np.arange(len(values), dtype=np.int32)[:, None]
     last = np.maximum.accumulate(np.where(known, row, np.int32(-_REACH_CELLS - 1)), axis=0)

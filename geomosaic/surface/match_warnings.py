@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from geomosaic.constants import tuned
-from geomosaic.surface.fused import Counted
-from geomosaic.surface.levels import Level
+from geomosaic.surface.consistency_filter import MatchCounts
+from geomosaic.surface.pyramid import PyramidLevel
 
 _LEAST_MATCHED = tuned(0.3, "share", "of the cells that frames see: below, the surface is mostly filled")
 _MOST_AT_END = tuned(0.1, "share", "of matched cells at a limit of the search: above, relief was cut off")
 
 
-def doubts(counted: Counted, level: Level, known: str) -> Iterator[tuple[str, str]]:
+def match_warnings(counted: MatchCounts, level: PyramidLevel, known: str) -> Iterator[tuple[str, str]]:
     """Code and text of each warning.
 
     Args: counted: the surface's cells; level: one of those that they were matched by; known: the kind of

@@ -12,21 +12,23 @@ from numpy.typing import NDArray
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
-from geomosaic.surface.fused import RIM_CELLS, Part
-from geomosaic.surface.held import AROUND_CELLS, lower_side
+from geomosaic.surface.consistency_filter import RIM_CELLS, FilteredTile
 from geomosaic.surface.model import DenseSurface
-from geomosaic.surface.tile import Heights, unseen
+from geomosaic.surface.tile_sgm import TileHeights, unmatched
+from geomosaic.surface.void_fill import SEARCH_CELLS, void_heights
 
 Floats32 = NDArray[np.float32]
 _BAND_ROWS: Final = 256
 """Of cells that are worked on at once; an even number."""
-_KEPT = tuned(0.6, "share", "of the height, a doubled distance: 1 runs roofs out to sea; less makes pits")
+_DECAY = tuned(0.6, "share", "of the height, a doubled distance: 1 runs roofs out to sea; less makes pits")
 
 
-def rimmed(tile: Tile, cells: Cells, base: GroundSurface, near: Iterable[tuple[Tile, Heights]]) -> Heights:
+def with_rim(
+    tile: Tile, cells: Cells, base: GroundSurface, near: Iterable[tuple[Tile, TileHeights]]
+) -> TileHeights:
     """Heights of a tile's cells and of `RIM_CELLS` on every side, by the tiles near it that hold them; the
     base's, and nothing alike, elsewhere."""
-    found = unseen(up_on(base, tile.around(cells, RIM_CELLS)))
+    found = unmatched(base_heights(base, tile.around(cells, RIM_CELLS)))
     row, col = tile.row - RIM_CELLS, tile.col - RIM_CELLS
     for other, heights in near:
         (to_rows, of_rows), (to_cols, of_cols) = (
@@ -47,7 +49,7 @@ def _shared(first: int, size: int, at: int, count: int) -> tuple[slice, slice]:
     return slice(low - first, high - first), slice(low - at, high - at)
 
 
-def up_on(base: GroundSurface, cells: Cells) -> Floats32:
+def base_heights(base: GroundSurface, cells: Cells) -> Floats32:
     """The base's heights (rows, cols) in the cells' middles."""
     east, north = cells.axes_m()
     found = np.empty((cells.rows, cells.cols), dtype=np.float32)
@@ -56,7 +58,9 @@ def up_on(base: GroundSurface, cells: Cells) -> Floats32:
     return found
 
 
-def joined(cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, Part]]) -> DenseSurface:
+def mosaic_tiles(
+    cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, FilteredTile]]
+) -> DenseSurface:
     """All cells' heights: where a part keeps none, the lower side's of what lies around; far from anything
     the base's, raised by it.
 
@@ -66,16 +70,16 @@ def joined(cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, Part]]
     sd_m, views = np.full_like(over_m, np.nan), np.zeros(over_m.shape, dtype=np.uint8)
     for tile, part in parts:
         over_m[tile.at], sd_m[tile.at], views[tile.at] = part.over_m, part.sd_m, part.views
-    around_m, around_m2 = _around(over_m, sd_m)
+    around_m, around_m2 = _neighbourhood(over_m, sd_m)
     for band in _bands(cells):
-        np.copyto(over_m[band], _finer(around_m, band), where=np.isnan(sd_m[band]))
+        np.copyto(over_m[band], _upsampled(around_m, band), where=np.isnan(sd_m[band]))
     for tile in cells.tiles(_BAND_ROWS):
-        _lowered(over_m, sd_m, tile)
+        _fill_voids(over_m, sd_m, tile)
     east, north = cells.axes_m()
     for band in _bands(cells):
         at = east, north[band, None]
         held = np.isnan(sd_m[band])
-        near_m, near_m2 = (_finer(a, band) for a in (around_m, around_m2))
+        near_m, near_m2 = (_upsampled(a, band) for a in (around_m, around_m2))
         varying = np.maximum(near_m2 - near_m**2, np.float32(0.0)) + (over_m[band] - near_m) ** 2
         over_m[band] += base.up_at(*at)
         held_sd_m = np.sqrt(np.nan_to_num(base.sd_at(*at)) ** 2 + varying)
@@ -83,17 +87,17 @@ def joined(cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, Part]]
     return DenseSurface(cells, over_m, sd_m, views)
 
 
-def _lowered(over_m: Floats32, sd_m: Floats32, tile: Tile) -> None:
+def _fill_voids(over_m: Floats32, sd_m: Floats32, tile: Tile) -> None:
     """Puts a tile's held cells on the lower side of what lies around."""
-    first = max(tile.row - AROUND_CELLS, 0), max(tile.col - AROUND_CELLS, 0)
+    first = max(tile.row - SEARCH_CELLS, 0), max(tile.col - SEARCH_CELLS, 0)
     wide = (
-        slice(first[0], tile.row + tile.rows + AROUND_CELLS),
-        slice(first[1], tile.col + tile.cols + AROUND_CELLS),
+        slice(first[0], tile.row + tile.rows + SEARCH_CELLS),
+        slice(first[1], tile.col + tile.cols + SEARCH_CELLS),
     )
     own = Tile(tile.row - first[0], tile.col - first[1], tile.rows, tile.cols).at
     known = np.isfinite(sd_m[wide])
     if not known[own].all():
-        lower_m, enclosed = (a[own] for a in lower_side(over_m[wide], known))
+        lower_m, enclosed = (a[own] for a in void_heights(over_m[wide], known))
         held_m = np.where(enclosed, lower_m, np.minimum(lower_m, over_m[tile.at]))
         np.copyto(over_m[tile.at], held_m, where=~known[own])
 
@@ -103,7 +107,7 @@ def _bands(cells: Cells) -> Iterator[slice]:
         yield slice(row, min(row + _BAND_ROWS, cells.rows))
 
 
-def _around(over_m: Floats32, sd_m: Floats32) -> tuple[Floats32, Floats32]:
+def _neighbourhood(over_m: Floats32, sd_m: Floats32) -> tuple[Floats32, Floats32]:
     """What lies around (half the rows, half the cols): heights over the base, and their squares."""
     half = over_m.shape[0] // 2, over_m.shape[1] // 2
     share, mean, square = (np.zeros(half, dtype=np.float32) for _ in range(3))
@@ -117,10 +121,10 @@ def _around(over_m: Floats32, sd_m: Floats32) -> tuple[Floats32, Floats32]:
     least = np.maximum(share, np.float32(1e-6))
     mean /= least
     square /= least
-    return np.float32(_KEPT) * _filled(mean, weight), np.float32(_KEPT) * _filled(square, weight)
+    return np.float32(_DECAY) * _filled(mean, weight), np.float32(_DECAY) * _filled(square, weight)
 
 
-def _finer(values: Floats32, band: slice) -> Floats32:
+def _upsampled(values: Floats32, band: slice) -> Floats32:
     """Values (rows, cols) between twice as many, bilinear: those of a band of rows."""
     first, last = max(band.start // 2 - 1, 0), min(band.stop // 2 + 1, len(values))
     some = values[first:last]
@@ -138,4 +142,4 @@ def _filled(values: Floats32, weight: Floats32) -> Floats32:
     mean = np.where(share > 0.0, mean / np.maximum(share, np.float32(1e-6)), np.float32(0.0))
     coarse = _filled(np.asarray(mean, np.float32), np.asarray(np.minimum(share * 2.0, 1.0), np.float32))
     around = cv2.resize(coarse, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(weight * values + (1.0 - weight) * np.float32(_KEPT) * around, dtype=np.float32)
+    return np.asarray(weight * values + (1.0 - weight) * np.float32(_DECAY) * around, dtype=np.float32)

@@ -83,20 +83,20 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
     hills_m = np.zeros_like(low_m)
     for slope in _SLOPES:
         standing = _standing(low_m - hills_m, square_m, widest_m / 2.0, slope, noise_m / squares.by)
-        ground_m = hills_m + filled(low_m - hills_m, ~_grown(standing, 1))
+        ground_m = hills_m + filled(low_m - hills_m, ~_dilated(standing, 1))
         hills_m = np.asarray(cv2.GaussianBlur(ground_m, (0, 0), _HILLS_M / square_m), dtype=np.float32)
-    ground = _shows(surface.up_m, squares.between(ground_m), cell_m, noise_m)
-    return _laid(surface, ground, ground & matched)
+    ground = _is_ground(surface.up_m, squares.between(ground_m), cell_m, noise_m)
+    return _interpolated(surface, ground, ground & matched)
 
 
-def _shows(up_m: Floats32, about_m: Floats32, cell_m: float, noise_m: float) -> Bools:
+def _is_ground(up_m: Floats32, about_m: Floats32, cell_m: float, noise_m: float) -> Bools:
     """Where heights are those of the ground around squares, and no rim of what stands."""
     slope_of = np.hypot(*np.gradient(about_m, cell_m)) if min(about_m.shape) > 1 else np.zeros_like(about_m)
     may_miss_m = max(_OFF_M, noise_m) + _OFF_PER_SLOPE * slope_of
     del slope_of
     over_m = up_m - about_m
     high = cv2.morphologyEx((over_m > may_miss_m).astype(np.uint8), cv2.MORPH_OPEN, _SQUARE) > 0
-    return np.asarray((np.abs(over_m) <= may_miss_m) & ~_grown(high, round(_RIM_M / cell_m)))
+    return np.asarray((np.abs(over_m) <= may_miss_m) & ~_dilated(high, round(_RIM_M / cell_m)))
 
 
 def filled(values: Floats32, known: Bools) -> Floats32:
@@ -158,18 +158,18 @@ def _standing(low_m: Floats32, square_m: float, reach_m: float, slope: float, no
     """
     margin = min(int(np.ceil(reach_m / square_m)), *(n - 1 for n in low_m.shape))
     wide = np.pad(low_m, margin, mode="reflect") if margin > 0 else low_m
-    step_m, found = max(_STEP_M, noise_m), -_opened(-wide, 1) - wide > max(_PIT_M, noise_m)
+    step_m, found = max(_STEP_M, noise_m), -_morphological_opening(-wide, 1) - wide > max(_PIT_M, noise_m)
     last, radius = filled(wide, ~found), 0
     while radius * square_m < reach_m:
         by = max(1, radius // 8)
         radius += by
-        opened = _opened(last, radius)
+        opened = _morphological_opening(last, radius)
         found |= last - opened > slope * by * square_m + step_m
         last = opened
     return found[margin : margin + low_m.shape[0], margin : margin + low_m.shape[1]]
 
 
-def _opened(heights: Floats32, radius: int) -> Floats32:
+def _morphological_opening(heights: Floats32, radius: int) -> Floats32:
     """Without what is narrower than an octagon of a radius."""
     return _repeated(cv2.dilate, _repeated(cv2.erode, heights, radius), radius)
 
@@ -180,7 +180,7 @@ def _repeated(change: Callable[..., Any], heights: Floats32, times: int) -> Floa
     return heights
 
 
-def _grown(places: Bools, by: int) -> Bools:
+def _dilated(places: Bools, by: int) -> Bools:
     """And so many cells around."""
     if by < 1:
         return places
@@ -188,7 +188,7 @@ def _grown(places: Bools, by: int) -> Bools:
     return np.asarray(cv2.dilate(places.astype(np.uint8), window)) > 0
 
 
-def _laid(surface: DenseSurface, ground: Bools, seen: Bools) -> TerrainModel:
+def _interpolated(surface: DenseSurface, ground: Bools, seen: Bools) -> TerrainModel:
     """Through the ground that was seen. Beyond, the farther away, the less that says: what was known of the
     ground before counts by its deviation there, where it isn't what stands."""
     known = seen if seen.any() else ground

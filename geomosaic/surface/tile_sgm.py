@@ -16,9 +16,9 @@ from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import Bits, census
 from geomosaic.surface.costs import census_costs
+from geomosaic.surface.edge_refinement import refine_edges
+from geomosaic.surface.plane_sweep import PlaneSweep, SweepView
 from geomosaic.surface.refinement import UNSEEN, likeness, refined
-from geomosaic.surface.sharpening import sharpened
-from geomosaic.surface.verticals import Sighted, Verticals
 from geomosaic.surface.visibility import Asked, asked_frames, hidden_from
 from geomosaic.survey.small import means, padded
 
@@ -26,7 +26,7 @@ Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
 MARGIN_CELLS = tuned(16, "cells", "run-in of the paths: smaller makes tile borders visible")
-_LOOKED_AT_CELLS = tuned(8, "cells", "refined margin: the reach of `sharpening` and its windows")
+_LOOKED_AT_CELLS = tuned(8, "cells", "refined margin: the reach of `edge_refinement` and its windows")
 _NEAR_HEIGHTS = tuned(24, "heights", "least search around the coarse height: fewer lose masts and crown rims")
 _PAST_HEIGHTS = tuned(8, "heights", "search past the coarse range: fewer cut off what that level missed")
 _MOST_HEIGHTS = tuned(40, "heights", "cap at high walls: time is proportional; 64 gains less than 0.2 %")
@@ -39,14 +39,14 @@ _AGREED_HEIGHTS = tuned(5, "heights", "tested about the coarse height, good to t
 
 
 @dataclass(frozen=True)
-class Picture:
+class CensusImage:
     """A frame as a level looks at it: grey (rows, cols), and its census."""
 
     grey: Bytes
     census: Bits
 
 
-def picture(grey: Bytes, valid: Bytes | None, turn_rad: float, by: int = 1) -> Picture:
+def census_image(grey: Bytes, valid: Bytes | None, turn_rad: float, by: int = 1) -> CensusImage:
     """The mean of by x by pixels each. valid (rows, cols): 0 where a pixel is not, None where all are;
     turn_rad: see `census`."""
     if by > 1:
@@ -54,11 +54,11 @@ def picture(grey: Bytes, valid: Bytes | None, turn_rad: float, by: int = 1) -> P
         if valid is not None:
             least = cv2.erode(padded(valid, by), np.ones((by, by), np.uint8), anchor=(0, 0))
             valid = np.ascontiguousarray(least[::by, ::by])
-    return Picture(grey, census(grey, valid, turn_rad))
+    return CensusImage(grey, census(grey, valid, turn_rad))
 
 
 @dataclass(frozen=True)
-class Search:
+class HeightSearch:
     """Where heights over the base are looked for: in steps of step_m from lowest_m to highest_m, or where
     `about_m` (rows, cols), heights in the work frame, is given, near those. fine: between the
     steps as well."""
@@ -72,7 +72,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Heights:
+class TileHeights:
     """Of cells (rows, cols): up_m in the work frame; alike, how alike the frames are there, from -1 to 1;
     views, how many agree; seeing, how many see a cell; distinct, by how many bits heights in and around a
     cell cost less than others."""
@@ -84,46 +84,46 @@ class Heights:
     distinct: Floats32
 
 
-def unseen(up_m: Floats32) -> Heights:
+def unmatched(up_m: Floats32) -> TileHeights:
     """Heights that no frames were compared at."""
     nothing = np.zeros(up_m.shape, dtype=np.uint8)
-    return Heights(up_m, np.full_like(up_m, UNSEEN), nothing, nothing.copy(), np.zeros_like(up_m))
+    return TileHeights(up_m, np.full_like(up_m, UNSEEN), nothing, nothing.copy(), np.zeros_like(up_m))
 
 
-def matched(
-    search: Search, base: GroundSurface, frames: Sequence[Sighted], pictures: Sequence[Picture]
-) -> Heights:
+def match_tile(
+    search: HeightSearch, base: GroundSurface, frames: Sequence[SweepView], pictures: Sequence[CensusImage]
+) -> TileHeights:
     """Heights of cells, by the frames that see them, two at least."""
-    verticals = Verticals(search.cells, base, frames, search.lowest_m, search.highest_m)
+    sweep = PlaneSweep(search.cells, base, frames, search.lowest_m, search.highest_m)
     seen = [p.census for p in pictures]
     unrefined = MARGIN_CELLS - _LOOKED_AT_CELLS
     shapes = [p.grey.shape for p in pictures]
-    asked: Asked = asked_frames(verticals, shapes, _BLOCK_CELLS, unrefined, _CANDIDATES)
+    asked: Asked = asked_frames(sweep, shapes, _BLOCK_CELLS, unrefined, _CANDIDATES)
     hidden: dict[int, Floats32] = {}
     if search.about_m is None:
-        steps = _all_steps(search, verticals.base_m.shape)
-        asked = agreeing(verticals, seen, steps, search.step_m, asked, _FRAMES)
+        steps = _all_steps(search, sweep.base_m.shape)
+        asked = agreeing(sweep, seen, steps, search.step_m, asked, _FRAMES)
     else:
-        about_m = search.about_m - verticals.base_m
+        about_m = search.about_m - sweep.base_m
         about = np.asarray(about_m / np.float32(search.step_m), dtype=np.float32)
-        steps = steps_about(about)
+        steps = search_steps(about)
         near = ring(np.round(about).astype(np.int16) - np.int16(_AGREED_HEIGHTS // 2), _AGREED_HEIGHTS)
-        asked = agreeing(verticals, seen, near, search.step_m, asked, _FRAMES)
-        hidden = hidden_from(verticals, asked, about_m, search.cells.cell_m)
-    costs = census_costs(verticals, seen, steps, search.step_m, asked, hidden)
+        asked = agreeing(sweep, seen, near, search.step_m, asked, _FRAMES)
+        hidden = hidden_from(sweep, asked, about_m, search.cells.cell_m)
+    costs = census_costs(sweep, seen, steps, search.step_m, asked, hidden)
     total = aggregated(costs, steps)
     height_m = _smoothed(cheapest(total, steps) * np.float32(search.step_m))
     inner = slice(MARGIN_CELLS, -MARGIN_CELLS), slice(MARGIN_CELLS, -MARGIN_CELLS)
     if not search.fine:
-        return unseen((verticals.base_m + height_m)[inner])
+        return unmatched((sweep.base_m + height_m)[inner])
     greys = [p.grey for p in pictures]
     asked = _within(asked, unrefined, search.cells)
-    height_m, alike = refined(verticals, greys, height_m, search.step_m, asked, hidden)
-    height_m = sharpened(verticals, search.cells.cell_m, greys, _smoothed(height_m), alike, asked)
-    alike, views, seeing = likeness(verticals, greys, height_m, asked)
+    height_m, alike = refined(sweep, greys, height_m, search.step_m, asked, hidden)
+    height_m = refine_edges(sweep, search.cells.cell_m, greys, _smoothed(height_m), alike, asked)
+    alike, views, seeing = likeness(sweep, greys, height_m, asked)
     distinct = distinctness(costs, total)
-    up_m = verticals.base_m + height_m
-    return Heights(up_m[inner], alike[inner], views[inner], seeing[inner], distinct[inner])
+    up_m = sweep.base_m + height_m
+    return TileHeights(up_m[inner], alike[inner], views[inner], seeing[inner], distinct[inner])
 
 
 def _within(asked: Asked, margin: int, cells: Cells) -> Asked:
@@ -139,14 +139,14 @@ def _within(asked: Asked, margin: int, cells: Cells) -> Asked:
     return found
 
 
-def _all_steps(search: Search, shape: tuple[int, ...]) -> Steps:
+def _all_steps(search: HeightSearch, shape: tuple[int, ...]) -> Steps:
     """(heights, rows, cols) that are looked at where nothing is known."""
     ends = (round(end / search.step_m) for end in (search.lowest_m, search.highest_m))
     found = np.arange(*ends, dtype=np.int16)
     return np.broadcast_to(found[:, None, None], (len(found), *shape))
 
 
-def steps_about(about: Floats32) -> Steps:
+def search_steps(about: Floats32) -> Steps:
     """(heights, rows, cols) that are looked at, from the lowest to the highest (in steps over the base) of
     the level above around a cell, and past them; where that is too much, about the cell's own."""
     window = np.ones((_ABOUT_CELLS, _ABOUT_CELLS), dtype=np.uint8)

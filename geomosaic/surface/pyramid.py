@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.surface.cells import Cells, Tile
-from geomosaic.surface.joined import up_on
-from geomosaic.surface.tile import MARGIN_CELLS, Heights, Search
-from geomosaic.surface.verticals import Sighted
+from geomosaic.surface.plane_sweep import SweepView
+from geomosaic.surface.tile_mosaic import base_heights
+from geomosaic.surface.tile_sgm import MARGIN_CELLS, HeightSearch, TileHeights
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -30,7 +30,7 @@ MOST_CELLS = tuned(16_000_000, "cells", "17 bytes each in memory; 160 frames of 
 
 
 @dataclass(frozen=True)
-class Level:
+class PyramidLevel:
     """Cells of one size, the heights over the base among which theirs are looked for, and how many of its
     pixels' ground pixel_m is on a side of a picture's. fine: the last level."""
 
@@ -40,20 +40,22 @@ class Level:
     highest_m: float
     fine: bool
 
-    def tasks(self, frames: Sequence[Sighted], base: GroundSurface, above: Floats32 | None) -> list[Task]:
+    def tasks(
+        self, frames: Sequence[SweepView], base: GroundSurface, above: Floats32 | None
+    ) -> list[TileTask]:
         """What is to be done, tile by tile: those that two frames see. above: the coarser level's heights."""
         found = []
         tiles = list(self.cells.tiles(TILE_CELLS))
-        seen = seeing(frames, base, [tile.around(self.cells, 0) for tile in tiles])
+        seen = frames_seeing(frames, base, [tile.around(self.cells, 0) for tile in tiles])
         for tile, places in zip(tiles, seen, strict=True):
             part = _seen_part(tile, places.sum(axis=0) > 1)
             if part is not None:
                 cells = part.around(self.cells, MARGIN_CELLS)
                 about = None if above is None else self._about(cells, above)
                 reach = self.lowest_m, self.highest_m
-                search = Search(cells, self.cells.cell_m, *reach, about, self.fine)
+                search = HeightSearch(cells, self.cells.cell_m, *reach, about, self.fine)
                 chosen = np.flatnonzero(places.any(axis=(1, 2)))
-                found.append(Task(part, search, tuple(chosen.tolist())))
+                found.append(TileTask(part, search, tuple(chosen.tolist())))
         return found
 
     def _about(self, cells: Cells, above: Floats32) -> Floats32:
@@ -65,21 +67,23 @@ class Level:
         found = cv2.remap(above, *np.meshgrid(col, row), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found)
 
-    def together(self, base: GroundSurface, tasks: Iterable[Task], found: Iterable[Heights]) -> Floats32:
+    def assembled(
+        self, base: GroundSurface, tasks: Iterable[TileTask], found: Iterable[TileHeights]
+    ) -> Floats32:
         """All cells' heights (rows, cols); the base's where no two frames look."""
-        up = up_on(base, self.cells)
+        up = base_heights(base, self.cells)
         for task, heights in zip(tasks, found, strict=True):
             up[task.tile.at] = heights.up_m
         return up
 
 
 @dataclass(frozen=True)
-class Task:
+class TileTask:
     """A tile as far as two frames see it, what is looked for in it and about it, and the frames (their places
     among all) that are asked."""
 
     tile: Tile
-    search: Search
+    search: HeightSearch
     frames: tuple[int, ...]
 
 
@@ -88,7 +92,7 @@ _BY: Final = 2
 """Fine cells along a coarse one's side."""
 
 
-def cells_over(low_m: Floats, high_m: Floats, wanted_m: float) -> Cells:
+def cells_covering(low_m: Floats, high_m: Floats, wanted_m: float) -> Cells:
     """An even number of rows and cols over the rectangle between two corners (2,), of the side that is wanted
     or as much more as keeps to `MOST_CELLS`."""
     cell_m = node_spacing_m(low_m, high_m, wanted_m, MOST_CELLS)
@@ -96,19 +100,21 @@ def cells_over(low_m: Floats, high_m: Floats, wanted_m: float) -> Cells:
     return Cells(float(low_m[0]), float(low_m[1]), cell_m, max(rows, _BY), max(cols, _BY))
 
 
-def levels(cells: Cells, flying_m: float) -> list[Level]:
+def pyramid_levels(cells: Cells, flying_m: float) -> list[PyramidLevel]:
     """The coarse level and the fine one, whose cells are given; a cell is two of their pictures' pixels wide,
     which halves errors against one."""
     lowest_m = -_BELOW * flying_m
     highest_m = min(max(_TALL_M, _ABOVE * flying_m), _HIGHEST * flying_m)
     coarse = cells.coarser(_BY)
     return [
-        Level(coarse, coarse.cell_m / 2.0, lowest_m, highest_m, fine=False),
-        Level(cells, cells.cell_m / 2.0, lowest_m, highest_m, fine=True),
+        PyramidLevel(coarse, coarse.cell_m / 2.0, lowest_m, highest_m, fine=False),
+        PyramidLevel(cells, cells.cell_m / 2.0, lowest_m, highest_m, fine=True),
     ]
 
 
-def seeing(frames: Sequence[Sighted], base: GroundSurface, tiles: Sequence[Cells]) -> NDArray[np.bool_]:
+def frames_seeing(
+    frames: Sequence[SweepView], base: GroundSurface, tiles: Sequence[Cells]
+) -> NDArray[np.bool_]:
     """Which frames see which of a grid of places of each tile: (tiles, frames, north, east)."""
     share = np.linspace(0.0, 1.0, _PLACES)
     west, south, east, north = (

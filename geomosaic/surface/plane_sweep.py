@@ -34,7 +34,7 @@ _REACH_SHARES = tuned((1.0, 0.25, 0.05), "share", "of the search, for fits: with
 
 
 @dataclass(frozen=True)
-class Sighted:
+class SweepView:
     """How a frame looks: pose, camera, and how many of its pixels one of its picture is along each side."""
 
     pose: Pose
@@ -48,14 +48,14 @@ class Sighted:
         return float(np.arctan2(north[0] - east[1], east[0] + north[1]))
 
 
-class Verticals:
+class PlaneSweep:
     """Verticals through a tile's cells, and where each of some frames sees their points."""
 
     def __init__(
         self,
         cells: Cells,
         base: GroundSurface,
-        frames: Sequence[Sighted],
+        frames: Sequence[SweepView],
         lowest_m: float,
         highest_m: float,
     ) -> None:
@@ -79,7 +79,7 @@ class Verticals:
         self.base_m = self._at_cells(ground[..., 2])
         self._terms: dict[int, Floats32] = {}
 
-    def _terms_at(self, frame: Sighted, ground: Floats) -> Floats:
+    def _terms_at(self, frame: SweepView, ground: Floats) -> Floats:
         """Constant, linear and square (3, nodes north, nodes east, 2) of a frame's cols and rows; of nodes
         that it doesn't see at all heights, by those near the base."""
         found = np.full((3, *ground.shape[:2], 2), np.nan)
@@ -92,7 +92,7 @@ class Verticals:
             seen = frame.pose.image_from_ground(frame.camera, points)
             bent = heights / (1.0 - heights / float(self._away_m))
             found[:, lacking] = np.tensordot(inverse(np.vander(bent, 3, increasing=True)), seen, axes=1)
-        return _gone_on(found)
+        return _extrapolated(found)
 
     def terms(self, frame: int) -> Floats32:
         """Constant, linear and square (2, 3, rows, cols) of a frame's cols and rows, by `bent`."""
@@ -143,7 +143,7 @@ class Verticals:
         return np.ascontiguousarray(up[inner])
 
 
-def _gone_on(terms: Floats) -> Floats:
+def _extrapolated(terms: Floats) -> Floats:
     """Terms (3, rows, cols, 2) with straight continuations one node past the last ones known, so that cells
     between the last node that a lens sees and the next have a place."""
     found = terms.copy()

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.surface.squares import Mask, Shown, Squares, by_first, dense
-from geomosaic.surface.verticals import Verticals
+from geomosaic.surface.plane_sweep import PlaneSweep
+from geomosaic.surface.squares import Mask, Squares, SquareView, by_first, dense
 from geomosaic.surface.visibility import Asked, hidden_from
 
 Bytes = NDArray[np.uint8]
@@ -34,8 +34,8 @@ _RIM_CELLS = sourced(2, "cells", "reach of windows past a square", "_WINDOW twic
 _FAR_M: Final = np.float32(1e6)
 
 
-def sharpened(
-    verticals: Verticals,
+def refine_edges(
+    sweep: PlaneSweep,
     cell_m: float,
     pictures: Sequence[Bytes],
     height_m: Floats32,
@@ -44,7 +44,7 @@ def sharpened(
 ) -> Floats32:
     """Heights over the base (rows, cols), where they leap by what small windows show.
 
-    Args: cell_m: their side; pictures: grey, of the verticals' frames; height_m, alike (rows, cols): see
+    Args: cell_m: their side; pictures: grey, of the sweep's frames; height_m, alike (rows, cols): see
     `refined`; asked: blocks of cells, and the frames that are asked there.
     """
     sure = alike >= _SIDES
@@ -54,11 +54,11 @@ def sharpened(
     lowest, highest = (np.where(abs(a) < _FAR_M, a, height_m).astype(np.float32) for a in (lowest, highest))
     leaping = highest - lowest > _STEP_CELLS * cell_m
     blocks = [(at, frames) for at, frames in asked if leaping[at].any()]
-    squares = Squares(verticals, pictures, blocks, _RIM_CELLS)
+    squares = Squares(sweep, pictures, blocks, _RIM_CELLS)
     if not len(squares):
         return height_m
     land_m = np.where(sure, height_m, np.minimum(lowest, height_m)).astype(np.float32)
-    hidden_m = hidden_from(verticals, blocks, land_m, cell_m)
+    hidden_m = hidden_from(sweep, blocks, land_m, cell_m)
     for k, moves in enumerate(((), *_MOVES_CELLS)):
         moved = height_m.copy()
         if k == 0:
@@ -67,7 +67,7 @@ def sharpened(
             offers = height_m + np.array(moves, dtype=np.float32)[:, None, None] * np.float32(cell_m)
         for some in squares.some(len(offers) * _DENSER**2):
             offered = some.cut(offers)
-            differing = _differing(some, offered, hidden_m, lean=k > 0)
+            differing = _differences(some, offered, hidden_m, lean=k > 0)
             differing[:, 0] -= _KEPT_GREY
             best = differing.argmin(axis=1)[:, None]
             some.put(np.take_along_axis(offered, best, axis=1)[:, 0], moved)
@@ -76,7 +76,7 @@ def sharpened(
     return height_m
 
 
-def _differing(
+def _differences(
     squares: Squares, offered_m: Floats32, hidden_m: Mapping[int, Floats32], lean: bool
 ) -> Floats32:
     """Grey levels (n, heights, rows, cols) by which the two frames most like the first that sees a place
@@ -91,14 +91,14 @@ def _differing(
     return np.asarray(found, dtype=np.float32).reshape(offered_m.shape)
 
 
-def _two_most_alike(shown: Sequence[Shown]) -> Bytes:
+def _two_most_alike(shown: Sequence[SquareView]) -> Bytes:
     """The sum of the two least differences with the first frame that sees a place."""
     first, others = by_first(shown)
     least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
     for grey, sees in others:
         if sees is not None and not sees.any():
             continue
-        apart = cv2.absdiff(_flat(first), _flat(_as_bright(grey, first, sees)))
+        apart = cv2.absdiff(_flat(first), _flat(_balanced(grey, first, sees)))
         apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW)).reshape(first.shape)
         if sees is not None:
             np.copyto(apart, np.uint8(_MOST_GREY), where=~sees)
@@ -107,7 +107,7 @@ def _two_most_alike(shown: Sequence[Shown]) -> Bytes:
     return np.asarray(least + second, dtype=np.uint8)
 
 
-def _as_bright(grey: Bytes, first: Bytes, sees: Mask | None) -> Bytes:
+def _balanced(grey: Bytes, first: Bytes, sees: Mask | None) -> Bytes:
     """What a frame shows, each square (n, ...) as bright as the first one's where the frame sees it."""
     found = np.empty_like(grey)
     for k in range(len(grey)):
