@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.paper import offsets
@@ -16,11 +15,10 @@ from geomosaic.adjustment.paper.least_squares import least_squares
 from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.outcome import outcome
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.spread import Spread
-
-Floats = NDArray[np.float64]
 
 
 class Method(Protocol):

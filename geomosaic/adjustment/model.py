@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.estimation.linear import orthonormal
@@ -14,8 +14,6 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Warn
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ class Block:
         return tuple({c.name: c for c in self.cameras}.values())
 
     @property
-    def lens_of(self) -> NDArray[np.intp]:
+    def lens_of(self) -> Ints:
         """(n,): of each frame, its place in `lenses`."""
         number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in self.cameras))}
         return np.array([number[c.name] for c in self.cameras], dtype=np.intp)
@@ -171,7 +169,7 @@ class SharedUnknowns:
     found: Floats
     sd: Floats
     correlation: Floats
-    held: NDArray[np.bool_]
+    held: Bools
 
 
 @dataclass(frozen=True)
@@ -203,7 +201,7 @@ class ImageResiduals:
     weight: (m,) robust weights, 1 for a good observation.
     """
 
-    frame: NDArray[np.intp]
+    frame: Ints
     image_px: Floats
     residual_px: Floats
     weight: Floats

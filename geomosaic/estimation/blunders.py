@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 LEAST = sourced(5, "observations", "to call one a blunder", "the median holds with 2 of 5 wrong, MAD too")
 _LEVEL = sourced(0.0027, "probability", "of a blunder among normal errors", "beyond three deviations")
 _OWN = tuned(2.0, "stated deviations", "least size; less: chance agreement of others names good points")
@@ -40,7 +38,7 @@ def blunders(values: Floats, sd: Floats) -> Bools:
     return found
 
 
-def _studentised(values: Floats, sd: Floats, tested: np.intp, rest: NDArray[np.intp]) -> float:
+def _studentised(values: Floats, sd: Floats, tested: np.intp, rest: Ints) -> float:
     """Distance of an observation from the weighted mean of the rest, over the deviation of that distance."""
     weight = 1.0 / sd[rest] ** 2
     mean = float(weight @ values[rest] / weight.sum())

@@ -16,11 +16,10 @@ from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlauum, dpotrf, dtrtri
 from scipy.sparse import spmatrix
 from scipy.sparse.linalg import splu
 
+from geomosaic.arrays import Bools, Complexes, Floats
 from geomosaic.errors import NotSolvableError
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Values = TypeVar("Values", NDArray[np.float64], NDArray[np.complex128])
+Values = TypeVar("Values", Floats, Complexes)
 _PRECISION: Final = float(np.finfo(np.float64).eps)
 _SINGULAR: Final = "a system of equations is singular"
 _NOT_FINITE: Final = "a system of equations holds values that are not finite"

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.linear import least_squares
 
-Floats = NDArray[np.float64]
 _CAUCHY = tuned(3.0, "deviations", "half weight here; less: noisy data lose weight; more: blunders keep it")
 _BLUNDER = tuned(6.0, "deviations", "residuals of blunders; less: good observations are rejected")
 _REJECTED = tuned(1e-6, "share of the full weight", "0 would leave frames without other data undetermined")

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from itertools import combinations, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Complexes, Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import singular_values
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 _ROUNDS = tuned(20, "rounds", "of re-weighting; ten converge")
 _COLLINEAR = tuned(0.05, "second by first singular value", "below it points lie on a line and a turn is free")
 _MOST_TRIPLES = tuned(500, "triples of points", "to begin from; one of four is good with a third of blunders")

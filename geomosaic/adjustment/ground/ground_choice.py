@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.ground.trial_surface import Heights
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import irls
@@ -20,8 +20,6 @@ from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import Spread
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 DEM_SD_M = tuned(1.0, "m", "of a DEM that states no deviation; national models are better, satellites' worse")
 LEAST_POINTS = tuned(50, "points", "fewer make no surface: a dozen nodes, and some points to judge it by")
 _SEEN_THRICE = tuned(0.1, "share of the points", "in three frames; fewer: tilts and relief are not separable")

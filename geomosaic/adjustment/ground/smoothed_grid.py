@@ -6,12 +6,11 @@ from itertools import combinations_with_replacement
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
-Floats = NDArray[np.float64]
 _SLOPE = tuned(1.0, "m per m", "usual slope; less: hills are levelled; more: no return to level far out")
 _PER_HEIGHT = tuned(
     20.0, "places a flying height", "at which slopes count; less: single points bend the land"

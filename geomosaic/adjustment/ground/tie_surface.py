@@ -7,16 +7,14 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.spread import AtOnce, Spread
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Standing = tuple[int, float]
 _MOST_NODES = tuned(40_000, "nodes", "more: slow equations; fewer: relief between points is lost")
 _MOST_TRIAL_NODES = tuned(4_000, "nodes", "of a trial surface; some thirty are made of a block")

@@ -6,15 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.smoothed_grid import SmoothedGrid
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import irls
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _TRIAL_ROUNDS = tuned(4, "rounds", "of re-weighting a trial surface, which is judged by medians")
 _ABOVE = sourced(0.05, "weight", "above the ground; more: it rises into crowns", "Eilers and Boelens 2005")
 _LOWEST = tuned(0.4, "share of the points", "that show the ground's scatter; more: crowns among them")

@@ -7,19 +7,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.adjustment.kernels.row_functions import recorded_share, terms_at
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, Lens
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import cross_each, multiply_each
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _MOST_BY_ROW = tuned(0.5, "rows a row", "of stretching while a frame is read: more is no image")
 
 

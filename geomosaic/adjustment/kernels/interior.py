@@ -7,12 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import TERMS
 
-Floats = NDArray[np.float64]
 INTERIOR = (
     "focal_length_px",
     "principal_col_px",

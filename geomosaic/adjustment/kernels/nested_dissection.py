@@ -7,18 +7,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dsymm, dsyrk, dtrsm
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
 
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import cholesky, inverse_of_factor, square_of_factor
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _LEAST_FRAMES = tuned(32, "frames", "that are not cut any further: below, a dense matrix is as fast")
 _MIDDLE: tuple[float, float] = tuned(
     (0.3, 0.7),

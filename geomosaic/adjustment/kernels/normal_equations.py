@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.observation_groups import Sightings
 from geomosaic.adjustment.kernels.point_elimination import (
     summed_by_point,
 )
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import sourced
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _LOWER = np.tril_indices(len("xyz"))
 Linearised = Callable[[Ints], tuple[Floats, Floats, Levers, Floats, Floats]]
 """See `build_normals`."""

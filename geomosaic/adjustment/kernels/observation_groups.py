@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.nested_dissection import Dissection, matrix_of_pairs
+from geomosaic.arrays import Ints
 from geomosaic.constants import tuned
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 Numbers = NDArray[np.int32]
 AT_ONCE = tuned(
     8192,

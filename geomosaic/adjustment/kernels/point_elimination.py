@@ -5,15 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
 from geomosaic.adjustment.kernels.observation_groups import Group
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
+from geomosaic.arrays import Floats, Ints
 from geomosaic.estimation.linear import multiply_each
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 
 def scaled_rows(levers: Levers, point_point: Floats, root: Floats, which: Ints) -> Floats:

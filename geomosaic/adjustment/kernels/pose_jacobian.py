@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.estimation.linear import multiply_each
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

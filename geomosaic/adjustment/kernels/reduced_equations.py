@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.sparse import bsr_matrix
 
@@ -18,10 +17,10 @@ from geomosaic.adjustment.kernels.point_elimination import (
     scaled_rows,
     summed_by,
 )
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scaled
 
-Floats = NDArray[np.float64]
 _LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at a camera has no inverse")
 
 

@@ -6,15 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import LEAST_RECORDED, Poses, Turns
 from geomosaic.camera.rotation import exp_turn, log_turn
 from geomosaic.constants import sourced, tuned
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 TERMS = tuned(4, "functions of the row", "Legendre's of degree 1 to 4: a whole period is met to a tenth")
 VIBRATION_TERMS = tuned(12, "functions of the row", "the same for three periods, where frames vibrate")
 _TABLED = sourced(8, "times a function", "of tabled turns; fewer: crests are cut", "(2 pi / 32)^2 / 8")

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.paper.misalignment import OffsetNet
+from geomosaic.arrays import Complexes
 from geomosaic.estimation.similarity import fit_similarity
-
-Complexes = NDArray[np.complex128]
 
 
 def chain(net: OffsetNet, sequence: Sequence[int]) -> tuple[Complexes, Complexes]:

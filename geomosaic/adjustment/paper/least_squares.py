@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 
 from geomosaic.adjustment.paper.misalignment import OffsetNet
+from geomosaic.arrays import Floats
 from geomosaic.constants import sourced
 from geomosaic.estimation.linear import SparseFactors
 
-Floats = NDArray[np.float64]
 _HUBER = sourced(
     1.5, "deviations", "full weight up to here; more: wrong pairs pull", "Huber 1981, about 1.345"
 )

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.model import TiePairs
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 
 def fullest_bin_mean(differences: Floats, step: float = 1.0) -> Floats:
@@ -58,7 +55,7 @@ class OffsetNet:
     """
 
     n: int
-    pairs: NDArray[np.intp]
+    pairs: Ints
     left_m: tuple[Floats, ...]
     right_m: tuple[Floats, ...]
     step_m: float

@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Round
 from geomosaic.adjustment.paper.misalignment import OffsetNet
+from geomosaic.arrays import Floats
 from geomosaic.placement.graph import connected_parts
 
-Floats = NDArray[np.float64]
 Moves = tuple[Floats, tuple[Round, ...]]
 
 

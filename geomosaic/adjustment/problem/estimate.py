@@ -6,14 +6,12 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import READOUT
 from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.estimation.linear import pseudo_inverse
-
-Floats = NDArray[np.float64]
 
 
 class Step(NamedTuple):

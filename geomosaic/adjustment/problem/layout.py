@@ -7,12 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import INTERIOR
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from geomosaic.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.observation_groups import Sightings
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -17,8 +17,6 @@ from geomosaic.estimation.linear import solve_each
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.tracks import join
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _OVER = tuned(1.25, "times the observations asked for", "of the median frame; more: each asks for fewer")
 _PARALLEL: float = tuned(float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: near_m wins")
 
@@ -75,7 +73,7 @@ def part_of(tracks: Tracks, which: Ints) -> Tracks:
     return Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
 
 
-def chosen_tracks(tracks: Tracks, chosen: NDArray[np.bool_]) -> Tracks:
+def chosen_tracks(tracks: Tracks, chosen: Bools) -> Tracks:
     """Some of the tracks: chosen (p,)."""
     keep = chosen[tracks.point]
     number = np.cumsum(chosen) - 1
@@ -88,7 +86,7 @@ def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 1
     return tracks if asked.all() else chosen_tracks(tracks, asked)
 
 
-def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -> NDArray[np.bool_]:
+def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -> Bools:
     """Which tracks (p,) give about per_frame observations a frame at most, spread evenly, long ones first.
 
     Each frame asks, cell by cell of a grid of cells x cells, for its longest tracks; a track stays if

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, GroundControl
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import tuned
 from geomosaic.matching.model import TiePairs, TiePoints
@@ -15,8 +15,6 @@ from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import some
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _LEAST_SD_M = tuned(
     1e-4,
     "m",

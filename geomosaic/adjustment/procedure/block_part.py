@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.solution import Start
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.matching.model import TiePoints
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 
 
 def neighbours(block: Block, allowed: Bools, most: int) -> Ints:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import DEM_SD_M, flying_height_m
 from geomosaic.adjustment.kernels.interior import READOUT
@@ -29,13 +28,12 @@ from geomosaic.adjustment.terms.rolling_shutter_rotation import (
     RollingShutterRotation,
 )
 from geomosaic.adjustment.terms.terrain import Terrain
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.reach import flying_heights_m
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 NOMINAL_READOUT_S = tuned(0.05, "s", "where nothing reports one: small cameras take 0.01 to 0.1 s")
 _ZERO_SD_RAD_PER_S = tuned(0.05, "rad/s", "of a small gyroscope's zero; less: it is followed")
 _DEM_LEVEL_SD_M = tuned(2.0, "m", "between a DEM and the frames' heights: datums and geoid models")

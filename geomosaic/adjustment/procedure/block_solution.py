@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import (
     LEAST_POINTS,
@@ -33,6 +32,7 @@ from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.solver.solve import SolveOptions, last_steps, solve
 from geomosaic.adjustment.terms.terrain import Terrain
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import NORMAL_PER_MAD, tuned
@@ -40,9 +40,6 @@ from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.accuracy import POSITION
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 _OTHER_DATUM = tuned(3.0, "deviations", "of the shift to control; less: noise; more: another datum pulls")
 
 

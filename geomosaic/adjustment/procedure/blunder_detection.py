@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.adjustment.procedure.resection import UNHEARD
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
@@ -20,8 +20,6 @@ from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 _WRONG = tuned(6.0, "deviations", "of a wrong position; of a million good ones none is")
 _UPRIGHT_DEG = tuned(20.0, "degrees", "most tilt of a nadir view")
 HALF_TURN_DEG = tuned(30.0, "degrees", "about half a turn: less than halfway to the next quarter")
@@ -107,7 +105,7 @@ def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
     return np.degrees(turned), np.degrees(heading_limits_rad(given))
 
 
-def doubtful_positions(block: Block, poses: Poses, frames: NDArray[np.intp]) -> list[Warn]:
+def doubtful_positions(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
     """Warnings of a common shift of all positions, and of a wrong scale of the block.
 
     A shift beyond five stated deviations means another datum of control. The scale is that of the similarity

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import levelled, surface_of
 from geomosaic.adjustment.model import Adjusted, Block, ModelChoice, Round, Settings, SolveStep
@@ -51,7 +50,6 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Warn
 
-Floats = NDArray[np.float64]
 _FEW_PER_FRAME = tuned(192, "image observations a frame", "for solves that find the block, a tenth of all")
 _FEW_CELLS = tuned(8, "cells a side", "of a frame, 3 observations each; fewer: corners may stay empty")
 _SURE_PX = tuned(1.0, "px on the ground", "of the shape, with a model that no left-out point asks for")

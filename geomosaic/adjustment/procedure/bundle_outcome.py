@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import (
@@ -44,11 +43,10 @@ from geomosaic.adjustment.terms.control_precision import (
 )
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
 from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.arrays import Floats
 from geomosaic.errors import NotSolvableError
 from geomosaic.spread import Spread
 from geomosaic.survey.model import Warn
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

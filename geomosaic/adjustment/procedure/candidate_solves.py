@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT, interior_of, with_interior
 from geomosaic.adjustment.model import Block, Settings
@@ -14,11 +13,11 @@ from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, few_steps, solve
 from geomosaic.adjustment.terms.interior_orientation import part_of_camera
+from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 
-Floats = NDArray[np.float64]
 _OF_ALL_LENSES = INTERIOR.index("k1")
 _ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block
 from geomosaic.camera.exterior import Poses
@@ -15,7 +14,6 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn
 
-Floats = NDArray[np.float64]
 _LEAST_FRAMES = tuned(
     4,
     "frames with position and heading",

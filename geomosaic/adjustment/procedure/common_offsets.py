@@ -6,12 +6,12 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from geomosaic.adjustment.model import Block, HeightReference
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.errors import InputError
@@ -22,8 +22,6 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _GEOIDS = sourced((3855, 5773), "EPSG", "of sea level, the first that is installed", "EGM2008, EGM96")
 _DRIFT_CLEARLY = sourced(3.0, "deviations of the scatter", "beyond: heights drift", "normal: 0.3 %")
 _SEA_LEVEL_SD_M = sourced(30.0, "m", "of sea level about the ellipsoid without a geoid grid", "EGM96: 30.6 m")

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import ControlResidual
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.blunders import LEAST, blunders
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import some
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _DISAGREES = tuned(5.0, "deviations", "beyond: a control point is called wrong")
 _SHIFTED = sourced(3.0, "stated deviations", "beyond: a common shift is a fault", "3 in 1000 by chance")
 _AXES = ("east", "north", "up")

@@ -6,17 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block, GroundControl
 from geomosaic.adjustment.procedure.control_points import intersection_of_rays
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import cauchy_cost
 from geomosaic.survey.model import Warn
 
-Floats = NDArray[np.float64]
 Free = Callable[[Block], tuple[Poses, tuple[Camera, ...]]]
 """Poses and the camera of each frame, of a block adjusted without control points."""
 _BY_CHANCE = tuned(1e-6, "probability", "of marks all near the first corner, if spread over whole images")

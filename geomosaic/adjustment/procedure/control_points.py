@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.collinearity import Projections, Rows, kinds_of, project, readout_of
 from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -22,8 +22,6 @@ from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import ControlPoint, Survey
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _UNKNOWN_SD = tuned(1e3, "m", "of a coordinate that is not given: farther than any frame sees")
 
 Spread = Callable[[Ints, Floats, Floats], Floats]

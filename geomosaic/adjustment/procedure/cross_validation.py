@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block, ImageResiduals
@@ -28,14 +27,13 @@ from geomosaic.adjustment.procedure.block_part import (
 from geomosaic.adjustment.procedure.candidate_solves import Model, solved, tested
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
 from geomosaic.adjustment.solver.solution import Start
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import cauchy_weight, median_of_known
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.spread import Spread
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
 _SURELY = tuned(3.0, "deviations", "of the median share: with two, chance chooses; with more, none is chosen")
 LEFT_OUT = tuned(5, "tracks", "of which one is left out: more weaken the solve, fewer the judgement")

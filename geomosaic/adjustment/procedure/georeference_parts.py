@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import lie_weight
 from geomosaic.estimation.similarity import similarity_design
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Ints = NDArray[np.intp]
 _DRAWS = tuned(300, "pairs of frames", "tried; with half of the positions wrong a quarter of them is right")
 _ALIKE_RAD = tuned(0.2, "rad", "between turns by headings and by positions; compasses are off by 10 degrees")
 _LEAST_NOISE = tuned(0.2, "of the stated deviations", "less: a few that agree by chance outvote the rest")

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Block
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse, least_squares, orthonormal
 from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Warn
 
-Floats = NDArray[np.float64]
 _LEAST = tuned(4, "frames", "fewer: a drift is not separable from noise")
 _DRIFTS = tuned(3.0, "stated deviations of a height", "less is covered by the heights' own deviation")
 _CLEARLY = tuned(5.0, "its own deviations", "of the best of as many jumps as frames; less: chance")
@@ -29,7 +28,7 @@ class HeightDrift:
     and the place in `order` behind which it jumps, or None for a slope from end to end.
     """
 
-    order: NDArray[np.intp]
+    order: Ints
     metres: Floats
     parts: tuple[tuple[float, int | None], ...]
 
@@ -55,7 +54,7 @@ class HeightDrift:
         return [Warn("heights-drift", first, f"{text}; set by the images")]
 
 
-def height_drift(block: Block, poses: Poses, frames: NDArray[np.intp]) -> HeightDrift:
+def height_drift(block: Block, poses: Poses, frames: Ints) -> HeightDrift:
     """The drift of reported minus adjusted heights of the given frames, as slopes and jumps.
 
     Forward selection: a line, a jump, or both at once where neither suffices, as long as each rise exceeds

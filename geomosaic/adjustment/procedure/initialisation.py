@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.kernels.nested_dissection import Dissected, Dissection, matrix_of_pairs
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.paper.misalignment import OffsetNet
 from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, laid
+from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import tuned
@@ -22,9 +22,6 @@ from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
 from geomosaic.projection.footprint import ground_from_images
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Ints = NDArray[np.intp]
 _MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
 _ROUNDS = tuned(4, "rounds", "of shape, then georeferencing; fewer: a long line stays bent")
 _SAME = tuned(

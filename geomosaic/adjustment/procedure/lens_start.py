@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block, Settings
@@ -28,6 +27,7 @@ from geomosaic.adjustment.procedure.initialisation import placed_by_images, star
 from geomosaic.adjustment.procedure.model_selection import contradicts
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
+from geomosaic.arrays import Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
@@ -35,8 +35,6 @@ from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.model import Warn
-
-Ints = NDArray[np.intp]
 
 _FRAMES = tuned(10, "frames", "of one camera to compare starts on: with fewer focal lengths are chance")
 _PER_FRAME = tuned(192, "image observations a frame", "that each frame asks for: fewer leave lenses alike")

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
@@ -23,9 +22,6 @@ from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import median_of_known
 from geomosaic.spread import Spread
 from geomosaic.survey.model import Warn
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 GOOD_PX = tuned(1.0, "px", "image deviation of a block with all given correctly: SIFT's is 0.3 to 0.7 px")
 _PATTERN_PX = tuned(0.25, "px", "RMS of residuals common to a place in the image: half of a keypoint's")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
@@ -18,6 +17,7 @@ from geomosaic.adjustment.procedure.control_points import (
     spread_of_poses,
 )
 from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.placement.graph import connected_parts
@@ -25,8 +25,6 @@ from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.control import LEAST_POINTS
 from geomosaic.survey.model import Warn
-
-Floats = NDArray[np.float64]
 
 
 def residuals_m(
@@ -120,11 +118,11 @@ def outcome(
     )
 
 
-def _with_untied(spread: Spread, poses: Poses, untied: NDArray[np.bool_]) -> Spread:
+def _with_untied(spread: Spread, poses: Poses, untied: Bools) -> Spread:
     """A spread in which poses that took no part in the solve have their own deviations."""
     alone = spread_of_poses(poses)
 
-    def both(frames: NDArray[np.intp], by_pose: Floats, by_interior: Floats) -> Floats:
+    def both(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
         apart = untied[frames][:, None, None]
         solved = spread(frames, np.where(apart, 0.0, by_pose), by_interior)
         return solved + alone(frames, np.where(apart, by_pose, 0.0), by_interior)

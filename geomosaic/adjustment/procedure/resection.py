@@ -11,16 +11,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 UNHEARD = sourced(0.5, "share of observations", "with weight; wrong and blurred frames: less", "60 surveys")
 _COUNTS = tuned(0.5, "share of a full weight", "more is no blunder")
 _OTHERS = sourced(2, "frames", "with weight for a point, without the frame itself", "rays meet from two on")

@@ -11,17 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.row_functions import TERMS, VIBRATION_TERMS
 from geomosaic.adjustment.model import ImageResiduals
 from geomosaic.adjustment.problem.tracks import frame_by_frame
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 CELLS: tuple[int, int] = tuned((8, 6), "columns, rows", "finer: few frames a cell; coarser: no lens shows")
 _LEAST_FRAMES = tuned(4, "frames a cell", "fewer: the mean has no deviation, chance passes for a lens")
 _COUNTS = tuned(0.1, "share of the weight of a residual of 0", "less: wrong matches, beyond 5.9 deviations")
@@ -85,7 +83,7 @@ def left_by_vibration(image: ImageResiduals, cameras: Sequence[Camera]) -> float
     return float(np.sqrt(fine / coarse))
 
 
-def _pattern(name: str, place: NDArray[np.intp], residual_px: Floats, frames: int) -> ResidualPattern:
+def _pattern(name: str, place: Ints, residual_px: Floats, frames: int) -> ResidualPattern:
     """The pattern of residuals (m, 2) by cell and frame (m,)."""
     cols, rows = CELLS
     bins = cols * rows * frames

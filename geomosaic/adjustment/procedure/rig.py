@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
@@ -24,7 +25,6 @@ from geomosaic.projection.warp import GroundWindow, ground_window
 from geomosaic.survey.model import Band, Frame, Survey
 from geomosaic.survey.pixels import read_pixels
 
-Floats = NDArray[np.float64]
 Matches = tuple[int, Floats, Floats]
 """A frame, ground points (n, 3) and their image coordinates (n, 2) in the band."""
 
@@ -153,7 +153,7 @@ class _Rig:
 
 def _edges(
     window: GroundWindow, pose: Pose, camera: Camera, frame: Frame | None
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.float32], Bools]:
     """Gradient magnitude of a frame's log grey values on the window, and where it is valid."""
     if frame is None:
         raise ValueError("a capture without this band")

@@ -10,8 +10,8 @@ from contextlib import suppress
 from copy import deepcopy
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
@@ -20,9 +20,6 @@ from geomosaic.estimation.linear import cholesky, solve
 from geomosaic.estimation.robust import irls, lie_weight
 from geomosaic.placement.prior import heading_assumed, position_assumed
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 _NEAREST = tuned(100, "tied frames", "about an untied one; the time grows with the cube")
 _LENGTHS = tuned((2.0, 5.0, 15.0, 50.0), "distances of neighbours", "of correlation, up to a whole flight")
 _SHARES = tuned((0.3, 0.7, 0.95), "of the variance", "correlated, compared by likelihood")

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.tracks import Tracks, frame_by_frame
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _NEAREST = tuned(0.05, "share of a frame's usual distance to its points", "more: tall trees are held down")
 
 

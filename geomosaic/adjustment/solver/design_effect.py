@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.place_uncertainty import place_derivatives
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.solver.stated_accuracy import stated_accuracy
+from geomosaic.arrays import Floats, Ints
 from geomosaic.estimation.linear import orthonormal
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

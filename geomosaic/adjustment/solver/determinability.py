@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import READOUT
 from geomosaic.adjustment.kernels.reduced_equations import reduce_normals
@@ -13,12 +12,11 @@ from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _DETERMINED = tuned(0.7, "share of the prior deviation", "more: what images hardly show goes astray")
 _ERRORS_ALIKE = tuned(5.0, "times the image deviation", "neighbouring keypoints err alike; 1: lenses 9 % off")
 _INFORMATIVE = tuned(600, "image observations a frame", "more show nothing new of what all frames share")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import digamma, polygamma
 
 from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _NEIGHBOURS = tuned(8, "points", "fewer: chance; more: they reach beyond a crown")
 _FEWEST = tuned(100, "points", "of a block; fewer: places cannot be distinguished")
 _LEAST_PX = tuned(1e-4, "px", "of a point's residuals, so that exact ones have a logarithm")

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import GroundPlaces
 from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.robust import median_of_known
 
-Floats = NDArray[np.float64]
 _POINTS = tuned(48, "tie points", "fewer: bends of a long block are missed; more: three columns each")
 _LEAST_POINTS = tuned(4, "tie points", "a similarity takes four numbers of their eight")
 _WELL_KNOWN = tuned(3.0, "times the median deviation of a point", "more: rays that hardly cut; less: no rim")
@@ -68,7 +67,7 @@ def ground_places(solution: Solution, ties: int) -> GroundPlaces | None:
     return GroundPlaces(its.places_m, solution.stated.reduced.propagate(its.by_pose, its.by_shared))
 
 
-def _spread_out(plan: Floats) -> NDArray[np.intp]:
+def _spread_out(plan: Floats) -> Ints:
     """Points far from each other, each the farthest from all before."""
     if not len(plan):
         return np.zeros(0, dtype=np.intp)

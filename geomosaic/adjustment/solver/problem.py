@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate
@@ -16,11 +15,10 @@ from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
 from geomosaic.adjustment.terms.term import Components, FrameTerm, Term
 from geomosaic.adjustment.terms.terrain import Terrain, level_unknown
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 KNOWN = tuned(1e-6, "px, rad, m or s, or share of a deviation", "of known numbers; 0: not solvable")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
@@ -14,13 +13,11 @@ from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import BEHIND
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import eigen_each, inverse_roots
 from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 _FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")
 _ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
 _LEAST_BEND = tuned(1e-3, "share of the largest curvature", "less: a step along it has no end")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.model import SharedUnknowns, SolveStep
@@ -14,11 +13,9 @@ from geomosaic.adjustment.problem.layout import UnknownLayout
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.stated_accuracy import StatedAccuracy
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import READOUT, with_interior
 from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
@@ -29,14 +28,13 @@ from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Bools
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import student_weight
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _MOST_LEFT_OUT = tuned(0.5, "share of the frames", "more are left out: what is left is half a survey")
 
 

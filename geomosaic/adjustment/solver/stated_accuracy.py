@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import SolveStep
@@ -19,12 +18,10 @@ from geomosaic.adjustment.solver.variance_components import variance_components
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import share_down_weighted
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

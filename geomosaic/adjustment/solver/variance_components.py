@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
@@ -19,10 +18,10 @@ from geomosaic.adjustment.terms.control_precision import (
 from geomosaic.adjustment.terms.image_observations import CONTROL_IMAGE, IMAGE
 from geomosaic.adjustment.terms.term import Component, Components
 from geomosaic.adjustment.terms.terrain import surface_share
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 
-Floats = NDArray[np.float64]
 _TIMES = tuned((0.5, 4.0), "times its own change", "beyond: chance where unknowns are still on their way")
 
 

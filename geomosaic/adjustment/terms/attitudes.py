@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
@@ -15,13 +14,11 @@ from geomosaic.adjustment.terms.frame_components import FrameGroup, robust_weigh
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.shared_by_frames import common_mean
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import CAMERA_FROM_BODY, exp_turn, log_turn
 from geomosaic.constants import tuned
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 TILT, YAW, BORESIGHT = "tilt", "yaw", "boresight"
 BORESIGHT_SD_RAD = tuned(np.radians(3.0), "rad", "of mounts of small drones; less: boresights are held")
 

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.model import GroundControl
@@ -16,15 +15,13 @@ from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.shared_by_frames import common_similarity, common_slope, robust_fit
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced, tuned
 from geomosaic.estimation.linear import inverse_each
 from geomosaic.estimation.robust import credible, lie_weight, median_of_known, student_weight
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 CONTROL_PLAN, CONTROL_HEIGHT = "control plan", "control height"
 LEAST_POINTS = sourced(5, "points", "fewer: no precision", "10 coordinates less 4 of a similarity")
 _COARSER = sourced(
@@ -133,7 +130,7 @@ def precision_warnings(control: Sequence[GroundControl], components: Components)
     return [Warn("control-imprecise", "", text)]
 
 
-def _height_known(sd_m: Floats) -> NDArray[np.bool_]:
+def _height_known(sd_m: Floats) -> Bools:
     return np.asarray(sd_m[:, 2] < POSITION["none"].sd_vertical_m)
 
 

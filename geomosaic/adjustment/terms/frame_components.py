@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY, Component
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
 from geomosaic.estimation.robust import credible, lie_weight, median_of_known
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 PRIOR_FACTORS = tuned((0.1, 10.0), "times the stated deviation", "beyond: tags are not what they claim")
 _A_LITTLE = tuned(1.01, "times a factor", "by which its slope is found by difference")
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
@@ -15,13 +14,11 @@ from geomosaic.adjustment.terms.frame_components import FrameGroup, robust_weigh
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.shared_by_frames import common_similarity, common_slope
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import CAMERA_FROM_BODY
 from geomosaic.constants import sourced, tuned
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 HORIZONTAL, VERTICAL = "horizontal", "vertical"
 LEVER_ARM, DELAY, OFFSET = "lever arm", "GNSS delay", "common offset"
 _ANYWHERE_M = tuned(1e3, "m", "deviation of a left-out frame; more: the equations lose their digits")

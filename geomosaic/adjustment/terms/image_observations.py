@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.collinearity import (
     Projections,
@@ -25,14 +24,12 @@ from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import Tracks, part_of
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.estimation.robust import INFORMATION, median_of_known, student_cost, student_weight
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 BEHIND = tuned(1e6, "deviations", "of an image behind its camera: farther off than any in front of it")
 _LEAST_SIGMA_PX = tuned(0.02, "px", "less: exact (simulated) tie points weigh without bound")
 _SCALINGS = tuned(12, "rounds", "each halves the error of the scale; fewer: it has not converged")

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.interior import INTERIOR, PRINCIPAL, interior_of
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.survey.plausible import OFF_CENTRE
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _LENS_SD: dict[str, tuple[float, float, float, float, float]] = tuned(
     {"brown": (0.1, 0.1, 0.1, 0.003, 0.003), "fisheye": (0.1, 0.1, 0.1, 0.0, 0.0)},
     "the terms' own, in the order of `lens.TERMS`",

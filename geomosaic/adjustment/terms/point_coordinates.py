@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate
@@ -19,10 +18,7 @@ from geomosaic.adjustment.terms.control_precision import (
 )
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import Components, Term
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
+from geomosaic.arrays import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY, Component, Components, FrameTerm
+from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
 
-Floats = NDArray[np.float64]
 RATE_SD_RAD_PER_S = sourced(
     0.3, "rad/s", "first deviation of each function's rates; more: they take up poses", "a Sequoia: 0.26"
 )

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import lie_weight
 
-Floats = NDArray[np.float64]
 _STRONG = sourced(20.0, "times likelier", "strong evidence of a slope", "Kass and Raftery 1995, section 3.2")
 
 

@@ -8,18 +8,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
 
 if TYPE_CHECKING:
     from geomosaic.adjustment.terms.image_observations import ImageObservations
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 MEASURED_SD_PX = tuned(0.5, "px", "of a point measured by hand in an image: half a pixel")
 LEAST_REDUNDANCY = tuned(3.0, "redundant observations", "fewer: a variance component is chance")
 

@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.problem.layout import Unknowns
 from geomosaic.adjustment.terms.term import Components, Term
+from geomosaic.arrays import Bools, Floats
 from geomosaic.estimation.robust import cauchy_cost, cauchy_weight
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 LEVEL = "ground level"
 
 
