@@ -131,12 +131,7 @@ def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution
 
 
 def surface_of(
-    block: Block,
-    flat: GroundSurface,
-    bundle: Solution,
-    *,
-    rough: bool = False,
-    spread: Spread | None = None,
+    block: Block, flat: GroundSurface, bundle: Solution, *, rough: bool = False, spread: Spread | None = None
 ) -> GroundSurface:
     """The surface of the points over all points and frames; flat: their level; rough, spread: see
     `tie_surface`."""

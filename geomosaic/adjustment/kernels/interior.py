@@ -12,13 +12,7 @@ from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import TERMS
 
-INTERIOR = (
-    "focal_length_px",
-    "principal_col_px",
-    "principal_row_px",
-    *TERMS,
-    "readout_s",
-)
+INTERIOR = ("focal_length_px", "principal_col_px", "principal_row_px", *TERMS, "readout_s")
 PRINCIPAL = [INTERIOR.index(name) for name in ("principal_col_px", "principal_row_px")]
 READOUT = INTERIOR.index("readout_s")
 

@@ -9,9 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from geomosaic.adjustment.kernels.observation_groups import Sightings
-from geomosaic.adjustment.kernels.point_elimination import (
-    summed_by_point,
-)
+from geomosaic.adjustment.kernels.point_elimination import summed_by_point
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import sourced
@@ -70,11 +68,7 @@ class Normals:
 
 
 def build_normals(
-    sightings: Sightings,
-    camera_of: Ints,
-    counts: tuple[int, int],
-    linearised: Linearised,
-    terms: int = 0,
+    sightings: Sightings, camera_of: Ints, counts: tuple[int, int], linearised: Linearised, terms: int = 0
 ) -> Normals:
     """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
     mounting (none here) with them. Derivatives are asked for some points at a time, so that no array of all

@@ -36,11 +36,7 @@ from geomosaic.adjustment.procedure.resection import heard_shares
 from geomosaic.adjustment.solver.place_uncertainty import ground_places
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.attitudes import TILT, YAW
-from geomosaic.adjustment.terms.control_precision import (
-    precision_figures,
-    precision_warnings,
-    with_precision,
-)
+from geomosaic.adjustment.terms.control_precision import precision_figures, precision_warnings, with_precision
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.arrays import Floats

@@ -140,12 +140,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     assert best.solved is not None
     lens = best.solved.cameras[0]
     return replace(
-        camera,
-        kind=lens.kind,
-        focal_length_px=lens.focal_length_px,
-        k1=lens.k1,
-        k2=lens.k2,
-        k3=lens.k3,
+        camera, kind=lens.kind, focal_length_px=lens.focal_length_px, k1=lens.k1, k2=lens.k2, k3=lens.k3
     )
 
 

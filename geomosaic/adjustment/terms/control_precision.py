@@ -77,11 +77,7 @@ def control_components(residuals: ControlResiduals, sd_m: Floats, most_px: float
     if known.sum() >= LEAST_POINTS:
         off, own = residuals.off_m[known, 2:], residuals.own_sd_m[known, 2:]
         height = _factor(off, stated[known, 2:], own, residuals.common[1])
-    return {
-        "control image": min(residuals.image_px, most_px),
-        CONTROL_PLAN: plan,
-        CONTROL_HEIGHT: height,
-    }
+    return {"control image": min(residuals.image_px, most_px), CONTROL_PLAN: plan, CONTROL_HEIGHT: height}
 
 
 def control_weights(residuals: ControlResiduals, sd_m: Floats, components: Components) -> Floats:

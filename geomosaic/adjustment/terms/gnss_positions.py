@@ -114,10 +114,7 @@ class GnssPositions(FrameTerm):
     def _groups(self, at: Estimate, components: Components) -> Iterator[FrameGroup]:
         (own, slopes), observed = self.own_miss(at, components), ~self.assumed[:, None]
         sd = self.sd(components)
-        for name, numbers, common in (
-            (HORIZONTAL, [0, 1], _OF_SIMILARITY),
-            (VERTICAL, [2], 1.0),
-        ):
+        for name, numbers, common in ((HORIZONTAL, [0, 1], _OF_SIMILARITY), (VERTICAL, [2], 1.0)):
             counted = np.isin(np.arange(3), numbers) & observed
             more = _OF_SLOPE * slopes if name == VERTICAL else 0.0
             yield FrameGroup(name, counted, sd, self.weight, own, self.parts, common, more)
