@@ -10,9 +10,8 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.paper import offsets
-from geomosaic.adjustment.paper.chain import chain
-from geomosaic.adjustment.paper.least_squares import least_squares
 from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.paper.offsets import chain, least_squares
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.arrays import Floats

@@ -18,10 +18,8 @@ from geomosaic.survey.model import Warn
 
 @dataclass(frozen=True)
 class GroundControl:
-    """A control point in the work frame; `check` points are never used in a solve.
-
-    enu_m, sd_m (3,). observations: frame index, col and row of each image it was measured in.
-    """
+    """A control point in the work frame; `check` points are never used in a solve. enu_m, sd_m (3,).
+    observations: frame index, col and row of each image it was measured in."""
 
     name: str
     enu_m: Floats
@@ -32,12 +30,9 @@ class GroundControl:
 
 @dataclass(frozen=True)
 class ControlResidual:
-    """How far a control or check point lies from where the adjusted images put it.
-
-    check: it took no part in the solve. images: in how many it was measured. residual_m: surveyed minus
-    found, east, north and up. sd_m: standard deviation of that, of both; for a point that took part, more
-    than it is, since the solve has come to meet it. surveyed_sd_m: of the surveyed coordinates alone.
-    """
+    """Residual of a control or check point. check: it took no part in the solve. images: in how many it was
+    measured. residual_m: surveyed minus found, east, north and up; sd_m: its standard deviation, too large
+    for a point that took part. surveyed_sd_m: of the surveyed coordinates alone."""
 
     name: str
     check: bool
@@ -49,11 +44,9 @@ class ControlResidual:
 
 @dataclass(frozen=True)
 class HeightReference:
-    """What a survey's reported heights count from, for `common_error`.
-
-    height_m (n,): ellipsoidal as reported, NaN where not; sd_m (n,): as stated. datum_sd_m: by which all of
-    them may be off since their source doesn't state its vertical datum, None where it does.
-    """
+    """What a survey's reported heights count from, for `common_error`. height_m (n,): ellipsoidal as
+    reported, NaN where not; sd_m (n,): as stated. datum_sd_m: common deviation of a vertical datum that is
+    not stated, None where it is."""
 
     work_frame: LocalFrame
     height_m: Floats
@@ -63,14 +56,10 @@ class HeightReference:
 
 @dataclass(frozen=True)
 class Block:
-    """A survey ready to be adjusted: where the frames are believed to be, and what ties them.
-
-    `cameras[i]` took frame i. `sequence` lists frame indices in order of flight; `lines[i]` is the
-    number of frame i's flight line. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`:
-    poses, cameras, tie points and control are those of the images as they lie in the files. times_s (n,):
-    of frames whose velocity no tag reports, when they were taken, or NaN. heights: None where a DEM
-    holds them, or where they hold nothing.
-    """
+    """A survey ready to be adjusted. `cameras[i]` took frame i, `lines[i]` is its flight line, `sequence`
+    lists frames in order of flight. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`: all is
+    given for the images as they lie in the files. times_s (n,): of frames whose velocity no tag reports, when
+    they were taken, or NaN. heights: None with a DEM, or where heights fix nothing."""
 
     names: tuple[str, ...]
     cameras: tuple[Camera, ...]
@@ -99,16 +88,14 @@ class Block:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the methods can be given.
+    """Settings of the methods.
 
-    epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most
-    rounds. ground: `auto`, `flat` or `tie_surface`, what a bundle makes of its points without a DEM.
-    boresight, lever_arm, gps_lag, rolling_shutter, turning: whether a bundle solves for them, see `Mounting`,
-    `Camera` and `Priors`; vibrating: turns of several periods while a frame is read; rate_sd_rad_per_s: of
-    what turning solves for, if that is known. free_lens: a maker's lens counts for nothing but where to
-    begin. model: `auto` adds to all that what the evidence speaks for, see `chosen_model`; `given` doesn't.
-    self_calibration: whether a bundle solves for what frames share (lens, shutter, mounting), or keeps it as
-    given.
+    epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most rounds.
+    ground: of a bundle without a DEM, `auto`, `flat` or `tie_surface`. boresight, lever_arm, gps_lag,
+    rolling_shutter, turning: solved for by a bundle; vibrating: rotations of several periods while a frame is
+    read; rate_sd_rad_per_s: of these rotations, if known. free_lens: a maker's distortion is only the start.
+    model: `auto` adds what the evidence supports, see `chosen_model`. self_calibration: shared unknowns
+    (lens, shutter, mounting) are solved for.
     """
 
     epsilon_px: float = 10.0
@@ -129,11 +116,8 @@ class Settings:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of an adjustment, as recorded.
-
-    misalignments_m: (pairs, 2) east and north of right minus left before the moves, NaN if unknown.
-    moves_m: (frames, 2) east and north by which each frame moved in this round.
-    """
+    """One recorded round of an adjustment. misalignments_m (pairs, 2): east and north of right minus left
+    before the moves, NaN if unknown. moves_m (frames, 2): of each frame in this round."""
 
     misalignments_m: Floats
     moves_m: Floats
@@ -141,10 +125,10 @@ class Round:
 
 @dataclass(frozen=True)
 class SolveStep:
-    """One step of a bundle, as recorded. solve: what was solved. cost: the sum of weighted squares after it;
-    sigma_px: the deviation of image coordinates that it counts by; damping: share of the diagonal; step_m:
-    the largest move of a frame, 0 where the step was not taken; share_down_weighted: of image observations,
-    those that count for less than half of a good one."""
+    """One recorded step of a bundle. solve: its name. cost: the sum of weighted squares after it; sigma_px:
+    deviation of image coordinates; damping: share of the diagonal; step_m: the largest move of a frame, 0
+    where the step was rejected; share_down_weighted: image observations with less than half of the full
+    weight."""
 
     solve: str
     cost: float
@@ -156,12 +140,9 @@ class SolveStep:
 
 @dataclass(frozen=True)
 class SharedUnknowns:
-    """Numbers that frames share and a solve estimated: of lenses, of the platform, of the ground.
-
-    of: whose, a camera's name or `platform`. names: what, ending in the unit. given, found, sd: (k,), before,
-    after and the standard deviation after. correlation: (k, k). held: (k,), what the block does not
-    determine and so is kept as given.
-    """
+    """Numbers that frames share and a solve estimated. of: a camera's name or `platform`. names: ending in
+    the unit. given, found, sd (k,): prior, estimate, deviation. correlation (k, k). held (k,): not determined
+    by the block, kept as given."""
 
     of: tuple[str, ...]
     names: tuple[str, ...]
@@ -174,13 +155,10 @@ class SharedUnknowns:
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Models of lens and shutter that were tried beside the one as given, and the one that was taken.
-
-    taken: what was added, see `chosen_model`, in order. names, left_out_px: every model, its additions
-    joined by +, and the median residual of the tie points left out of its solve. contradicted: those that
-    would please the tie points, but not the positions. shown: whether the last addition was taken for what
-    all images together show, not for those residuals.
-    """
+    """Models of lens and shutter that were tried, and the one that was taken. taken: additions to the given
+    model, see `chosen_model`, in order. names, left_out_px: every model, its additions joined by +, and the
+    median residual of the tie points left out of its solve. contradicted: those that fit tie points, but not
+    the positions. shown: the last addition was taken for what all images together show."""
 
     taken: tuple[str, ...]
     names: tuple[str, ...]
@@ -195,11 +173,8 @@ class ModelChoice:
 
 @dataclass(frozen=True)
 class ImageResiduals:
-    """What a solve leaves of its tie points' image coordinates.
-
-    frame: (m,) index. image_px: (m, 2) measured. residual_px: (m, 2) measured minus computed.
-    weight: (m,) robust weights, 1 for a good observation.
-    """
+    """Image residuals of tie points. frame (m,): index. image_px (m, 2): measured. residual_px (m, 2):
+    measured minus computed. weight (m,): robust weights, 1 for a good observation."""
 
     frame: Ints
     image_px: Floats
@@ -209,10 +184,8 @@ class ImageResiduals:
 
 @dataclass(frozen=True)
 class GroundPlaces:
-    """Places spread over the ground that a block shows, and how far they may be off together.
-
-    places_m (k, 3): east, north, up in the work frame; covariance_m2 (3 k, 3 k): by place, then axis.
-    """
+    """Places spread over the mapped ground, places_m (k, 3) east, north, up in the work frame, and their
+    joint covariance_m2 (3 k, 3 k) by place, then axis."""
 
     places_m: Floats
     covariance_m2: Floats
@@ -243,12 +216,10 @@ class GroundPlaces:
 class Adjusted:
     """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`.
 
-    residuals_m: per pair of `Block.ties.pairs` (k, 2): where the right frame puts each tie point on
-    the ground minus where the left one does, east and north, after the adjustment. ground: the surface
-    that goes with the poses: the block's own, unless the method estimates it. control: of the block's
-    control and check points that were measured in images. Of methods that solve for them:
-    pose_covariance (f, 6, 6) of east, north, up (m) and the turns about them (rad), of frames that took
-    no part that of their POS; places, shared, image_residuals, and model, where
+    residuals_m: per pair of `Block.ties.pairs` (k, 2), tie points on the ground, right minus left, east and
+    north. ground: the block's own unless the method estimates it. control: of all measured control and check
+    points. Of methods that solve for them: pose_covariance (f, 6, 6) of east, north, up (m) and turns about
+    them (rad), that of the POS for frames that took no part; places, shared, image_residuals; model, where
     more than the given one was tried.
     """
 

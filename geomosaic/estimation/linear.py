@@ -1,8 +1,7 @@
 """Linear systems: every inverse, factorisation and eigen-decomposition of the geometry.
 
-Each function checks that its matrix is finite and well enough conditioned for double precision. One system
-that fails raises `NotSolvableError`; of many small systems (`*_each`) those that fail become NaN, so that the
-caller leaves them out and goes on with the others. No exception of a linear algebra library gets out.
+A system that is not finite or too badly conditioned for double precision raises `NotSolvableError`; of many
+small systems (`*_each`) such ones become NaN. No exception of a linear algebra library gets out.
 """
 
 from __future__ import annotations
@@ -26,11 +25,9 @@ _NOT_FINITE: Final = "a system of equations holds values that are not finite"
 
 
 def solve(matrix: Floats, side: Floats) -> Floats:
-    """Solution (n, r) or (n,) of one system (n, n).
-
-    Raises: `NotSolvableError` where it is not finite, or singular to double precision (the reciprocal
-    condition number in the 1-norm is below 2.2e-16; LAPACK's dgecon).
-    """
+    """Solution (n, r) or (n,) of one system (n, n). Raises: `NotSolvableError` where it is not finite, or
+    singular to double precision (the reciprocal condition number in the 1-norm is below 2.2e-16; LAPACK's
+    dgecon)."""
     _check_finite(matrix, side)
     if not len(matrix):
         return side.copy()
@@ -46,10 +43,8 @@ def inverse(matrix: Floats) -> Floats:
 
 
 def solve_scaled(matrix: Floats, side: Floats) -> Floats:
-    """Solution (n, r) of a symmetric system whose unknowns differ in unit: scaled to a unit diagonal first.
-
-    Raises: as `solve`, and where a number of the diagonal is not above zero.
-    """
+    """Solution (n, r) of a symmetric system whose unknowns differ in unit, scaled to a unit diagonal first.
+    Raises: as `solve`, and where a number of the diagonal is not above zero."""
     _check_finite(matrix, side)
     if not (np.diag(matrix) > 0.0).all():
         raise NotSolvableError(_SINGULAR)
@@ -110,11 +105,9 @@ def eigen_each(matrices: Floats) -> tuple[Floats, Floats]:
 
 
 def least_squares(design: Values, observed: Values, rcond: float | None = None) -> Values:
-    """Least-squares solution of the smallest norm, (n,) or (n, r), for a design (m, n) of any rank.
-
-    Args: rcond: singular values below this share of the largest count as zero.
-    Raises: `NotSolvableError` where a value is not finite.
-    """
+    """Least-squares solution of the smallest norm, (n,) or (n, r), for a design (m, n) of any rank. Args:
+    rcond: singular values below this share of the largest count as zero. Raises: `NotSolvableError` where a
+    value is not finite."""
     _check_finite(design, observed)
     found: Any = np.linalg.lstsq(design, observed, rcond=rcond)[0]
     return np.asarray(found, design.dtype)
@@ -136,9 +129,7 @@ def orthonormal(columns: Floats) -> Floats:
 
 def singular_values(matrix: Floats) -> tuple[Floats, Floats, Floats]:
     """Singular value decomposition U, s, V' of a matrix (m, n): (m, k), (k,) falling, (k, n), k = min(m, n).
-
-    Raises: as `least_squares`.
-    """
+    Raises: as `least_squares`."""
     _check_finite(matrix)
     u, sizes, vt = np.linalg.svd(matrix, full_matrices=False)
     return np.asarray(u), np.asarray(sizes), np.asarray(vt)
@@ -151,10 +142,8 @@ def is_parallel(normal: Floats, most: float) -> bool:
 
 def cholesky(matrix: Floats, *, overwrite: bool = False) -> tuple[Floats, int]:
     """Lower Cholesky factor of one symmetric matrix (n, n), and the number of the unknown at which it shows
-    that the matrix is not finite or not positive definite to double precision: -1 where it is.
-
-    Args: overwrite: a matrix in the order of columns becomes the factor. Its upper triangle is not read.
-    """
+    that the matrix is not finite or not positive definite to double precision, else -1. The upper triangle is
+    not read. Args: overwrite: a matrix in the order of columns becomes the factor."""
     diagonal = np.diag(matrix).copy()
     factor, broken = dpotrf(matrix, lower=1, clean=1, overwrite_a=overwrite)
     pivots = np.diag(factor)
@@ -173,10 +162,8 @@ def square_of_factor(factor: Floats) -> Floats:
 
 
 def inverse_roots(blocks: Floats) -> Floats:
-    """L^-1 (p, 3, 3) of symmetric positive definite blocks L L' (p, 3, 3).
-
-    Zero for a block that is not positive definite or not finite: its unknowns take no part.
-    """
+    """L^-1 (p, 3, 3) of symmetric positive definite blocks L L' (p, 3, 3); zero for a block that is not
+    positive definite or not finite: its unknowns take no part."""
     v = np.ascontiguousarray(np.moveaxis(blocks, 0, -1))
     out = np.zeros_like(v)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -193,10 +180,8 @@ def inverse_roots(blocks: Floats) -> Floats:
 
 
 def cholesky_of_band(band: Floats, *, lower: bool, overwrite: bool = False) -> Floats:
-    """Cholesky factor of a banded symmetric matrix, in LAPACK's band storage (reach + 1, n).
-
-    Raises: `NotSolvableError` where it is not finite or not positive definite.
-    """
+    """Cholesky factor of a banded symmetric matrix, in LAPACK's band storage (reach + 1, n). Raises:
+    `NotSolvableError` where it is not finite or not positive definite."""
     _check_finite(band)
     try:
         factor = cholesky_banded(band, overwrite_ab=overwrite, lower=lower, check_finite=False)
@@ -211,10 +196,8 @@ def solve_band(factor: Floats, side: Floats, *, lower: bool) -> Floats:
 
 
 class SparseFactors:
-    """LU factors of one sparse matrix (n, n).
-
-    Raises: `NotSolvableError` where it is not finite or exactly singular.
-    """
+    """LU factors of one sparse matrix (n, n). Raises: `NotSolvableError` where it is not finite or exactly
+    singular."""
 
     def __init__(self, matrix: spmatrix) -> None:
         columns = matrix.tocsc()

@@ -30,11 +30,9 @@ def fit_similarity(
     *,
     symmetric: bool = False,
 ) -> tuple[complex, complex]:
-    """Robust similarity of the plane as complex numbers, target = turn * source + shift.
-
-    Args: source, target (k, 2), k >= 2; weigh: weights (k,) by residual lengths (k,), in the unit of the
-        target; symmetric: scale by the ratio of both extents, which noise in the source does not shrink.
-    """
+    """Robust similarity of the plane as complex numbers, target = turn * source + shift. Args: source, target
+    (k, 2), k >= 2; weigh: weights (k,) by residual lengths (k,), in the unit of the target; symmetric: scale
+    by the ratio of both extents, which noise in the source does not shrink."""
     z, w = source @ [1, 1j], target @ [1, 1j]
     weight = np.ones(len(z))
     turn, shift = 1.0 + 0j, 0j
@@ -71,11 +69,9 @@ class Similarity3D:
 
     @classmethod
     def through(cls, points: Floats, to: Floats) -> Similarity3D | None:
-        """The robust similarity from points (n, 3) to others (n, 3); None for fewer than 3 or on a line.
-
-        The start is the triple with the least median residual (Rousseeuw 1984); Cauchy's weights about the
-        median residual follow. Each fit is Umeyama's (1991, section 4).
-        """
+        """The robust similarity from points (n, 3) to others (n, 3); None for fewer than 3 or on a line. It
+        starts from the triple with the least median residual (Rousseeuw 1984); Cauchy's weights about the
+        median residual follow. Each fit is Umeyama's (1991, section 4)."""
         triples = (list(t) for t in islice(combinations(range(len(points)), 3), _MOST_TRIPLES))
         tried = [
             cls._weighted(points[t], to[t], np.ones(3))

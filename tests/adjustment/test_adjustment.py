@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.paper import offsets
-from geomosaic.adjustment.paper.chain import chain
-from geomosaic.adjustment.paper.least_squares import least_squares
 from geomosaic.adjustment.paper.misalignment import OffsetNet, fullest_bin_mean
+from geomosaic.adjustment.paper.offsets import chain, least_squares
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation

@@ -12,8 +12,7 @@ from adjustment_blocks import fly, hills
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.procedure import cross_validation
-from geomosaic.adjustment.procedure.candidate_solves import Model
-from geomosaic.adjustment.procedure.cross_validation import Judged, LeftOut
+from geomosaic.adjustment.procedure.cross_validation import Judged, LeftOut, Model
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.estimation.similarity import fit_similarity

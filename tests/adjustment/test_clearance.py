@@ -9,7 +9,7 @@ from adjustment_blocks import Flown, fly, hills
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.bundle_method import pose_block
-from geomosaic.adjustment.solver.clearance import clearances_m, too_near
+from geomosaic.adjustment.solver.single_points import clearances_m, too_near
 from geomosaic.matching.model import TiePair, TiePoints
 
 

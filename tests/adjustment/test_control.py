@@ -13,7 +13,7 @@ from small_surveys import mosaic, small_survey, summary
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, ControlResidual, GroundControl, Settings
-from geomosaic.adjustment.problem.half_turned import as_taken
+from geomosaic.adjustment.problem.usable_block import as_taken
 from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.matching.model import TiePoints
 from geomosaic.quality.control import control_figures

@@ -10,7 +10,7 @@ import pytest
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.solver.design_effect import DesignEffect
+from geomosaic.adjustment.solver.place_uncertainty import DesignEffect
 from tools.bench import bench_monte_carlo as bench
 from tools.bench.cramer_rao import size_px
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.adjustment.ground.smoothed_grid import SmoothedGrid
+from geomosaic.adjustment.ground.trial_surface import SmoothedGrid
 
 
 def dense(

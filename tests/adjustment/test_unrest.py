@@ -11,7 +11,7 @@ from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver import steps
-from geomosaic.adjustment.solver.local_image_variance import local_factors
+from geomosaic.adjustment.solver.variance_components import local_factors
 
 
 def residuals(views: np.ndarray, sd_px: np.ndarray, seed: int) -> tuple[Tracks, np.ndarray]:

@@ -9,7 +9,7 @@ from adjustment_blocks import fly, hills, level
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.procedure.blunder_detection import lying_tags
-from geomosaic.adjustment.procedure.height_drift import height_drift
+from geomosaic.adjustment.procedure.reported_corrections import height_drift
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z, exp_turn
 from geomosaic.matching.turned import Seen, flown_courses_rad, reheaded, turn_costs_m

@@ -12,7 +12,7 @@ from adjustment_blocks import fly
 from geomosaic.adjustment.model import ControlResidual, GroundControl
 from geomosaic.adjustment.procedure.control_agreement import control_blunders, control_warnings
 from geomosaic.adjustment.procedure.control_points import control_residuals
-from geomosaic.estimation.blunders import blunders
+from geomosaic.estimation.robust import blunders
 from geomosaic.quality.check_points import check_points
 from geomosaic.survey.accuracy import POSITION
 

@@ -9,7 +9,7 @@ import pytest
 from adjustment_blocks import fly, hills
 
 from geomosaic.adjustment.model import Adjusted, Block, GroundControl, Settings
-from geomosaic.adjustment.problem.usable_input import usable
+from geomosaic.adjustment.problem.usable_block import usable
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.adjustment.procedure.fallback import with_fallbacks

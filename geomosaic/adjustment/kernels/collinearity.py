@@ -23,19 +23,17 @@ _MOST_BY_ROW = tuned(0.5, "rows a row", "of stretching while a frame is read: mo
 
 @dataclass(frozen=True)
 class Readout:
-    """What rolling shutters make of m observations, each while a row about its own is read.
+    """Motion of m observations' frames at the rows they lie in.
 
-    A measured row is off by a keypoint's error. Residuals against where a point is seen while that row is
-    read would shrink by as much as rows are stretched, and thousands of them would stretch every frame: so
-    residuals are those at a point's own row, where it is seen while that row is read. Nor may derivatives
-    know of the error: they are taken at the point's own row.
+    Residuals are taken at a point's own row, where it is seen while that row is read. Against the measured
+    row they would shrink by the keypoint's error times the stretching of rows, and thousands of them would
+    stretch every frame. Derivatives are taken at the point's own row too.
 
-    rows_px, heights_px (m,): the rows, and heights of the images. rotations (m, 3, 3): as they were when
-    each row was read. velocities_m_per_s, rates_rad_per_s (m, 3): of the projection centre, and of what is
-    given of the camera's turning, in the work frame. terms (m, t): functions of the row by which frames
-    swing about their axes (m, 3, 3); swinging_rad (m, 3): by how much these turn over a whole height at the
-    present rate; drift (m, 3): by how much frames go over a whole height besides their velocities, over the
-    depth of what they see, in the work frame.
+    rows_px, heights_px (m,): rows, heights of the images. rotations (m, 3, 3): at these rows.
+    velocities_m_per_s, rates_rad_per_s (m, 3): in the work frame, of the projection centre and of the
+    reported rotation. terms (m, t): functions of the row for the swing about axes (m, 3, 3); swinging_rad (m,
+    3): its rate over the image height; drift (m, 3): movement over the image height besides the velocity,
+    over the depth, in the work frame.
     """
 
     rows_px: Floats
@@ -54,8 +52,8 @@ class Readout:
         return self.rows_px / self.heights_px - 0.5
 
     def seen_px(self, image_px: Floats, by_row: Floats) -> Floats:
-        """Where points are seen (2, m) that would be at image_px while these rows are read; by_row (2, m): by
-        how much they move for each row."""
+        """Image coordinates (2, m) of points that would be at image_px while these rows are read; by_row (2,
+        m): by how much they move for each row."""
         rows = (image_px[1] - self.rows_px) / (1.0 - by_row[1])
         return np.stack([image_px[0] + by_row[0] * rows, self.rows_px + rows])
 
@@ -92,12 +90,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class Projections:
-    """m points and the frames that see them.
-
-    positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in the order of INTERIOR, points_m (m, 3). read:
-    of rolling shutters, whose rotations are to be given with it; a point is then seen in the row that is read
-    while it is seen there, to first order about the rows of `read`. kinds (m,): of lenses, see `kinds_of`.
-    """
+    """m points and the frames that observe them: positions_m (m, 3), rotations (m, 3, 3), interior (m, 9) in
+    the order of INTERIOR, points_m (m, 3). read: of rolling shutters; points are then projected to first
+    order about its rows. kinds (m,): of lenses, see `kinds_of`."""
 
     positions_m: Floats
     rotations: Floats
@@ -110,12 +105,10 @@ class Projections:
 def readout_of(
     poses: Poses, rotations: Floats, rows: Rows, swing: Floats | None = None, drift: Floats | None = None
 ) -> Readout:
-    """Of observations in frames with present rotations (f, 3, 3).
-
-    swing (f, t, 3): factors of the functions of the row about the camera's axes, beside the poses' own turns:
-    `R(row) = R exp(swing(row)) exp(turn(row))`. drift (f, 3): along the camera's axes over a whole height of
-    the image, besides the velocities, over the depth: so images do not change with the scale of the block.
-    """
+    """Readout of observations in frames with present rotations (f, 3, 3). swing (f, t, 3): factors of the
+    functions of the row about the camera's axes, `R(row) = R exp(swing(row)) exp(turn(row))` with the poses'
+    own turns. drift (f, 3): along the camera's axes over an image height besides the velocities, over the
+    depth, so that images do not depend on the block's scale."""
     frame, rows_px, heights_px, readouts_s = rows.frame, rows.rows_px, rows.heights_px, rows.readouts_s
     share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
     axes, rates, terms, swinging = _of_frames(rotations, frame), none.T, None, none.T
@@ -168,14 +161,9 @@ def image_from_ground(of: Projections) -> Floats:
 
 
 def project(of: Projections) -> tuple[Floats, Floats, Floats, Floats]:
-    """Image coordinates and their derivatives, one row an observation.
-
-    See `Camera` and `Rotation` for the equations. A rotation's update is a small turn about the work
-    frame's axes from the left, R = exp([t]) R0.
-
-    Returns: image_px (m, 2); by_pose (m, 2, d): position, turn in rad, the frame's swing and drift;
-        by_interior (m, 2, 9); by_point (m, 2, 3). NaN behind the camera.
-    """
+    """Image coordinates (m, 2) and their derivatives by_pose (m, 2, d: position, turn in rad, swing and
+    drift), by_interior (m, 2, 9) and by_point (m, 2, 3); NaN behind the camera. A rotation's update is a
+    small turn about the work frame's axes from the left, R = exp([t]) R0; see `Camera` and `Rotation`."""
     image, levers, by_interior, by_point = project_by_levers(of)
     return (
         _by_number(image), _by_number(levers.by_pose(by_point)), _by_number(by_interior), _by_number(by_point)

@@ -30,11 +30,9 @@ _UNDETERMINED = "the block does not determine the poses of its frames"
 
 @dataclass(frozen=True)
 class _Front:
-    """Frames that are eliminated together, and those beyond that they, or any eliminated for them, meet.
-
-    blocks: those of the matrix that belong here, with rows and columns as places among own and beyond. parts:
-    the fronts that come right before, each with the places of what lies beyond it.
-    """
+    """Frames that are eliminated together, and those beyond that they, or any eliminated before for them,
+    meet. blocks: of the matrix that belong here, with rows and columns as places among own and beyond. parts:
+    the fronts that come right before, each with the places of what lies beyond it."""
 
     own: Ints
     beyond: Ints
@@ -132,12 +130,9 @@ def _between(graph: csr_matrix) -> Ints:
 
 class Dissected:
     """Cholesky factors of a sparse matrix of f x f blocks (b, b), both triangles given, front by front
-    (multifrontal; Duff and Reid 1983): inside a front all is dense, and a block whose frames all meet is one.
-
-    Only lower triangles are computed, in LAPACK's order of columns.
-
-    Raises: NotSolvableError, which names the frame where it shows, if the matrix is not positive definite.
-    """
+    (multifrontal; Duff and Reid 1983). Inside a front all is dense; only lower triangles are computed, in
+    LAPACK's order of columns. Raises: NotSolvableError, naming the frame, if the matrix is not positive
+    definite."""
 
     def __init__(self, matrix: bsr_matrix, dissection: Dissection | None = None) -> None:
         self._fronts = (dissection or Dissection.of(matrix.indices, matrix.indptr)).fronts

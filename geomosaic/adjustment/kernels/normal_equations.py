@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from geomosaic.adjustment.kernels.observation_groups import Sightings
-from geomosaic.adjustment.kernels.point_elimination import summed_by_point
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import sourced
@@ -24,12 +24,9 @@ SQUARE: Ints = sourced(
 
 @dataclass(frozen=True)
 class Normals:
-    """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3, and
-    what all frames share: the ground's level and q unknowns of the mounting, which meet the poses alone.
-
-    The m observations' own blocks (point by pose) follow from `point_point` and `levers`, in the order of
-    the sightings.
-    """
+    """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3, and the
+    shared ground level and q unknowns of the mounting, which meet the poses alone. Blocks of point by pose
+    follow from `point_point` and `levers`, in the order of the m sightings."""
 
     sightings: Sightings
     camera_of: Ints
@@ -70,14 +67,11 @@ class Normals:
 def build_normals(
     sightings: Sightings, camera_of: Ints, counts: tuple[int, int], linearised: Linearised, terms: int = 0
 ) -> Normals:
-    """Sums the image observations; priors are added to the diagonal blocks afterwards, unknowns of the
-    mounting (none here) with them. Derivatives are asked for some points at a time, so that no array of all
-    of them is ever made.
-
-    Args: camera_of (f,); counts: cameras, numbers of a camera; terms: of each frame's swing, beside which it
-        drifts. linearised: of some observations (n,) residuals (2, n) observed minus computed, weights (n,),
-        levers, and derivatives by interior (2, k, n) and point (2, 3, n) as `project_by_levers` gives them.
-    """
+    """Sums of the image observations, some points at a time, so that no array of all derivatives is made;
+    priors and unknowns of the mounting are added afterwards. Args: camera_of (f,); counts: cameras, numbers
+    of a camera; terms: of each frame's swing, with which it drifts. linearised: of some observations (n,)
+    residuals (2, n) observed minus computed, weights (n,), levers, derivatives by interior (2, k, n) and by
+    point (2, 3, n), see `project_by_levers`."""
     (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
     axes = np.empty((3, 3, m if terms else 0))
     levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)), axes)
@@ -101,7 +95,7 @@ def build_normals(
             row += rows[1, i - 3] * rows[1, j - 3]
         which = sightings.point[group.span] - group.points.start
         which = which + group.size * camera_of[sightings.frame[group.span]]
-        summed = summed_by_point(rows[:, d:], which, c * group.size).reshape(c, group.size, 3, k + 4)
+        summed = _summed_by_point(rows[:, d:], which, c * group.size).reshape(c, group.size, 3, k + 4)
         interior_point[:, group.points] = np.swapaxes(summed[..., :k], 2, 3)
         point_side[group.points] = summed[..., k].sum(axis=0)
         points[group.points] = summed[..., k + 1 :].sum(axis=0)
@@ -126,3 +120,13 @@ def build_normals(
         mounting=np.zeros((0, 0)),
         mounting_side=np.zeros(0),
     )
+
+
+def _summed_by_point(rows: Floats, which: Ints, count: int) -> Floats:
+    """Products with derivatives by the point, summed by point, (3 count, n). Args: rows (2, n, m): both rows
+    of each observation, derivatives by its point last; which (m,): its point."""
+    each = np.ascontiguousarray(np.swapaxes(rows, 1, 2)).reshape(2 * len(which), -1)
+    place = np.tile((3 * which[:, None] + np.arange(3)).astype(np.int32).ravel(), 2)
+    starts = np.arange(0, len(place) + 1, 3, dtype=np.int32)
+    by_point = csc_matrix((each[:, -3:].ravel(), place, starts), shape=(3 * count, len(each)))
+    return np.asarray(by_point @ each)

@@ -25,13 +25,12 @@ _PAIRS_AT_ONCE = tuned(1024, "pairs of observations", "multiplied at once; more 
 
 @dataclass(frozen=True)
 class Group:
-    """Consecutive points and all n sightings of them, in order of frames: spans of all.
+    """Consecutive points and all n sightings of them, in order of frames; spans of all.
 
-    frames (r,), runs (r + 1,): those that see any, and where each one's begin in the span. pairs (q,): the
-    pairs of frames that share any of the points, by number, rising by how many they share; batches (b + 1,):
-    where each batch of pairs begins. one, other: places in the span of sightings of a point from the left
-    frame and the right one, equally many for each pair of a batch: those with fewer have the place n besides.
-    shared (b + 1,): where each batch begins among one and other.
+    frames (r,), runs (r + 1,): those that observe any, and where each one's sightings begin. pairs (q,):
+    pairs of frames that share points, rising by how many; batches (b + 1,): where each batch of pairs begins.
+    one, other: places of sightings of a point from the left and the right frame, equally many for each pair
+    of a batch (fewer are filled with the place n). shared (b + 1,): where each batch begins among these.
     """
 
     points: slice
@@ -52,12 +51,9 @@ class Group:
 
 @dataclass(frozen=True)
 class Sightings:
-    """m sightings of points by frames, sorted by groups of points, within one by frame, those of a frame as
-    they came.
-
-    order (m,): the place of each before it was sorted. frame, point (m,): numbers below frames and points.
-    left, right (k,): pairs of frames that share points, left < right, sorted.
-    """
+    """m sightings of points by frames, sorted by groups of points and then by frame. order (m,): the place of
+    each before it was sorted. frame, point (m,): numbers below frames and points. left, right (k,): pairs of
+    frames that share points, left < right, sorted."""
 
     frames: int
     points: int

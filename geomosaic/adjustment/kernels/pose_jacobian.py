@@ -12,14 +12,10 @@ from geomosaic.estimation.linear import multiply_each
 
 @dataclass(frozen=True)
 class Levers:
-    """An image knows of pose and point only where one lies from the other. So derivatives by all numbers of a
-    pose follow from those by the point, and need not be kept beside them.
-
-    arms_m (3, n): from projection centres to points, in the work frame. terms (t, n): functions of the row by
-    which frames swing; shares (1, n): of the image's height times the depth, by which they drift; axes
-    (3, 3, n): of the cameras, about which they swing and along which they drift. All three are empty where
-    all rows are read at once.
-    """
+    """Derivatives by poses from those by points: an image depends on where a point lies from the pose alone.
+    arms_m (3, n): from projection centres to points, in the work frame. terms (t, n): functions of the row
+    for the swing; shares (1, n): of the image's height times the depth, for the drift; axes (3, 3, n): of the
+    cameras. The last three are empty where all rows are read at once."""
 
     arms_m: Floats
     terms: Floats

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -11,13 +12,9 @@ from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.kernels.nested_dissection import Dissected
 from geomosaic.adjustment.kernels.normal_equations import SQUARE, Normals
-from geomosaic.adjustment.kernels.point_elimination import (
-    less_of_frames,
-    less_of_pairs,
-    scaled_rows,
-    summed_by,
-)
-from geomosaic.arrays import Floats
+from geomosaic.adjustment.kernels.observation_groups import Group
+from geomosaic.adjustment.kernels.pose_jacobian import Levers
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scaled
 
@@ -72,7 +69,7 @@ class Reduced:
             moved_m = n.levers.of(group.span).as_points_m(step)
             by_pose = multiply_each(n.point_point[SQUARE, group.span], moved_m)
             which = n.sightings.point[group.span] - group.points.start
-            side[group.points] -= summed_by(by_pose, which, group.size)
+            side[group.points] -= _summed_by(by_pose, which, group.size)
         side -= shared[self.level] * n.level_point
         return np.asarray(np.einsum("pij,pj->pi", self.points_inverse, side))
 
@@ -102,14 +99,9 @@ class Reduced:
         return self._factors.solve(self.border)
 
     def considering(self, variance: Floats) -> Reduced:
-        """The system whose covariances hold what is not known of shared unknowns that were not solved for.
-
-        Their estimate is no better than it was before, whatever the images say, and the others are as
-        wrong as that makes them (Schmidt's consider filter): the information left for them once all others
-        are eliminated is their prior's alone.
-
-        Args: variance (s,) for unit weight; 0 for those that were solved for.
-        """
+        """The system whose covariances include fixed shared unknowns with their prior variances (s,) for unit
+        weight, 0 for solved ones: Schmidt's consider filter. The information left for the fixed ones, once
+        all others are eliminated, is their prior's alone."""
         held, free = np.flatnonzero(variance > 0.0), np.flatnonzero(variance == 0.0)
         through_poses = self.border.T @ self._by_border
         corner = self.shared - through_poses
@@ -146,12 +138,9 @@ class Reduced:
 
 
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
-    """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative
-    to the diagonal.
-
-    With V = L L' of a point and W its rows in the columns of the poses, W' V^-1 W is the square of L^-1 W:
-    what it takes away leaves no direction of the poses negative.
-    """
+    """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative to
+    the diagonal. With V = L L' of a point and W its rows in the poses' columns, W' V^-1 W is the square of
+    L^-1 W, which leaves no direction of the poses negative."""
     (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
     s, interior, less_beside = n.sightings, _damped(n.interior, damping), np.zeros((f, d, c * k + 2))
     less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))
@@ -169,9 +158,9 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
         less_shared += flat.T @ flat
         which = s.point[group.span] - group.points.start
         seen = n.levers.of(group.span), n.point_point[SQUARE, group.span]
-        scaled = scaled_rows(*seen, root, which)
-        less_of_frames(group, scaled, beside.take(which, axis=0), (blocks, own, less_beside))
-        less_of_pairs(group, scaled, blocks, across)
+        scaled = _scaled_rows(*seen, root, which)
+        _less_of_frames(group, scaled, beside.take(which, axis=0), (blocks, own, less_beside))
+        _less_of_pairs(group, scaled, blocks, across)
     blocks[turned_over] = np.swapaxes(blocks[across], 1, 2)
     less_beside = less_beside.reshape(d * f, -1)
     border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
@@ -196,3 +185,45 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
 
 def _damped(blocks: Floats, damping: float) -> Floats:
     return blocks * (1.0 + damping * np.eye(blocks.shape[-1]))
+
+
+def _scaled_rows(levers: Levers, point_point: Floats, root: Floats, which: Ints) -> Floats:
+    """Blocks of point by pose times the roots of their points' inverses, and a block of zeros, (m + 1, 3, d).
+    Args: point_point (3, 3, m): what each adds to its point's block; root (p, 3, 3); which (m,): of p
+    points."""
+    roots = np.ascontiguousarray(np.moveaxis(root, 0, -1)).take(which, axis=-1)
+    by_pose = levers.by_pose(multiply_each(roots, point_point))
+    out = np.zeros((len(which) + 1, *by_pose.shape[:2]))
+    out[:-1] = by_pose.transpose(2, 0, 1)
+    return out
+
+
+def _less_of_frames(group: Group, scaled: Floats, seen: Floats, sums: tuple[Floats, Ints, Floats]) -> None:
+    """Subtracts the Schur complement's part on the diagonal from each frame's block, and adds the products
+    with the points' other columns. Args: scaled: of `_scaled_rows`; seen (m, 3, r): the other columns, scaled
+    alike; sums: blocks (n, d, d), the frames' places in them (f,), the products (f, d, r)."""
+    blocks, own, others = sums
+    rows = scaled.reshape(-1, scaled.shape[-1])
+    seen = seen.reshape(-1, seen.shape[-1])
+    runs = pairwise((3 * group.runs).tolist())
+    for i, at, (here, end) in zip(group.frames.tolist(), own[group.frames].tolist(), runs, strict=True):
+        mine = rows[here:end]
+        blocks[at] -= mine.T @ mine
+        others[i] += mine.T @ seen[here:end]
+
+
+def _less_of_pairs(group: Group, scaled: Floats, blocks: Floats, across: Ints) -> None:
+    """Subtracts the Schur complement's part between frames; across (k,): the pairs' places among blocks."""
+    m, _, d = scaled.shape
+    rows, starts = scaled.reshape(m, -1), group.shared.tolist()
+    left, right = np.empty((2, max(np.diff(starts), default=0), 3 * d))
+    for (here, end), (begin, stop) in zip(pairwise(group.batches.tolist()), pairwise(starts), strict=True):
+        for which, taken in ((group.one, left), (group.other, right)):  # "clip" writes without a buffer
+            rows.take(which[begin:stop], axis=0, out=taken[: stop - begin], mode="clip")
+        one, other = (taken[: stop - begin].reshape(end - here, -1, d) for taken in (left, right))
+        blocks[across[group.pairs[here:end]]] -= np.swapaxes(one, 1, 2) @ other
+
+
+def _summed_by(values: Floats, which: Ints, count: int) -> Floats:
+    """Values (r, n) summed by number (n,) below count: (count, r)."""
+    return np.stack([np.bincount(which, row, count) for row in values], axis=1)

@@ -38,12 +38,10 @@ def recorded_share(turns: Turns | None, frame: Ints, readouts_s: Floats) -> Floa
 
 def terms_at(share: Floats, terms: int, recorded: Floats, backwards: Bools) -> tuple[Floats, Floats]:
     """The functions (..., terms) at rows by their share of the image's height, from the middle row on, and
-    their slopes over a whole height.
-
-    Legendre's polynomials; where turns are recorded up to a share of the height (`recorded`, NaN where not;
-    in the order of reading, which is upwards where `backwards`), the first is for the record's zero, and the
-    others are powers from two on of the rows since, along which rates were guessed.
-    """
+    their slopes over a whole height: Legendre's polynomials. Where rotations are recorded up to a share of
+    the height (`recorded`, NaN where not; in the order of reading, upwards where `backwards`), the first is
+    for the record's zero, the others are powers from two on of the rows since, along which rates were
+    guessed."""
     whole = legendre.legvander(2.0 * share, terms)
     slopes = 2.0 * whole[..., :terms] @ legendre.legder(np.eye(terms + 1))[:, 1:]
     whole = (whole - legendre.legvander(np.zeros(1), terms))[..., 1:]
@@ -63,11 +61,8 @@ def terms_at(share: Floats, terms: int, recorded: Floats, backwards: Bools) -> t
 
 
 def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
-    """Poses whose turns hold the swing (f, terms, 3) about the cameras' axes too:
-    `R(row) = R exp(swing(row)) exp(turn(row))`.
-
-    Args: readouts_s (f,): of each frame's camera, over which its swing is meant.
-    """
+    """Poses whose turns include the swing (f, terms, 3) about the cameras' axes, `R(row) = R exp(swing(row))
+    exp(turn(row))`. Args: readouts_s (f,): of each frame's camera, over which its swing is meant."""
     turns, terms = poses.turns, swing_rad.shape[1]
     times = 2 if terms == 1 else _TABLED * terms + 1
     if turns is None:

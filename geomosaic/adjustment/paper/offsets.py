@@ -1,6 +1,6 @@
 """Methods that shift whole frames over the map: the paper's error sharing and its rivals.
 
-Each returns the moves (n, 2) of all frames in metres, and the rounds of the adjustment.
+Moves (n, 2) are in metres, for all frames.
 """
 
 from __future__ import annotations
@@ -8,13 +8,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse import coo_matrix, diags
 
 from geomosaic.adjustment.model import Round
 from geomosaic.adjustment.paper.misalignment import OffsetNet
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Complexes, Floats
+from geomosaic.constants import sourced
+from geomosaic.estimation.linear import SparseFactors
+from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.placement.graph import connected_parts
 
 Moves = tuple[Floats, tuple[Round, ...]]
+_HUBER = sourced(
+    1.5, "deviations", "full weight up to here; more: wrong pairs pull", "Huber 1981, about 1.345"
+)
 
 
 def rounds_of(net: OffsetNet, moves: Floats) -> tuple[Round, Round]:
@@ -109,3 +116,50 @@ def layered(net: OffsetNet, sequence: Sequence[int]) -> Moves:
             drift = moves[line[-1]] - moves[line[0]]
             moves[line] -= np.linspace(-0.5, 0.5, len(line))[:, None] * drift
     return moves, rounds_of(net, moves)
+
+
+def chain(net: OffsetNet, sequence: Sequence[int]) -> tuple[Complexes, Complexes]:
+    """Turn (n,) and shift (n,): a frame's ground point z = east + i north goes to turn * z + shift.
+
+    Each frame gets the similarity to the latest earlier frame with common tie points (Xu et al. 2019, the
+    paper's reference 3, with similarities for homographies). Without one it keeps its coarse position.
+    """
+    turn = np.ones(net.n, dtype=np.complex128)
+    shift = np.zeros(net.n, dtype=np.complex128)
+    for k, frame in enumerate(sequence):
+        last = next((i for i in reversed(sequence[:k]) if (i, frame) in net.pair_of), None)
+        if last is None:
+            continue
+        pair = net.pair_of[last, frame]
+        there, here = (net.left_m[pair], net.right_m[pair])[:: 1 if frame > last else -1]
+        if len(here) < 2:
+            continue
+        aligned = (there @ [1, 1j]) * turn[last] + shift[last]
+        turn[frame], shift[frame] = fit_similarity(here, np.column_stack([aligned.real, aligned.imag]))
+    return turn, shift
+
+
+def least_squares(
+    net: OffsetNet, prior_sd_m: Floats, pair_sd_m: Floats, rounds: int = 8
+) -> tuple[Floats, Floats]:
+    """Moves (n, 2) and their standard deviations (n,) per axis, in metres.
+
+    The minimum of sum (move / prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho. A pair observes the
+    difference of two moves as the median over its tie points. Priors keep errors from growing along a line.
+
+    Args: prior_sd_m (n,): of the ground of a frame by GNSS and IMU; pair_sd_m (m,): of a pair's mean
+        difference about a pure offset.
+    """
+    m, still = len(net.pairs), np.zeros((net.n, 2))
+    observed = -np.array([np.median(net.differences_m(p, still), axis=0) for p in range(m)]).reshape(-1, 2)
+    entries = np.concatenate([-np.ones(m), np.ones(m)])
+    rows = np.tile(np.arange(m), 2)
+    design = coo_matrix((entries, (rows, net.pairs.T.ravel())), shape=(m, net.n)).tocsc()
+    weight, moves = 1.0 / pair_sd_m**2, still
+    for _ in range(rounds):
+        solver = SparseFactors((design.T @ diags(weight) @ design + diags(1.0 / prior_sd_m**2)).tocsc())
+        moves = solver.solve(np.asarray(design.T @ (weight[:, None] * observed)))
+        miss = np.linalg.norm(design @ moves - observed, axis=1) / pair_sd_m
+        weight = np.minimum(1.0, _HUBER / np.maximum(miss, 1e-9)) / pair_sd_m**2
+    variance = [solver.solve(np.eye(1, net.n, i)[0])[i] for i in range(net.n)]
+    return np.asarray(moves), np.sqrt(variance)

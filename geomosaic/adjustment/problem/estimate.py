@@ -28,14 +28,10 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Estimate:
-    """Values of the unknowns in the work frame.
-
-    positions_m (f, 3), rotations (f, 3, 3), points_m (p, 3). swing_rad (f, t, 3): factors of the t functions
-    of the row by which a frame rotates about its camera's axes while it is read; drift (f, 3): its movement
-    along them meanwhile besides its velocity, over the depth of what it sees; t is 0 where all rows are read
-    at once, see `rolling_shutter_rotation`. shared (s,): in the order of the layout. memo: quantities derived
-    from the estimate, computed once.
-    """
+    """Values of the unknowns in the work frame: positions_m (f, 3), rotations (f, 3, 3), points_m (p, 3).
+    swing_rad (f, t, 3): factors of the t functions of the row for the rotation while it is read; drift (f,
+    3): movement along the camera's axes meanwhile besides the velocity, over the depth; t is 0 where all rows
+    are read at once. shared (s,): in the order of the layout. memo: derived quantities, computed once."""
 
     layout: UnknownLayout
     positions_m: Floats
@@ -73,12 +69,9 @@ class Estimate:
         return np.column_stack([self.swing_rad.reshape(frames, -1), self.drift])
 
     def stepped(self, step: Step, share: float = 1.0) -> Estimate:
-        """The estimate after a share of a step. What turns and scales the whole block comes last.
-
-        Images do not change by a turn and scale of the whole block, however large. Added to the other
-        corrections instead of multiplied, both would miss the images by their products: a principal point
-        that moves by 4 px moves the positions, and 5 % of that movement are 0.2 px in every image.
-        """
+        """The estimate after a share of a step. The turn and scale that all movements have in common are
+        applied last, as a similarity: images do not change by it, however large, but would by products of
+        added corrections."""
         pose, point, shared = (share * part for part in step)
         frames = len(self.positions_m)
         if not len(point):

@@ -14,13 +14,10 @@ from geomosaic.arrays import Bools, Floats
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Numbers that a term solves for.
-
-    owner: a camera's name, `platform` or `ground`. names: of the k numbers, each ending in its unit. given,
-    sd (k,): prior values and deviations, in px, m, rad or s; 0 for known numbers. unit (k,): one of each
-    name's unit in px, m, rad or s. optional: a number keeps its prior value where the block does not
-    determine it.
-    """
+    """Numbers that a term solves for. owner: a camera's name, `platform` or `ground`. names: of the k
+    numbers, each ending in its unit. given, sd (k,): prior values and deviations, in px, m, rad or s; 0 for
+    known numbers. unit (k,): one of each name's unit in px, m, rad or s. optional: the prior value stays
+    where the block does not determine it."""
 
     name: str
     owner: str

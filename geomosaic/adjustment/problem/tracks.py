@@ -23,11 +23,8 @@ _PARALLEL: float = tuned(float(np.radians(0.5) ** 2), "rad²", "of rays all but 
 
 @dataclass(frozen=True)
 class Tracks:
-    """m image observations of p ground points, sorted by point.
-
-    frame, point: (m,) indices. image_px: (m, 2). Every point is seen in at least two frames, and no
-    frame sees a point twice.
-    """
+    """m image observations of p ground points, sorted by point: frame, point (m,) and image_px (m, 2). Every
+    point is observed in at least two frames, in each of them once."""
 
     frame: Ints
     point: Ints
@@ -88,12 +85,8 @@ def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 1
 
 def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -> Bools:
     """Which tracks (p,) give about per_frame observations a frame at most, spread evenly, long ones first.
-
-    Each frame asks, cell by cell of a grid of cells x cells, for its longest tracks; a track stays if
-    any frame asks for it. Where frames ask for other frames' tracks too, each asks for fewer.
-
-    Args: sizes_px (frames, 2): width and height of each frame.
-    """
+    Each frame asks for its longest tracks, cell by cell of a grid of cells x cells; a track stays if any
+    frame asks for it. Args: sizes_px (frames, 2): width and height of each frame."""
     counts = np.bincount(tracks.frame, minlength=len(sizes_px))
     if not len(tracks.frame) or counts.max() <= per_frame:
         return np.ones(tracks.points, dtype=bool)
@@ -111,8 +104,8 @@ def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -
 
 
 def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:
-    """Points (p, 3) with the least squared distances to their rays; where these are all but parallel (to
-    within half a degree), held along them by near_m (p, 3)."""
+    """Points (p, 3) with the least squared distances to their rays; where these are parallel to within half a
+    degree, drawn along them to near_m (p, 3)."""
     normal, side = np.zeros((tracks.points, 3, 3)) + _PARALLEL * np.eye(3), _PARALLEL * near_m
     for i, mine in frame_by_frame(tracks.frame):
         image_px, seen = tracks.image_px[mine], tracks.point[mine]

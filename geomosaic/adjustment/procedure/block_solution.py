@@ -27,8 +27,8 @@ from geomosaic.adjustment.procedure.block_problem import (
 )
 from geomosaic.adjustment.procedure.common_offsets import common_error
 from geomosaic.adjustment.procedure.control_points import control_residuals
-from geomosaic.adjustment.solver.clearance import clearances_m, too_near
 from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.solver.single_points import clearances_m, too_near
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.solver.solve import SolveOptions, last_steps, solve
 from geomosaic.adjustment.terms.terrain import Terrain

@@ -10,9 +10,8 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import levelled, surface_of
 from geomosaic.adjustment.model import Adjusted, Block, ModelChoice, Round, Settings, SolveStep
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.problem.half_turned import as_filed, as_taken
 from geomosaic.adjustment.problem.tracks import Tracks, join_tracks, thin_tracks
-from geomosaic.adjustment.problem.usable_input import usable
+from geomosaic.adjustment.problem.usable_block import as_filed, as_taken, usable
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import (
     BlockSolution,
@@ -22,12 +21,8 @@ from geomosaic.adjustment.procedure.block_solution import (
     points_on_ground,
 )
 from geomosaic.adjustment.procedure.bundle_outcome import Work, bundle_outcome, places_of, shape_figures
-from geomosaic.adjustment.procedure.common_heading import with_common_heading
-from geomosaic.adjustment.procedure.common_rate import with_common_rate
-from geomosaic.adjustment.procedure.control_marks import with_marks_of_whole_images
-from geomosaic.adjustment.procedure.control_reference import placed_by_control
+from geomosaic.adjustment.procedure.control_reference import placed_by_control, with_marks_of_whole_images
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
-from geomosaic.adjustment.procedure.height_drift import height_drift
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.lens_start import with_lens_starts
 from geomosaic.adjustment.procedure.model_selection import (
@@ -38,9 +33,14 @@ from geomosaic.adjustment.procedure.model_selection import (
     with_readout,
 )
 from geomosaic.adjustment.procedure.outcome import outcome
+from geomosaic.adjustment.procedure.reported_corrections import (
+    flown,
+    height_drift,
+    with_common_heading,
+    with_common_rate,
+)
 from geomosaic.adjustment.procedure.resection import UNHEARD, heard_shares, resected
-from geomosaic.adjustment.procedure.velocities import flown
-from geomosaic.adjustment.solver.design_effect import design_effect, with_design_effect
+from geomosaic.adjustment.solver.place_uncertainty import design_effect, with_design_effect
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.camera.exterior import Poses

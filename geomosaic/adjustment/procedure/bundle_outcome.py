@@ -29,9 +29,9 @@ from geomosaic.adjustment.procedure.blunder_detection import (
 )
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
 from geomosaic.adjustment.procedure.control_points import spread_of
-from geomosaic.adjustment.procedure.height_drift import height_drift
 from geomosaic.adjustment.procedure.model_selection import model_warnings
 from geomosaic.adjustment.procedure.outcome import Findings, outcome
+from geomosaic.adjustment.procedure.reported_corrections import height_drift
 from geomosaic.adjustment.procedure.resection import heard_shares
 from geomosaic.adjustment.solver.place_uncertainty import ground_places
 from geomosaic.adjustment.solver.solution import Solution

@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.adjustment.model import ControlResidual
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import sourced, tuned
-from geomosaic.estimation.blunders import LEAST, blunders
+from geomosaic.estimation.robust import LEAST_OBSERVATIONS, blunders
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import some
@@ -39,7 +39,7 @@ def means(values: Floats) -> Floats:
 
 
 def control_blunders(points: Sequence[ControlResidual]) -> Bools:
-    """Which of n points of one kind are blunders against the others, see `estimation.blunders`.
+    """Which of n points of one kind are blunders against the others, see `estimation.robust.blunders`.
 
     All points may be off by one vector: that is the map's shift, not a blunder.
     """
@@ -64,7 +64,7 @@ def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
 
 def _warnings_of(kind: str, points: Sequence[ControlResidual]) -> list[Warn]:
     wrong, off_m = control_blunders(points), known_residuals_m(points)
-    if len(points) < LEAST or wrong.all():
+    if len(points) < LEAST_OBSERVATIONS or wrong.all():
         return _far(kind, points, off_m)
     rest = [p for p, its in zip(points, wrong, strict=True) if not its]
     shift_m = means(off_m[~wrong])
@@ -105,13 +105,13 @@ def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Wa
     far = [(p.name, at) for p, at, s in zip(points, off_m, share, strict=True) if s > _DISAGREES]
     if not far:
         return []
-    few = len(points) < LEAST
+    few = len(points) < LEAST_OBSERVATIONS
     names = "" if few and len(points) > 1 else f" ({some(name for name, _ in far)})"
     worst_m = max((at for _, at in far), key=_length)
     text = (
         f"{len(far)} of {len(points)} {kind} points{names} disagree with the images by more than "
         f"{_DISAGREES:g} deviations, the farthest by {_length(worst_m):.2f} m ({_vector(worst_m)})"
-        f"{f', and fewer than {LEAST} points do not show which is wrong' if few else ''}; "
+        f"{f', and fewer than {LEAST_OBSERVATIONS} points do not show which is wrong' if few else ''}; "
         "check their coordinates and their marks in the images"
     )
     return [Warn(_DISAGREE[kind], "", text)]

@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
-from geomosaic.adjustment.model import Block, ImageResiduals
+from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT, interior_of, with_interior
+from geomosaic.adjustment.model import Block, ImageResiduals, Settings
 from geomosaic.adjustment.problem.tracks import (
     Tracks,
     asked_tracks,
@@ -24,16 +25,22 @@ from geomosaic.adjustment.procedure.block_part import (
     part_of_tracks,
     solution_of_whole,
 )
-from geomosaic.adjustment.procedure.candidate_solves import Model, solved, tested
+from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
 from geomosaic.adjustment.solver.solution import Start
+from geomosaic.adjustment.solver.solve import SolveOptions, few_steps, solve
+from geomosaic.adjustment.terms.interior_orientation import part_of_camera
 from geomosaic.arrays import Floats, Ints
+from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import cauchy_weight, median_of_known
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.spread import Spread
 
+_OF_ALL_LENSES = INTERIOR.index("k1")
+_ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
 BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
 _SURELY = tuned(3.0, "deviations", "of the median share: with two, chance chooses; with more, none is chosen")
 LEFT_OUT = tuned(5, "tracks", "of which one is left out: more weaken the solve, fewer the judgement")
@@ -45,6 +52,61 @@ _ALIKE = tuned(0.25, "flying heights", "side of a place where tracks err alike: 
 _MOST_FRAMES = tuned(200, "frames", "that are compared: with 100 of 195 a readout came out negative")
 _EXACT_PX = tuned(1e-4, "px", "least residual of a track, so that two exact ones have a ratio")
 _NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model of lens and shutter, and the solution that its own begins from."""
+
+    block: Block
+    settings: Settings
+    before: Start
+
+
+def solved(tracks: Tracks, model: Model) -> Start:
+    """The model's solution. Raises: NotSolvableError where there is none."""
+    start = _start(model)
+    problem = block_problem(model.block, model.settings, tracks, start.points_m)
+    options = SolveOptions(rough=True, self_calibration=model.settings.self_calibration)
+    found = solve(problem, start.poses, start, options)
+    return found.of_points(found.points_m)
+
+
+def tested(tracks: Tracks, model: Model) -> Start:
+    """The model a few steps from the solution before, see `few_steps`."""
+    start = _start(model)
+    return few_steps(block_problem(model.block, model.settings, tracks, start.points_m), start)
+
+
+def _start(model: Model) -> Start:
+    """What the model's solve begins from: lenses of its kind, whose terms are determined anew."""
+    before = model.before
+    by_name, held = {c.name: c for c in model.block.lenses}, before.held.copy()
+    lenses = tuple(_begun_lens(by_name.get(c.name, c), c) for c in before.cameras)
+    for lens, found in zip(lenses, before.cameras, strict=True):
+        if lens.kind != found.kind and model.settings.self_calibration:
+            its = held[before.estimate.layout.slices[part_of_camera(lens.name)]]
+            its[_OF_ALL_LENSES:READOUT] = False
+    return replace(before.of_points(before.points_m, lenses), held=held)
+
+
+def _begun_lens(given: Camera, found: Camera) -> Camera:
+    """A lens as found with another model; one of another kind gets terms that bend rays alike."""
+    numbers, before = interior_of(given), interior_of(found)
+    same = READOUT if given.kind == found.kind else _OF_ALL_LENSES
+    numbers[:same] = before[:same]
+    if given.kind != found.kind:
+        numbers[_OF_ALL_LENSES : _OF_ALL_LENSES + 3] = _odd_terms(found)
+    numbers[READOUT] = before[READOUT] or numbers[READOUT]
+    return with_interior(given, numbers)
+
+
+def _odd_terms(lens: Camera) -> Floats:
+    """k1 to k3 of the fisheye of the same focal length that bends rays as a lens does."""
+    widest = np.linalg.norm(lens.ray_from_image(lens.corners_px)[:, :2], axis=1).max()
+    angle = np.linspace(0.0, float(np.arctan(widest)), _ANGLES)
+    design = angle[:, None] ** [3, 5, 7]
+    return least_squares(design, lens.lens.radial(lens.terms, np.tan(angle)) - angle)
 
 
 @dataclass(frozen=True)

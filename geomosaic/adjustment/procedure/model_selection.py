@@ -11,8 +11,7 @@ from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_problem import NOMINAL_READOUT_S
-from geomosaic.adjustment.procedure.candidate_solves import Model
-from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut
+from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL

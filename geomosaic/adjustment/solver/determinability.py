@@ -23,13 +23,10 @@ _INFORMATIVE = tuned(600, "image observations a frame", "more show nothing new o
 
 
 def undetermined(problem: BlockProblem, at: Estimate, components: Components) -> Bools:
-    """Which optional shared unknowns the block does not determine, (s,): worst first, until all others are.
-
-    Keypoints err alike along a track and from neighbour to neighbour, so that the redundancy of many tracks
-    is not what it seems. A number counts as determined if with image errors _ERRORS_ALIKE times as large its
-    deviation would still be below _DETERMINED of its prior deviation. All count as not determined where their
-    covariance is singular.
-    """
+    """Which optional shared unknowns the block does not determine, (s,): the worst first, until all others
+    are; all where their covariance is singular. A number is determined if with image errors _ERRORS_ALIKE
+    times as large its deviation is still below _DETERMINED of its prior deviation: keypoints err alike along
+    a track and among neighbours, so that the redundancy of many tracks is smaller than it looks."""
     layout = at.layout
     many = len(problem.tracks.frame) / (_INFORMATIVE * len(at.positions_m))
     wider = components.also({IMAGE: _ERRORS_ALIKE * max(1.0, float(np.sqrt(many))) * components[IMAGE]})
@@ -55,12 +52,10 @@ def undetermined(problem: BlockProblem, at: Estimate, components: Components) ->
 def with_unreported_readouts(
     problem: BlockProblem, at: Estimate, components: Components
 ) -> tuple[BlockProblem, Floats]:
-    """The problem whose held readout times carry what they may be off by, and their scores, (c,).
-
-    A readout that is neither reported nor solved for is held at 0. Its prior deviation becomes the step that
-    the images would have it make, with that step's deviation. The score is the step by its deviation (Rao
-    1948): many frames together may show what in each image is far below the noise.
-    """
+    """The problem whose fixed, unreported readout times carry what they may be off by, and their scores,
+    (c,). The prior deviation of such a readout (0) becomes the step that the images ask for, with the step's
+    own deviation. The score is the step by its deviation (Rao 1948), which shows what is far below the noise
+    of one image."""
     layout, none = at.layout, np.zeros(len(problem.cameras))
     unreported = np.array([0.0 if c.readout_s else c.readout_sd_s for c in problem.cameras])
     unreported[layout.of_readouts(layout.sd) > 0.0] = 0.0

@@ -1,15 +1,18 @@
-"""How far places on the ground may be off: their joint covariance by poses, lenses and shutter."""
+"""Covariance of places on the ground, and the design effect of image errors that frames share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.model import GroundPlaces
-from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.solver.solution import Solution, stated_accuracy
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
+from geomosaic.estimation.linear import orthonormal
 from geomosaic.estimation.robust import median_of_known
 
 _POINTS = tuned(48, "tie points", "fewer: bends of a long block are missed; more: three columns each")
@@ -19,7 +22,7 @@ _WELL_KNOWN = tuned(3.0, "times the median deviation of a point", "more: rays th
 
 @dataclass(frozen=True)
 class PlaceDerivatives:
-    """Of tie points (k, 3) far from each other, by poses (f, d, 3 k) and shared unknowns (s, 3 k): by place,
+    """Of tie points (k, 3) far from each other, by poses (f, d, 3 k) and shared unknowns (s, 3 k), by place,
     then axis; without the noise of the points' own image coordinates, which a map does not have."""
 
     places_m: Floats
@@ -28,10 +31,8 @@ class PlaceDerivatives:
 
 
 def place_derivatives(solution: Solution, ties: int) -> PlaceDerivatives | None:
-    """Of places spread over the block; None for less than four points.
-
-    Args: ties: how many of the solution's points are tie points, which come first.
-    """
+    """Derivatives of places spread over the block; None for less than four points. Args: ties: how many of
+    the solution's points are tie points, which come first."""
     reduced = solution.stated.solved
     n = reduced.normals
     f, d = n.pose_side.shape
@@ -54,13 +55,9 @@ def place_derivatives(solution: Solution, ties: int) -> PlaceDerivatives | None:
 
 
 def ground_places(solution: Solution, ties: int) -> GroundPlaces | None:
-    """Tie points far from each other, and by how much poses and lenses leave their places open.
-
-    By the whole covariance of what frames share, those held at what they were given included
-    (`Reduced.considering`). None for less than four points.
-
-    Raises: NotSolvableError where the equations have no solution.
-    """
+    """Tie points far from each other and their covariance by poses and shared unknowns, fixed ones included
+    (`Reduced.considering`); None for less than four points. Raises: NotSolvableError where the equations have
+    no solution."""
     its = place_derivatives(solution, ties)
     if its is None:
         return None
@@ -77,3 +74,108 @@ def _spread_out(plan: Floats) -> Ints:
         chosen.append(int(away.argmax()))
         away = np.minimum(away, np.linalg.norm(plan - plan[chosen[-1]], axis=1))
     return np.array(chosen, dtype=np.intp)
+
+
+@dataclass(frozen=True)
+class DesignEffect:
+    """How many image observations count as one, at least 1, by a solve with `by_frame` in each frame; sd:
+    uncertainty by the scatter of frames."""
+
+    value: float
+    sd: float
+    by_frame: float
+
+    def among(self, tracks: Tracks) -> float:
+        """The design effect to expect of other observations of the same images: 1 + (m - 1) r of m in a
+        frame, where r is the correlation of two of them (Kish 1965, section 5.4), less one deviation, since
+        chance grows with m too."""
+        shared = max(self.value - self.sd - 1.0, 0.0) / max(self.by_frame - 1.0, 1.0)
+        return 1.0 + max(_in_a_frame(tracks.frame) - 1.0, 0.0) * shared
+
+
+def with_design_effect(solution: Solution, ties: int) -> Solution:
+    """The solution with covariances as if its image observations were fewer by their design effect. Raises:
+    NotSolvableError where the equations have no solution."""
+    factor = design_effect(solution, ties).value
+    if factor == solution.problem.image.design_effect:
+        return solution
+    image = replace(solution.problem.image, design_effect=factor)
+    problem = replace(solution.problem, image=image)
+    stated = stated_accuracy(problem, solution.estimate, solution.components)
+    return replace(solution, problem=problem, stated=stated, poses=stated.of(solution.poses))
+
+
+def design_effect(solution: Solution, ties: int) -> DesignEffect:
+    """How many times the variance of the map's shape is what it would be if image errors were independent; 1
+    where too little is known.
+
+    An unmodelled lens, wind or shutter shifts many image points of a frame alike. The design effect of a
+    sample in clusters (Kish 1965, Survey Sampling, section 8.2) with frames as clusters: squares of the sums
+    of their observations' scores by the sum of the scores' squares, as in the robust covariance of Liang and
+    Zeger (1986, theorem 2), of what shifts, tilts, stretches and bends the map, each by its variance;
+    corrected for n frames and p numbers of lenses by n / (n - p) (MacKinnon and White 1985, HC1). Args: ties:
+    see `place_derivatives`. Raises: NotSolvableError where the equations have no solution.
+    """
+    its, reduced = place_derivatives(solution, ties), solution.stated.solved
+    if its is None:
+        return DesignEffect(1.0, 0.0, 1.0)
+    bends = _bends(its.places_m)
+    by_pose, by_shared = its.by_pose @ bends, its.by_shared @ bends
+    pose, shared = reduced.moved(by_pose, by_shared)
+    variance = np.sum(by_pose * pose, axis=(0, 1)) + np.sum(by_shared * shared, axis=0)
+    known = variance > 0.0
+    scores = _scores(solution, pose[..., known], shared[:, known]) / np.sqrt(variance[known, None])
+    frame, frames = solution.problem.tracks.frame, len(solution.poses)
+    by_frame = np.stack([np.bincount(frame, column, frames) for column in scores])
+    by_frame = by_frame[:, np.bincount(frame, minlength=frames) > 0]
+    by_frame -= by_frame.mean(axis=1, keepdims=True)  # what draws all frames alike is the priors' pull
+    alone, seeing = float(np.square(scores).sum()), by_frame.shape[1]
+    if alone <= 0.0:
+        return DesignEffect(1.0, 0.0, 1.0)
+    fitted = seeing / max(seeing - _determined(solution), 1.0)
+    together = fitted * np.square(by_frame).sum(axis=0) / alone
+    sd = float(together.std() * np.sqrt(seeing))
+    return DesignEffect(max(float(together.sum()), 1.0), sd, _in_a_frame(frame))
+
+
+def _in_a_frame(frame: Ints) -> float:
+    """Observations in the frame of an observation, itself included, in the mean."""
+    counts = np.bincount(frame).astype(np.float64)
+    return float(np.square(counts).sum() / max(counts.sum(), 1.0))
+
+
+def _determined(solution: Solution) -> float:
+    """How many numbers of the lenses the images determine, undetermined ones counted in part."""
+    layout = solution.estimate.layout
+    prior, sd = layout.sd[layout.interior], solution.stated.shared_sd[layout.interior]
+    free = (prior > 0.0) & ~solution.held[layout.interior]
+    return float(np.maximum(1.0 - (sd[free] / prior[free]) ** 2, 0.0).sum())
+
+
+def _scores(solution: Solution, pose: Floats, shared: Floats) -> Floats:
+    """By how much each image observation draws quantities away from the solution, (r, m). Args: pose (f, d,
+    r), shared (s, r): see `Reduced.moved`."""
+    image, at, reduced = solution.problem.image, solution.estimate, solution.stated.solved
+    tracks, none = image.tracks, np.zeros(reduced.normals.point_side.shape)
+    columns = range(shared.shape[1])
+    points_m = [reduced.points_moved(pose[..., j], shared[:, j], none) for j in columns]
+    interior = shared[: reduced.level].reshape(*at.interior.shape, -1)
+    linearised = image.linearised(at, solution.components)
+    scores = np.empty((len(columns), len(tracks.frame)))
+    for which in np.array_split(np.arange(len(tracks.frame)), max(len(tracks.frame) // AT_ONCE, 1)):
+        residual, weight, levers, by_interior, by_point = linearised(which)
+        frame, point, drawn = tracks.frame[which], tracks.point[which], weight * residual
+        by_camera = np.einsum("an,akn->kn", drawn, by_interior)
+        by_place = np.einsum("an,ain->in", drawn, by_point)
+        for j in columns:
+            moved_m = levers.as_points_m(pose[frame, :, j].T) + points_m[j][point].T
+            lens = interior[image.camera_of[frame], :, j].T
+            scores[j, which] = (by_place * moved_m).sum(axis=0) + (by_camera * lens).sum(axis=0)
+    return scores
+
+
+def _bends(places_m: Floats) -> Floats:
+    """Errors of places by polynomials of the second degree in plan, in each axis, (3 k, 18), orthonormal."""
+    east, north = ((places_m - places_m.mean(axis=0)) / np.ptp(places_m, axis=0).max())[:, :2].T
+    plan = np.stack([np.ones(len(east)), east, north, east**2, east * north, north**2], axis=1)
+    return np.asarray(np.kron(orthonormal(plan), np.eye(3)))

@@ -24,12 +24,10 @@ KNOWN = tuned(1e-6, "px, rad, m or s, or share of a deviation", "of known number
 
 @dataclass(frozen=True)
 class BlockProblem:
-    """What is minimised: the image observations' cost, each term's, and the shared unknowns' priors.
-
-    interior: each camera's unknowns. points: prior coordinates. frames: observations of the poses. terrain: a
-    surface under the tie points. held (s,): shared unknowns that keep their prior values. clearance_m (f,):
-    the least distance of each frame's points.
-    """
+    """What is minimised: the cost of the image observations, of each term, and of the shared unknowns'
+    priors. interior: each camera's unknowns. points: prior coordinates. frames: observations of the poses.
+    terrain: a surface under the tie points. held (s,): shared unknowns that keep their prior values.
+    clearance_m (f,): the least distance of each frame's points."""
 
     image: ImageObservations
     interior: tuple[Unknowns, ...]

@@ -1,4 +1,4 @@
-"""Points that move by themselves while poses and lenses stay: each is a small problem of three unknowns."""
+"""Points that move by themselves while poses and lenses stay, and how near they may come to cameras."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.tracks import Tracks, frame_by_frame
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import BEHIND
 from geomosaic.adjustment.terms.term import Components
@@ -18,10 +19,28 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.linear import eigen_each, inverse_roots
 from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
 
+_NEAREST = tuned(0.05, "share of a frame's usual distance to its points", "more: tall trees are held down")
 _FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")
 _ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
 _LEAST_BEND = tuned(1e-3, "share of the largest curvature", "less: a step along it has no end")
 _LESS = tuned(0.3, "of a step", "tried, point by point, after one that raised its cost")
+
+
+def clearances_m(tracks: Tracks, positions_m: Floats, points_m: Floats) -> Floats:
+    """The least distance of each frame's points, (f,), by where they are; 0 for a frame that sees none."""
+    out = np.zeros(len(positions_m))
+    for i, mine in frame_by_frame(tracks.frame):
+        away = points_m[tracks.point[mine]] - positions_m[i]
+        out[i] = _NEAREST * float(np.median(np.linalg.norm(away, axis=1)))
+    return out
+
+
+def too_near(tracks: Tracks, clearance_m: Floats, positions_m: Floats, points_m: Floats) -> Ints:
+    """Points that lie nearer to a camera that sees them."""
+    square_m2, near = np.zeros(len(tracks.frame)), np.square(clearance_m)[tracks.frame]
+    for points, positions in zip(points_m.T, positions_m.T, strict=True):
+        square_m2 += np.square(points[tracks.point] - positions[tracks.frame])
+    return np.unique(tracks.point[square_m2 < near])
 
 
 def wandering(reduced: Reduced, stand: float) -> Ints:
@@ -36,13 +55,10 @@ def wandering(reduced: Reduced, stand: float) -> Ints:
 def settled_points(
     problem: BlockProblem, at: Estimate, components: Components, which: Ints, stand: float
 ) -> Estimate:
-    """The estimate with some points within `stand` deviations of their minimum, by Newton's steps of each.
-
-    One image that is far off moves its point by a tenth a step for dozens of steps, since weights that are
-    right where it is are wrong where it goes; a few of these keep a block of thousands from converging.
-    Curvatures count by their size (Dauphin et al. 2014, section 5), so that a point leaves a saddle between
-    images that contradict each other.
-    """
+    """The estimate with some points brought within `stand` deviations of their minimum, by Newton's steps of
+    each. One image that is far off moves its point by a tenth a step, and keeps a block of thousands from
+    converging. Curvatures count by their size (Dauphin et al. 2014, section 5), so that a point leaves a
+    saddle between images that contradict each other."""
     if not len(which):
         return at
     points_m, wanted = at.points_m.copy(), np.zeros(len(at.points_m), dtype=bool)

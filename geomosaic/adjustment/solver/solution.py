@@ -1,4 +1,4 @@
-"""What a solve returns, and what another one begins from."""
+"""A solution with its stated accuracy, and what another solve begins from."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from geomosaic.adjustment.kernels.interior import interior_of
+from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import SharedUnknowns, SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import UnknownLayout
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.solver.stated_accuracy import StatedAccuracy
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
@@ -19,8 +19,52 @@ from geomosaic.camera.interior import Camera
 
 
 @dataclass(frozen=True)
+class StatedAccuracy:
+    """Covariances, scaled with the estimated variance components. solved: the normal equations; reduced:
+    those that all others are from, in which fixed unknowns keep their prior variance. pose_covariance (f, 6,
+    6): of east, north, up (m) and turns about them (rad); pose_sd (f, 6). shared_sd (s,), shared_correlation
+    (s, s): of the shared unknowns."""
+
+    solved: Reduced
+    reduced: Reduced
+    pose_covariance: Floats
+    pose_sd: Floats
+    shared_sd: Floats
+    shared_correlation: Floats
+
+    def of(self, poses: Poses) -> Poses:
+        """Poses with their deviations."""
+        return replace(poses, positions_sd_m=self.pose_sd[:, :3], rotations_sd_rad=self.pose_sd[:, 3:])
+
+
+def stated_accuracy(problem: BlockProblem, at: Estimate, components: Components) -> StatedAccuracy:
+    """By the normal equations at a solution. Raises: NotSolvableError where they have no solution."""
+    layout = at.layout
+    solved = reduced = reduce_normals(problem.normals(at, components))
+    if problem.held is not None and problem.held.any():
+        reduced = reduced.considering(np.where(problem.held, layout.sd, 0.0) ** 2)
+    covariance, shared = reduced.covariance()
+    covariance = covariance[:, :6, :6]
+    before = np.column_stack([term.sd(components) for term in problem.frames[:2]])
+    shared_sd = deviations(np.diag(shared), problem.shared_sd(layout))
+    return StatedAccuracy(
+        solved,
+        reduced,
+        covariance,
+        deviations(np.diagonal(covariance, axis1=1, axis2=2), before),
+        shared_sd,
+        shared / shared_sd[:, None] / shared_sd,
+    )
+
+
+def deviations(variance: Floats, before: Floats) -> Floats:
+    """Their roots; the deviations before the solve where rounding left none above zero."""
+    return np.asarray(np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), before))
+
+
+@dataclass(frozen=True)
 class Start:
-    """What another solve goes on from: poses and cameras, the estimate, the variance components, held shared
+    """What another solve goes on from: poses and cameras, the estimate, the variance components, fixed shared
     unknowns (s,), and the factor of the image deviation about each point (p,), None where unknown."""
 
     poses: Poses
@@ -45,8 +89,8 @@ class Start:
         return replace(start, cameras=cameras, estimate=estimate, local=None)
 
     def shared_in(self, layout: UnknownLayout) -> tuple[Floats, Bools]:
-        """Values and held flags of the shared unknowns in the order of another layout, by name; what it does
-        not know keeps its prior value."""
+        """Values of the shared unknowns and whether they are fixed, by name in the order of another layout;
+        prior values where unknown."""
         values, held = layout.given.copy(), np.zeros(layout.size, dtype=bool)
         for name, mine in self.estimate.layout.slices.items():
             its = layout.slices.get(name)
@@ -59,12 +103,11 @@ class Start:
 class Solution(Start):
     """The solution of a block.
 
-    problem: with the robust weights and the held unknowns that were the last. points_sd_m (p, 3): as if poses
-    and cameras were known. stated: covariances of poses and shared unknowns; held ones keep their
-    prior values. implausible (s,): those held since the images drew them where no lens has them. residual_px
-    (m, 2): observed minus computed. weight (m,): robust weights, 1 for a good observation. left_out (f,):
-    frames that could not be solved for. readout_score (c,): by how many of its deviations the solution would
-    leave a readout time of 0 that is held since none is reported. steps: of the solve.
+    problem: with the last robust weights and fixed unknowns. points_sd_m (p, 3): as if poses and cameras were
+    known. stated: covariances of poses and shared unknowns. implausible (s,): those fixed because the images
+    draw them where no lens has them. residual_px (m, 2): observed minus computed. weight (m,): robust
+    weights, 1 for a good observation. left_out (f,): frames that could not be solved for. readout_score (c,):
+    of readout times of 0 that nothing reports, see `with_unreported_readouts`. steps: of the solve.
     """
 
     problem: BlockProblem
@@ -89,7 +132,7 @@ class Solution(Start):
         )
 
     def shared_unknowns(self) -> SharedUnknowns:
-        """The shared unknowns that are not known beforehand, but for the ground's level, in the units of
+        """The shared unknowns that are not known beforehand, without the ground's level, in the units of
         their names."""
         layout = self.estimate.layout
         rows = np.flatnonzero((layout.sd > 0.0) & (np.arange(layout.size) != layout.level))

@@ -11,11 +11,10 @@ from geomosaic.adjustment.kernels.interior import READOUT, with_interior
 from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import frame_by_frame
-from geomosaic.adjustment.solver.clearance import clearances_m
 from geomosaic.adjustment.solver.determinability import undetermined, with_unreported_readouts
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.solver.solution import Solution, Start
-from geomosaic.adjustment.solver.stated_accuracy import deviations, stated_accuracy
+from geomosaic.adjustment.solver.single_points import clearances_m
+from geomosaic.adjustment.solver.solution import Solution, Start, deviations, stated_accuracy
 from geomosaic.adjustment.solver.steps import (
     Progress,
     converged,
@@ -40,10 +39,9 @@ _MOST_LEFT_OUT = tuned(0.5, "share of the frames", "more are left out: what is l
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """How to solve. rough: to compare models by, in half the time. last: whether no other solve goes on from
-    this one; else it ends once variance components have converged. self_calibration: whether what frames
-    share is solved for, or held. same_model: whether the start is of this model of lens and
-    shutter, or only where to begin."""
+    """How to solve. rough: to compare models by, in half the time. last: no other solve goes on from this
+    one; else it ends once variance components have converged. self_calibration: shared unknowns are solved
+    for. same_model: the start is of this model of lens and shutter."""
 
     rough: bool = False
     last: bool = True
@@ -56,14 +54,12 @@ def solve(
 ) -> Solution:
     """Scoring on the reduced normal equations, Student's distribution of image errors, variance components.
 
-    Minimises the image observations' cost, the terms' squares (positions, attitudes, points) and the shared
-    unknowns' priors. After every convergence the variance components are estimated anew, so a wrongly stated
-    deviation does no harm. Frames at which the system breaks down are left out and tried again once all
-    others are solved.
+    Minimises the cost of `BlockProblem`. After every convergence the variance components are estimated anew,
+    which corrects wrongly stated deviations. Frames at which the system breaks down are left out and tried
+    again once all others are solved.
 
-    Args: poses: to begin from (reported ones may be far off); start: an earlier solution whose lenses, points
-        and variance components to go on from.
-    Raises: NotSolvableError if more than half of the frames would have to be left out.
+    Args: poses: initial ones; start: an earlier solution whose lenses, points and variance components to go
+    on from. Raises: NotSolvableError if more than half of the frames would have to be left out.
     """
     options = options or SolveOptions()
     left_out = np.zeros(len(poses), dtype=bool)
@@ -125,20 +121,16 @@ def _at_last(progress: Progress) -> Solution:
 
 
 def last_steps(begun: Solution) -> Solution:
-    """The solution of a solve that was not to be the `last` one, once nothing moves any more.
-
-    Raises: NotSolvableError where the equations have no solution.
-    """
+    """The fully converged solution from one of a solve that was not the `last`. Raises: NotSolvableError
+    where the equations have no solution."""
     solved = _at_last(Progress(begun.problem, begun.estimate, begun.components))
     return replace(solved, implausible=begun.implausible, held=begun.held)
 
 
 def few_steps(problem: BlockProblem, start: Start) -> Start:
     """A few steps from a solution of another model, the first of them that of a score test (Rao 1948).
-
     Residuals weigh by their present median and priors as stated; then variance components are estimated once.
-    Raises: NotSolvableError where the equations have no solution.
-    """
+    Raises: NotSolvableError where the equations have no solution."""
     at, held = _first_estimate(problem, start.poses, start)
     components = _first_components(problem, at)
     as_before = components.also({IMAGE: start.components[IMAGE]})
@@ -153,7 +145,7 @@ def few_steps(problem: BlockProblem, start: Start) -> Start:
 
 
 def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) -> tuple[Estimate, Bools]:
-    """Where the unknowns begin, and which shared ones are held."""
+    """The initial estimate, and which shared unknowns are fixed."""
     layout, frames = problem.layout, len(poses)
     shared, held = layout.given.copy(), np.zeros(layout.size, dtype=bool)
     points_m = problem.points.given_m
@@ -207,7 +199,7 @@ def _cameras(problem: BlockProblem, at: Estimate) -> tuple[Camera, ...]:
 
 
 def _with_rows_read(poses: Poses, problem: BlockProblem, at: Estimate) -> Poses:
-    """Poses whose turns and velocities hold the swing and the drift too."""
+    """Poses whose turns and velocities include the swing and the drift."""
     if not at.swing_rad.shape[1]:
         return poses
     readouts_s = at.interior[problem.image.camera_of, READOUT]

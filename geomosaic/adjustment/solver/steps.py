@@ -10,11 +10,9 @@ import numpy as np
 from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate, Step
-from geomosaic.adjustment.solver.clearance import too_near
-from geomosaic.adjustment.solver.local_image_variance import local_factors
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.solver.single_points import settled_points, wandering
-from geomosaic.adjustment.solver.variance_components import variance_components
+from geomosaic.adjustment.solver.single_points import settled_points, too_near, wandering
+from geomosaic.adjustment.solver.variance_components import local_factors, variance_components
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Components
@@ -27,9 +25,8 @@ from geomosaic.estimation.robust import share_down_weighted
 @dataclass(frozen=True)
 class _Stop:
     """A step is the last if it moves no frame by more than `move` of its position's deviation, and gains no
-    more than `gain` of the cost or is no longer than `step` deviations (`_length`). By the gain alone a
-    large block would stop while its scale is off: among 100,000 observations such a gain hides. Points are
-    brought within `point` of their deviations: those on their way still move frames."""
+    more than `gain` of the cost or is no longer than `step` deviations (`_length`): the gain alone hides a
+    scale that is still off in a large block. Points are brought within `point` of their deviations."""
 
     gain: float
     move: float
@@ -72,7 +69,7 @@ class Progress:
 
 
 def with_held(progress: Progress) -> Progress:
-    """Held unknowns are at their prior values; the others follow to first order, where that is better."""
+    """Fixed unknowns at their prior values; the others follow to first order, where that lowers the cost."""
     problem, at = progress.problem, progress.at
     known = problem.known(at.layout)
     off = np.where(known, at.layout.given - at.shared, 0.0)
@@ -91,8 +88,8 @@ def with_held(progress: Progress) -> Progress:
 
 
 def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
-    """Iterates until unknowns, robust weights and variance components have converged. settled: whether the
-    image's component is taken to have converged already."""
+    """Iterates until unknowns, robust weights and variance components have converged. settled: the image's
+    component is taken as converged."""
     for k in range(_ROUNDS):
         problem = progress.problem.reweighted(progress.at, progress.components)
         most = _STEPS_BETWEEN if k else _MOST_STEPS
@@ -174,11 +171,8 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
 
 
 def _step_of(problem: BlockProblem, at: Estimate, reduced: Reduced) -> tuple[Reduced, Step]:
-    """The equations with all that depends on the step, and their solution.
-
-    Without what it leaves of known and held numbers, so that a readout that stays does not follow the block's
-    scale either.
-    """
+    """The equations with all that depends on the step, and their solution, in which known and fixed numbers
+    do not move."""
     known = problem.known(at.layout)
 
     def solution(equations: Reduced) -> Step:

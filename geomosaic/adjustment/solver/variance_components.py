@@ -1,13 +1,16 @@
-"""Variance components: what residuals and redundancy show of the stated deviations."""
+"""Variance components: what residuals and redundancy show of the stated deviations, also by neighbourhood."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import digamma, polygamma
 
 from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.control_precision import (
     CONTROL_HEIGHT,
@@ -18,11 +21,42 @@ from geomosaic.adjustment.terms.control_precision import (
 from geomosaic.adjustment.terms.image_observations import CONTROL_IMAGE, IMAGE
 from geomosaic.adjustment.terms.term import Component, Components
 from geomosaic.adjustment.terms.terrain import surface_share
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 
+_NEIGHBOURS = tuned(8, "points", "fewer: chance; more: they reach beyond a crown")
+_FEWEST = tuned(100, "points", "of a block; fewer: places cannot be distinguished")
+_LEAST_PX = tuned(1e-4, "px", "of a point's residuals, so that exact ones have a logarithm")
 _TIMES = tuned((0.5, 4.0), "times its own change", "beyond: chance where unknowns are still on their way")
+
+
+def local_factors(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -> Floats:
+    """Factor of the image deviation about each point, (p,), 1 at the median place.
+
+    The logarithm of each point's variance, weighted by its redundancy (Bartlett and Kendall 1946, The
+    statistical analysis of variance-heterogeneity and the logarithmic transformation), is averaged over
+    neighbours and shrunk to the median by how much more it scatters than chance explains (Efron and Morris
+    1975, Data analysis using Stein's estimator, section 2). Args: points_m (p, 3); length_px, counts (m,): of
+    each observation, its residual and whether it counts.
+    """
+    out = np.ones(len(points_m))
+    use = counts & np.isfinite(length_px)
+    views = np.bincount(tracks.point[use], minlength=len(out))
+    squares = np.bincount(tracks.point[use], length_px[use] ** 2, minlength=len(out))
+    known = np.flatnonzero(views >= 2)
+    if len(known) < _FEWEST:
+        return out
+    freedom = 2.0 * views[known] - 3.0
+    found = np.log(np.maximum(squares[known] / freedom, _LEAST_PX**2))
+    found -= digamma(freedom / 2.0) - np.log(freedom / 2.0)
+    weight = 1.0 / polygamma(1, freedom / 2.0)
+    near = cKDTree(points_m[known, :2]).query(points_m[known, :2], k=_NEIGHBOURS)[1]
+    variance = 1.0 / weight[near].sum(axis=1)
+    mean = (weight[near] * found[near]).sum(axis=1) * variance
+    differ = max(float(np.var(mean) - variance.mean()), 0.0)
+    out[known] = np.exp(0.5 * differ / (differ + variance) * (mean - np.median(mean)))
+    return out
 
 
 @dataclass(frozen=True)
@@ -37,13 +71,10 @@ class FoundComponents:
 def variance_components(
     problem: BlockProblem, at: Estimate, before: Components, reduced: Reduced, *, image_only: bool
 ) -> FoundComponents:
-    """The components by residuals and redundancy (Foerstner 1979), those
-    of the frames' observations by Newton's step.
-
-    The frames' components wait until the image's has settled (image_only): before, they would take up what
-    the poses have not yet reached. What all frames of a part have in common says nothing of the deviation of
-    one. Args: reduced: the equations of the step that led here, whose redundancies count.
-    """
+    """The components by residuals and redundancy (Foerstner 1979), those of the frames' observations by
+    Newton's step. These wait until the image's has converged (image_only), else they would take up what the
+    poses have not yet reached. Residuals that all frames of a part have in common do not count. Args:
+    reduced: the equations of the last step, whose redundancies count."""
     covariance, shared = reduced.covariance()
     variances = np.diagonal(covariance, axis1=1, axis2=2)
     determined = surface_share(reduced.normals, reduced.points_inverse)
@@ -69,12 +100,10 @@ def variance_components(
 
 
 def _ahead(found: list[Component], before: Components, followed: Floats) -> tuple[dict[str, float], float]:
-    """Where the components will converge to, and the largest relative change on the way there.
-
-    A component found anew round after round goes a part of its way each time, since residuals are smaller the
-    smaller they are taken to be. How much of what is found follows what was assumed is known, so it goes the
-    whole way at once (Newton's step).
-    """
+    """Where the components will converge to, and the largest relative change on the way there. A component
+    estimated again and again goes a part of its way each time, since residuals are smaller the smaller they
+    are assumed to be; how far one follows the other is known, so it goes the whole way at once (Newton's
+    step)."""
     old = np.log([before[c.name] for c in found])
     change = np.log([c.factor for c in found]) - old
     if not change.any():
@@ -94,12 +123,9 @@ def _followed(
     found: list[Component],
     solved: tuple[Reduced, Floats],
 ) -> Floats:
-    """By how much the logarithm of each component that is found follows that of each it was found with.
-
-    With another deviation of one component, unknowns go elsewhere, by the equations, and with them the
-    squares of all; redundancies change by what each frame's own numbers have to do with each other.
-    Returns (g, g).
-    """
+    """By how much the logarithm of each estimated component follows that of each assumed one, (g, g). Another
+    deviation moves the unknowns and with them the squares of all; redundancies change by the correlations of
+    each frame's own numbers."""
     reduced, covariance = solved
     information, miss = np.zeros(covariance.shape[:2]), np.zeros(covariance.shape[:2])
     for term in problem.frames:

@@ -10,9 +10,8 @@ import numpy as np
 
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
-from geomosaic.adjustment.terms.frame_components import FrameGroup, robust_weights
+from geomosaic.adjustment.terms.frame_components import FrameGroup, common_mean, robust_weights
 from geomosaic.adjustment.terms.image_observations import ImageObservations
-from geomosaic.adjustment.terms.shared_by_frames import common_mean
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
@@ -25,12 +24,10 @@ BORESIGHT_SD_RAD = tuned(np.radians(3.0), "rad", "of mounts of small drones; les
 
 @dataclass(frozen=True)
 class Attitudes(FrameTerm):
-    """Attitudes of f frames, as turns about east, north and up; residuals by component `tilt` and `yaw`.
-
-    The camera's axes are the body's: forward is the image's top, right its right side, down the view.
-    boresight: whether the angles are solved for by which the reported attitude is turned further than the
-    camera's, about forward, right and down. parts: frames of each connected part.
-    """
+    """Attitudes of f frames, as turns about east, north and up; residuals by component `tilt` and `yaw`. The
+    camera's axes are the body's: forward is the image's top, right its right side, down the view. boresight:
+    the angles by which the reported attitude is turned against the camera's, about forward, right and down,
+    are solved for. parts: frames of each connected part."""
 
     reported: Poses
     parts: tuple[Ints, ...]

@@ -12,8 +12,8 @@ import numpy as np
 from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.model import GroundControl
 from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.terms.frame_components import common_similarity, common_slope, robust_fit
 from geomosaic.adjustment.terms.image_observations import ImageObservations
-from geomosaic.adjustment.terms.shared_by_frames import common_similarity, common_slope, robust_fit
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced, tuned
@@ -44,12 +44,10 @@ class Surveyed(Protocol):
 
 @dataclass(frozen=True)
 class ControlResiduals:
-    """Surveyed minus intersected coordinates of n control points.
-
-    point (n,): numbers among all points. off_m (n, 3): less what all have in common. own_sd_m (n, 3): of the
-    intersections. common: how many numbers were taken off in plan and in height. image_px: deviation of the
-    image coordinates, by their residuals at the intersections.
-    """
+    """Surveyed minus intersected coordinates of n control points. point (n,): numbers among all points. off_m
+    (n, 3): without the part that all have in common. own_sd_m (n, 3): of the intersections. common: how many
+    numbers that part has in plan and in height. image_px: deviation of the image coordinates, by their
+    residuals at the intersections."""
 
     point: Ints
     off_m: Floats
@@ -65,12 +63,9 @@ def control_factors(components: Components) -> Floats:
 
 
 def control_components(residuals: ControlResiduals, sd_m: Floats, most_px: float) -> dict[str, float]:
-    """Factors of the stated deviations sd_m (p, 3), at least 1, in plan and in height, and the deviation of
-    the image coordinates.
-
-    What all points have in common (a similarity; a height that may slope and bend) does not count: a block
-    that does not yet lie on control would widen it.
-    """
+    """Factors of the stated deviations sd_m (p, 3) in plan and in height, at least 1, and the deviation of
+    the image coordinates. What all points have in common (a similarity; a height that may slope and bend)
+    does not count: it may be the block's."""
     stated = sd_m[residuals.point]
     plan = _factor(residuals.off_m[:, :2], stated[:, :2], residuals.own_sd_m[:, :2], residuals.common[0])
     known, height = _height_known(stated), 1.0
@@ -133,8 +128,8 @@ def _height_known(sd_m: Floats) -> Bools:
 def intersection_residuals(
     image: ImageObservations, surveyed: Surveyed, at: Estimate
 ) -> ControlResiduals | None:
-    """Residuals of control points that are intersected from two frames or more by the present poses; None
-    where there are fewer than LEAST_POINTS."""
+    """Residuals of control points, intersected from two frames or more by the present poses; None for fewer
+    than LEAST_POINTS."""
     some = image.of(np.flatnonzero(image.by_hand & image.used))
     if len(np.unique(some.tracks.point)) < LEAST_POINTS:
         return None
@@ -170,8 +165,8 @@ def intersection_residuals(
 
 
 def _without_common(surveyed: Surveyed, point: Ints, at_m: Floats, own_sd_m: Floats) -> tuple[Floats, float]:
-    """Surveyed minus intersected (n, 3) less what all points have in common; how many numbers that took in
-    height. Heights that are not known count as 0."""
+    """Surveyed minus intersected (n, 3) without what all points have in common, and how many numbers that has
+    in height. Unknown heights count as 0."""
     off_m = surveyed.given_m[point] - at_m
     sd_m = np.hypot(surveyed.sd_m[point], own_sd_m)
     off_m[:, :2] -= common_similarity(at_m[:, :2], off_m[:, :2], sd_m[:, :2])
@@ -189,9 +184,9 @@ def _without_common(surveyed: Surveyed, point: Ints, at_m: Floats, own_sd_m: Flo
 
 
 def _bend(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats | None:
-    """The polynomial of the second degree that residuals in height (k,) have in common, which a bent block
-    leaves at precise points; None where fewer than two points more than its numbers are there, or where it
-    explains no more than chance would (Schwarz 1978)."""
+    """The polynomial of the second degree that residuals in height (k,) have in common, as a bent block
+    leaves at precise points; None with fewer than two points more than its numbers, or where it may be chance
+    (Schwarz 1978)."""
     if len(at_m) < _BEND + 2:
         return None
     x, y = ((at_m - at_m.mean(axis=0)) / max(float(np.ptp(at_m, axis=0).max()), 1e-9)).T
@@ -215,11 +210,9 @@ def _root(excess: Callable[[float], float]) -> float:
 
 
 def _factor(off_m: Floats, stated_m: Floats, own_m: Floats, common: float) -> float:
-    """What stated deviations (n, c) are to be multiplied with, at least 1, so that misses scatter as stated;
-    drawn to 1 where that may be chance.
-
-    Robust: begun from the median, points beyond three deviations lose their weight.
-    """
+    """What stated deviations (n, c) are to be multiplied with, at least 1, so that residuals scatter as
+    stated; shrunk to 1 where that may be chance. Robust: begun from the median, points beyond three
+    deviations lose their weight."""
     c = off_m.shape[1]
     typical = MEDIAN_LENGTH if c == 2 else MEDIAN_ONE
     lost = np.sqrt(off_m.size / max(off_m.size - common, 1.0))

@@ -1,29 +1,95 @@
-"""Variance components and robust weights of observations of the frames' poses."""
+"""Variance components, robust weights and common parts of the residuals of frames or points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY, Component
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced, tuned
+from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import credible, lie_weight, median_of_known
 
+_STRONG = sourced(20.0, "times likelier", "strong evidence of a slope", "Kass and Raftery 1995, section 3.2")
 PRIOR_FACTORS = tuned((0.1, 10.0), "times the stated deviation", "beyond: tags are not what they claim")
 _A_LITTLE = tuned(1.01, "times a factor", "by which its slope is found by difference")
 
 
+class RobustFit(NamedTuple):
+    """Fitted values (k, n), parameters (q,), and the weights (k, n) of the last round: roots over sd."""
+
+    fitted: Floats
+    parameters: Floats
+    weight: Floats
+
+
+def robust_fit(
+    design: Floats, residuals: Floats, sd: Floats, rounds: int = 10, rcond: float = 1e-10
+) -> RobustFit:
+    """Least squares re-weighted from the median residual on; residuals count by `lie_weight` of their lengths
+    over the median one. Args: design (k, n, q), residuals and sd (k, n)."""
+    k, n, q = design.shape
+    typical = MEDIAN_LENGTH if n == 2 else MEDIAN_ONE
+    fitted, found = np.zeros((k, n)) + np.median(residuals, axis=0), np.zeros(q)
+    weight = 1.0 / sd
+    for _ in range(rounds):
+        length = np.linalg.norm((residuals - fitted) / sd, axis=1)
+        bulk = max(float(np.median(length)) / typical, 1e-9)
+        weight = np.sqrt(lie_weight(length / bulk))[:, None] / sd
+        rows = (design * weight[:, :, None]).reshape(n * k, q)
+        scale = np.linalg.norm(rows, axis=0) + 1e-12
+        found = least_squares(rows / scale, (residuals * weight).ravel(), rcond=rcond) / scale
+        fitted = design @ found
+    return RobustFit(fitted, found, weight)
+
+
+def common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
+    """The part of residuals in plan (k, 2) that a similarity of all positions explains; all of them for two
+    frames or fewer."""
+    k = len(at_m)
+    if k < 3 or not np.isfinite(sd_m).all():
+        return np.where(np.isfinite(sd_m), miss_m, 0.0)
+    e, n = (at_m - np.median(at_m, axis=0)).T
+    zero, one = np.zeros(k), np.ones(k)
+    design = np.stack([np.stack([one, zero, -n, e], 1), np.stack([zero, one, e, n], 1)], 1)
+    return robust_fit(design, miss_m, sd_m).fitted
+
+
+def common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> Floats:
+    """The part of residuals in height (k,) that a plane explains; their common height alone where the slope
+    may be chance (Schwarz 1978) or is steeper than may_rad: then heights drift or jump, and the block has not
+    tilted."""
+    level = np.full(len(at_m), common_mean(miss_m, sd_m))
+    if len(at_m) < 4 or not np.isfinite(sd_m).all():
+        return level
+    design = np.column_stack([np.ones(len(at_m)), at_m - np.median(at_m, axis=0)])
+    fit = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], rcond=1e-3)
+    plane, weight = fit.fitted[:, 0], fit.weight[:, 0]
+    squares = [float((((miss_m - its) * weight) ** 2).sum()) for its in (level, plane)]
+    evidence = 0.5 * len(at_m) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) - np.log(len(at_m))
+    steep = np.arctan(np.hypot(*fit.parameters[1:])) > may_rad
+    return np.asarray(level if steep or evidence <= np.log(_STRONG) else plane)
+
+
+def common_mean(miss: Floats, sd: Floats) -> float:
+    """The robust mean of residuals (k,), 0 where none has a finite deviation."""
+    known = np.isfinite(sd)
+    if not known.any():
+        return 0.0
+    one = np.ones((int(known.sum()), 1, 1))
+    return float(robust_fit(one, miss[known, None], sd[known, None], rounds=5).parameters[0])
+
+
 @dataclass(frozen=True)
 class FrameGroup:
-    """Numbers of the frames with one variance component.
-
-    counted, sd, weight, own (f, k): which numbers belong to it, stated deviations with the present factor,
-    robust weights, residuals less what frames have in common. parts: frames of each connected part; common:
-    unknowns that the frames of a part have in common; more: such unknowns beyond that.
-    """
+    """Numbers of the frames with one variance component. counted, sd, weight, own (f, k): which numbers
+    belong to it, stated deviations with the present factor, robust weights, residuals without what frames
+    have in common. parts: frames of each connected part; common: unknowns that the frames of a part have in
+    common; more: such unknowns beyond that."""
 
     name: str
     counted: Bools
@@ -35,12 +101,10 @@ class FrameGroup:
     more: float = 0.0
 
     def component(self, factor: float, share: Floats, unknowns: int, first: int) -> Component:
-        """The variance component by residuals and redundancy (Foerstner 1979).
-
-        What all frames of a part have in common does not show the deviation of one; else a block at a wrong
-        scale would widen it. Args: factor: the present one; share (f, k): of each number, what the other
-        observations leave of its variance; unknowns d of a frame, of which these begin at `first`.
-        """
+        """The variance component by residuals and redundancy (Foerstner 1979), without what all frames of a
+        part have in common: a block at a wrong scale would widen it. Args: factor: the present one; share (f,
+        k): of each number, what the other observations leave of its variance; unknowns d of a frame, of which
+        these begin at `first`."""
         stated: Bools = np.isfinite(self.sd) & self.counted
         weight = np.where(stated, self.weight, 0.0)
         in_all = np.where(self.counted, self.weight, 0.0).sum(axis=1)
@@ -63,12 +127,9 @@ class FrameGroup:
 def robust_weights(
     standardised: Floats, observed: Bools, parts: Sequence[Ints], groups: Sequence[list[int]]
 ) -> Floats:
-    """Weights (f, k) of residuals over their deviations (f, k), group of columns by group.
-
-    A frame is wrong against the bulk of the others, never all at once: else a block that shrinks or tips
-    over would free itself from its positions. Args: observed (f, k); parts: those of more than two frames
-    show the bulk.
-    """
+    """Weights (f, k) of residuals over their deviations (f, k), by group of columns. A frame is wrong against
+    the bulk of the others, never all at once: else a shrinking block would free itself from its positions.
+    Args: observed (f, k); parts: those of more than two frames show the bulk."""
     large = [frames for frames in parts if len(frames) > 2]
     tied = np.concatenate(large or [np.arange(len(standardised))])
     out = np.ones_like(standardised)

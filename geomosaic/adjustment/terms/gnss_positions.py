@@ -10,9 +10,13 @@ import numpy as np
 
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.layout import Unknowns
-from geomosaic.adjustment.terms.frame_components import FrameGroup, robust_weights
+from geomosaic.adjustment.terms.frame_components import (
+    FrameGroup,
+    common_similarity,
+    common_slope,
+    robust_weights,
+)
 from geomosaic.adjustment.terms.image_observations import ImageObservations
-from geomosaic.adjustment.terms.shared_by_frames import common_similarity, common_slope
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
@@ -30,13 +34,10 @@ _OF_SLOPE = sourced(2.0, "unknowns", "more of a part whose heights differ by a s
 
 @dataclass(frozen=True)
 class GnssPositions(FrameTerm):
-    """Positions of f frames; residuals by component `horizontal` and `vertical`.
-
-    reported: positions, deviations (inf where unknown) and velocities. assumed (f,): frames whose position is
-    an assumption, which says nothing of the others' deviations. parts: frames of each connected part.
-    lever_arm, delay: whether they are solved for; the lever arm is forward, right and down.
-    offset_sd_m (3,): of a common offset of all positions, zeros for none.
-    """
+    """Positions of f frames; residuals by component `horizontal` and `vertical`. reported: positions,
+    deviations (inf where unknown) and velocities. assumed (f,): frames whose position is an assumption, which
+    tells nothing about the others' deviations. parts: frames of each connected part. lever_arm (forward,
+    right, down), delay: solved for. offset_sd_m (3,): of a common offset of all positions, zeros for none."""
 
     reported: Poses
     assumed: Bools
@@ -92,8 +93,8 @@ class GnssPositions(FrameTerm):
         return by_pose, shared
 
     def own_miss(self, at: Estimate, components: Components) -> tuple[Floats, int]:
-        """Residuals (f, 3) without what the frames of each part have in common: a similarity of the plane, a
-        height that may slope. 0 of assumed positions. The second: of how many parts the height slopes."""
+        """Residuals (f, 3) without what the frames of each part have in common (a similarity of the plane, a
+        height that may slope), 0 of assumed positions; and in how many parts the height slopes."""
         miss, sd = self.miss(at), self.sd(components)
         out, slopes = miss.copy(), 0
         for part in self.parts:

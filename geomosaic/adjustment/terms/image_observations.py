@@ -38,14 +38,11 @@ IMAGE, CONTROL_IMAGE = "image", "control image"
 
 @dataclass(frozen=True)
 class ImageObservations:
-    """m image coordinates of p points in f frames.
-
-    camera_of (f,): of each frame, its place among cameras. reported: velocities and turns of the platform.
-    control (p,): points measured by hand, whose coordinates have a deviation of their own. rolling: whether a
-    camera reads its rows one after the other, or may. left_out (f,): frames whose images do not count. local
-    (p,): factor of the image deviation about each point, see `local_image_variance`. design_effect: tie
-    points' coordinates weigh as if they were so many times fewer, see `solver/design_effect.py`.
-    """
+    """m image coordinates of p points in f frames. camera_of (f,): of each frame, its place among cameras.
+    reported: velocities and turns of the platform. control (p,): points measured by hand, with a deviation of
+    their own. rolling: a camera may read its rows one after the other. left_out (f,): frames whose images do
+    not count. local (p,): see `local_factors`. design_effect: how many of the tie points' coordinates count
+    as one."""
 
     tracks: Tracks
     camera_of: Ints
@@ -78,12 +75,9 @@ class ImageObservations:
 
     @cached_property
     def shown(self) -> Floats:
-        """The share of an error's square that residuals show along the directions in which they do, (m,).
-
-        A point takes three of the two numbers that each of its k images gives: residuals are shorter than
-        errors (Baarda 1968, section 4). Those of a point in two images have one direction, across the plane
-        of both rays, and half of the square in it.
-        """
+        """The share of an error's square that residuals show along the directions in which they do, (m,). A
+        point takes three of the two numbers that each of its k images gives (Baarda 1968, section 4);
+        residuals of a point in two images have one direction, with half of the square in it."""
         views = self.tracks.lengths[self.tracks.point]
         return np.where(self.by_hand, 1.0, 1.0 - 1.5 / np.maximum(views, 3))
 
@@ -128,8 +122,8 @@ class ImageObservations:
         return float(cost[self.used].sum())
 
     def linearised(self, at: Estimate, components: Components) -> Linearised:
-        """Of some of the observations: what `build_normals` asks for, with the weights of Fisher's scoring,
-        the observations' expected information."""
+        """Of some of the observations: what `build_normals` asks for, weighted with their expected
+        information (Fisher's scoring)."""
         sd_px, computed = self.sd_px(components), self.computed_px(at)
 
         def of(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:
@@ -180,8 +174,7 @@ class ImageObservations:
         return Projections(at.positions_m[frame], read.rotations, interior, points_m, read, kind)
 
     def projections_in_own_rows(self, at: Estimate, computed_px: Floats) -> Projections:
-        """The same with rolling shutters at the points' own rows, see `Readout`; computed_px (m, 2): see the
-        method of that name."""
+        """The same with rolling shutters at the points' own rows, see `Readout`; computed_px (m, 2)."""
         if not self._reads_rows(at):
             return self.projections(at)
         rows = np.clip(computed_px[:, 1], 0.0, self._heights_px[self.camera_of[self.tracks.frame]])

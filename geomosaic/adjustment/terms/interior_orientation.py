@@ -31,11 +31,9 @@ _READOUT_SD_S = tuned(0.05, "s", "of a readout that nothing reports: small camer
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     """Prior deviations of a camera's numbers in the order of INTERIOR, (9,); 0 for a readout that is known,
-    or neither reported nor asked for.
-
-    The principal point is known no better than the focal length, within _PRINCIPAL_SD. Of a distortion of
-    known deviation each term alone moves the frame's corner by no more than that.
-    """
+    or neither reported nor asked for. The principal point is known no better than the focal length, within
+    _PRINCIPAL_SD. Of a distortion of known deviation each term alone moves the frame's corner by no more than
+    that."""
     focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
     least, most = (sd * max(camera.width_px, camera.height_px) for sd in _PRINCIPAL_SD)
     principal = min(max(focal, least), most)
@@ -55,8 +53,8 @@ def part_of_camera(name: str) -> str:
 
 
 def interior_unknowns(camera: Camera, *, readout: bool = False, free_lens: bool = False) -> Unknowns:
-    """A camera's numbers as unknowns; readout: whether it is solved for where nothing reports it; free_lens:
-    the maker's distortion counts for nothing but the start."""
+    """A camera's numbers as unknowns; readout: solved for where nothing reports it; free_lens: the maker's
+    distortion is only the start."""
     known = replace(camera, distortion_sd=0.0) if free_lens else camera
     sd = interior_deviations(known, readout=readout)
     return Unknowns(

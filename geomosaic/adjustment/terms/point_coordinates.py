@@ -23,12 +23,9 @@ from geomosaic.arrays import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class PointCoordinates(Term):
-    """Prior coordinates of p points, with weights (p, 3) between 0 and 1.
-
-    given_m, sd_m (p, 3): surveyed coordinates of control points; for tie points the ground below them,
-    weakly. control (p,): which points are control. tilt_sd_rad: the steepest slope that heights of control
-    may have in common against the block.
-    """
+    """Prior coordinates of p points, with weights (p, 3) between 0 and 1. given_m, sd_m (p, 3): surveyed
+    coordinates of control points; of tie points the ground below them, weakly. control (p,): which points are
+    control. tilt_sd_rad: the steepest common slope of control heights against the block."""
 
     given_m: Floats
     sd_m: Floats

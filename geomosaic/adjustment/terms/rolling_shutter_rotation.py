@@ -31,14 +31,13 @@ DRIFTS = "drift across the view", "drift along the view"
 
 @dataclass(frozen=True)
 class RollingShutterRotation(FrameTerm):
-    """Rotation (swing) and drift of f frames about and along their camera's axes, while their rows are read,
-    are near zero.
+    """Rotation (swing) and drift of f frames about and along their camera's axes while rows are read are near
+    0.
 
-    swing_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height. In the
-    camera's axes and over the height, they do not depend on how the block lies or on its scale: a smaller
-    block would be no better explained. Each function of the row, drifts across the view and drifts along it
-    have variance components. common: a part of the swing may be common to all frames, so that it does not
-    shrink. most_swing: limit of its components.
+    swing_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height; so they do
+    not depend on the block's orientation and scale. Each function of the row, drifts across the view and
+    drifts along it have variance components. common: a part of the swing may be common to all frames, so that
+    it does not shrink. most_swing: limit of its components.
     """
 
     swing_sd_rad: Floats
@@ -74,8 +73,7 @@ class RollingShutterRotation(FrameTerm):
         return None, []
 
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
-        """By the residuals of all frames, less what all have in common: that belongs to the readout or the
-        lens."""
+        """By the residuals of all frames without their median, which belongs to the readout or the lens."""
         own = at.while_read - np.median(at.while_read, axis=0)
         sd, terms = self.sd(components), self.terms
         of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))

@@ -39,12 +39,10 @@ class Components:
 
 @dataclass(frozen=True)
 class Component:
-    """A variance component of a term, as found from its residuals.
-
-    factor: of the deviations. counted (f, d): weight with which each number of the frames takes part. miss
-    (f, d): residual of each. squares, redundancy: of all. follows: by how much the factor's logarithm follows
-    that of the residuals' scatter, 0 where it stays as it is. least, most: limits of the factor.
-    """
+    """A variance component of a term by its residuals. factor: of the deviations. counted (f, d): weight with
+    which each number of the frames takes part; miss (f, d): residual of each; squares, redundancy: of all.
+    follows: by how much the factor's logarithm follows that of the residuals' scatter, 0 where it stays as it
+    is. least, most: limits of the factor."""
 
     name: str
     factor: float

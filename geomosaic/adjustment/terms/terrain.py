@@ -28,13 +28,10 @@ def level_unknown(sd_m: float) -> Unknowns:
 
 @dataclass(frozen=True)
 class Terrain(Term):
-    """Tie points lie on a surface, but for one level that all have in common.
-
-    sd_share: deviation of a point from the surface, as a share of the frames' mean height above it; trees and
-    roofs are outweighed by Cauchy's function. (A deviation in metres would be smaller for a block that
-    shrinks, and so make every block shrink.) level_sd_m: of the surface as a whole. bound (p,): which points
-    lie on it. frame_share (f,): each frame's share of all observations, its weight in the mean height.
-    """
+    """Tie points lie on a surface, up to one common level. sd_share: deviation of a point from the surface by
+    the frames' mean height above it (in metres it would be smaller for a shrinking block); trees and roofs
+    are outweighed by Cauchy's function. level_sd_m: of the surface as a whole. bound (p,): which points lie
+    on it. frame_share (f,): each frame's share of all observations, its weight in the mean height."""
 
     ground: GroundSurface
     sd_share: float
@@ -62,11 +59,9 @@ class Terrain(Term):
         return float(cauchy_cost(miss).sum())
 
     def add_to(self, normals: Normals, at: Estimate, components: Components) -> Normals:
-        """Adds each point's equation: up minus slope times place minus level, observed as the surface.
-
-        Since the deviation grows with the flying height, the cost has a slope along it: it lifts the frames
-        and lowers the level by what the residuals would gain if the block shrank. See `solved`.
-        """
+        """Adds each point's equation: up minus slope times place minus level, observed as the surface. The
+        deviation grows with the flying height, so the cost has a slope along it, which lifts the frames and
+        lowers the level by what the residuals would gain if the block shrank; see `solved`."""
         height = self.height_m(at)
         weight, miss, normal = self.rows(at.points_m, self.bound, self.sd_share * height, at.level_m)
         normals.points[:] += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
@@ -83,13 +78,9 @@ class Terrain(Term):
     def solved(
         self, reduced: Reduced, at: Estimate, solution: Callable[[Reduced], Step]
     ) -> tuple[Reduced, Step]:
-        """The equations with the slope along the flying height by the residuals that their solution leaves;
-        and that solution.
-
-        By those before it, a step would lift the block by per cents where a plane is observed to
-        millimetres, and by any amount where hardly anything tells its scale. What is left is linear in the
-        lift. At the minimum both are the same.
-        """
+        """The equations with the slope along the flying height by the residuals that their solution leaves,
+        and that solution; at the minimum they are the same. By the residuals before, a step would lift the
+        block by per cents. What is left is linear in the lift."""
         height, level = self.height_m(at), reduced.level
         weight, miss, normal = self.rows(at.points_m, self.bound, self.sd_share * height, at.level_m)
         by_height = weight * miss / height
@@ -130,11 +121,9 @@ class Terrain(Term):
 
 
 def surface_share(normals: Normals, points_inverse: Floats) -> float:
-    """How many of the points' unknowns the surface determines rather than the images.
-
-    The trace of the surface's part in each point's covariance, with poses and cameras held: near 0 for a
-    surface that hardly binds, near 1 a point for one that the points can't leave.
-    """
+    """How many of the points' unknowns the surface determines rather than the images: the trace of its part
+    in each point's covariance, with poses and cameras fixed; 0 for a surface that hardly binds, 1 a point for
+    a hard one."""
     weight = np.maximum(-normals.level_point[:, 2], 1e-300)
     along = np.einsum("pi,pij,pj->p", normals.level_point, points_inverse, normals.level_point)
     return float((along / weight).sum())
