@@ -62,10 +62,16 @@ class BandOfRig:
 def other_bands(survey: Survey, poses: Poses, used: Sequence[bool], rig: RigPoses) -> Iterator[BandOfRig]:
     """Each of the rig's other bands, with its own files, lens and turn."""
     for other, pose in zip(survey.other_bands, rig.bands, strict=True):
-        frames = tuple(f or g for f, g in zip(other.frames, survey.frames, strict=True))
+        none = (replace(frame, camera=pose.camera.name) for frame in survey.frames)  # not used
+        frames = tuple(f or g for f, g in zip(other.frames, none, strict=True))
         there = tuple(use and f is not None for use, f in zip(used, other.frames, strict=True))
         shown = replace(survey, frames=frames, cameras=(pose.camera,))
         yield BandOfRig(shown, band_poses(poses, pose), (pose.camera,) * len(frames), there)
+
+
+def with_all_bands(survey: Survey) -> list[bool]:
+    """Which frames have a file of each of the rig's bands: the others would leave gaps in the mosaic."""
+    return [all(files) for files in zip(survey.frames, *(b.frames for b in survey.other_bands), strict=True)]
 
 
 def band_names(survey: Survey) -> tuple[str, ...]:

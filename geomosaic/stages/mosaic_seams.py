@@ -13,6 +13,7 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.mosaic.alignment import read_alignment
 from geomosaic.mosaic.area import Area, elsewhere, read_outline
+from geomosaic.mosaic.bands import with_all_bands
 from geomosaic.mosaic.grid import MAX_GIGAPIXELS, far_from_own, output_grid, without_flung
 from geomosaic.mosaic.hidden import Hidden
 from geomosaic.mosaic.limits import Limits
@@ -57,7 +58,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 12
+    version = 13
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,
@@ -133,7 +134,8 @@ class MosaicSeams(Stage):
         """Settles the grid by the adjusted frames, and who gives what of it."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
-        used = [s != "rejected" for s in adjusted.status]
+        whole = zip(adjusted.status, with_all_bands(survey), strict=True)
+        used = [status != "rejected" and complete for status, complete in whole]
         frames = Seeing(survey, adjusted.poses, adjusted.cameras, used, inputs["ground"])
         ground_pixel_m = inputs["placement"].ground_pixel_m
         if not any(survey.located):

@@ -23,6 +23,7 @@ from geomosaic.survey.onboard import (
 )
 from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos import PosFile, PosRow
+from geomosaic.survey.tagged_place import APART, FINER, SIGNED, TaggedPlace, tagged_place
 
 Floats = NDArray[np.float64]
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
@@ -264,6 +265,11 @@ def _doubts(
         for p, h in zip(positions, heights, strict=True)
     ]
     relative = [p.height_above_ground_m == h.above_ground_m for p, h in zip(positions, heights, strict=True)]
+    nowhere = TaggedPlace(np.nan, np.nan)
+    tagged = [
+        (tagged_place(h.exif, h.xmp or {}) if p.source != "pos" else None) or nowhere
+        for h, p in zip(headers, positions, strict=True)
+    ]
     at = {(p.lon_deg, p.lat_deg) for p in positions if p.known}
     known = np.array([p.known for p in positions])
     away = away_m(positions)
@@ -289,11 +295,21 @@ def _doubts(
             "height above the take-off point taken as height above ground",
         ),
         "hemisphere-assumed": (
-            [
-                h.exif.hemisphere_assumed and p.source != "pos"
-                for h, p in zip(headers, positions, strict=True)
-            ],
+            [t.hemisphere_assumed for t in tagged],
             "EXIF doesn't say north or south, east or west: taken as north and east",
+        ),
+        "hemisphere-by-xmp": (
+            [t.by == SIGNED for t in tagged],
+            "EXIF and XMP differ in north or south, east or west: XMP's signs are taken",
+        ),
+        "position-by-xmp": (
+            [t.by == FINER for t in tagged],
+            "EXIF's position is cut to whole seconds or minutes of arc: XMP's is taken",
+        ),
+        "position-contradicts": (
+            [t.by == APART for t in tagged],
+            "EXIF and XMP give different positions: EXIF's is taken; if the map lies wrong, give positions "
+            "by --pos",
         ),
         "xmp-unreadable": ([h.xmp is None for h in headers], "the XMP packet is damaged and was not used"),
         "attitude-unknown": (

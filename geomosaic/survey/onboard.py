@@ -12,6 +12,7 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.survey.accuracy import ATTITUDE, POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.model import Attitude, Position
+from geomosaic.survey.tagged_place import tagged_place
 from geomosaic.survey.xmp import Xmp, number
 
 Floats = NDArray[np.float64]
@@ -56,14 +57,13 @@ def onboard_position(exif: Exif, xmp: Xmp) -> Position | None:
 
     The heights go in as they are; `onboard_heights` says what is known of them.
     """
-    lon, lat = exif.lon_deg, exif.lat_deg
-    if lon is None or lat is None:
-        lon = number(xmp, "drone-dji:GpsLongitude", "drone-dji:GpsLongtitude", "drone-dji:Longitude")
-        lat = number(xmp, "drone-dji:GpsLatitude", "drone-dji:Latitude")
-        if lon is None or lat is None or (lon == 0.0 and lat == 0.0) or abs(lat) > 90.0 or abs(lon) > 180.0:
-            return None
+    place = tagged_place(exif, xmp)
+    if place is None:
+        return None
     heights = onboard_heights(exif, xmp)
-    position = Position(lon, lat, heights.height_m, heights.above_ground_m, *_position_accuracy(xmp))
+    position = Position(
+        place.lon_deg, place.lat_deg, heights.height_m, heights.above_ground_m, *_position_accuracy(xmp)
+    )
     return replace(position, datum_stated=not heights.datum_unknown)
 
 

@@ -30,7 +30,7 @@ from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import check_extent, lonlat_of, observe
 from geomosaic.survey.places import NOWHERE, check_area
 from geomosaic.survey.pos import PosFile, read_pos
-from geomosaic.survey.rig import Captures, captures, incomplete_words
+from geomosaic.survey.rig import Captures, captures, incomplete_captures
 from geomosaic.survey.strays import (
     Stray,
     blurred,
@@ -192,9 +192,7 @@ def read_survey(
         )
     )
     band, other_bands = _bands(rig, frames, lenses) if rig else ("", ())
-    lost = (
-        [Warn("capture-incomplete", "", incomplete_words(rig.incomplete))] if rig and rig.incomplete else []
-    )
+    lost = [] if rig is None else incomplete_captures(rig, names)
     order = [] if by_time else [Warn("order-by-name", "", "not all frames have a time: ordered by name")]
     return Survey(
         frames=frames,

@@ -10,11 +10,18 @@ from pathlib import PurePath
 from typing import Final
 
 from geomosaic.constants import sourced
+from geomosaic.errors import InputError
 from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.model import Warn
 from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.xmp import Xmp, number
 
-_CAPTURE_TAGS: Final = ("Camera:CaptureUUID", "MicaSense:CaptureId")
+_CAPTURE_TAGS: Final = (
+    "Camera:CaptureUUID",
+    "MicaSense:CaptureId",
+    "drone-dji:CaptureUUID",  # Phantom 4 Multispectral
+    "Camera:ImageUniqueID",  # Sentera
+)
 _OWN: Final = ("green", "red", "rededge", "red edge")
 """Bands by how much of a field or a town they show with sharp edges: the first there is carries the rig."""
 _SUFFIX: Final = re.compile(r"(.+)_([A-Za-z]{1,4}|\d{1,2})", re.ASCII)
@@ -52,6 +59,8 @@ def captures(headers: Sequence[FrameHeader]) -> Captures | None:
 
     Tags decide (`CaptureUUID` or `CaptureId` with `BandName`); without them names that end alike in all
     captures (`_GRE`, `_4`). Only files of one band can be a rig's.
+
+    Raises: `InputError` where files of several bands belong to no captures: one mosaic would mix them.
     """
     if any(h.bands != 1 for h in headers):
         return None
@@ -60,6 +69,7 @@ def captures(headers: Sequence[FrameHeader]) -> Captures | None:
         found = [_by_name(h) for h in headers]
     files = [f for f in found if f is not None]
     if len(files) < len(headers) or not _grouped(files):
+        _check_one_band(headers)
         return None
     own_band = min(Counter(f.band for f in files).items(), key=lambda item: _rank(item[0], item[1], files))[0]
     own = {f.capture: f for f in files if f.band == own_band}
@@ -71,9 +81,30 @@ def captures(headers: Sequence[FrameHeader]) -> Captures | None:
     return Captures(tuple(own.values()), others, lost)
 
 
-def incomplete_words(lost: Sequence[FrameHeader]) -> str:
-    """What is said of files that are not used."""
-    return f"{len(lost)} files of captures without the rig's first band: {some(h.name for h in lost)}"
+def incomplete_captures(rig: Captures, used: Sequence[str]) -> list[Warn]:
+    """Captures that lack a file. Args: used: names of the captures' own files that the survey has."""
+    out = []
+    if lost := rig.incomplete:
+        out.append(
+            f"{len(lost)} files of captures without the rig's first band: {some(h.name for h in lost)}"
+        )
+    for band, files in rig.others.items():
+        if lacking := [name for name in used if name not in files]:
+            out.append(f"no file of the band {band} beside {some(lacking)}: other captures show that ground")
+    return [Warn("capture-incomplete", "", text) for text in out]
+
+
+def _check_one_band(headers: Sequence[FrameHeader]) -> None:
+    by_band: dict[str, FrameHeader] = {}
+    for header in headers:
+        by_band.setdefault((header.xmp or {}).get("Camera:BandName", ""), header)
+    if len(by_band) > 1:
+        names = ", ".join(sorted(band or "none" for band in by_band))
+        raise InputError(
+            f"the files show different bands ({names}), and no tag says which were taken at once",
+            file=next(iter(by_band.values())).path.parent,
+            fix="put the files of each band into a folder of their own",
+        )
 
 
 def _grouped(files: Sequence[BandHeader]) -> bool:

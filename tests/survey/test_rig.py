@@ -17,6 +17,7 @@ from small_surveys import geomosaic, mosaic, small_survey, summary
 from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
 
 from geomosaic.adjustment.procedure.rig import Captures, RigPoses, band_poses, register_bands
+from geomosaic.errors import InputError
 from geomosaic.mosaic.bands import stack_bands
 from geomosaic.mosaic.model import OutputGrid
 from geomosaic.pipeline.finished import load_artefact
@@ -55,12 +56,42 @@ def test_captures_are_found_by_their_tags_whatever_the_names(tmp_path: Path) -> 
                 xmp = rig_xmp(f"A{capture}", band, index, wavelength)
                 grey_frame(tmp_path / f"{k}{capture}x.jpg", capture, xmp)
     survey = read_survey(tmp_path)
+    (lacking,) = [w.text for w in survey.warnings if w.code == "capture-incomplete"]
+    assert "band Red" in lacking and "22x.jpg" in lacking
     assert [f.name for f in survey.frames] == ["20x.jpg", "21x.jpg", "22x.jpg"] and survey.band == "Green"
     assert [(b.name, b.wavelength_nm) for b in survey.other_bands] == [("Red", 660.0), ("NIR", 790.0)]
     red, nir = survey.other_bands
     assert [f and f.name for f in red.frames] == ["10x.jpg", "11x.jpg", None]
     assert [f and f.name for f in nir.frames] == ["00x.jpg", "01x.jpg", "02x.jpg"]
     assert red.frames[1] is not None and red.frames[1].position == survey.frames[1].position
+
+
+@pytest.mark.parametrize(
+    ("namespace", "prefix", "tag"),
+    [
+        ("http://www.dji.com/drone-dji/1.0/", "drone-dji", "CaptureUUID"),
+        ("http://pix4d.com/camera/1.0/", "Camera", "ImageUniqueID"),
+    ],
+    ids=["Phantom 4 Multispectral", "Sentera"],
+)
+def test_captures_of_other_makers_are_found(tmp_path: Path, namespace: str, prefix: str, tag: str) -> None:
+    for capture in range(2):
+        for k, band in enumerate(("Blue", "Green", "NIR")):
+            xmp = xmp_attributes("http://pix4d.com/camera/1.0/", "Camera", BandName=band)
+            of_capture = f'<rdf:Description xmlns:{prefix}="{namespace}" {prefix}:{tag}="A{capture}"/>'
+            xmp = xmp.replace(b"</rdf:RDF>", of_capture.encode() + b"</rdf:RDF>")
+            grey_frame(tmp_path / f"DJI_{capture:03d}{k}.jpg", capture, xmp)
+    survey = read_survey(tmp_path)
+    assert len(survey.frames) == 2 and survey.band == "Green"
+    assert {b.name for b in survey.other_bands} == {"Blue", "NIR"}
+
+
+def test_bands_that_no_tag_joins_are_never_mixed(tmp_path: Path) -> None:
+    for number, band in enumerate(("Blue", "Green", "Blue", "Green")):
+        xmp = xmp_attributes("http://pix4d.com/camera/1.0/", "Camera", BandName=band)
+        grey_frame(tmp_path / f"X{number}.jpg", number, xmp)
+    with pytest.raises(InputError, match="different bands \\(Blue, Green\\)"):
+        read_survey(tmp_path)
 
 
 def test_captures_are_found_by_names_that_end_alike(tmp_path: Path) -> None:

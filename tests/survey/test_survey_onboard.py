@@ -25,6 +25,7 @@ from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.header import read_header
 from geomosaic.survey.jpeg import read_structure
 from geomosaic.survey.onboard import onboard_attitude, onboard_heights, onboard_position
+from geomosaic.survey.tagged_place import APART, FINER, SIGNED, tagged_place
 from geomosaic.survey.xmp import number, parse_xmp
 
 CAMERA_NS = "http://pix4d.com/camera/1.0"
@@ -264,3 +265,38 @@ def test_a_frame_header_has_it_all(tmp_path: Path) -> None:
     assert header.exif.lon_deg == pytest.approx(9.1234567, abs=1e-9)
     assert header.xmp is not None
     assert number(header.xmp, "drone-dji:RelativeAltitude") == 80.2
+
+
+@pytest.mark.parametrize(
+    ("exif_at", "xmp_at", "wanted", "by"),
+    [
+        ((87.0 + 23.0 / 60.0 + 58.0 / 3600.0, 42.0 + 5.0 / 60.0 + 25.0 / 3600.0), (87.39957843, 42.09046032),
+         (87.39957843, 42.09046032), FINER),
+        ((87.0 + 23.0 / 60.0, 42.0 + 5.0 / 60.0), (87.39957843, 42.09046032), (87.39957843, 42.09046032), FINER),
+        ((87.39957843, 42.09046032), (-87.39957843, -42.09046032), (-87.39957843, -42.09046032), SIGNED),
+        ((87.39957843, 42.09046032), (87.39957843, -42.09046032), (87.39957843, -42.09046032), SIGNED),
+        ((87.0 + 23.0 / 60.0, 42.0 + 5.0 / 60.0), (-87.39957843, 42.09046032), (-87.39957843, 42.09046032),
+         SIGNED),
+        ((87.39957843, 42.09046032), (87.39957844, 42.09046031), (87.39957843, 42.09046032), ""),
+        ((87.39957843, 42.09046032), (87.39157843, 42.09046032), (87.39957843, 42.09046032), APART),
+    ],
+    ids=["seconds", "minutes", "both signs", "one sign", "minutes and sign", "the same", "elsewhere"],
+)  # fmt: skip
+def test_the_finer_of_exif_and_xmp_counts_with_the_signs_that_are_stated(
+    exif_at: tuple[float, float], xmp_at: tuple[float, float], wanted: tuple[float, float], by: str
+) -> None:
+    exif = Exif(lon_deg=exif_at[0], lat_deg=exif_at[1])
+    xmp = {"drone-dji:GpsLongitude": str(xmp_at[0]), "drone-dji:GpsLatitude": str(xmp_at[1])}
+    place = tagged_place(exif, xmp)
+    assert place is not None and place.by == by
+    assert (place.lon_deg, place.lat_deg) == pytest.approx(wanted, abs=1e-12)
+    position = onboard_position(exif, xmp)
+    assert position is not None and (position.lon_deg, position.lat_deg) == (place.lon_deg, place.lat_deg)
+
+
+def test_signs_that_exif_lacks_are_xmps() -> None:
+    exif = Exif(lon_deg=87.4, lat_deg=42.1, hemisphere_assumed=True)
+    alone = tagged_place(exif, {})
+    assert alone is not None and alone.hemisphere_assumed and alone.lon_deg == 87.4
+    filled = tagged_place(exif, {"drone-dji:GpsLongitude": "-87.4", "drone-dji:GpsLatitude": "42.1"})
+    assert filled is not None and not filled.hemisphere_assumed and filled.lon_deg == -87.4

@@ -1,0 +1,70 @@
+"""Longitude and latitude of a frame by EXIF and by XMP: the finer of both, with the signs that are stated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomosaic.arrays import Bools, Floats
+from geomosaic.constants import sourced, tuned
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
+from geomosaic.survey.exif import Exif
+from geomosaic.survey.xmp import Xmp, number
+
+_MINUTE_DEG = sourced(1.0 / 60.0, "degrees", "coarsest EXIF position: whole minutes", "EXIF 2.32, 4.6.6")
+_WHOLE = tuned(1e-4, "seconds of arc", "off a whole one; less: rounding hides a cut; more: chance looks cut")
+_APART_M = tuned(30.0, "m", "between both sources; less: fixes taken at other moments; more: wrong ones pass")
+FINER, SIGNED, APART = "finer", "signed", "apart"
+
+
+@dataclass(frozen=True)
+class TaggedPlace:
+    """Longitude and latitude in degrees. by: why XMP's value or signs were taken (`FINER`, `SIGNED`), that
+    both sources contradict each other and EXIF's was taken (`APART`), or nothing. hemisphere_assumed: no
+    source says N or S, E or W."""
+
+    lon_deg: float
+    lat_deg: float
+    by: str = ""
+    hemisphere_assumed: bool = False
+
+
+def tagged_place(exif: Exif, xmp: Xmp) -> TaggedPlace | None:
+    """Where the tags say the frame was taken; None where neither source has a position.
+
+    Programs that edit images cut EXIF's position to whole seconds or minutes of arc, or lose its references
+    (N, S, E, W); DJI's XMP holds signed decimal degrees.
+    """
+    other = _xmp_place(xmp)
+    if exif.lon_deg is None or exif.lat_deg is None:
+        return None if other is None else _place(other)
+    own = np.array([exif.lon_deg, exif.lat_deg])
+    alone = _place(own, "", exif.hemisphere_assumed)
+    if other is None:
+        return alone
+    finer = bool(_whole_seconds(own).all() and not _whole_seconds(other).any())
+    if np.any(np.abs(np.abs(own) - np.abs(other)) > (_MINUTE_DEG if finer else _MINUTE_DEG / 60.0)):
+        apart_m = float(np.linalg.norm(mid_latitude_offset_m(*own, *other)))
+        return _place(own, APART if apart_m > _APART_M else "", exif.hemisphere_assumed)
+    signed = np.copysign(own, other)
+    if finer:
+        return _place(other, FINER if np.array_equal(signed, own) else SIGNED)
+    return _place(signed, "" if np.array_equal(signed, own) else SIGNED)
+
+
+def _place(lonlat: Floats, by: str = "", hemisphere_assumed: bool = False) -> TaggedPlace:
+    return TaggedPlace(float(lonlat[0]), float(lonlat[1]), by, hemisphere_assumed)
+
+
+def _xmp_place(xmp: Xmp) -> Floats | None:
+    lon = number(xmp, "drone-dji:GpsLongitude", "drone-dji:GpsLongtitude", "drone-dji:Longitude")
+    lat = number(xmp, "drone-dji:GpsLatitude", "drone-dji:Latitude")
+    if lon is None or lat is None or (lon == 0.0 and lat == 0.0) or abs(lat) > 90.0 or abs(lon) > 180.0:
+        return None
+    return np.array([lon, lat])
+
+
+def _whole_seconds(degrees: Floats) -> Bools:
+    seconds = 3600.0 * degrees
+    return np.asarray(np.abs(seconds - np.round(seconds)) < _WHOLE)
