@@ -120,8 +120,7 @@ def prior_poses(
         np.array([getattr(f.attitude, angle) or 0.0 for f in frames]) for angle in ("pitch_deg", "roll_deg")
     )
     local = ATTITUDES[attitude](yaw, pitch, roll).matrix
-    times_s = np.array([or_nan(f.time_s) for f in frames])
-    velocities = velocities_m_per_s(positions, times_s)
+    velocities = velocities_m_per_s(positions, survey.clock_times_s)
     for i in (i for i, f in enumerate(frames) if f.velocity_m_per_s is not None):
         velocities[i] = work_from_local[i] @ frames[i].velocity_m_per_s
     sd_tilt = np.array([f.attitude.sd_tilt_deg for f in frames])

@@ -148,9 +148,7 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
         ground_pixel_m=placement.ground_pixel_m,
         turned=placement.turned,
         control=ground_control(survey, ground),
-        times_s=np.array(
-            [f.time_s if f.velocity_m_per_s is None else None for f in survey.frames], dtype=np.float64
-        ),
+        times_s=np.where([f.velocity_m_per_s is None for f in survey.frames], survey.clock_times_s, np.nan),
         heights=height_reference(survey),
     )
 

@@ -30,7 +30,8 @@ class Exif:
 
     width_px and height_px are the image's as taken, before any later resize. altitude_m has no
     stated datum. time_s is seconds since 1970; a local time without its offset is taken as UTC.
-    hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken.
+    hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken. serial: of the
+    camera's body.
     """
 
     make: str = ""
@@ -45,6 +46,7 @@ class Exif:
     focal_length_35mm: float | None = None
     pixels_per_mm: float | None = None
     hemisphere_assumed: bool = False
+    serial: str = ""
 
 
 def exif_from_block(block: bytes) -> Exif:
@@ -106,6 +108,7 @@ def _exif(tags: Tags) -> Exif:
         focal_length_35mm=number("FocalLengthIn35mmFilm"),
         pixels_per_mm=None if per_unit is None or mm is None else per_unit / mm,
         hemisphere_assumed=lat is not None and not (text("GPSLatitudeRef") and text("GPSLongitudeRef")),
+        serial=text("BodySerialNumber") or text("SerialNumber"),
     )
 
 

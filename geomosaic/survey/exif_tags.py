@@ -36,6 +36,7 @@ _EXIF = sourced(
         0xA20E: "FocalPlaneXResolution",
         0xA210: "FocalPlaneResolutionUnit",
         0xA405: "FocalLengthIn35mmFilm",
+        0xA431: "BodySerialNumber",
     },
     "tag",
     "names of wanted tags, EXIF directory",

@@ -5,10 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import sourced
 from geomosaic.doors.files import printable
 from geomosaic.geodesy.local import LocalFrame
+
+_DAY_S = sourced(86400.0, "s", "between platforms on one clock: longer than any pause of a flight", "a day")
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,8 @@ class Frame:
     `name` is the file's name without folders; `path` is absolute. `valid_mask` names a raster of
     the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC. Of a damaged frame
     that is used none the less, only the first `whole_rows` count. velocity_m_per_s: east, north, up;
-    turns: while its rows were read.
+    turns: while its rows were read. platform: serial number of the drone or the camera, as far as tags
+    report one.
     """
 
     name: str
@@ -89,6 +96,7 @@ class Frame:
     velocity_m_per_s: tuple[float, float, float] | None = None
     turns: Turns | None = None
     whole_rows: int | None = None
+    platform: str = ""
 
 
 @dataclass(frozen=True)
@@ -182,6 +190,20 @@ class Survey:
         for frame in self.frames:
             if math.isnan(sum((*frame.position.deviations_m, *frame.attitude.deviations_deg))):
                 raise ValueError("a deviation that is no number")
+
+    @property
+    def clock_times_s(self) -> Floats:
+        """Capture times (n,) in s, NaN where unknown, with a day between the frames of one platform and those
+        of the next: two drones that fly at once are no neighbours in time."""
+        times_s = np.array([f.time_s for f in self.frames], dtype=np.float64)
+        platform = np.array([f.platform for f in self.frames])
+        end_s = 0.0
+        for one in np.unique(platform):
+            its = np.flatnonzero((platform == one) & np.isfinite(times_s))
+            if len(its):
+                times_s[its] += end_s - np.floor(times_s[its].min())
+                end_s = np.ceil(times_s[its].max()) + _DAY_S
+        return times_s
 
     @property
     def located(self) -> tuple[bool, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from geomosaic.camera.rotation import Rotation
 from geomosaic.survey.accuracy import ATTITUDE, POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.exif import Exif
+from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Attitude, Position
 from geomosaic.survey.tagged_place import tagged_place
 from geomosaic.survey.xmp import Xmp, number
@@ -50,6 +51,13 @@ def onboard_heights(exif: Exif, xmp: Xmp) -> Heights:
     if above is not None and above <= 1.0:  # written as 0 by receivers that don't know
         above = None
     return Heights(height, above, height is not None and not rtk, above is not None and ground is None)
+
+
+def platform_of(header: FrameHeader) -> str:
+    """Serial number of the drone, or of its camera; empty where no tag reports one."""
+    xmp = header.xmp or {}
+    drone = xmp.get("drone-dji:DroneSerialNumber") or xmp.get("drone-dji:CameraSerialNumber", "")
+    return drone or header.exif.serial
 
 
 def onboard_position(exif: Exif, xmp: Xmp) -> Position | None:

@@ -28,6 +28,7 @@ from geomosaic.survey.model import Band, ControlPoint, Frame, Position, Survey, 
 from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import check_extent, lonlat_of, observe
+from geomosaic.survey.onboard import platform_of
 from geomosaic.survey.places import NOWHERE, check_area
 from geomosaic.survey.pos import PosFile, read_pos
 from geomosaic.survey.rig import Captures, captures, incomplete_captures
@@ -186,6 +187,7 @@ def read_survey(
             velocity_m_per_s=velocity_of(h),
             turns=turns_of(h),
             whole_rows=found.whole_rows.get(h.name),
+            platform=platform_of(h),
         )
         for h, name, position, attitude in zip(
             headers, choice.names, observed.positions, observed.attitudes, strict=True

@@ -86,6 +86,21 @@ def test_told_velocities_and_turns_of_some_frames() -> None:
     assert prior_poses(survey_of(frames[0]), np.full(1, 620.0), np.ones(1), (0,)).turns is None
 
 
+def test_two_drones_that_fly_at_once_have_velocities_of_their_own() -> None:
+    """One flies east at 5 m/s, the other north at 8 m/s, 200 m away; their frames alternate, a second apart."""
+    frames = []
+    for k in range(6):
+        for name, offset_s, at in (("A", 0.0, (10.0 * k, 0.0, 100.0)), ("B", 1.0, (200.0, 16.0 * k, 100.0))):
+            frames.append(replace(frame_at(at), platform=name, time_s=1.7e9 + 2.0 * k + offset_s + 0.25))
+    survey = survey_of(*frames)
+    found = prior_poses(survey, np.full(12, 620.0), np.ones(12), (0,) * 12).velocities_m_per_s
+    assert found is not None
+    assert found[0::2] == pytest.approx(np.tile([5.0, 0.0, 0.0], (6, 1)), abs=0.01)
+    assert found[1::2] == pytest.approx(np.tile([0.0, 8.0, 0.0], (6, 1)), abs=0.01)
+    alone = survey_of(*(replace(f, platform="") for f in frames))
+    assert alone.clock_times_s[-1] - alone.clock_times_s[0] == pytest.approx(11.0)
+
+
 def test_an_unknown_yaw_is_the_course_and_says_how_little_it_is_worth() -> None:
     """A flight to the east-north-east: 40 m east and 30 m north a step is a course of 53.13 degrees."""
     frames = [frame_at((40.0 * i, 30.0 * i, 100.0), yaw=None, pitch=None) for i in range(3)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,7 +25,7 @@ from geomosaic.errors import FileError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.header import read_header
 from geomosaic.survey.jpeg import read_structure
-from geomosaic.survey.onboard import onboard_attitude, onboard_heights, onboard_position
+from geomosaic.survey.onboard import onboard_attitude, onboard_heights, onboard_position, platform_of
 from geomosaic.survey.tagged_place import APART, FINER, SIGNED, tagged_place
 from geomosaic.survey.xmp import number, parse_xmp
 
@@ -300,3 +301,13 @@ def test_signs_that_exif_lacks_are_xmps() -> None:
     assert alone is not None and alone.hemisphere_assumed and alone.lon_deg == 87.4
     filled = tagged_place(exif, {"drone-dji:GpsLongitude": "-87.4", "drone-dji:GpsLatitude": "42.1"})
     assert filled is not None and not filled.hemisphere_assumed and filled.lon_deg == -87.4
+
+
+def test_the_drone_is_known_by_its_serial_number(tmp_path: Path) -> None:
+    pixels = np.zeros((8, 8, 3), dtype=np.uint8)
+    exif = exif_block(BodySerialNumber="CAM-7", **gps(9.1, 48.7, 412.5))
+    write_jpeg(tmp_path / "a.jpg", pixels, exif)
+    write_jpeg(tmp_path / "b.jpg", pixels, exif, dji_xmp(DroneSerialNumber="1581F4", CameraSerialNumber="C9"))
+    write_jpeg(tmp_path / "c.jpg", pixels, b"", dji_xmp(CameraSerialNumber="C9"))
+    headers = [read_header(tmp_path / f"{name}.jpg") for name in "abc"]
+    assert [platform_of(h) for h in headers] == ["CAM-7", "1581F4", "C9"]
