@@ -29,9 +29,10 @@ demo: setup ## simulate a small survey and mosaic it; IMAGES=folder mosaics that
 test: setup ## all checks and tests, two at a time: mypy takes one core while tests begin
 	$(MAKE) --no-print-directory -j2 lint types layers unit
 
-lint: setup ## ruff
+lint: setup ## ruff, and codespell on code and pages
 	.venv/bin/ruff check geomosaic tests tools examples
 	.venv/bin/ruff format --check geomosaic tests tools examples
+	.venv/bin/codespell geomosaic tests tools examples docs *.md
 
 types: setup ## mypy --strict on the package
 	.venv/bin/mypy

@@ -108,7 +108,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
             yield from reader(data, *_measured_by(folder / name, data))
     for row in (_read(folder / "summary.json") or {}).get("rows", []):
         known = {key: value for key, value in row.items() if key != "commit"}
-        yield Row(**known | {"command": _present(row["command"])})
+        yield Row(**known)
 
 
 def of_flights(data: Any, command: str, _: str) -> Iterator[Row]:
@@ -255,20 +255,13 @@ def _but(part: int, whole: int, names: Iterable[str]) -> str:
 def _measured_by(stem: Path, data: Any) -> tuple[str, str]:
     """Command and date: those of the JSON, else those in the head of the Markdown beside it."""
     if isinstance(data, dict):
-        return _present(data["command"].partition(" --results")[0]), data.get("date", "")
+        return data["command"].partition(" --results")[0], data.get("date", "")
     head = (
         stem.with_suffix(".md").read_text(encoding="utf-8")[:1000] if stem.with_suffix(".md").exists() else ""
     )
     command = re.search(r"`((?:make|tools/)[^`]*)`", head)
     date = re.search(r"\d{4}-\d\d-\d\d", head)
     return command[1] if command else f"make bench-{stem.name}", date[0] if date else ""
-
-
-def _present(command: str) -> str:
-    """The command with its tool where that lies today."""
-    name = re.match(r"tools/(?:\w+/)*(\w+\.py)", command)
-    found = sorted(Path("tools").rglob(name[1])) if name else []
-    return f"{found[0].as_posix()}{command[name.end() :]}" if name and found else command
 
 
 def _read(path: Path) -> Any:
