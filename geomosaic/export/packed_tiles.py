@@ -58,6 +58,7 @@ def _write_mbtiles(out: Path, folder: Path, index: dict[str, Any], tile_format: 
         "minzoom": str(index["minzoom"]),
         "maxzoom": str(index["maxzoom"]),
         "bounds": ",".join(f"{v:.8f}" for v in index["bounds"]),
+        "center": ",".join(f"{v:.8g}" for v in index["center"]),
     }
     rows = (
         (zoom, col, 2**zoom - 1 - row, tile.read_bytes())
@@ -80,6 +81,7 @@ def _write_pmtiles(out: Path, folder: Path, index: dict[str, Any], tile_format: 
     from pmtiles.writer import Writer
 
     west, south, east, north = (round(v * _E7) for v in index["bounds"])
+    lon, lat = (round(v * _E7) for v in index["center"][:2])
     header = {
         "tile_type": TileType[tile_format.upper()],
         "tile_compression": Compression.NONE,
@@ -88,8 +90,8 @@ def _write_pmtiles(out: Path, folder: Path, index: dict[str, Any], tile_format: 
         "max_lon_e7": east,
         "max_lat_e7": north,
         "center_zoom": index["minzoom"],
-        "center_lon_e7": (west + east) // 2,
-        "center_lat_e7": (south + north) // 2,
+        "center_lon_e7": lon,
+        "center_lat_e7": lat,
     }
     numbered = {zxy_to_tileid(z, col, row): tile for z, col, row, tile in _tiles(folder, tile_format)}
     with out.open("wb") as file:

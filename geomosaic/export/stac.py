@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from geomosaic.doors.raster import OWN, Raster, open_raster
+from geomosaic.geodesy.antimeridian import split_area
 from geomosaic.geodesy.mapcrs import MapProjection, check_on_earth
 from geomosaic.mosaic.model import Mosaic
 
@@ -91,11 +92,12 @@ def stac_item(
     import pystac
     from pystac.extensions.projection import ProjectionExtension
 
+    area, bbox = (None, None) if coverage.area is None else split_area(coverage.area)
     start, end = (_utc(of(times_s)) if times_s else None for of in (min, max))
     item = pystac.Item(
         id=name,
-        geometry=None if coverage.area is None else shapely.geometry.mapping(coverage.area),
-        bbox=None if coverage.area is None else list(coverage.area.bounds),
+        geometry=None if area is None else shapely.geometry.mapping(area),
+        bbox=bbox,
         datetime=start or _utc(made_s),
         start_datetime=start,
         end_datetime=end,

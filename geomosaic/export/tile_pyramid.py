@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
-from rasterio.warp import transform_bounds
 
 from geomosaic.doors.gdal_failures import Progress
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.shown_bands import ShownBands
+from geomosaic.geodesy.antimeridian import geographic_bounds, mercator_bounds
 
 TILE_PX: Final = 256
 EQUATOR_M: Final = 40_075_016.685578488
@@ -51,13 +51,14 @@ class Pyramid:
     def blocks(self) -> Iterator[Place]:
         """Squares of `_BLOCK` tiles of the finest zoom that meet the mosaic's bounds."""
         with open_raster(self.mosaic, OWN) as tiff:
-            west, south, east, north = transform_bounds(tiff.crs, "EPSG:3857", *tiff.bounds)
+            bounds = geographic_bounds(tiff.crs, tiff.bounds)
+        west, south, east, north = mercator_bounds(bounds, EQUATOR_M)
         side = _BLOCK * EQUATOR_M / 2.0 ** self.zooms[1]
         last = max(0, math.ceil(EQUATOR_M / side) - 1)
         left, right = (math.floor((x + EQUATOR_M / 2.0) / side) for x in (west, east))
         top, bottom = (math.floor((EQUATOR_M / 2.0 - y) / side) for y in (north, south))
         for row in range(max(top, 0), min(bottom, last) + 1):
-            yield from ((col, row) for col in range(max(left, 0), min(right, last) + 1))
+            yield from ((col % (last + 1), row) for col in range(left, min(right, left + last) + 1))
 
     def write_block(self, block: Place) -> tuple[Place, Pixels | None]:
         """Writes its tiles of the finest zoom and of the coarser ones, up to that of which it is one tile.

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from osgeo import gdal
-from rasterio.warp import transform_bounds
 
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, close, gdal_failures
 from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
@@ -17,6 +16,7 @@ from geomosaic.errors import InputError
 from geomosaic.export.shown_bands import shown_bands
 from geomosaic.export.tile_page import write_tile_page
 from geomosaic.export.tile_pyramid import EQUATOR_M, TILE_PX, Pyramid, write_pyramid
+from geomosaic.geodesy.antimeridian import geographic_bounds, within_the_map, wrapped
 from geomosaic.geodesy.mapcrs import check_on_earth
 
 SCENE_MAP: Final = "mosaic_map.tif"
@@ -61,6 +61,7 @@ def write_tiles(
     bands the first three are shown. Raises: what `progress` raises; `OSError` if a tile can't be written.
     """
     zooms, bounds = _zooms(mosaic_file, min_zoom, max_zoom)
+    west, south, east, north = bounds
     folder.mkdir(parents=True)
     finer = max_zoom is None or max_zoom >= _zooms(mosaic_file, None, None)[0][1]
     write_pyramid(
@@ -72,15 +73,15 @@ def write_tiles(
         "tiles": [f"{{z}}/{{x}}/{{y}}.{tile_format}"],
         "minzoom": zooms[0],
         "maxzoom": zooms[1],
-        "bounds": list(bounds),
+        "bounds": list(within_the_map(bounds)),
+        "center": [wrapped((west + east) / 2.0), (south + north) / 2.0, zooms[0]],
     }
     (folder / "tiles.json").write_text(json.dumps(index, indent=2) + "\n")
     with open_raster(mosaic_file, OWN) as tiff:
         told = f"{tiff.width:,} x {tiff.height:,} px of {tiff.res[0]:g} m"
     there = _rows_of_columns(folder, tile_format)
-    write_tile_page(
-        folder / "index.html", mosaic_file.parent.name, told, {**index, "there": there}, layers_file
-    )
+    page = {**index, "view": bounds, "there": there}
+    write_tile_page(folder / "index.html", mosaic_file.parent.name, told, page, layers_file)
 
 
 def _rows_of_columns(folder: Path, tile_format: str) -> dict[str, dict[str, list[list[int]]]]:
@@ -99,9 +100,15 @@ def _rows_of_columns(folder: Path, tile_format: str) -> dict[str, dict[str, list
 def write_kmz(mosaic_file: Path, out: Path, *, progress: Progress | None = None) -> None:
     """A KMZ for Google Earth: images of 512 px in regions, finer ones as one comes nearer.
 
-    Raises: `InputError` without a map; `OSError` if it can't be written.
+    Raises: `InputError` without a map, or across 180 degrees; `OSError` if it can't be written.
     """
-    _, (_, south, _, north) = _zooms(mosaic_file, None, None)
+    _, (_, south, east, north) = _zooms(mosaic_file, None, None)
+    if east > 180.0:
+        raise InputError(
+            "crosses 180 degrees of longitude, which an overlay of a KMZ cannot",
+            file=mosaic_file,
+            fix="write tiles instead: geomosaic export tiles, mbtiles or pmtiles",
+        )
     callback = GdalProgress(progress)
     with TemporaryDirectory(dir=out.parent) as scratch, callback.reraise(), gdal_failures(out):
         shown, warped = Path(scratch) / "shown.vrt", Path(scratch) / "warped.vrt"
@@ -125,13 +132,13 @@ def _zooms(
     mosaic_file: Path, min_zoom: int | None, max_zoom: int | None
 ) -> tuple[tuple[int, int], tuple[float, float, float, float]]:
     """The coarsest and the finest zoom, as asked for or as `write_tiles` says; west, south, east, north in
-    degrees. Raises `InputError` without a map."""
+    degrees, see `geographic_bounds`. Raises `InputError` without a map."""
     with open_raster(mosaic_file, OWN) as tiff:
         if tiff.crs is None:
             fix = "lay it on a map first, such as with geomosaic export map"
             raise InputError("has no map projection", file=mosaic_file, fix=fix)
         check_on_earth(tiff.crs.to_wkt(), "web map")
-        west, south, east, north = transform_bounds(tiff.crs, "OGC:CRS84", *tiff.bounds)
+        west, south, east, north = geographic_bounds(tiff.crs, tiff.bounds)
         gsd_m, side_m = tiff.res[0], max(tiff.width, tiff.height) * tiff.res[0]
     lat_deg = (south + north) / 2.0
     finest = math.ceil(_zoom(gsd_m, lat_deg) - 0.01) if max_zoom is None else max_zoom
