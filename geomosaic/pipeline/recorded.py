@@ -12,6 +12,7 @@ from typing import Any
 
 from geomosaic.errors import FileError
 from geomosaic.pipeline.artefacts import dataclasses_in, decode, encode
+from geomosaic.recording.kinds import CALLS
 from geomosaic.recording.writer import STAGE_CALLS, Recorder
 
 _LENGTH_BYTES = 8
@@ -20,7 +21,7 @@ _LENGTH_BYTES = 8
 class StageRecorder:
     """The recording as a stage sees it: every call goes to `target` at once and is added to `spool`.
 
-    It has those methods of `Recorder` that `STAGE_CALLS` names; without a target nothing is recorded. The
+    It has the methods that `STAGE_CALLS` names; without a target nothing is recorded. The
     spool is a file of length-prefixed calls, so memory doesn't grow with it. spooled_only: calls don't go to
     the target, which only says what it wants.
     """
@@ -46,11 +47,11 @@ class StageRecorder:
         """One line; `level` is `debug`, `info`, `warning` or `error`."""
         self._call("log", level=level, text=text, stage=stage or self._stage, frame=frame)
 
-    def wants(self, kind: Any) -> bool:
-        """Whether messages of a class are recorded: what costs time needn't be made if not."""
-        wanted = self._target is not None and self._target.wants(kind)
+    def wants(self, call: str) -> bool:
+        """Whether messages of a call are recorded: what costs time needn't be made if not."""
+        wanted = self._target is not None and self._target.wants(call)
         if not wanted:
-            self._call("left_out", schema=kind.DESCRIPTOR.full_name)
+            self._call("left_out", schema=call)
         return wanted
 
     def __getattr__(self, method: str) -> Callable[..., None]:
@@ -59,8 +60,7 @@ class StageRecorder:
         return functools.partial(self._call, method)
 
     def _call(self, method: str, *positional: Any, **named: Any) -> None:
-        arguments = _signature(method).bind(None, *positional, **named).arguments
-        del arguments["self"]
+        arguments = _signature(method).bind(*positional, **named).arguments
         with self._lock:
             if self._spool is not None:
                 data = encode((method, arguments))
@@ -76,15 +76,18 @@ class StageRecorder:
 
 @functools.cache
 def _signature(method: str) -> inspect.Signature:
-    return inspect.signature(getattr(Recorder, method))
+    return inspect.signature(CALLS.get(method, _left_out))
+
+
+def _left_out(schema: str) -> None: ...
 
 
 @functools.cache
 def _told_classes() -> tuple[type, ...]:
     """The classes that a stage's calls may hold."""
     found: dict[str, type] = {}
-    for method in STAGE_CALLS:
-        for hint in typing.get_type_hints(getattr(Recorder, method)).values():
+    for call in CALLS.values():
+        for hint in typing.get_type_hints(call).values():
             dataclasses_in(hint, found)
     return tuple(found.values())
 

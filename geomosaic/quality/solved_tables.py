@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ImageResiduals
+from geomosaic.adjustment.problem.tracks import Tracks, nearest_to_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import sourced, tuned
@@ -115,18 +116,23 @@ def pair_columns(
 
 def sampled_ties(
     ties: TiePoints, adjusted: Adjusted, most: int = SAMPLED_TIES
-) -> tuple[NDArray[np.intp], NDArray[np.intp], dict[str, Floats]]:
-    """Left and right frame (k,) of about `most` tie points, spread evenly over all, with where the left frame
-    puts them on the ground and their residuals."""
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, dict[str, Floats]]:
+    """Left and right frame (k,) of about `most` tie points, spread evenly over all, the points (k, 3) where
+    their two rays meet, and as columns where the left frame has them on the ground and their residuals."""
     count = [len(t) for t in ties.pairs]
     taken = np.arange(0, sum(count), max(1, sum(count) // most))
     pair = np.searchsorted(np.cumsum(count), taken, side="right")
     ends = np.array(ties.frames, dtype=np.intp).reshape(-1, 2)[pair]
     left, right = ends.T
-    px = np.concatenate([np.zeros((0, 2)), *(t.left_px for t in ties.pairs)])[taken]
+    px, right_px = (
+        np.concatenate([np.zeros((0, 2)), *(getattr(t, side) for t in ties.pairs)])[taken]
+        for side in ("left_px", "right_px")
+    )
     residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])[taken]
     at = ground_from_images(left, px, adjusted.poses, adjusted.cameras, adjusted.ground)
-    return left, right, {"east_m": at[:, 0], "north_m": at[:, 1], "residual_m": np.hypot(*residual.T)}
+    both = Tracks(ends.ravel(), np.repeat(np.arange(len(taken)), 2), np.hstack([px, right_px]).reshape(-1, 2))
+    met = nearest_to_rays(both, adjusted.poses, adjusted.cameras, at) if len(taken) else at
+    return left, right, met, {"east_m": at[:, 0], "north_m": at[:, 1], "residual_m": np.hypot(*residual.T)}
 
 
 def worst_pairs(rms_m: Floats, most: int = WORST_PAIRS) -> list[int]:

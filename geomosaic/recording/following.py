@@ -54,7 +54,7 @@ def follow(recording: Path, stream: Any, alive: Callable[[], bool]) -> Story:
         for item in items(recording, file, more):
             if isinstance(item.record, Message) and item.schema in SHOWN:
                 try:
-                    message = SHOWN[item.schema].FromString(item.record.data)
+                    message = SHOWN[item.schema].of(item.record.data)
                     story.take(item.topic, message, item.record.sequence, item.record.log_time)
                 except (*BROKEN, KeyError, TypeError, AttributeError):
                     continue

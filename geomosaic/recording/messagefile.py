@@ -16,7 +16,6 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from geomosaic import __version__
 from geomosaic.errors import OutputError
-from geomosaic.recording.as_json import AS_JSON, fix_json
 
 CHUNK_BYTES = 128 * 1024
 _FIXED_STEP_NS = 1_000_000
@@ -25,8 +24,9 @@ _FIXED_STEP_NS = 1_000_000
 class MessageFile:
     """Topics, schemas and times of a recording's messages.
 
-    Log times rise strictly, and the sequence number counts all messages: the wall clock, or with
-    `fixed_time` steps of 1 ms from the epoch. A message's own `timestamp`, if it has one, is its log time.
+    The sequence number counts all messages. Log times rise strictly: the wall clock, or with `fixed_time`
+    steps of 1 ms from the epoch. A message that brings a `timestamp`, that of an exposure, has it as log
+    time instead.
     Threads may write at once. A path of None is no file.
     Every method raises OutputError where the file can't be written, and from then on always.
     """
@@ -74,23 +74,25 @@ class MessageFile:
             )
 
     def write(self, topic: str, message: Any) -> None:
-        """A protobuf message; the first on a topic settles the topic's schema. JSON where `as_json` says."""
+        """A protobuf message; the first on a topic settles the topic's schema."""
         with self._lock:
             self._written(topic, message)
 
     def _written(self, topic: str, message: Any) -> None:
-        now = self._now_ns()
-        if "timestamp" in message.DESCRIPTOR.fields_by_name:
-            message.timestamp.FromNanoseconds(now)
-        schema = message.DESCRIPTOR.full_name
-        data = fix_json(message) if schema in AS_JSON else message.SerializeToString(deterministic=True)
+        at_ns = self._now_ns()
+        fields = message.DESCRIPTOR.fields_by_name
+        if "recorded_ns" in fields:
+            message.recorded_ns = at_ns
+        if "timestamp" in fields:
+            at_ns = _nanoseconds(message.timestamp) or at_ns
+            message.timestamp.FromNanoseconds(at_ns)
         with self._writing():
             self._writer.add_message(
                 channel_id=self._channel_id(topic, type(message)),
-                log_time=now,
-                publish_time=now,
+                log_time=at_ns,
+                publish_time=at_ns,
                 sequence=self._sequence & 0xFFFFFFFF,
-                data=data,
+                data=message.SerializeToString(deterministic=True),
             )
         self._sequence += 1
 
@@ -123,16 +125,13 @@ class MessageFile:
     def _channel_id(self, topic: str, message_class: Any) -> int:
         if topic not in self._channel_ids:
             schema = message_class.DESCRIPTOR.full_name
-            encodings = (SchemaEncoding.JSONSchema, MessageEncoding.JSON)
-            if schema not in AS_JSON:
-                encodings = (SchemaEncoding.Protobuf, MessageEncoding.Protobuf)
             if schema not in self._schema_ids:
-                described = AS_JSON.get(schema)
-                if described is None:
-                    described = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
-                self._schema_ids[schema] = self._writer.register_schema(schema, encodings[0], described)
+                described = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
+                self._schema_ids[schema] = self._writer.register_schema(
+                    schema, SchemaEncoding.Protobuf, described
+                )
             self._channel_ids[topic] = self._writer.register_channel(
-                topic, encodings[1], self._schema_ids[schema]
+                topic, MessageEncoding.Protobuf, self._schema_ids[schema]
             )
         return self._channel_ids[topic]
 
@@ -151,3 +150,11 @@ class MessageFile:
                 with contextlib.suppress(OSError):
                     self._file.close()
             raise self._failure from error
+
+
+def _nanoseconds(timestamp: Any) -> int:
+    """Since 1970; 0 where it is none that a file of this century can have."""
+    try:
+        return max(int(timestamp.ToNanoseconds()), 0)
+    except ValueError:
+        return 0

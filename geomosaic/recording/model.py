@@ -143,7 +143,7 @@ class Figures:
 class ArtefactEntry:
     """An artefact in the recording, not loaded.
 
-    `found` has each part's place: the file offset of its chunk and its log time there.
+    `found` has each part's place: the file offset of its chunk and its sequence number.
     """
 
     stage_id: str

@@ -18,8 +18,8 @@ from geomosaic.recording.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_
 from geomosaic.recording.compare_frames import places_m
 from geomosaic.recording.limits import RESIDUAL, badness
 from geomosaic.recording.mcapfile import BROKEN
-from geomosaic.recording.messages import ChipTies
 from geomosaic.recording.model import Recording
+from geomosaic.recording.pair_kinds import ChipTies
 from geomosaic.recording.reader import messages
 from geomosaic.recording.solved import Solved
 from geomosaic.recording.thumbnail import decoded

@@ -21,6 +21,14 @@ def json_text(value: Any) -> str:
     return json.dumps(value, allow_nan=False, default=_plain, separators=(",", ":"))
 
 
+def json_object(text: str | bytes) -> dict[str, Any]:
+    """The object of a JSON text; None for what isn't finite. Raises ValueError for anything else."""
+    value = json.loads(text, parse_constant=lambda _: None)
+    if not isinstance(value, dict):
+        raise ValueError("no JSON object")
+    return value
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)

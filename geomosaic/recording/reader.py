@@ -2,47 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
 
 from geomosaic.errors import FileError
+from geomosaic.recording.kinds import KINDS
 from geomosaic.recording.mcapfile import BROKEN, MEND, Item, items, opened, stream, unpacked
-from geomosaic.recording.messages import (
-    Artefact,
-    Iteration,
-    JitterSpectrum,
-    PairOffsets,
-    Progress,
-    StageEvent,
-    StripOffsets,
-    StripResiduals,
-    Table,
-)
-from geomosaic.recording.model import ArtefactEntry, LogLine, Recording, StageRecord, Topic
-from geomosaic.recording.parsed import curve, iteration, jitter, progress, residual, round_offsets, table
+from geomosaic.recording.messages import At
+from geomosaic.recording.model import ArtefactEntry, Recording, Topic
+from geomosaic.recording.plain import json_object
+from geomosaic.recording.run_kinds import Artefact, StageEvent
 from geomosaic.recording.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFILE, RECIPE
 
 MAX_KEPT_BYTES = 512 * 2**20
-MAX_ARTEFACT_BYTES = 4 * 2**30
 MOST_UNPACKED = 100
 """Times a recording's own size that its artefacts may take, beside 64 MiB; those of runs take 2 to 10."""
 _ALWAYS_BYTES = 64 * 2**20
-_KEPT_WHOLE = (
-    "geomosaic.StageEvent",
-    "geomosaic.PairOffsets",
-    "geomosaic.StripOffsets",
-    "geomosaic.StripResiduals",
-    "geomosaic.JitterSpectrum",
-    "geomosaic.Iteration",
-    "geomosaic.Table",
-    "foxglove.Log",
-)
-_KEPT = (*_KEPT_WHOLE, "geomosaic.Artefact")
 
 
 def read_recording(path: Path) -> Recording:
@@ -108,11 +85,11 @@ def artefact_data(recording: Recording, entry: ArtefactEntry) -> bytes:
     """The bytes of an artefact. Raises FileError if a part is missing or the size is not as said."""
     data = bytearray()
     with opened(recording.path) as file:
-        for part, (offset, log_time) in enumerate(entry.found):
+        for part, (offset, number) in enumerate(entry.found):
             try:
                 chunk = next(stream(file, offset))
                 for record in unpacked(chunk) if isinstance(chunk, Chunk) else ():
-                    if isinstance(record, Message) and record.log_time == log_time:
+                    if isinstance(record, Message) and record.sequence == number:
                         message = Artefact.FromString(record.data)
                         if (message.name, message.part) == (entry.name, part):
                             data += message.data
@@ -151,8 +128,10 @@ def _check_ours(path: Path, item: Item) -> None:
 def _kept_bytes(item: Item) -> int:
     """About how much memory an item will take for good."""
     if isinstance(item.record, Message):
-        whole = len(item.record.data) if item.schema in _KEPT_WHOLE else 0
-        return 256 + 4 * whole if item.schema in _KEPT else 0
+        kind = KINDS.get(item.schema)
+        once = kind is None or kind.take is None or item.schema == "geomosaic.Progress"
+        whole = 0 if item.schema == "geomosaic.Artefact" else len(item.record.data)
+        return 0 if once else 256 + 4 * whole
     return 1024 if isinstance(item.record, Channel) else 0
 
 
@@ -167,86 +146,16 @@ def _take(recording: Recording, item: Item) -> None:
     if not item.topic:
         raise ValueError("its channel is unknown")
     recording.topics[item.topic].messages += 1
-    match item.schema:
-        case "geomosaic.StageEvent":
-            _take_stage(recording.stages, StageEvent.FromString(record.data))
-        case "geomosaic.PairOffsets":
-            recording.rounds.append(round_offsets(PairOffsets.FromString(record.data)))
-        case "geomosaic.StripOffsets":
-            recording.strips.append(curve(StripOffsets.FromString(record.data)))
-        case "geomosaic.StripResiduals":
-            recording.strip_residuals.append(residual(StripResiduals.FromString(record.data)))
-        case "geomosaic.JitterSpectrum":
-            what = item.topic.rpartition("/")[2]
-            recording.jitter.append(jitter(what, JitterSpectrum.FromString(record.data)))
-        case "geomosaic.Iteration":
-            recording.iterations.append(iteration(Iteration.FromString(record.data)))
-        case "geomosaic.Table":
-            name = item.topic.removeprefix("/tables/")
-            recording.tables.append(table(name, Table.FromString(record.data)))
-        case "geomosaic.Progress":
-            recording.progress = progress(Progress.FromString(record.data))
-        case "geomosaic.Artefact":
-            _take_part(recording.artefacts, Artefact.FromString(record.data), item.offset, record.log_time)
-        case "foxglove.Log":
-            log = Log.FromString(record.data)
-            level = Log.Level.Name(log.level).lower()
-            text = log.message.removeprefix(f"{log.file}: ")
-            recording.log.append(LogLine(record.log_time, level, text, log.name, log.file))
+    kind = KINDS.get(item.schema)
+    if kind is not None and kind.take is not None:
+        at = At(item.topic.rpartition("/")[2], record.log_time, record.sequence, item.offset)
+        kind.take(recording, kind.of(record.data), at)
 
 
 def _take_attachment(recording: Recording, attachment: Attachment) -> None:
     if attachment.name == RECIPE:
         recording.recipe_yaml = attachment.data.decode()
     elif attachment.name == ENVIRONMENT:
-        recording.environment = _json_object(attachment.data)
+        recording.environment = json_object(attachment.data)
     elif attachment.name == MANIFEST:
-        recording.manifest = _json_object(attachment.data)
-
-
-def _json_object(text: str | bytes) -> dict[str, Any]:
-    value = json.loads(text, parse_constant=lambda _: None)
-    if not isinstance(value, dict):
-        raise ValueError("no JSON object")
-    return value
-
-
-def _take_stage(stages: list[StageRecord], event: Any) -> None:
-    if not event.finished:
-        if stages and event.stage_index <= stages[-1].index:
-            raise ValueError(f"stage {event.stage_id[:80]} begins twice")
-        inputs = {f.name: f.fingerprint for f in event.inputs}
-        params = _json_object(event.params_json)
-        stages.append(StageRecord(event.stage_index, event.stage_id, event.version, params, inputs))
-        stages[-1].reads_run = event.reads_run
-        return
-    if not stages or (stages[-1].index, stages[-1].stage_id) != (event.stage_index, event.stage_id):
-        raise ValueError(f"stage {event.stage_id[:80]} ends without having begun")
-    stages[-1].outputs = {f.name: f.fingerprint for f in event.outputs}
-    stages[-1].seconds = event.seconds if event.HasField("seconds") else None
-    stages[-1].notes = _json_object(event.notes_json) if event.notes_json else {}
-    stages[-1].written = {f.name: f.fingerprint for f in event.written}
-    stages[-1].lineage = tuple(event.lineage)
-    stages[-1].cached, stages[-1].finished = event.cached, True
-
-
-def _take_part(artefacts: list[ArtefactEntry], message: Any, offset: int, log_time: int) -> None:
-    """The parts of an artefact follow one another; nothing stands between them."""
-    if message.part == 0:
-        if message.total_bytes > MAX_ARTEFACT_BYTES:
-            raise ValueError(f"an artefact of {message.total_bytes} bytes")
-        artefacts.append(
-            ArtefactEntry(
-                message.stage_id,
-                message.stage_index,
-                message.name,
-                message.type_name,
-                message.fingerprint,
-                message.parts,
-                message.total_bytes,
-            )
-        )
-    entry = artefacts[-1] if artefacts else None
-    if entry is None or (message.name, message.part) != (entry.name, len(entry.found)):
-        raise ValueError(f"part {message.part} of an artefact is out of its order")
-    entry.found.append((offset, log_time))
+        recording.manifest = json_object(attachment.data)

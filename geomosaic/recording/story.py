@@ -9,31 +9,17 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import NDArray
 
-from geomosaic.recording.messages import (
-    ChipTies,
-    Iteration,
-    JitterSpectrum,
-    Metric,
-    Outlines,
-    Progress,
-    StageEvent,
-    Table,
-)
+from geomosaic.recording.kinds import KINDS
+from geomosaic.recording.messages import Kind
 
 Floats = NDArray[np.float64]
-SHOWN: Final[Mapping[str, Any]] = {
-    kind.DESCRIPTOR.full_name: kind
-    for kind in (
-        *(CompressedImage, GeoJSON, Log, ChipTies, Iteration, JitterSpectrum),
-        *(Metric, Outlines, Progress, StageEvent, Table),
-    )
-}
+SHOWN: Final[Mapping[str, Kind]] = {name: kind for name, kind in KINDS.items() if kind.shown}
 """What a story is made of, by schema."""
+_OF_RUN: Final = ("StageEvent", "Progress", "Log", "Metric", "Iteration")
+"""Kinds whose time is that of the run."""
 THUMBNAILS: Final = "/frames"
 
 
@@ -102,7 +88,7 @@ class Story:
 
     def take(self, topic: str, message: Any, number: int, time_ns: int) -> None:
         """Raises ValueError for a message that can't be; whatever else it holds is left."""
-        self.last_ns = time_ns
+        self.last_ns = time_ns if message.DESCRIPTOR.name in _OF_RUN else self.last_ns
         match message.DESCRIPTOR.name:
             case "StageEvent":
                 self._take_stage(message, time_ns)

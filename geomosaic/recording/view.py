@@ -83,7 +83,7 @@ def told(path: Path) -> Story:
             if left_bytes < 0:
                 raise FileError("what it shows would take far more than the file itself", file=path, fix=MEND)
             try:
-                message = SHOWN[item.schema].FromString(item.record.data)
+                message = SHOWN[item.schema].of(item.record.data)
                 story.take(item.topic, message, item.record.sequence, item.record.log_time)
             except (*BROKEN, KeyError, TypeError, AttributeError):
                 continue

@@ -6,6 +6,7 @@ that is whole up to its last second, and `reader.read_recording` reads it.
 
 from __future__ import annotations
 
+import functools
 import io
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -13,69 +14,37 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
-from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
-from foxglove_schemas_protobuf.Log_pb2 import Log
-
 from geomosaic import __version__
 from geomosaic.errors import InputError
-from geomosaic.recording.as_json import AS_JSON, fix_of
 from geomosaic.recording.heartbeat import Beat, Heartbeat
-from geomosaic.recording.levels import wanted
+from geomosaic.recording.kinds import CALLS, KINDS, kind_of
+from geomosaic.recording.levels import reaches
 from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.messagefile import MessageFile
-from geomosaic.recording.messages import (
-    Artefact,
-    ChipTies,
-    Iteration,
-    JitterSpectrum,
-    Metric,
-    Outlines,
-    PairOffsets,
-    Progress,
-    StageEvent,
-    StripOffsets,
-    StripResiduals,
-    Table,
-    TiePoints,
-)
 from geomosaic.recording.plain import json_text, topic_part
 from geomosaic.recording.privacy import Privacy
-from geomosaic.recording.stage_calls import StageCalls
-from geomosaic.recording.strip_calls import StripCalls
+from geomosaic.recording.run_kinds import Artefact, Progress, StageEvent
 
 PROFILE = "geomosaic"
 FORMAT = "1"
 RECIPE, ENVIRONMENT, MANIFEST = "recipe.yaml", "environment.json", "manifest.json"
 ARTEFACT_PART_BYTES = 1024 * 1024
 
-STAGE_CALLS = (
-    *("log", "image", "location", "geojson", "offsets", "tie_points", "metric", "table", "outlines"),
-    *("iteration", "chip", "left_out", "strip_offsets", "strip_residuals", "jitter", "camera"),
-)
+_OF_RUNNER = ("geomosaic.StageEvent", "geomosaic.Artefact")
+STAGE_CALLS = (*CALLS, "left_out")
 """What a stage may record; the other calls are the runner's."""
 
-_CLASSES: dict[str, Any] = {
-    kind.DESCRIPTOR.full_name: kind
-    for kind in (
-        *(CameraCalibration, CompressedImage, GeoJSON, LocationFix, Log),
-        *(ChipTies, Iteration, JitterSpectrum, Metric, Outlines),
-        *(PairOffsets, StripOffsets, StripResiduals, Table),
-        TiePoints,
-    )
-}
 
-
-class Recorder(StageCalls, StripCalls):
+class Recorder:
     """The recording of one run.
 
     Every call writes at most a few messages and keeps nothing, so memory doesn't grow with the run.
     Arguments are plain values and arrays: a call can be stored and made again. All messages share one
-    clock and one counter (the MCAP sequence number), so that they share every timeline. Log times
-    rise strictly: the wall clock, or with `fixed_time` steps of 1 ms from the epoch, without
-    durations, so that equal runs give equal bytes.
+    clock and one counter (the MCAP sequence number), so that they share every timeline; of frames the time
+    is that of the exposure (`MessageFile`). With `fixed_time` the clock is a counter and durations are left
+    out, so that equal runs give equal bytes.
+
+    The calls of the table of message kinds (`kinds.CALLS`) are methods: `recorder.table(...)`.
 
     path: None for no file. level: one of LEVELS. memory_bytes: says what all processes hold now. privacy:
     goes over all that is recorded.
@@ -97,12 +66,28 @@ class Recorder(StageCalls, StripCalls):
         self._memory_bytes = memory_bytes
         self._privacy = privacy
         self._count = -1
+        self._stage, self._index, self._iteration = "", 0, 0
         self._file = MessageFile(path, PROFILE, fixed_time)
         self._heartbeat = Heartbeat(self._beat)
 
-    def wants(self, kind: Any) -> bool:
-        """Whether messages of a class are recorded at this level: what costs time needn't be made if not."""
-        return wanted(kind.DESCRIPTOR.full_name, self.level)
+    def wants(self, name: str) -> bool:
+        """Whether messages of a call, or of a schema, are recorded at this level: what costs time needn't be
+        made if not."""
+        kind = kind_of(name)
+        return reaches(self.level, kind.level if kind is not None else "summary")
+
+    def __getattr__(self, call: str) -> Callable[..., None]:
+        if call not in CALLS:
+            raise AttributeError(f"'{call}' is no call of a recorder")
+        return functools.partial(self._record, call)
+
+    def _record(self, call: str, /, *positional: Any, **named: Any) -> None:
+        for topic, message in CALLS[call](*positional, **named):
+            own = {"stage_id": self._stage, "stage_index": self._index, "iteration": self._iteration}
+            for field in own.keys() & message.DESCRIPTOR.fields_by_name.keys():
+                setattr(message, field, own[field])
+                self._iteration += field == "iteration"
+            self._write(topic, message)
 
     def begin_run(
         self,
@@ -164,10 +149,11 @@ class Recorder(StageCalls, StripCalls):
         self._heartbeat.progress(done, total, text)
 
     def left_out(self, schema: str) -> None:
-        """A stage made no messages of a schema, since they weren't recorded; where they are now, as when its
-        result comes from the cache, the log says so."""
-        if wanted(schema, self.level):
-            what = schema.rpartition(".")[2]
+        """A stage made no messages of a call or a schema, since they weren't recorded; where they are now, as
+        when its result comes from the cache, the log says so."""
+        kind = kind_of(schema)
+        if kind is not None and self.wants(schema):
+            what = kind.schema.rpartition(".")[2]
             text = (
                 f"no {what}: they weren't recorded when this was worked out; a run into a new folder has them"
             )
@@ -221,7 +207,7 @@ class Recorder(StageCalls, StripCalls):
 
     def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: BinaryIO) -> None:
         """An output of a stage as bytes, from which a replay can go on, in parts of 1 MiB."""
-        if not self.wants(Artefact) or (self._privacy is not None and self._privacy.places):
+        if not self.wants("geomosaic.Artefact") or (self._privacy is not None and self._privacy.places):
             return
         size = data.seek(0, io.SEEK_END)
         data.seek(0)
@@ -241,25 +227,29 @@ class Recorder(StageCalls, StripCalls):
             self._write("/artefacts", message)
 
     def _write(self, topic: str, message: Any) -> None:
-        if not self.wants(message):
+        if not self.wants(message.DESCRIPTOR.full_name):
             return
         if self._privacy is not None:
             self._privacy.message(message)
         self._file.write(topic, message)
 
     def copy(self, topic: str, schema: str, data: bytes) -> None:
-        """A message of another recording as it is, but for its time. See `reader.stage_messages`.
+        """A message of another recording as it is, but for its time, unless that is of an exposure. See
+        `reader.stage_messages`.
 
         Raises InputError if it is none that a stage records, or damaged.
         """
         if schema == Progress.DESCRIPTOR.full_name:
             return  # how far another run was
-        if schema not in _CLASSES:
+        kind = KINDS.get(schema)
+        if kind is None or schema in _OF_RUNNER:
             raise InputError(f"no stage records a '{topic_part(schema)}'", fix="replay from an earlier stage")
         try:
-            message = fix_of(data) if schema in AS_JSON else _CLASSES[schema].FromString(data)
+            message = kind.of(data)
         except (*BROKEN, TypeError, KeyError, AttributeError) as error:
             raise InputError(f"a {schema} is damaged", fix="replay from an earlier stage") from error
+        if "timestamp" in message.DESCRIPTOR.fields_by_name and not kind.captured:
+            message.ClearField("timestamp")
         self._write(topic, message)
 
     def flush(self) -> None:

@@ -19,7 +19,7 @@ from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import footprint, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.solved_tables import pose_columns
-from geomosaic.stages.reporting import record_locations, record_outlines
+from geomosaic.stages.reporting import record_locations, record_origin, record_outlines
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
 
@@ -90,7 +90,8 @@ class PlacementPos(Stage):
             ground_pixel_m=survey_pixel_m(poses, cameras, [True] * len(names), ground),
             formula=params.formula,
         )
-        record_locations(context, survey.work_frame, names, poses, ["placed"] * len(names))
+        record_origin(context, survey)
+        record_locations(context, survey, names, poses, ["placed"] * len(names))
         nowhere = ["" if known else "no position" for known in survey.located]
         context.recorder.table("frames.placed", names, pose_columns(poses), notes=nowhere)
         record_outlines(context, survey.work_frame, "placed", names, outlines, on_map=True)

@@ -30,7 +30,6 @@ from geomosaic.quality.solved_tables import (
     sampled_ties,
     tie_weights,
 )
-from geomosaic.recording.messages import Outlines
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.survey.model import Survey
 
@@ -39,18 +38,35 @@ _CORNERS = 3  # the fewest of an area
 
 
 def record_locations(
-    context: Context, work_frame: LocalFrame, names: Iterable[str], poses: Poses, status: Iterable[str]
+    context: Context, survey: Survey, names: Iterable[str], poses: Poses, status: Iterable[str]
 ) -> None:
-    """Where the frames are believed to be now, those of which anything is known."""
-    geodetic = work_frame.geodetic_from_enu(poses.positions_m)
-    anywhere = position_assumed(poses)
+    """Positions of the frames on the map, but of those of which nothing is known."""
+    geodetic = survey.work_frame.geodetic_from_enu(poses.positions_m)
+    anywhere, captured_s = position_assumed(poses), capture_times_s(survey)
     for name, at, sd, state, nowhere in zip(
         names, geodetic, poses.positions_sd_m, status, anywhere, strict=True
     ):
         if nowhere:
             continue
         lon, lat, height, sd_e, sd_n, sd_u = (float(v) for v in (*at, *sd))
-        context.recorder.location(name, lon, lat, height, sd_e, sd_n, sd_u, state)
+        context.recorder.location(name, lon, lat, height, sd_e, sd_n, sd_u, state, captured_s.get(name))
+
+
+def record_origin(context: Context, survey: Survey) -> None:
+    """Where the origin of the work frame lies, which poses and points are reckoned from."""
+    origin, nan = survey.work_frame, float("nan")
+    at = origin.lon_deg, origin.lat_deg, origin.height_ellipsoidal_m
+    context.recorder.location("map", *at, nan, nan, nan, "origin", first_capture_s(survey))
+
+
+def capture_times_s(survey: Survey) -> dict[str, float]:
+    """When frames were exposed, by name, seconds since 1970; of those whose tags say so."""
+    return {f.name: f.time_s for f in survey.frames if f.time_s is not None}
+
+
+def first_capture_s(survey: Survey) -> float | None:
+    """When the first frame was exposed: what holds for the whole block is shown from then on."""
+    return min(capture_times_s(survey).values(), default=None)
 
 
 def outline_feature(work_frame: LocalFrame, outline_m: Floats, properties: dict[str, Any]) -> dict[str, Any]:
@@ -107,7 +123,14 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
         ties.pairs, lefts, rights, adjusted.residuals_m, weights, strict=True
     ):
         context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual, weight)
-    left_of, right_of, of_ties = sampled_ties(ties, adjusted)
+    left_of, right_of, at_m, of_ties = sampled_ties(ties, adjusted)
+    lengths = {"residual_m": of_ties["residual_m"]}
+    context.recorder.points("ties", at_m, lengths, first_capture_s(survey))
+    captured_s = capture_times_s(survey)
+    for i, name in enumerate(names):
+        if adjusted.status[i] != "rejected":
+            at, rotation = adjusted.poses.positions_m[i], adjusted.poses.rotations[i]
+            context.recorder.pose(name, adjusted.cameras[i], at, rotation, captured_s.get(name))
     context.recorder.table("ties.ground", [names[i] for i in left_of], of_ties, [names[i] for i in right_of])
     columns = pose_columns(adjusted.poses) | move_columns(block.poses, adjusted, ties)
     context.recorder.table("frames.adjusted", names, columns, notes=adjusted.status)
@@ -115,7 +138,7 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
     outlines = [footprint(adjusted.poses[i], adjusted.cameras[i], adjusted.ground, 4) for i in shown]
     on_map = not is_local(survey.map_crs)
     record_outlines(context, survey.work_frame, "adjusted", [names[i] for i in shown], outlines, on_map)
-    bare = bare_outlines(adjusted, ties) if context.recorder.wants(Outlines) else []
+    bare = bare_outlines(adjusted, ties) if context.recorder.wants("outlines") else []
     if bare:
         context.recorder.outlines("bare", [f"{k + 1}" for k in range(len(bare))], bare)
 
@@ -148,7 +171,7 @@ def record_adjusted(
     record_steps(context, adjusted, method)
     _record_tables(context, survey, block, adjusted)
     if not is_local(survey.map_crs):
-        record_locations(context, survey.work_frame, block.names, adjusted.poses, adjusted.status)
+        record_locations(context, survey, block.names, adjusted.poses, adjusted.status)
     total = len(block.names) + len(survey.left_out)
     count = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
     if survey.left_out:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.matching.features import grey
 from geomosaic.mosaic.limits import limits_of
@@ -18,6 +19,7 @@ from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.reporting import first_capture_s
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.consistency_filter import RIM_CELLS, FilteredTile, MatchCounts, consistent_heights
 from geomosaic.surface.match_warnings import match_warnings
@@ -29,6 +31,8 @@ from geomosaic.surface.tile_sgm import CensusImage, HeightSearch, TileHeights, c
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import REDUCTIONS, read_pixels
 from geomosaic.survey.small import Small, Spare
+
+_SHOWN_POINTS = tuned(40_000, "points", "of the surface in a recording: fewer hide roofs; more are megabytes")
 
 
 class SurfaceDense(Stage):
@@ -116,6 +120,7 @@ class SurfaceDense(Stage):
         for code, text in match_warnings(counted, both[-1], base.kind):
             context.warn(code, "", text)
         context.metric("surface.matched", counted.share)
+        context.recorder.points("surface", surface.sampled_m(_SHOWN_POINTS), {}, first_capture_s(survey))
         return {"ground": surface.ground(), "surface": surface}
 
 

@@ -121,5 +121,6 @@ class SurveyRead(Stage):
             context.check_cancelled()
             small = looks[frame.path].load().thumbnail
             if small or k % every == 0:
-                context.recorder.image("/frames", frame.name, small or thumbnail(read_pixels(frame, 8)[0]))
+                shown = small or thumbnail(read_pixels(frame, 8)[0])
+                context.recorder.frame_image(frame.name, shown, frame.time_s)
         return {"survey": survey}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,3 +31,12 @@ class DenseSurface:
         """As what rays are projected on: a node in each cell's middle."""
         east, north = self.cells.axes_m()
         return GroundSurface(DENSE, float(east[0]), float(north[0]), self.cells.cell_m, self.up_m, self.sd_m)
+
+    def sampled_m(self, most: int) -> NDArray[np.float64]:
+        """About so many points (n, 3) in the work frame, every k-th cell of every k-th row, of cells where
+        frames agree."""
+        by = max(1, math.isqrt(max(self.up_m.size - 1, 0) // most) + 1)
+        at = np.s_[by // 2 :: by, by // 2 :: by]
+        east, north = np.meshgrid(*self.cells.axes_m())
+        points = np.stack([east[at], north[at], self.up_m[at]], axis=-1)
+        return np.asarray(points[self.views[at] > 0], dtype=np.float64)

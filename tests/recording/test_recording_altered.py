@@ -24,7 +24,7 @@ from geomosaic.errors import FileError
 from geomosaic.pipeline import given
 from geomosaic.pipeline.artefacts import decode, encode
 from geomosaic.recording import compare, read_recording, summary
-from geomosaic.recording.messages import Artefact, StageEvent
+from geomosaic.recording.run_kinds import Artefact, StageEvent
 
 __all__ = ["recorded"]
 

@@ -23,7 +23,6 @@ from geomosaic.pipeline.runner import run
 from geomosaic.recording import Recorder, read_recording
 from geomosaic.recording.heartbeat import EVERY_S
 from geomosaic.recording.inspection import Inspection
-from geomosaic.recording.messages import ChipTies
 from geomosaic.recording.repair import repaired
 from geomosaic.recording.worst import faults
 
@@ -133,7 +132,7 @@ def test_what_a_cached_stage_has_not_made_is_told(tmp_path: Path) -> None:
     with Recorder(tmp_path / "first.mcap", level="summary") as recorder:
         recorder.stage_started("quality.verdict", 1, {}, {})
         stage = StageRecorder(recorder, tmp_path / "calls", "quality.verdict")
-        assert not stage.wants(ChipTies)
+        assert not stage.wants("chip")
         stage.close()
     for level, told in (("normal", 1), ("summary", 0)):
         with Recorder(tmp_path / f"{level}.mcap", level=level) as recorder:

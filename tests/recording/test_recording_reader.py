@@ -209,7 +209,7 @@ def test_what_a_stage_told_can_be_told_again(scene: Path, tmp_path: Path) -> Non
     recording = read_recording(scene)
     told = list(stage_messages(recording, 1))
     assert [schema for _, schema, _ in told].count("geomosaic.PairOffsets") == 3
-    assert {topic for topic, _, _ in told}.isdisjoint({"/stages", "/artefacts", "/images/before"})
+    assert {topic for topic, _, _ in told}.isdisjoint({"/stages", "/artefacts", "/frames"})
     with Recorder(tmp_path / "again.mcap", fixed_time=True) as recorder:
         recorder.begin_run(RECIPE, {}, {})
         for message in told:

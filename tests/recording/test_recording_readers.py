@@ -114,9 +114,11 @@ def test_reruns_own_reader_finds_the_same(scene: Path, rerun_reader: type) -> No
             rows[chunk.entity_path] += chunk.num_rows
             components.setdefault(chunk.entity_path, set()).update(chunk.to_record_batch().schema.names)
     assert rows == {name: topic.messages for name, topic in read_recording(scene).topics.items()}
-    assert "EncodedImage:blob" in components["/images/before"]
-    assert not [name for names in components.values() for name in names if name.startswith("Geo")], "no map"
-    assert "McapMessage:data" in components["/location/observed"]
+    assert "EncodedImage:blob" in components["/frames"]
+    assert "GeoPoints:positions" in components["/location/observed"]
+    assert {"Transform3D:translation", "Transform3D:child_frame"} <= components["/tf"]
+    assert "Pinhole:image_from_camera" in components["/cameras/FC_220"]
+    assert "Points3D:positions" in components["/points/ties"]
     assert "TextLog:text" in components["/log"]
     assert "geomosaic.TiePoints:message" in components["/tie_points"]
 

@@ -28,8 +28,8 @@ from geomosaic.pipeline.runner import run
 from geomosaic.recording import Recorder, artefact_data, messages, read_recording
 from geomosaic.recording.fingerprints import altered_artefacts
 from geomosaic.recording.levels import LEVELS, RecordOptions
-from geomosaic.recording.messages import Metric, Progress
 from geomosaic.recording.privacy import Privacy
+from geomosaic.recording.run_kinds import Metric, Progress
 from geomosaic.requests.option import option_of
 from geomosaic.requests.run_request import RunRequest
 
@@ -158,9 +158,10 @@ def test_places_are_moved_together(tmp_path: Path) -> None:
         recorder.artefact("a", "survey", "t", "ab" * 20, io.BytesIO(b"places"))
         recorder.stage_finished("a", {}, 0.0, False)
     from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
+    from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
-    fixes = [json.loads(d) for _, _, d in messages(path, "foxglove.LocationFix")]
-    moved = np.array([(f["longitude"], f["latitude"], f["altitude"]) for f in fixes])
+    fixes = [LocationFix.FromString(d) for _, _, d in messages(path, "foxglove.LocationFix")]
+    moved = np.array([(f.longitude, f.latitude, f.altitude) for f in fixes])
     assert np.abs(moved[:, :2] - np.array(places)[:, :2]).max() > 0.02
     there, here = LocalFrame(*moved[0]), LocalFrame(*places[0])
     assert np.allclose(there.enu_from_geodetic(*moved[1]), here.enu_from_geodetic(*places[1]), atol=1e-6)

@@ -19,7 +19,7 @@ from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.quality.solved_tables import pair_columns, tie_weights, worst_pairs
 from geomosaic.recording import Recorder, messages
 from geomosaic.recording.chips import SIDE_PX, Cut, chip, cuts, shown
-from geomosaic.recording.messages import Iteration
+from geomosaic.recording.run_kinds import Iteration
 from geomosaic.stages.reporting import record_steps
 
 

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,11 +19,31 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from recording_scene import ARTEFACT, CAMERA, FRAMES, RECIPE, record, written
+from recording_scene import (
+    ARTEFACT,
+    CAMERA,
+    FRAMES,
+    POINTS_M,
+    POSITIONS_M,
+    RECIPE,
+    ROTATIONS,
+    record,
+    written,
+)
+from scipy.spatial.transform import Rotation as Turn
 
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError, OutputError
-from geomosaic.recording import Recorder, artefact_data, messages, read_recording, thumbnail
-from geomosaic.recording.messages import Progress
+from geomosaic.recording import (
+    Recorder,
+    artefact_data,
+    messages,
+    read_recording,
+    stage_messages,
+    thumbnail,
+)
+from geomosaic.recording.run_kinds import Progress
 
 
 @pytest.fixture(scope="module")
@@ -32,27 +51,19 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("scene") / "run.mcap")
 
 
-class JsonFactory(DecoderFactory):
-    """Protobuf, and JSON as plain values."""
-
-    def decoder_for(self, message_encoding: str, schema: Any) -> Any:
-        return json.loads if message_encoding == "json" else super().decoder_for(message_encoding, schema)
-
-
 def decoded(path: Path, topic: str) -> list:
     """Messages of a topic, decoded by mcap's own reader from the file's own schemas, CRCs checked."""
     with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[JsonFactory()])
-        return [m.decoded_message for m in reader.iter_decoded_messages(topics=[topic])]
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        return [m.decoded_message for m in reader.iter_decoded_messages([topic], log_time_order=False)]
 
 
 def test_every_message_is_read_by_mcaps_own_reader_with_all_crcs(scene: Path) -> None:
     with scene.open("rb") as file:
-        reader = NonSeekingReader(file, validate_crcs=True, decoder_factories=[JsonFactory()])
+        reader = NonSeekingReader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         found = list(reader.iter_decoded_messages(log_time_order=False))
-    assert len(found) == 4 + 1 + 3 + 6 + 3 + 2 + 3 + 1 + 1 + 6
-    in_json = {channel.topic for _, channel, _, _ in found if channel.message_encoding != "protobuf"}
-    assert in_json == {f"/location/{status}" for status in ("observed", "tied", "placed", "rejected")}
+    assert len(found) == 4 + 1 + 3 + 6 + 3 + 2 + 3 + 1 + 1 + 6 + 3 + 2 * 3 + 1
+    assert {channel.message_encoding for _, channel, _, _ in found} == {"protobuf"}
     with scene.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         names = [a.name for a in reader.iter_attachments()]
@@ -75,17 +86,16 @@ def test_recipe_environment_and_manifest_stand_before_the_first_chunk(tmp_path: 
 
 def test_values_of_foxgloves_messages(scene: Path) -> None:
     fix = decoded(scene, "/location/observed")[1]
-    place = tuple(fix[name] for name in ("frame_id", "longitude", "latitude", "altitude"))
-    assert place == (FRAMES[1], -91.249, 46.5005, 251.5)
-    assert fix["position_covariance"] == [2.25, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
-    assert fix["color"]["a"] == 1.0 and fix["timestamp"]["nsec"] > 0 and fix["position_covariance_type"] == 2
+    assert (fix.frame_id, fix.longitude, fix.latitude, fix.altitude) == (FRAMES[1], -91.249, 46.5005, 251.5)
+    assert list(fix.position_covariance) == [2.25, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
+    assert fix.color.a == 1.0 and fix.position_covariance_type == 2
     unsure = decoded(scene, "/location/tied")[0]
-    assert unsure["position_covariance_type"] == 0 and unsure["position_covariance"] == [0.0] * 9
+    assert unsure.position_covariance_type == 0 and list(unsure.position_covariance) == [0.0] * 9
     camera = decoded(scene, "/tables/camera.FC_220")[0]
     known = dict(zip(camera.column, camera.value, strict=True))
     assert (known["principal_col_px"], known["principal_row_px"], known["k1"]) == (2001.5, 1499.25, -0.011)
     assert (list(camera.row), list(camera.note)) == ([CAMERA.name], ["brown"])
-    image = cv2.imdecode(np.frombuffer(decoded(scene, "/images/before")[0].data, np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(decoded(scene, "/frames")[0].data, np.uint8), cv2.IMREAD_COLOR)
     assert np.abs(image.mean(axis=(0, 1)) - [60, 30, 200]).max() < 3, "blue, green, red"
     footprints = json.loads(decoded(scene, "/map/footprints")[0].geojson)
     assert footprints["features"][0]["geometry"]["coordinates"][0][2] == [-91.249, 46.501]
@@ -120,9 +130,6 @@ def test_schemas_stand_alone_in_a_fresh_pool(scene: Path) -> None:
         "foxglove.LocationFix",
     }
     for schema in schemas:
-        if schema.encoding == "jsonschema":
-            assert json.loads(schema.data)["title"] == schema.name == "foxglove.LocationFix"
-            continue
         pool = descriptor_pool.DescriptorPool()
         for file_proto in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
             pool.Add(file_proto)
@@ -135,16 +142,52 @@ def test_equal_runs_with_fixed_times_are_equal_bytes(tmp_path: Path) -> None:
     assert a.read_bytes() != written(tmp_path / "c.mcap", rounds=4).read_bytes()
 
 
-def test_clock_times_rise_strictly_and_every_stream_shares_the_counter(tmp_path: Path) -> None:
+def test_clock_times_rise_strictly_and_frames_have_the_time_of_their_exposure(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.mcap", level="full") as recorder:
         record(recorder)
     with (tmp_path / "run.mcap").open("rb") as file:
-        found = [m for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
-    assert all(a.log_time < b.log_time for a, b in itertools.pairwise(found))
-    assert [m.sequence for m in found] == list(range(len(found)))
-    assert all(m.log_time == m.publish_time for m in found)
+        found = [(c.topic, m) for _, c, m in make_reader(file).iter_messages(log_time_order=False)]
+    assert [m.sequence for _, m in found] == list(range(len(found)))
+    assert all(m.log_time == m.publish_time for _, m in found)
+    now = [m.log_time for _, m in found if m.log_time > 1.6e18]
+    assert all(a < b for a, b in itertools.pairwise(now))
+    exposed = {topic for topic, m in found if m.log_time < 1.6e18}
+    camera = f"/cameras/{CAMERA.name.replace(' ', '_')}"
+    assert exposed == {"/frames", "/location/observed", "/tf", camera, "/points/ties"}
     recording = read_recording(tmp_path / "run.mcap")
     assert [s.seconds for s in recording.stages] == [1.25, 0.5]
+    images, times = (decoded(tmp_path / "run.mcap", t) for t in ("/frames", "/frames/times"))
+    assert [i.timestamp.ToNanoseconds() for i in images[:2]] == [
+        1_500_000_000_250_000_000,
+        1_500_000_002_250_000_000,
+    ]
+    assert [t.captured_ns for t in times] == [1_500_000_000_250_000_000, 1_500_000_002_250_000_000, 0]
+    assert all(t.recorded_ns > 1.6e18 for t in times) and [t.frame for t in times] == list(FRAMES)
+
+
+def test_poses_and_points_as_foxglove_has_them(scene: Path) -> None:
+    """A point is in a frame where transform and calibration put it, by OpenCV."""
+    tf, camera = (decoded(scene, topic)[1] for topic in ("/tf", "/cameras/FC_220"))
+    assert (tf.parent_frame_id, tf.child_frame_id, camera.frame_id) == ("map", FRAMES[1], FRAMES[1])
+    q, t = tf.rotation, tf.translation
+    turn, at = Turn.from_quat([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+    assert at.tolist() == POSITIONS_M[1].tolist()
+    point = np.array([42.0, 9.0, 3.0])
+    seen, _ = cv2.projectPoints(
+        turn.inv().apply(point - at)[None],
+        np.zeros(3),
+        np.zeros(3),
+        np.array(camera.K).reshape(3, 3),
+        np.array(camera.D),
+    )
+    pose = Pose(POSITIONS_M[1], Rotation(ROTATIONS.matrix[1]))
+    assert seen.ravel() + 0.5 == pytest.approx(pose.image_from_ground(CAMERA, point), abs=1e-6)
+    assert (camera.width, camera.height, camera.distortion_model) == (4000, 3000, "plumb_bob")
+    (cloud,) = decoded(scene, "/points/ties")
+    assert [f.name for f in cloud.fields] == ["x", "y", "z", "residual_m"] and cloud.frame_id == "map"
+    values = np.frombuffer(cloud.data, "<f4").reshape(-1, cloud.point_stride // 4)
+    np.testing.assert_allclose(values[:, :3], POINTS_M[[0, 1, 3]])
+    np.testing.assert_allclose(values[:, 3], [0.01, 0.02, 0.04])
 
 
 def test_a_name_that_is_no_unicode_is_recorded_with_a_question_mark(tmp_path: Path) -> None:
@@ -328,22 +371,24 @@ def test_no_pixels_no_thumbnail() -> None:
         thumbnail(np.zeros((0, 5, 3), np.uint8))
 
 
-def test_positions_of_recordings_of_both_encodings_are_copied(tmp_path: Path) -> None:
-    """Positions were protobuf once; a replay takes them from either."""
-    fix = LocationFix(frame_id="a.jpg", latitude=46.5, longitude=-91.25, altitude=250.0)
-    fix.color.g = 0.5
-    with Recorder(tmp_path / "old.mcap") as recorder:
-        recorder.stage_started("survey.read", 1, {}, {})
-        recorder.copy("/location/tied", "foxglove.LocationFix", fix.SerializeToString())
-    ((_, _, data),) = messages(tmp_path / "old.mcap", "foxglove.LocationFix")
+def test_positions_of_older_recordings_are_read_and_copied(tmp_path: Path) -> None:
+    """They are JSON there: a file of the writer of 26 November 2026."""
+    old = Path(__file__).parents[1] / "support" / "data" / "recording_json_positions.mcap"
+    recording = read_recording(old)
+    assert recording.whole and [s.finished for s in recording.stages] == [True, True]
+    assert len(artefact_data(recording, recording.artefacts[0])) == recording.artefacts[0].total_bytes
+    told = [m for m in stage_messages(recording, 0) if m[1] == "foxglove.LocationFix"]
     with Recorder(tmp_path / "new.mcap") as recorder:
         recorder.stage_started("survey.read", 1, {}, {})
-        recorder.copy("/location/tied", "foxglove.LocationFix", data)
+        for message in told:
+            recorder.copy(*message)
+        data = told[0][2]
         endless, deep = data.replace(b"46.5", b"1" * 400), b'{"frame_id": ' + b"[" * 100_000
         nowhere = LocationFix(frame_id="a.jpg", latitude=np.nan).SerializeToString()
         no_json = (b"{", b"{}", b'{"frame_id": 3}', b"[]", b'{"frame_id": "a", "latitude": "x"}')
         for bad in (*no_json, endless, deep, nowhere, data.replace(b"46.5", b"NaN")):
             with pytest.raises(InputError, match="is damaged"):
                 recorder.copy("/location/tied", "foxglove.LocationFix", bad)
-    (again,) = decoded(tmp_path / "new.mcap", "/location/tied")
-    assert (again["frame_id"], again["latitude"], again["color"]["g"]) == ("a.jpg", 46.5, 0.5)
+    again = decoded(tmp_path / "new.mcap", "/location/observed")
+    assert [f.frame_id for f in again] == list(FRAMES) and again[0].latitude == 46.5
+    assert again[0].color.g == 0.55 and list(again[0].position_covariance)[::4] == [2.25, 4.0, 9.0]

@@ -27,7 +27,7 @@ def test_pairs_that_see_no_ground_together_have_no_misalignment(
     block = replace(block, poses=replace(block.poses, rotations=rotations))
     monkeypatch.setattr(reporting, "is_local", lambda _: True)
     context: Any = MagicMock()
-    survey: Any = SimpleNamespace(map_crs="", work_frame=None, left_out=())
+    survey: Any = SimpleNamespace(map_crs="", work_frame=None, left_out=(), frames=())
     adjusted = METHODS[method](block, Settings(), context)
     reporting.record_adjusted(context, survey, block, adjusted, "auto", method)
     told = context.recorder.offsets.call_args.args[2]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
 from geomosaic.recording import Recorder, thumbnail
 from geomosaic.recording.chips import SIDE_PX, chip, cuts
 
@@ -15,8 +16,16 @@ FRAMES = ("DJI_0001.JPG", "DJI_0002.JPG", "DJI_0003.JPG")
 CAMERA = Camera(
     "FC 220", 4000, 3000, 2300.0, 2001.5, 1499.25, k1=-0.011, k2=0.003, p1=1e-4, p2=-2e-4, k3=5e-4
 )
+POSITIONS_M = np.array([[0.0, 0.0, 100.0], [30.0, 0.0, 101.0], [60.0, 5.0, 99.5]])
+ROTATIONS = Rotation.from_yaw_pitch_roll(np.radians([90.0, 91.0, 270.0]), np.zeros(3), np.radians([0, 2, 5]))
+POINTS_M = np.array([[0.0, 0.0, 1.5], [30.0, 4.0, 0.0], [60.0, 5.0, np.nan], [12.0, -3.0, 2.25]])
 ARTEFACT = np.random.default_rng(5).bytes(2_300_001)
 RECIPE = "name: scene\nseed: 7\nstages: [survey.read, adjustment.solve]\n"
+
+
+def captured_s(i: int) -> float | None:
+    """When frames were exposed; of the last one nobody knows."""
+    return 1_500_000_000.25 + 2.0 * i if i < 2 else None
 
 
 def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3, warn: bool = True) -> None:
@@ -28,8 +37,9 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
     recorder.camera(CAMERA.name, CAMERA)
     for i, frame in enumerate(FRAMES):
         image = np.full((60, 90, 3), (200 - 40 * i, 30, 60), dtype=np.uint8)
-        recorder.image("/images/before", frame, thumbnail(image))
-        recorder.location(frame, -91.25 + 0.001 * i, 46.5 + 0.0005 * i, 251.5, 1.5, 2.0, 3.0, "observed")
+        recorder.frame_image(frame, thumbnail(image), captured_s(i))
+        place = (-91.25 + 0.001 * i, 46.5 + 0.0005 * i, 251.5)
+        recorder.location(frame, *place, 1.5, 2.0, 3.0, "observed", captured_s(i))
     recorder.artefact(
         "survey.read", "survey", "geomosaic.survey.model:Survey", "ab" * 20, io.BytesIO(ARTEFACT)
     )
@@ -67,6 +77,9 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
     )
     for frame, status in zip(FRAMES, ("tied", "placed", "rejected"), strict=True):
         recorder.location(frame, -91.25, 46.5, 252.0, 0.05, 0.06, np.nan, status)
+    for i, frame in enumerate(FRAMES):
+        recorder.pose(frame, CAMERA, POSITIONS_M[i], ROTATIONS.matrix[i], captured_s(i))
+    recorder.points("ties", POINTS_M, {"residual_m": [0.01, 0.02, 0.03, 0.04]}, captured_s(0))
     if warn:
         recorder.log("warning", "turned: righted by 180 degrees", stage="adjustment.solve", frame=FRAMES[2])
     recorder.stage_finished("adjustment.solve", {"adjusted": f"{len(method):040x}"}, 0.5, False)

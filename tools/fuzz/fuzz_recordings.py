@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
-from geomosaic.recording.messages import Artefact, StageEvent
+from geomosaic.recording.run_kinds import Artefact, StageEvent
 from tools.fuzz.fuzz_formats import artefact_parts, mcap_messages
 from tools.fuzz.fuzz_mutations import Nasty
 
