@@ -2,6 +2,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 PY := .venv/bin/python
 STAMP := .venv/.setup-done
+DEV_STAMP := .venv/.dev-done
 IMAGES ?=
 OUT ?= out/demo
 WORKERS ?= 2
@@ -16,31 +17,37 @@ ONLY ?=
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
-setup: $(STAMP) ## prepare .venv (installs libgdal-dev with apt where missing and allowed)
+setup: $(STAMP) ## prepare .venv with the program and its simulator (installs libgdal-dev with apt where missing and allowed)
 
-$(STAMP): pyproject.toml constraints.txt tools/setup.sh
+dev: $(DEV_STAMP) ## add to .venv what tests, the site, Dask and `geomosaic view` need
+
+$(STAMP): pyproject.toml geomosaic_simulate/pyproject.toml constraints.txt tools/setup.sh
 	bash tools/setup.sh
+	@touch $@
+
+$(DEV_STAMP): $(STAMP)
+	bash tools/setup.sh dev
 	@touch $@
 
 demo: setup ## simulate a small survey and mosaic it; IMAGES=folder mosaics that folder instead
 	@if [ -n "$(IMAGES)" ]; then .venv/bin/geomosaic mosaic "$(IMAGES)" -o "$(OUT)"; \
 	else $(PY) tools/demo.py "$(OUT)"; fi
 
-test: setup ## all checks and tests, two at a time: mypy takes one core while tests begin
+test: dev ## all checks and tests, two at a time: mypy takes one core while tests begin
 	$(MAKE) --no-print-directory -j2 lint types layers unit
 
-lint: setup ## ruff, and codespell on code and pages
-	.venv/bin/ruff check geomosaic tests tools examples
-	.venv/bin/ruff format --check geomosaic tests tools examples
-	.venv/bin/codespell geomosaic tests tools examples docs *.md
+lint: dev ## ruff, and codespell on code and pages
+	.venv/bin/ruff check geomosaic geomosaic_simulate tests tools examples
+	.venv/bin/ruff format --check geomosaic geomosaic_simulate tests tools examples
+	.venv/bin/codespell geomosaic geomosaic_simulate tests tools examples docs *.md
 
-types: setup ## mypy --strict on the package
+types: dev ## mypy --strict on both packages
 	.venv/bin/mypy
 
-layers: setup ## import-linter: data walks one way
+layers: dev ## import-linter: data walks one way
 	.venv/bin/lint-imports
 
-unit: setup ## pytest, two workers
+unit: dev ## pytest, two workers
 	.venv/bin/pytest -n $(WORKERS) --dist loadfile
 
 bench-paper: setup ## the paper's comparison of adjustment methods (about 10 minutes)
@@ -119,17 +126,17 @@ fuzz: setup ## 10,000 spoiled files of every kind through the commands (about 2 
 trial-degenerate: setup ## 10,000 degenerate blocks: each has to end finite, without an exception (about 40 minutes); DRAWS=n SEED=n
 	$(PY) -m tools.trials.trial_degenerate --draws $(DRAWS) --seed $(SEED) --workers $(WORKERS) --out out/trial-degenerate
 
-chaos: setup ## 200 runs killed, stopped, starved and their inputs changed (about 40 minutes); TRIALS=n SEED=n
+chaos: dev ## 200 runs killed, stopped, starved and their inputs changed (about 40 minutes); TRIALS=n SEED=n
 	$(PY) -m tools.trials.chaos --trials $(TRIALS) --seed $(SEED) --out out/chaos
 
-docs: setup ## the site, by mkdocs-material, in out/site (needs no network to be read)
+docs: dev ## the site, by mkdocs-material, in out/site (needs no network to be read)
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet
 
-format: setup ## rewrite the code's layout
-	.venv/bin/ruff check --fix geomosaic tests tools examples
-	.venv/bin/ruff format geomosaic tests tools examples
+format: dev ## rewrite the code's layout
+	.venv/bin/ruff check --fix geomosaic geomosaic_simulate tests tools examples
+	.venv/bin/ruff format geomosaic geomosaic_simulate tests tools examples
 
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Prepares .venv: the pinned packages, and GDAL's bindings built for the libgdal of this machine.
+# `setup.sh dev` adds what tests, the site, Dask and `geomosaic view` need.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -29,7 +30,9 @@ pip install -c constraints.txt 'setuptools>=77' wheel numpy
 # Without --no-build-isolation the bindings are built without numpy support, silently.
 .venv/bin/python -c 'from osgeo import gdal_array' 2>/dev/null ||
     pip install --no-build-isolation --no-cache-dir "gdal[numpy]==$(gdal-config --version)"
-pip install --no-build-isolation -c constraints.txt -e '.[dev,dask,view,docs]'
-.venv/bin/python -c 'from osgeo import gdal_array; import rasterio, cv2, geomosaic' ||
+extras=""
+[ "${1:-}" != dev ] || extras="[dev,dask,view,docs]"
+pip install --no-build-isolation -c constraints.txt -e ".$extras" -e ./geomosaic_simulate
+.venv/bin/python -c 'from osgeo import gdal_array; import rasterio, cv2, geomosaic, geomosaic_simulate' ||
     { echo "setup: the packages are there but don't load together; see the error above" >&2; exit 1; }
 echo "setup: done, run .venv/bin/geomosaic --help"

@@ -13,8 +13,12 @@ from geomosaic.cli.memory import keep_freed_memory
 from geomosaic.cli.stopping import Stop, stoppable
 from geomosaic.errors import GeomosaicError
 
-_EXTRAS = {"rerun": "view", "rerun_cli": "view"}
-"""What is installed by an extra, by the module that is missing without it."""
+_OPTIONAL = {
+    "rerun": "pip install 'geomosaic[view]'",
+    "rerun_cli": "pip install 'geomosaic[view]'",
+    "geomosaic_simulate": "run make setup in a clone of geomosaic, or pip install ./geomosaic_simulate there",
+}
+"""How to install what is optional, by the module that is missing without it."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -75,9 +79,8 @@ def _failed(error: Exception, stop: Stop) -> int:
         return 2
     if usage is not None:
         return _fail(usage(), 2)
-    if isinstance(error, ModuleNotFoundError) and error.name in _EXTRAS:
-        text = f"{error.name} isn't installed; pip install 'geomosaic[{_EXTRAS[error.name]}]'"
-        return _fail(text, 2, error)
+    if isinstance(error, ModuleNotFoundError) and error.name in _OPTIONAL:
+        return _fail(f"{error.name} isn't installed; {_OPTIONAL[error.name]}", 2, error)
     text = f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
     return _fail(text, 1, error)
 

@@ -35,6 +35,8 @@ def add_stage_commands(app: typer.Typer, group: str, only: str | None) -> None:
     from geomosaic.cli.simulation_help import simulation_headings
     from geomosaic.pipeline.registry import installed
 
+    if group == "simulate":
+        import geomosaic_simulate  # noqa: F401  (a package of its own: main says how to install it)
     ids = [id for id in installed().ids() if id.startswith(f"{group}.")]
     if f"{group}.{only}" in ids:
         ids = [f"{group}.{only}"]

@@ -15,14 +15,14 @@ from geomosaic.pipeline.artefacts import fingerprint_of_file
 from geomosaic.pipeline.stage import Stage
 from geomosaic.recording.fingerprints import fingerprint_of_json
 
-_OWN = __name__.partition(".")[0]
+_OWN = ("geomosaic", "geomosaic_simulate")
 _CODE = (".py", ".so", ".pyd")
 
 
 def distribution_of(stage: type[Stage]) -> str:
     """Name and version of the distribution that announces a stage; '' for geomosaic's own stages and for
     those registered in this process."""
-    if _package(stage) == _OWN:
+    if _package(stage) in _OWN:
         return ""
     value = f"{stage.__module__}:{stage.__qualname__}"
     found = [e.dist for e in entry_points(group=GROUP, name=stage.id) if e.value.replace(" ", "") == value]
@@ -36,7 +36,7 @@ def code_of(stage: type[Stage], plugged: Iterable[tuple[str, str]] = ()) -> str:
     '' where there are none: geomosaic's own stages say by their `version` what they compute. The version
     alone would not do for others: an editable install changes without it. plugged: see `Stage.plugged`.
     """
-    own = [] if _package(stage) == _OWN else [(distribution_of(stage), _package(stage))]
+    own = [] if _package(stage) in _OWN else [(distribution_of(stage), _package(stage))]
     named = [entry for group, name in plugged for entry in entry_points(group=group, name=name)]
     brought = [
         (f"{e.dist.name} {e.dist.version}" if e.dist else "", e.module.partition(".")[0]) for e in named

@@ -12,8 +12,8 @@ from geomosaic.ccd.joint import far_from_nominal, joint
 from geomosaic.ccd.lost_lines import Step, lasting
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Settings
 from geomosaic.ccd.overlaps import strips_in_memory
-from geomosaic.simulate.strip_overlaps import simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
 
 SEPARATION = 2114
 PLAN = StripPlan(width_px=512, lines=6000, ccds=4, seed=71)

@@ -11,10 +11,10 @@ import pytest
 from geomosaic.ccd.layout import image_space_layout
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.errors import InputError
-from geomosaic.simulate.strip_files import target_rows
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import Scene
 from geomosaic.survey.strips import Ccd, StripGeometry
+from geomosaic_simulate.strip_files import target_rows
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import Scene
 
 
 def geometry(ccds=3, lines=400, width=200, overlap=40, separation=100.0, first_row=1, dead=()):

@@ -26,14 +26,14 @@ from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.mosaic.strip_compose import compose_strips
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import Scene
-from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 from geomosaic.survey import strip_heights
 from geomosaic.survey.dem import read_heights
 from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import read_dem_heights
 from geomosaic.survey.strips import StripGeometry, read_geometry
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import Scene
+from geomosaic_simulate.strips import SimulatedStrips, simulate_strips
 
 STILL: dict[str, Any] = {
     "jitter_1hz_px": 0.0, "jitter_5hz_px": 0.0, "jitter_22hz_px": 0.0, "drift_px_per_s": 0.0,

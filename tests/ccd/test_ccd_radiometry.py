@@ -12,9 +12,9 @@ from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import Strips, strips_in_memory
 from geomosaic.ccd.radiometry import Blocks, Radiometry, radiometry, straight_line
-from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_sensor import Sensor
+from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_sensor import Sensor
 
 PLAN = StripPlan(seed=4, ccds=4, lines=6600, gain_sd=0.05, offset_sd=0.01)
 

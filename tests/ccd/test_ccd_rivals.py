@@ -24,10 +24,10 @@ from geomosaic.ccd.sift_chains import (
     steady,
     whole_scene,
 )
-from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import simulate_strips
 from geomosaic.survey.strips import read_geometry
+from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import simulate_strips
 
 STILL = StripPlan(
     seed=3,

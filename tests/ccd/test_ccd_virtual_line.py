@@ -16,11 +16,11 @@ from geomosaic.ccd.overlaps import StripFiles, strips_in_memory
 from geomosaic.ccd.virtual_line import relief_px, virtual_line
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import ecef_from_geodetic
-from geomosaic.simulate.strip_files import given_heights
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import Scene
-from geomosaic.simulate.strips import simulate_strips
 from geomosaic.survey.strips import read_geometry
+from geomosaic_simulate.strip_files import given_heights
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import Scene
+from geomosaic_simulate.strips import simulate_strips
 
 STILL: dict[str, Any] = {
     "jitter_1hz_px": 0.0, "jitter_5hz_px": 0.0, "jitter_22hz_px": 0.0, "drift_px_per_s": 0.0,

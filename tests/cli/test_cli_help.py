@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -182,3 +183,13 @@ def test_a_run_ends_with_verdict_accuracy_and_what_to_open(
         "absolute   horizontal RMSE 0.03 m",
         f"open       {tmp_path}/report.html, {tmp_path}/project.qgz",
     ]
+
+
+def test_without_the_simulator_its_command_says_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "geomosaic_simulate", None)
+    assert geomosaic("simulate", "frames", "out") == 2
+    said = capsys.readouterr().err
+    assert "geomosaic_simulate isn't installed" in said and "make setup" in said
+    assert geomosaic("mosaic", "--help") == 0

@@ -16,7 +16,7 @@ from small_surveys import geomosaic, small_survey, summary
 from geomosaic.cli.running import print_named
 from geomosaic.pipeline.named import recipe_names
 from geomosaic.requests.run_request import beside
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 COMMAND = [sys.executable, "-m", "geomosaic.cli.main"]
 

@@ -32,11 +32,11 @@ from geomosaic.doors.raster import (
 )
 from geomosaic.errors import FileError
 from geomosaic.quality.rasters import open_map
-from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.header import read_header
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 UTM = "EPSG:32632"
 

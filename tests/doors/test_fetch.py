@@ -21,7 +21,7 @@ from geomosaic.doors.addresses import parsed, read_addresses
 from geomosaic.doors.remote import look
 from geomosaic.errors import InputError
 from geomosaic.pipeline.fetching import NOTED
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 JPEG = b"\xff\xd8\xff\xe0"
 

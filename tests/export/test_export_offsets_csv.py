@@ -10,7 +10,7 @@ import pytest
 from geomosaic.ccd.model import PairOffsets
 from geomosaic.errors import GeomosaicError
 from geomosaic.export.offsets_csv import read_offsets_csv, read_true_offsets, write_offsets_csv
-from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_plan import StripPlan
 
 GEOMETRY = StripPlan(ccds=4, lines=2300, dead="2", short="4:2200").geometry()
 

@@ -17,8 +17,8 @@ from small_surveys import geomosaic
 from stac_schema import check_schema
 
 from geomosaic.camera.rpc import Rpc
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import simulate_strips
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import simulate_strips
 
 PLAN = StripPlan(seed=5, ccds=2, width_px=256, lines=1500, row_separation_lines=300, relief_m=150.0)
 

@@ -13,7 +13,7 @@ from small_surveys import geomosaic, small_survey, summary
 from geomosaic.matching.contrast import faint_tiles, noise_sd, raised
 from geomosaic.matching.match import PairMatch
 from geomosaic.matching.untied import untied_reasons
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 STAGES = ("survey.read", "matching.flying_height", "projection.ground", "placement.pos", "matching.sift")
 

@@ -37,10 +37,10 @@ from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single import run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
-from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_seams import MosaicSeams
 from geomosaic.survey.model import Frame
+from geomosaic_simulate.survey import SimulatedSurvey
 
 OWN_M = 0.2487
 

@@ -17,10 +17,10 @@ from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.mosaic.blends import BLENDS
 from geomosaic.mosaic.strip_compose import compose_strips
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import Scene
-from geomosaic.simulate.strips import simulate_strips
 from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import Scene
+from geomosaic_simulate.strips import simulate_strips
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 WIDTH, OVERLAP, SEPARATION = 120, 24, 100

@@ -19,10 +19,10 @@ from geomosaic.errors import InputError
 from geomosaic.mosaic.tones import Places, Sampling, Tones, evened, lattice, sampled, solve_tones
 from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import simulate_frames
 from geomosaic.stages.mosaic_tones import MosaicTones
 from geomosaic.survey.model import Band
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import simulate_frames
 
 CAMERA = Camera("c", 400, 300, 350.0, 200.0, 150.0)
 

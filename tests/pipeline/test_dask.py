@@ -20,7 +20,7 @@ from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.runner import run
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
 from geomosaic.requests.run_request import recipe_of
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 pytest.importorskip("distributed")
 RESULTS = ("mosaic.tif", "sources.tif", "positions.csv")

@@ -23,7 +23,7 @@ from geomosaic.errors import FileError, OutputError
 from geomosaic.pipeline import hashes
 from geomosaic.pipeline.artefacts import encode, fingerprint_of_bytes, fingerprint_of_file
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 QUICK = ("--adjust", "least_squares")
 

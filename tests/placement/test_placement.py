@@ -21,11 +21,11 @@ from geomosaic.placement.prior import FORMULAS, courses_deg, prior_poses
 from geomosaic.placement.reach import half_extent_m, misplacement_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.positions import read_poses
-from geomosaic.simulate.flight import paper_table
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import simulate_frames
-from geomosaic.simulate.write import frame_name, write_csv
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
+from geomosaic_simulate.flight import paper_table
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import simulate_frames
+from geomosaic_simulate.write import frame_name, write_csv
 
 HOME = LocalFrame(11.3, 48.1, 520.0)
 CAMERA = Camera("cam", 800, 600, 1000.0, 400.0, 300.0)

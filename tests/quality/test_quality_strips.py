@@ -18,11 +18,11 @@ from geomosaic.quality.jitter import Spectrum, jitter_spectrum, peaks_by_bin, re
 from geomosaic.quality.strip_figures import misplacement_rate, scene_errors, segment_rms, strip_figures
 from geomosaic.quality.strips import StripQuality, confirmed, misplacement, quality_metrics
 from geomosaic.recording import Recorder, read_recording
-from geomosaic.simulate.strip_overlaps import SimulatedPair, simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import simulate_strips
 from geomosaic.stages.quality_strips import QualityStrips
 from geomosaic.survey.strips import read_geometry
+from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import simulate_strips
 
 SEPARATION = 2114.0
 Change = Callable[[int, np.ndarray], tuple[np.ndarray | float, np.ndarray | float]]

@@ -23,7 +23,7 @@ from geomosaic.report.numbers import whole
 from geomosaic.report.strip_images import Place, seam_col, seam_crops, seam_places
 from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
 from geomosaic.report.strips import render_strips_report, strips_verdict
-from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_plan import StripPlan
 
 SUMMARY = {
     "warnings": [{"code": "scene-gap", "frame": "<img src=x>", "text": "<script>alert(1)</script>"}],

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
-from geomosaic.simulate.control import MEASURED_SD_PX, SURVEYED_SD_M, surveyed, true_points
-from geomosaic.simulate.flight import fly
-from geomosaic.simulate.landscape import Landscape
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.readout import Readout, readout_of
-from geomosaic.simulate.render import sight_of
-from geomosaic.simulate.survey import simulate_frames, world_of
 from geomosaic.survey.read import read_survey
+from geomosaic_simulate.control import MEASURED_SD_PX, SURVEYED_SD_M, surveyed, true_points
+from geomosaic_simulate.flight import fly
+from geomosaic_simulate.landscape import Landscape
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.readout import Readout, readout_of
+from geomosaic_simulate.render import sight_of
+from geomosaic_simulate.survey import simulate_frames, world_of
 
 PLAN = SurveyPlan(
     seed=5, lines=2, frames_per_line=3, width_px=320, height_px=240, height_above_ground_m=40.0, turned="2",

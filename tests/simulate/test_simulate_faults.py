@@ -21,9 +21,9 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.changing import gusts, sway
-from geomosaic.simulate.flight import fly, observe
-from geomosaic.simulate.light import (
+from geomosaic_simulate.changing import gusts, sway
+from geomosaic_simulate.flight import fly, observe
+from geomosaic_simulate.light import (
     MEAN_LIGHT,
     SHADE,
     WIND_M_PER_S,
@@ -32,12 +32,12 @@ from geomosaic.simulate.light import (
     motion_blur,
     shaken,
 )
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.readout import Readout, readout_of
-from geomosaic.simulate.relief import Relief
-from geomosaic.simulate.render import World, haze, render, sight_of
-from geomosaic.simulate.survey import simulate_frames, smear_px
-from geomosaic.simulate.write import opensfm_camera
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.readout import Readout, readout_of
+from geomosaic_simulate.relief import Relief
+from geomosaic_simulate.render import World, haze, render, sight_of
+from geomosaic_simulate.survey import simulate_frames, smear_px
+from geomosaic_simulate.write import opensfm_camera
 
 TINY = {
     "width_px": 160,

@@ -21,12 +21,12 @@ from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.stage import Context
-from geomosaic.simulate.exif import sexagesimal
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import SimulatedSurvey, simulate_frames
-from geomosaic.simulate.write import gimbal_deg
 from geomosaic.stages.simulate_frames import SimulateFrames
 from geomosaic.survey.read import read_survey
+from geomosaic_simulate.exif import sexagesimal
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import SimulatedSurvey, simulate_frames
+from geomosaic_simulate.write import gimbal_deg
 
 SMALL = {"lines": 1, "frames_per_line": 3, "width_px": 240, "height_px": 180, "height_above_ground_m": 30.0}
 OFF_CENTRE = {"principal_col_offset_px": 6.0, "principal_row_offset_px": -4.0, "p1": 0.004}

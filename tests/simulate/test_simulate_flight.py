@@ -9,9 +9,9 @@ from pyproj import Geod
 from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.projection.footprint import footprint, ground_from_image, ground_sampling_distance_m
-from geomosaic.simulate.flight import fly, observe, paper_table
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import world_of
+from geomosaic_simulate.flight import fly, observe, paper_table
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import world_of
 
 GEOD = Geod(ellps="WGS84")
 STILL = {"wander_m": 0.0, "wander_tilt_deg": 0.0, "wander_yaw_deg": 0.0}

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomosaic.simulate.buildings import Building
-from geomosaic.simulate.landscape import Landscape
-from geomosaic.simulate.noise import hashed, lattice_noise, spline_noise
-from geomosaic.simulate.relief import Relief, hills
-from geomosaic.simulate.terrain import BLOCK_PX, Ground
+from geomosaic_simulate.buildings import Building
+from geomosaic_simulate.landscape import Landscape
+from geomosaic_simulate.noise import hashed, lattice_noise, spline_noise
+from geomosaic_simulate.relief import Relief, hills
+from geomosaic_simulate.terrain import BLOCK_PX, Ground
 
 COL, ROW = 6_711_800, -53_300_200
 

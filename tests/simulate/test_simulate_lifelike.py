@@ -19,15 +19,15 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.changing import cars_at
-from geomosaic.simulate.flight import fly
-from geomosaic.simulate.landscape import Landscape
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.rasters import square_mean
-from geomosaic.simulate.readout import Readout
-from geomosaic.simulate.relief import Relief
-from geomosaic.simulate.render import World, render, sight_of
-from geomosaic.simulate.survey import simulate_frames, world_of
+from geomosaic_simulate.changing import cars_at
+from geomosaic_simulate.flight import fly
+from geomosaic_simulate.landscape import Landscape
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.rasters import square_mean
+from geomosaic_simulate.readout import Readout
+from geomosaic_simulate.relief import Relief
+from geomosaic_simulate.render import World, render, sight_of
+from geomosaic_simulate.survey import simulate_frames, world_of
 
 PLAN = SurveyPlan(
     seed=4, lines=1, frames_per_line=2, width_px=320, height_px=240, height_above_ground_m=60.0,

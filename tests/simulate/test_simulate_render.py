@@ -11,14 +11,14 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.buildings import Building, bridge
-from geomosaic.simulate.flight import fly
-from geomosaic.simulate.landscape import Landscape
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.relief import Relief
-from geomosaic.simulate.render import World, develop, render, sight_of
-from geomosaic.simulate.survey import world_of
-from geomosaic.simulate.terrain import Ground
+from geomosaic_simulate.buildings import Building, bridge
+from geomosaic_simulate.flight import fly
+from geomosaic_simulate.landscape import Landscape
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.relief import Relief
+from geomosaic_simulate.render import World, develop, render, sight_of
+from geomosaic_simulate.survey import world_of
+from geomosaic_simulate.terrain import Ground
 
 WORK = LocalFrame(11.3, 48.1, 520.0)
 MAP = MapProjection("EPSG:32632")

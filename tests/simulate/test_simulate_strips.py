@@ -25,14 +25,14 @@ from geomosaic.camera.rpc import parse_rpc
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import FileError, InputError, OutputError
 from geomosaic.pipeline.stage import Context
-from geomosaic.simulate.strip_overlaps import simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import PairTruth, Scene
-from geomosaic.simulate.strip_seen import Seen
-from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 from geomosaic.stages.simulate_strips import SimulateStrips
 from geomosaic.survey.strip_model import read_model
 from geomosaic.survey.strips import read_geometry
+from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import PairTruth, Scene
+from geomosaic_simulate.strip_seen import Seen
+from geomosaic_simulate.strips import SimulatedStrips, simulate_strips
 
 STILL: dict[str, Any] = {
     "jitter_1hz_px": 0.0, "jitter_5hz_px": 0.0, "jitter_22hz_px": 0.0, "drift_px_per_s": 0.0,

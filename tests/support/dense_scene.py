@@ -12,10 +12,6 @@ from small_surveys import small_survey
 
 from geomosaic.camera.interior import Camera
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.simulate.flight import fly
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.standing import heights_on_grid
-from geomosaic.simulate.survey import landscape_of, world_of
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.consistency_filter import RIM_CELLS, MatchCounts, consistent_heights
 from geomosaic.surface.model import DenseSurface
@@ -23,6 +19,10 @@ from geomosaic.surface.plane_sweep import SweepView
 from geomosaic.surface.pyramid import PyramidLevel, pyramid_levels
 from geomosaic.surface.tile_mosaic import mosaic_tiles, with_rim
 from geomosaic.surface.tile_sgm import census_image, match_tile
+from geomosaic_simulate.flight import fly
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.standing import heights_on_grid
+from geomosaic_simulate.survey import landscape_of, world_of
 
 GSD_M = 0.1
 CELL_M = 0.4

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.cli.main import main
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import SimulatedSurvey, simulate_frames
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import SimulatedSurvey, simulate_frames
 
 NOISE_M = 0.4
 """Of each axis of a position."""

@@ -14,9 +14,9 @@ from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
 from geomosaic.quality.strips import StripQuality, misplacement
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import simulate_strips
 from geomosaic.survey.strips import StripGeometry, read_geometry
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import simulate_strips
 
 
 @dataclass(frozen=True)

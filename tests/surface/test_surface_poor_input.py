@@ -10,12 +10,12 @@ from dense_scene import GSD_M, scene
 from small_surveys import mosaic, small_survey, summary
 
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.simulate.flight import fly
-from geomosaic.simulate.survey import world_of
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.consistency_filter import MatchCounts
 from geomosaic.surface.match_warnings import match_warnings
 from geomosaic.surface.pyramid import pyramid_levels
+from geomosaic_simulate.flight import fly
+from geomosaic_simulate.survey import world_of
 
 
 def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from geomosaic.pipeline.stage import Context
-from geomosaic.simulate.landscape import Landscape
-from geomosaic.simulate.relief import Relief
-from geomosaic.simulate.standing import CROWN, GROUND, ROOF, heights_on_grid
 from geomosaic.stages.surface_terrain import SurfaceTerrain
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.dtm import TERRAIN, filled, terrain_model
 from geomosaic.surface.model import DenseSurface
+from geomosaic_simulate.landscape import Landscape
+from geomosaic_simulate.relief import Relief
+from geomosaic_simulate.standing import CROWN, GROUND, ROOF, heights_on_grid
 
 CELL_M = 0.5
 SIDE = 440

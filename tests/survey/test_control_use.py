@@ -13,9 +13,9 @@ from small_surveys import geomosaic, mosaic, small_survey, summary, warned
 
 import geomosaic as gm
 from geomosaic.errors import InputError
-from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 FIX = "or add --gcp-optional to go on without control points"
 

@@ -14,12 +14,12 @@ from small_surveys import mosaic, small_survey, summary, warned
 
 from geomosaic.errors import FileError
 from geomosaic.quality.positions import read_poses
-from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.survey.damage import wholeness
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 HEIGHT, WIDTH = 400, 600
 

@@ -17,12 +17,12 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.relief import relief
-from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.survey.dem import HeightRaster, read_heights
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import read_dem_heights
+from geomosaic_simulate.survey import SimulatedSurvey
 
 UTM = "EPSG:32632"
 EAST, NORTH = 500_000.0, 5_400_000.0

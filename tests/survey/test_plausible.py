@@ -30,10 +30,10 @@ from geomosaic.mosaic.grid import output_grid, stretching, without_flung
 from geomosaic.mosaic.views import FrameView
 from geomosaic.placement.heights import with_missing_heights
 from geomosaic.projection.ground import flat_ground, node_spacing_m
-from geomosaic.simulate.survey import SimulatedSurvey
 from geomosaic.survey.model import Position, Warn
 from geomosaic.survey.plausible import lens_problem, plausible_positions, strange_lenses
 from geomosaic.survey.read import read_survey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 QUICK = ("--adjust", "least_squares", "--ground-height", 520)
 LAT_M = 111_200.0

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.errors import FileError, InputError
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import read_rpc
 from geomosaic.survey.strip_model import read_model
 from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import SimulatedStrips, simulate_strips
 
 PLAIN: dict[str, Any] = {
     "line_rate_hz": 3272.4,

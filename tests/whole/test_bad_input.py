@@ -18,7 +18,7 @@ import yaml
 from small_surveys import geomosaic, mosaic, small_survey, summary, warned
 
 from geomosaic.pipeline.run_folder import MARKER
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 FINAL = {"mosaic.tif", "sources.tif", "layers.gpkg", "positions.csv", "report.html", "run.json"}
 QUICK = ("--adjust", "least_squares")

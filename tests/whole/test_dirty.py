@@ -17,8 +17,8 @@ from affine import Affine
 from rasterio.windows import Window
 from small_surveys import geomosaic
 
-from geomosaic.simulate.dirty import FAULTS, GROUND_SHARES, KIND_SHARES, OVERLAP, dirty_survey
-from geomosaic.simulate.survey import landscape_of
+from geomosaic_simulate.dirty import FAULTS, GROUND_SHARES, KIND_SHARES, OVERLAP, dirty_survey
+from geomosaic_simulate.survey import landscape_of
 from tools.bench import bench_dirty, bench_dirty_judge
 
 TINY = ["--width-px", "96", "--height-px", "72", "--height-above-ground-m", "8", "--ground-pixel-m", "0.1"]
@@ -94,7 +94,7 @@ def test_surveys_are_flown_as_people_fly_them() -> None:
 def test_one_fault_more_or_less_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     name, others = "clouds", [f for f in FAULTS if f.name != "clouds"]
     before = next(d for d in DRAWN if name in d.faults and len(d.faults) > 3)
-    monkeypatch.setattr("geomosaic.simulate.dirty.FAULTS", tuple(others))
+    monkeypatch.setattr("geomosaic_simulate.dirty.FAULTS", tuple(others))
     after = dirty_survey(before.seed)
     assert after.faults == {k: v for k, v in before.faults.items() if k != name}
     assert after.survey == before.survey

@@ -26,7 +26,7 @@ from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.recording import read_recording
 from geomosaic.report.given import GivenMosaic
 from geomosaic.report.glance import Glance
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 PATCHES = [f"--set=quality.compare.{k}_px={v}" for k, v in (("patch", 48), ("step", 24), ("search", 32))]
 LAYERS = {"frames", "footprints", "nadir_points", "tie_points", "residuals", "seamlines",

@@ -22,8 +22,8 @@ from rasterio.windows import Window
 from small_surveys import geomosaic
 
 from geomosaic.pipeline.run_folder import MARKER
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import SimulatedStrips, simulate_strips
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import SimulatedStrips, simulate_strips
 
 PLAN = StripPlan(seed=4, ccds=3, width_px=384, lines=3200, row_separation_lines=700, relief_m=150.0)
 FINAL = {

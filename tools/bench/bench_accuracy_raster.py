@@ -51,11 +51,11 @@ from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.relief import Relief
-from geomosaic.simulate.standing import heights_on_grid
-from geomosaic.simulate.survey import landscape_of
 from geomosaic.survey.model import Survey
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.relief import Relief
+from geomosaic_simulate.standing import heights_on_grid
+from geomosaic_simulate.survey import landscape_of
 from tools.bench.bench_accuracy_raster_judge import Errors, Row, freedoms, judged, missed, table, together
 from tools.bench.bench_flights import commit
 

@@ -25,9 +25,9 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.figures import Figures
-from geomosaic.simulate.changing import SWAY_REACH
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import landscape_of
+from geomosaic_simulate.changing import SWAY_REACH
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import landscape_of
 
 Floats = NDArray[np.float64]
 STANDS_M = 0.5

@@ -48,8 +48,8 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import flat_ground
-from geomosaic.simulate.flight import fly
-from geomosaic.simulate.plan import SurveyPlan
+from geomosaic_simulate.flight import fly
+from geomosaic_simulate.plan import SurveyPlan
 from tools.bench.cramer_rao import (
     LENS,
     Draw,

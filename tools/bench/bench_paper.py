@@ -52,12 +52,12 @@ from geomosaic.quality.figures import best_similarity
 from geomosaic.quality.misalignment import frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
 from geomosaic.report.plots import Axis, Series, line_plot
-from geomosaic.simulate.flight import Observed, fly, observe
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import SimulatedSurvey, simulate_frames
-from geomosaic.simulate.write import pos_rows, write_csv
 from geomosaic.stages.mosaic_compose import RASTER
 from geomosaic.survey.model import Survey
+from geomosaic_simulate.flight import Observed, fly, observe
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import SimulatedSurvey, simulate_frames
+from geomosaic_simulate.write import pos_rows, write_csv
 
 Floats = NDArray[np.float64]
 UNIT_M = 0.1

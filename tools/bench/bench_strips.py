@@ -34,8 +34,8 @@ from geomosaic.ccd.methods import METHODS
 from geomosaic.ccd.model import Settings, StripOffsets
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.quality.strip_figures import scene_errors
-from geomosaic.simulate.strip_overlaps import simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
 
 LINES, MIXED_LINES, WIDTH_PX = 16384, 8192, 4096
 RIVALS = ("whole_scene", "piecewise_linear", "image_registration")

@@ -29,9 +29,9 @@ from geomosaic.ccd.model import Settings
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.virtual_line import virtual_line
-from geomosaic.simulate.strip_files import given_heights
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import PairTruth, Scene
+from geomosaic_simulate.strip_files import given_heights
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import PairTruth, Scene
 
 Floats = NDArray[np.float64]
 Level = float | Callable[[StripPlan], float]

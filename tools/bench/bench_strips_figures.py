@@ -31,10 +31,10 @@ from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.mosaic.strip_compose import compose_strips
 from geomosaic.report.plots import Axis, Series, line_plot
-from geomosaic.simulate.strip_overlaps import simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import simulate_strips
 from geomosaic.survey.strips import read_geometry
+from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import simulate_strips
 
 SEGMENTS, SEGMENT_LINES = 64, 256
 LOW = StripPlan(seed=18, width_px=4096, lines=SEGMENTS * SEGMENT_LINES + 2114, low_contrast_share=0.4)

@@ -28,10 +28,10 @@ from rasterio.windows import Window
 
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.cog import COMPRESSIONS
-from geomosaic.simulate.strip_files import open_whole_strip
-from geomosaic.simulate.strip_overlaps import simulate_overlaps
-from geomosaic.simulate.strip_plan import StripPlan
 from geomosaic.survey.strips import StripGeometry, read_geometry
+from geomosaic_simulate.strip_files import open_whole_strip
+from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_plan import StripPlan
 
 gdal.UseExceptions()
 MOST_OF_FLOOR, MOST_GB = 1.4, 1.0

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.finished import load_artefact, read_summary
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.relief import Relief
-from geomosaic.simulate.standing import heights_on_grid
-from geomosaic.simulate.survey import landscape_of
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
 from geomosaic.survey.model import Survey
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.relief import Relief
+from geomosaic_simulate.standing import heights_on_grid
+from geomosaic_simulate.survey import landscape_of
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -19,8 +19,8 @@ from geomosaic.matching.displacement import Displacements, measure_displacements
 from geomosaic.quality.compare import compare
 from geomosaic.quality.figures import Similarity, best_similarity
 from geomosaic.quality.ssim import luma, ssim_maps
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import landscape_of
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import landscape_of
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]

@@ -11,10 +11,10 @@ import rasterio
 import yaml
 from osgeo import gdal
 
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strips import simulate_strips
-from geomosaic.simulate.survey import simulate_frames
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strips import simulate_strips
+from geomosaic_simulate.survey import simulate_frames
 
 SURVEY_STAGES = ("survey.read", "projection.ground", "placement.pos")
 MAP_CRS = "EPSG:32632"

@@ -19,8 +19,8 @@ from typing import Any
 
 import rasterio
 
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.survey import simulate_frames
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import simulate_frames
 from tools.fuzz.fuzz_base import make_base
 from tools.trials.chaos_changes import hold_back
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_plan import StripPlan
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

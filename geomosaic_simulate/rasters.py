@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.simulate.buildings import Building
-from geomosaic.simulate.landscape import COVERS, Bounds, Landscape
-from geomosaic.simulate.relief import RasterRelief, Relief
-from geomosaic.simulate.spread import in_threads
-from geomosaic.simulate.standing import heights_on_grid
-from geomosaic.simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, cover_mask
-from geomosaic.simulate.write import whole
+from geomosaic_simulate.buildings import Building
+from geomosaic_simulate.landscape import COVERS, Bounds, Landscape
+from geomosaic_simulate.relief import RasterRelief, Relief
+from geomosaic_simulate.spread import in_threads
+from geomosaic_simulate.standing import heights_on_grid
+from geomosaic_simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, cover_mask
+from geomosaic_simulate.write import whole
 
 Floats = NDArray[np.float64]
 MARGIN_PX = 8

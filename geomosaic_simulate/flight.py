@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.simulate.paths import course_of
-from geomosaic.simulate.plan import SurveyPlan
+from geomosaic_simulate.paths import course_of
+from geomosaic_simulate.plan import SurveyPlan
 
 Floats = NDArray[np.float64]
 
@@ -161,7 +161,7 @@ def _with_others(plan: SurveyPlan, flight: Flight) -> Flight:
 
 def paper_table() -> list[dict[str, float]]:
     """Table 2 of Yue et al. 2021 (IRLA20200529), one dict a frame."""
-    with resources.files("geomosaic.simulate").joinpath("paper_table2.csv").open(encoding="ascii") as f:
+    with resources.files("geomosaic_simulate").joinpath("paper_table2.csv").open(encoding="ascii") as f:
         return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(f)]
 
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.spread import in_threads
-from geomosaic.simulate.strip_ground import window_of
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import PairTruth, Scene
-from geomosaic.simulate.strip_sensor import Sensor
 from geomosaic.survey.strips import StripGeometry
+from geomosaic_simulate.spread import in_threads
+from geomosaic_simulate.strip_ground import window_of
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import PairTruth, Scene
+from geomosaic_simulate.strip_sensor import Sensor
 
 _CHUNK_LINES = 1024
 

@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
-from geomosaic.simulate import control
-from geomosaic.simulate.changing import cars_at, glitter, gusts, paint_cars, sway
-from geomosaic.simulate.flight import Flight, Observed, battery_offset, fly, observe, position_bias
-from geomosaic.simulate.landscape import Bounds, Landscape
-from geomosaic.simulate.light import automatic_gain, clouds_shade, motion_blur, shaken
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.rasters import Texture, write_cover, write_heights, write_ortho
-from geomosaic.simulate.readout import Readout, readout_of
-from geomosaic.simulate.relief import Relief, hills, raster_height_m, raster_relief
-from geomosaic.simulate.render import Sight, World, develop, haze, outline_of, render, sight_of
-from geomosaic.simulate.spread import in_threads
-from geomosaic.simulate.terrain import Ground
-from geomosaic.simulate.write import (
+from geomosaic_simulate import control
+from geomosaic_simulate.changing import cars_at, glitter, gusts, paint_cars, sway
+from geomosaic_simulate.flight import Flight, Observed, battery_offset, fly, observe, position_bias
+from geomosaic_simulate.landscape import Bounds, Landscape
+from geomosaic_simulate.light import automatic_gain, clouds_shade, motion_blur, shaken
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.rasters import Texture, write_cover, write_heights, write_ortho
+from geomosaic_simulate.readout import Readout, readout_of
+from geomosaic_simulate.relief import Relief, hills, raster_height_m, raster_relief
+from geomosaic_simulate.render import Sight, World, develop, haze, outline_of, render, sight_of
+from geomosaic_simulate.spread import in_threads
+from geomosaic_simulate.terrain import Ground
+from geomosaic_simulate.write import (
     CAR_COLUMNS,
     POSITIONS_COLUMNS,
     car_rows,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.buildings import Building
+from geomosaic_simulate.buildings import Building
 
 if TYPE_CHECKING:
-    from geomosaic.simulate.render import Sight
+    from geomosaic_simulate.render import Sight
 
 Floats = NDArray[np.float64]
 Pixels = NDArray[np.uint8]

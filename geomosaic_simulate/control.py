@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
-from geomosaic.simulate.landscape import Bounds, Landscape
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.readout import Readout
-from geomosaic.simulate.render import World
+from geomosaic_simulate.landscape import Bounds, Landscape
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.readout import Readout
+from geomosaic_simulate.render import World
 
 Floats = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface, flat_ground
-from geomosaic.simulate.buildings import Building
-from geomosaic.simulate.landscape import Bounds
-from geomosaic.simulate.readout import Readout
-from geomosaic.simulate.relief import RasterRelief, Relief
-from geomosaic.simulate.trees import Tree, raise_trees
-from geomosaic.simulate.walls import Standing, hide, raise_buildings
+from geomosaic_simulate.buildings import Building
+from geomosaic_simulate.landscape import Bounds
+from geomosaic_simulate.readout import Readout
+from geomosaic_simulate.relief import RasterRelief, Relief
+from geomosaic_simulate.trees import Tree, raise_trees
+from geomosaic_simulate.walls import Standing, hide, raise_buildings
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

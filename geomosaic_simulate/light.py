@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.noise import spline_noise
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.render import Sight
+from geomosaic_simulate.noise import spline_noise
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.render import Sight
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -12,9 +12,9 @@ from scipy.ndimage import map_coordinates
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.noise import spline_noise
 from geomosaic.survey.dem import dem_crs, read_heights
 from geomosaic.survey.elevation import read_elevation
+from geomosaic_simulate.noise import spline_noise
 
 Floats = NDArray[np.float64]
 _SMOOTH_PX = 20

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import UnknownNameError
-from geomosaic.simulate.plan import SurveyPlan
 from geomosaic.survey.shutters import READOUTS_S
+from geomosaic_simulate.plan import SurveyPlan
 
 Values = dict[str, Any]
 Random = np.random.Generator

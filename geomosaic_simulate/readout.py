@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation as Turn
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.simulate.flight import Flight
-from geomosaic.simulate.plan import SurveyPlan
+from geomosaic_simulate.flight import Flight
+from geomosaic_simulate.plan import SurveyPlan
 
 Floats = NDArray[np.float64]
 GYROSCOPE_FROM_CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

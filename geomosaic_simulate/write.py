@@ -20,11 +20,11 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.exif import camera_tags, gps_tags, tiff_bytes, with_segments, xmp_packet
-from geomosaic.simulate.flight import START_S, Flight, Observed, rotations_in
-from geomosaic.simulate.plan import SurveyPlan
-from geomosaic.simulate.readout import gyroscope_tag, readout_of
 from geomosaic.survey.focal_lengths import FILM_DIAGONAL_MM
+from geomosaic_simulate.exif import camera_tags, gps_tags, tiff_bytes, with_segments, xmp_packet
+from geomosaic_simulate.flight import START_S, Flight, Observed, rotations_in
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.readout import gyroscope_tag, readout_of
 
 Floats = NDArray[np.float64]
 MAKE = "geomosaic"

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.buildings import Colour
-from geomosaic.simulate.landscape import Bounds, Landscape
-from geomosaic.simulate.noise import hashed
-from geomosaic.simulate.terrain import box_m, cover_mask, fill_polygon
+from geomosaic_simulate.buildings import Colour
+from geomosaic_simulate.landscape import Bounds, Landscape
+from geomosaic_simulate.noise import hashed
+from geomosaic_simulate.terrain import box_m, cover_mask, fill_polygon
 
 Floats = NDArray[np.float64]
 Pixels = NDArray[np.uint8]

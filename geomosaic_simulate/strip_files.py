@@ -17,12 +17,12 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.camera.rpc import fit_rpc
-from geomosaic.simulate.noise import spline_noise
-from geomosaic.simulate.relief import RasterRelief, Relief
-from geomosaic.simulate.strip_scene import PairTruth, Scene
-from geomosaic.simulate.write import whole, write_bytes, write_csv
 from geomosaic.survey.strip_model import ATTITUDE_COLUMNS, ORBIT_COLUMNS
 from geomosaic.survey.strips import StripGeometry
+from geomosaic_simulate.noise import spline_noise
+from geomosaic_simulate.relief import RasterRelief, Relief
+from geomosaic_simulate.strip_scene import PairTruth, Scene
+from geomosaic_simulate.write import whole, write_bytes, write_csv
 
 Floats = NDArray[np.float64]
 _RPC_NODES = (21, 31, 5)

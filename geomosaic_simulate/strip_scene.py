@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.relief import RasterRelief, Relief, hills, raster_height_m, raster_relief
-from geomosaic.simulate.strip_ground import (
+from geomosaic_simulate.relief import RasterRelief, Relief, hills, raster_height_m, raster_relief
+from geomosaic_simulate.strip_ground import (
     CLOUD_CELL_PX,
     Clouds,
     Ground,
@@ -18,9 +18,9 @@ from geomosaic.simulate.strip_ground import (
     cloud_cover,
     window_of,
 )
-from geomosaic.simulate.strip_motion import cameras_of, scene_crs
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_seen import Heights, Rays, Seen
+from geomosaic_simulate.strip_motion import cameras_of, scene_crs
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_seen import Heights, Rays, Seen
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.buildings import Building, Colour
-from geomosaic.simulate.landscape import COVERS, CROWN, Landscape
-from geomosaic.simulate.noise import fractal_noise
+from geomosaic_simulate.buildings import Building, Colour
+from geomosaic_simulate.landscape import COVERS, CROWN, Landscape
+from geomosaic_simulate.noise import fractal_noise
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

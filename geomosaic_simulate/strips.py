@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from geomosaic.errors import OutputError
-from geomosaic.simulate.rasters import write_heights
-from geomosaic.simulate.spread import in_threads
-from geomosaic.simulate.strip_files import (
+from geomosaic_simulate.rasters import write_heights
+from geomosaic_simulate.spread import in_threads
+from geomosaic_simulate.strip_files import (
     given_heights,
     offset_rows,
     open_whole_strip,
@@ -25,10 +25,10 @@ from geomosaic.simulate.strip_files import (
     write_model,
     write_rpc,
 )
-from geomosaic.simulate.strip_plan import StripPlan
-from geomosaic.simulate.strip_scene import IDEAL, Scene
-from geomosaic.simulate.strip_sensor import Sensor, as_counts
-from geomosaic.simulate.write import write_csv, write_json
+from geomosaic_simulate.strip_plan import StripPlan
+from geomosaic_simulate.strip_scene import IDEAL, Scene
+from geomosaic_simulate.strip_sensor import Sensor, as_counts
+from geomosaic_simulate.write import write_csv, write_json
 
 Progress = Callable[[int, int, str], None]
 _BLOCK_PX = 1 << 20

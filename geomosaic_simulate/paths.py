@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.plan import SurveyPlan
+from geomosaic_simulate.plan import SurveyPlan
 
 Floats = NDArray[np.float64]
 _TURN_S = 20.0

@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.buildings import Building, Colour, bridge
-from geomosaic.simulate.noise import hashed
+from geomosaic_simulate.buildings import Building, Colour, bridge
+from geomosaic_simulate.noise import hashed
 
 Floats = NDArray[np.float64]
 Span = tuple[float, float]

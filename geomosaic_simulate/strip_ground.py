@@ -17,8 +17,8 @@ from rasterio.enums import Resampling
 from scipy.ndimage import map_coordinates
 
 from geomosaic.doors.raster import REFERENCE, open_raster, reading
-from geomosaic.simulate.noise import fractal_noise, hashed, lattice_noise, spline_noise
-from geomosaic.simulate.strip_plan import StripPlan
+from geomosaic_simulate.noise import fractal_noise, hashed, lattice_noise, spline_noise
+from geomosaic_simulate.strip_plan import StripPlan
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -15,7 +15,7 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
 from geomosaic.geodesy.local import ecef_from_geodetic
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.strip_plan import JITTER_HZ, StripPlan
+from geomosaic_simulate.strip_plan import JITTER_HZ, StripPlan
 
 Floats = NDArray[np.float64]
 _ORBIT_STEP_S = 0.25

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.simulate.buildings import Building
-from geomosaic.simulate.relief import RasterRelief, Relief
+from geomosaic_simulate.buildings import Building
+from geomosaic_simulate.relief import RasterRelief, Relief
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
