@@ -64,6 +64,7 @@ _MENDS: dict[str, tuple[float, str]] = {
     "frame-copy": (18.0, "no need: one of the copies is used"),
     "frame-take-off": (18.0, "no need: it was left out"),
     "frame-other-place": (20.0, "mosaic the other flight by itself"),
+    "frame-other-camera": (18.0, "choose the camera with --camera-kind"),
     "frame-other-bands": (20.0, "mosaic frames of the other kind by themselves"),
     "frame-no-camera": (20.0, "give the lens with --camera"),
 }  # fmt: skip

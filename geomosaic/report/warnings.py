@@ -17,7 +17,8 @@ _SEVERE: Final = frozenset(
 _ROUTINE: Final = frozenset(
     (
         "attitude-of-aircraft", "bands-left-out", "camera-assumed", "camera-scaled",
-        "dem-datum-assumed", "dem-unused", "frame-copy", "frame-other-bands", "frame-take-off",
+        "dem-datum-assumed", "dem-unused", "frame-copy", "frame-other-bands", "frame-other-camera",
+        "frame-take-off",
         "frame-turned", "geoid-assumed", "headings-off", "height-above-take-off", "height-by-neighbours",
         "height-datum-assumed", "height-datum-unknown", "height-estimated", "image-edited", "model-chosen",
         "order-by-name",

@@ -123,6 +123,14 @@ class MosaicRequest(FramesRequest):
         ),
         False,
     )
+    camera_kind: str | None = asked(
+        Option(
+            "frames of one of the aircraft's cameras: wide, zoom, thermal [the one with most pixels]",
+            "KIND",
+            RARE,
+            sets="survey.read.camera_kind",
+        )
+    )
     damaged: str | None = asked(
         Option(
             "leave_out drops damaged frames, mask only their damaged parts [leave_out]",

@@ -67,6 +67,11 @@ class SurveyRead(Stage):
             "none: all are kept",
             choices=LEAVE_OUT,
         )
+        camera_kind: str | None = param(
+            None,
+            help="frames of which of the aircraft's cameras are used, by their tag ImageSource: wide, zoom, "
+            "thermal; without it those that have most pixels",
+        )
         strict: bool = param(
             False,
             help="frames that can't be used, frames without a line in the POS file and lines without a frame "
@@ -77,7 +82,7 @@ class SurveyRead(Stage):
     def check(cls, params: Params) -> None:
         """The frames' names and every file beside them, but for what only the frames' headers show."""
         given = _given(params)
-        for name in ("dem_offset_m", "damaged", "leave_out", "strict"):
+        for name in ("dem_offset_m", "damaged", "leave_out", "camera_kind", "strict"):
             del given[name]
         check_survey_files(params.frames, **given)
 

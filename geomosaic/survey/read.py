@@ -97,6 +97,7 @@ def read_survey(
     attitude_convention: str = "auto",
     damaged: str = "leave_out",
     leave_out: str = "auto",
+    camera_kind: str | None = None,
     strict: bool = False,
     inspect: Inspect = inspect_all,
     progress: Progress | None = None,
@@ -113,7 +114,8 @@ def read_survey(
     the DEM's values to have ellipsoidal heights; gcp_optional: a gcp of which no point can be used is a
     warning; crs: the map's, `auto` for the UTM zone of the
     middle; pos_crs: of x and y in pos; attitude_convention: one of `attitude.CONVENTIONS`; damaged: one of
-    `usable.DAMAGED`; leave_out: one of `strays.LEAVE_OUT`; strict: frames that can't be used, frames without
+    `usable.DAMAGED`; leave_out: one of `strays.LEAVE_OUT`; camera_kind: of the aircraft's cameras, see
+    `strays.camera_kind`; strict: frames that can't be used, frames without
     a line in pos and lines without a frame are errors; inspect: `damage.wholeness` of many frames;
     progress: called with frames done, frames in all, and what is being done.
     Raises: `InputError` and `FileError`, one line that names the file and the fix.
@@ -127,7 +129,7 @@ def read_survey(
     inner = unused_folders(folder)
     found = usable(files, inspect, mask_damaged=damaged == "mask", strict=strict, progress=progress)
     headers, by_time = _in_order(found.headers)
-    strays = [] if leave_out == "none" else other_kinds(headers)
+    strays = [] if leave_out == "none" else other_kinds(headers, camera_kind)
     headers = without(headers, strays)
     rig = captures(headers)
     if rig is not None:

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
+from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.cameras import unreported
 from geomosaic.survey.damage import Look
@@ -44,6 +45,7 @@ SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail
 _BESIDE = tuned(5, "frames", "each side, to compare sharpness: fewer let one decide; more reach other land")
 _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
+    "frame-other-camera": "taken by another of the aircraft's cameras (--camera-kind chooses one)",
     "frame-copy": "copies of other frames",
     "frame-take-off": "taken far below all others at the flight's beginning or end",
     "frame-far-away": "farther away than any survey reaches",
@@ -83,17 +85,46 @@ def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:
     return out
 
 
-def other_kinds(headers: Sequence[FrameHeader]) -> list[Stray]:
-    """Frames of other bands or pixels than the largest kind, by how many pixels these have in all."""
-    kinds: Counter[tuple[int, str]] = Counter()
+def other_kinds(headers: Sequence[FrameHeader], camera: str | None = None) -> list[Stray]:
+    """Frames of other bands or pixels, or of another of the aircraft's cameras, than the kind that is asked
+    for, or the largest one by how many pixels it has in all.
+
+    Args: camera: one of `camera_kind`.
+    Raises: `InputError` where no frame is of that camera.
+    """
+    kinds: Counter[tuple[int, str, str]] = Counter()
     for h in headers:
-        kinds[h.bands, h.dtype] += h.width_px * h.height_px
-    usual = max(kinds, key=lambda kind: (kinds[kind], kind))
-    return [
-        _out("frame-other-bands", h, f"has {_kind(h.bands, h.dtype)}, most frames {_kind(*usual)}")
-        for h in headers
-        if (h.bands, h.dtype) != usual
-    ]
+        kinds[_kind_of(h)] += h.width_px * h.height_px
+    there = [kind for kind in kinds if camera is None or kind[2] == camera]
+    if not there:
+        named = ", ".join(sorted({kind[2] for kind in kinds if kind[2]})) or "none"
+        raise InputError(
+            f"no frame is of the camera '{camera}' (by the tag ImageSource there are: {named})",
+            fix="give --camera-kind one of these, or leave it out",
+        )
+    usual = max(there, key=lambda kind: (kinds[kind], kind[2] == "wide", kind))
+    out = []
+    for h in headers:
+        if _kind_of(h)[:2] != usual[:2]:
+            text = f"has {_kind(h.bands, h.dtype)}, most frames {_kind(*usual[:2])}"
+            out.append(_out("frame-other-bands", h, text))
+        elif _kind_of(h) != usual:
+            its, other = (kind or "unnamed" for kind in (usual[2], camera_kind(h)))
+            out.append(
+                _out("frame-other-camera", h, f"is of the {other} camera, the mosaic of the {its} one")
+            )
+    return out
+
+
+def _kind_of(header: FrameHeader) -> tuple[int, str, str]:
+    return header.bands, header.dtype, camera_kind(header)
+
+
+def camera_kind(header: FrameHeader) -> str:
+    """Which of the aircraft's cameras took the frame: wide, zoom, thermal, or what DJI's tag names it; empty
+    without the tag."""
+    source = (header.xmp or {}).get("drone-dji:ImageSource", "").lower().removesuffix("camera")
+    return "thermal" if source.startswith("infra") else source
 
 
 def copies(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> list[Stray]:

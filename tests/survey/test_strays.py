@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from survey_files import dji_xmp, exif_block, gps, image, write_jpeg
 
+from geomosaic.errors import InputError
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
 
@@ -179,3 +180,20 @@ def test_orientation_is_known_and_pixels_stay_as_stored(tmp_path: Path) -> None:
             expected, _ = read_pixels(survey.frames[0], reduction)
             assert np.array_equal(pixels, expected)
     assert np.abs(first.astype(int) - stored).mean() < 3.0
+
+
+def test_the_cameras_of_one_aircraft_are_told_apart(tmp_path: Path) -> None:
+    """An M30T's wide, zoom and thermal frames of the same moments; the wide ones by default, or those asked
+    for."""
+    for i in range(6):
+        for source in ("WideCamera", "ZoomCamera", "InfraredCamera"):
+            seen = image(*SIZE, seed=len(source) * 100 + i)
+            frame(tmp_path / f"DJI_{i:04d}_{source[0]}.JPG", i, pixels=seen, ImageSource=source)
+    survey = read_survey(tmp_path)
+    assert [f.name for f in survey.frames] == [f"DJI_{i:04d}_W.JPG" for i in range(6)]
+    (warning,) = [w for w in survey.warnings if w.code == "frame-other-camera"]
+    assert "--camera-kind" in warning.text and len(survey.left_out) == 12
+    thermal = read_survey(tmp_path, camera_kind="thermal")
+    assert [f.name for f in thermal.frames] == [f"DJI_{i:04d}_I.JPG" for i in range(6)]
+    with pytest.raises(InputError, match="there are: thermal, wide, zoom"):
+        read_survey(tmp_path, camera_kind="lidar")
