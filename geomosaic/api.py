@@ -7,6 +7,11 @@ from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition.blends import Blend, Piece
+from geomosaic.composition.model import Mosaic, OutputGrid
+from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.seam_cut import Seam
+from geomosaic.composition.tones import Tones
 from geomosaic.errors import (
     CancelledError,
     FileError,
@@ -18,11 +23,6 @@ from geomosaic.errors import (
 )
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePair, TiePoints
-from geomosaic.mosaic.blends import Blend, Piece
-from geomosaic.mosaic.model import Mosaic, OutputGrid
-from geomosaic.mosaic.ownership import Ownership
-from geomosaic.mosaic.seam_cut import Seam
-from geomosaic.mosaic.tones import Tones
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.placement.model import Placement

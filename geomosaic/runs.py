@@ -272,10 +272,10 @@ def open_run(folder: Name) -> Run:
     return Run(folder)
 
 
-def stages() -> dict[str, dict[str, Any]]:
+def list_stages() -> dict[str, dict[str, Any]]:
     """What `geomosaic stages --json` says of each stage that works, by id: inputs, outputs, parameters.
 
-    >>> gm.stages()["adjustment.solve"]["outputs"]
+    >>> gm.list_stages()["adjustment.solve"]["outputs"]
     {'adjusted': 'Adjusted', 'ground': 'GroundSurface'}
     """
     from geomosaic.cli.stages import describe

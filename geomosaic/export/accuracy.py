@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
+from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.export.surface_heights import reference_of
-from geomosaic.mosaic.model import OutputGrid
 from geomosaic.quality.accuracy_grid import AccuracyBlock
 
 Floats = NDArray[np.float64]

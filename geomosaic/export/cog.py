@@ -10,11 +10,11 @@ from typing import Any, Final
 import numpy as np
 from osgeo import gdal
 
+from geomosaic.composition.raster import COMPRESSION, SOFTWARE
+from geomosaic.composition.raster import OVERVIEWS as OVERVIEWS_MADE
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, gdal_failures, gdal_options
 from geomosaic.doors.raster import OWN, open_with_osgeo
 from geomosaic.errors import InputError
-from geomosaic.mosaic.raster import COMPRESSION, SOFTWARE
-from geomosaic.mosaic.raster import OVERVIEWS as OVERVIEWS_MADE
 
 COMPRESSIONS: Final[dict[str, tuple[str, ...]]] = {
     "deflate": ("PREDICTOR=YES", "LEVEL=3"),

@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.model import Mosaic
 from geomosaic.export import looks
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.geopackage import GeoPackage, writing_geopackage
@@ -18,7 +19,6 @@ from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.export.residual_layers import add_residual_layers
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Mosaic
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.survey.model import Survey

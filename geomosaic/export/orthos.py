@@ -11,13 +11,13 @@ from typing import Final
 
 from osgeo import gdal
 
+from geomosaic.composition.area import Area
+from geomosaic.composition.frame_part import Warping
+from geomosaic.composition.orthos import write_ortho
+from geomosaic.composition.visibility import FrameOnMap
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.cog import write_cog
-from geomosaic.mosaic.area import Area
-from geomosaic.mosaic.frame_part import Warping
-from geomosaic.mosaic.orthos import write_ortho
-from geomosaic.mosaic.sight import FrameOnMap
 
 _UNSAFE: Final = re.compile(r"[^\w.-]")
 _LONGEST: Final = 60

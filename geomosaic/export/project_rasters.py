@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 from xml.etree.ElementTree import Element, SubElement
 
+from geomosaic.composition.palette import frame_colour
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.project import Shown
-from geomosaic.mosaic.palette import frame_colour
 
 HILLSHADE: Final = "surface_hillshade.tif"
 _RGB: Final = ("red", "green", "blue")

@@ -14,10 +14,10 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.composition.model import Mosaic
 from geomosaic.doors.raster import OWN, Raster, open_raster
 from geomosaic.geodesy.antimeridian import split_area
 from geomosaic.geodesy.mapcrs import MapProjection, check_on_earth
-from geomosaic.mosaic.model import Mosaic
 
 _COG: Final = "image/tiff; application=geotiff; profile=cloud-optimized"
 ASSETS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {

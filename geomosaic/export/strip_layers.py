@@ -9,9 +9,9 @@ import shapely
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import Outlines, lonlat_by_rpc
+from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.export import looks
 from geomosaic.export.geopackage import writing_geopackage
-from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.quality.strip_figures import SEGMENT_LINES
 from geomosaic.quality.strips import StripQuality
 from geomosaic.survey.strips import StripGeometry

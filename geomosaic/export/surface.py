@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from osgeo import gdal
 from rasterio.windows import Window
 
+from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_with_osgeo, reading
 from geomosaic.export.surface_heights import HeightSystem, reference_of
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.mosaic.model import OutputGrid
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window
 from geomosaic.surface.cells import Cells

@@ -13,11 +13,11 @@ import numpy as np
 from laspy.vlrs.known import WktCoordinateSystemVlr
 from numpy.typing import NDArray
 
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.raster import SOFTWARE
 from geomosaic.doors.raster import OWN, Raster, reading
 from geomosaic.export.surface import SurfaceBlock, mosaic_window
 from geomosaic.export.surface_heights import HeightSystem, reference_of
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.raster import SOFTWARE
 
 GROUND: Final = 2
 OTHER: Final = 1

@@ -14,10 +14,10 @@ from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
+from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offsets_m
 from geomosaic.geodesy.mapcrs import MapProjection, is_local
-from geomosaic.mosaic.model import OutputGrid
 
 Floats = NDArray[np.float64]
 ELLIPSOIDAL: Final = "ellipsoidal"

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
+_ROOMS: Final = {"mosaic": "composition"}
+"""Present name of a room by its former name."""
 _FORMER: Final = {
     "geomosaic.surface.terrain:TerrainModel": "geomosaic.surface.dtm:TerrainModel",
 }
-"""Present name by former name."""
+"""Present name of a class by its former name, in the room's present name."""
 
 
 def present_name(name: str) -> str:
     """The name that a class has now, given the name in a file."""
+    found = re.match(r"geomosaic\.(\w+)", name)
+    if found and found[1] in _ROOMS:
+        name = f"geomosaic.{_ROOMS[found[1]]}{name[found.end() :]}"
     return _FORMER.get(name, name)

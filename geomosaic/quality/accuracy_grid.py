@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.area import Area, rings_of
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.area import Area, rings_of
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import Ownership
-from geomosaic.mosaic.window import Window
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window

@@ -11,10 +11,10 @@ from scipy.ndimage import binary_fill_holes
 from scipy.special import erfc
 
 from geomosaic.camera.exterior import Poses
+from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.trim import OFF_PX, looked_at, whole_of
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.mosaic.ownership import Ownership
-from geomosaic.mosaic.trim import OFF_PX, looked_at, whole_of
 from geomosaic.projection.ground import WALLED, GroundSurface
 from geomosaic.surface.dtm import TERRAIN
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.model import OutputGrid, Seamline
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import measure_displacements, patch_corners
-from geomosaic.mosaic.model import OutputGrid, Seamline
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.lattice import MapLattice
 from geomosaic.projection.resample import resample

@@ -11,11 +11,11 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.model import Mosaic
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Mosaic
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint, ground_from_images
 from geomosaic.quality.compare import Comparison

@@ -12,9 +12,9 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.model import Mosaic
 from geomosaic.export.orientation import orientations
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Mosaic
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.misalignment import pair_misalignments

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from osgeo import gdal
 
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import coarser, output_grid, without_flung
+from geomosaic.composition.limits import limits_of
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.views import frame_views
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.errors import CancelledError, GeomosaicError
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import coarser, output_grid, without_flung
-from geomosaic.mosaic.limits import limits_of
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.views import frame_views
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.report.glance import Glance, glance, stretched

@@ -14,9 +14,9 @@ from rasterio import Affine
 from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
 
+from geomosaic.composition.grid import coarser
+from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.raster import reading
-from geomosaic.mosaic.grid import coarser
-from geomosaic.mosaic.model import OutputGrid
 from geomosaic.quality.rasters import open_map
 from geomosaic.report.glance import Glance, data_uri, glance_of
 

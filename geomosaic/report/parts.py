@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.model import Trimmed
 from geomosaic.export.orientation import Orientations
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Trimmed
 from geomosaic.placement.model import Placement
 from geomosaic.quality.misalignment import PairMisalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights

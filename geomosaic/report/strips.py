@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.mosaic.strip_compose import StripMosaic
+from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.quality.jitter import jitter_spectrum, residual_spectrum
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
 from geomosaic.quality.strips import PairQuality, StripQuality

@@ -55,7 +55,7 @@ class FramesRequest(NewRunRequest, ABC):
 
 def crs_of(align_to: Path, wanted: str) -> str:
     """The CRS of a raster, or the one that was asked for if it is the same; else `InputError`."""
-    from geomosaic.mosaic.alignment import read_alignment
+    from geomosaic.composition.alignment import read_alignment
 
     alignment = read_alignment(align_to)
     if wanted == "auto":

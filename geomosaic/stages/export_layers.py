@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.model import Mosaic
 from geomosaic.export.layers import write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface

@@ -10,14 +10,14 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.rig import RigPoses
+from geomosaic.composition.compose import AUTO
+from geomosaic.composition.model import Mosaic
+from geomosaic.composition.orthos import plan_orthos
+from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.tones import Tones
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS
 from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt
-from geomosaic.mosaic.compose import AUTO
-from geomosaic.mosaic.model import Mosaic
-from geomosaic.mosaic.orthos import plan_orthos
-from geomosaic.mosaic.ownership import Ownership
-from geomosaic.mosaic.tones import Tones
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import RESAMPLING

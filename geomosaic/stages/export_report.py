@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.model import Mosaic
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.params import StageParams, param
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.placement.model import Placement

@@ -8,6 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.ccd.outlines import Outlines
+from geomosaic.composition.model import Mosaic
+from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.export.stac import (
     Coverage,
     coverage_of_mosaic,
@@ -15,8 +17,6 @@ from geomosaic.export.stac import (
     stac_item,
     write_stac,
 )
-from geomosaic.mosaic.model import Mosaic
-from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.survey.model import Survey
 from geomosaic.survey.strips import StripGeometry

@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import Outlines
+from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.strip_layers import write_strip_layers
-from geomosaic.mosaic.strip_compose import StripMosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.quality.strips import StripQuality
 from geomosaic.survey.strips import StripGeometry

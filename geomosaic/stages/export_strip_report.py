@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from geomosaic.ccd.model import StripOffsets
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.mosaic.strip_compose import StripMosaic
+from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage
 from geomosaic.quality.strips import StripQuality
 from geomosaic.report.strips import render_strips_report

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from rasterio import Env
 
+from geomosaic.composition.model import Mosaic
 from geomosaic.doors.raster import OWN, READ_CACHE_BYTES, open_raster
 from geomosaic.export.cog import block_cache, write_cog
 from geomosaic.export.project_layers import CONTOURS
@@ -18,7 +19,6 @@ from geomosaic.export.surface import RASTERS, SurfaceOnMap, surface_grid, writin
 from geomosaic.export.surface_cloud import writing_cloud
 from geomosaic.export.surface_drawn import write_contours, write_hillshade
 from geomosaic.export.surface_heights import ELLIPSOIDAL, height_system, vertical_of, write_sidecar
-from geomosaic.mosaic.model import Mosaic
 from geomosaic.pipeline.freed import give_back
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.surface.dtm import TerrainModel

@@ -13,13 +13,13 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.mosaic.bands import compose_bands
-from geomosaic.mosaic.blends import BLENDS
-from geomosaic.mosaic.compose import AUTO, AUTO_FEATHER_PX, compose
-from geomosaic.mosaic.model import Mosaic, OutputGrid
-from geomosaic.mosaic.ownership import Ownership
-from geomosaic.mosaic.plugins import BLENDS_GROUP
-from geomosaic.mosaic.tones import Tones
+from geomosaic.composition.bands import compose_bands
+from geomosaic.composition.blends import BLENDS
+from geomosaic.composition.compose import AUTO, AUTO_FEATHER_PX, compose
+from geomosaic.composition.model import Mosaic, OutputGrid
+from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.plugins import BLENDS_GROUP
+from geomosaic.composition.tones import Tones
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import RESAMPLING

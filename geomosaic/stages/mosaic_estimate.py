@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 import shapely
 
-from geomosaic.mosaic.estimate import before_composing, estimate
-from geomosaic.mosaic.frames import decoded_bytes
-from geomosaic.mosaic.grid import output_grid, stretching
-from geomosaic.mosaic.views import seen_part
+from geomosaic.composition.estimate import before_composing, estimate
+from geomosaic.composition.frames import decoded_bytes
+from geomosaic.composition.grid import output_grid, stretching
+from geomosaic.composition.views import seen_part
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from geomosaic.composition.estimate import estimate_scene
 from geomosaic.errors import InputError
-from geomosaic.mosaic.estimate import estimate_scene
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.stages.export_map import ExportMap
 from geomosaic.stages.mosaic_strips import MosaicStrips

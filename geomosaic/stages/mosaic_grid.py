@@ -11,11 +11,11 @@ import numpy as np
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.mosaic.alignment import read_alignment
-from geomosaic.mosaic.area import Area, Outline, area_seen, read_outline
-from geomosaic.mosaic.grid import auto_gsd_m
-from geomosaic.mosaic.limits import Limits, limits_of
-from geomosaic.mosaic.views import FrameView, frame_views
+from geomosaic.composition.alignment import read_alignment
+from geomosaic.composition.area import Area, Outline, area_seen, read_outline
+from geomosaic.composition.grid import auto_gsd_m
+from geomosaic.composition.limits import Limits, limits_of
+from geomosaic.composition.views import FrameView, frame_views
 from geomosaic.projection.footprint import survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.mosaic.calmed import calmed
-from geomosaic.mosaic.choice import agreement
-from geomosaic.mosaic.views import frame_views
+from geomosaic.composition.choice import agreement
+from geomosaic.composition.ortho_surface import ortho_surface
+from geomosaic.composition.views import frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.dtm import TerrainModel
@@ -59,7 +59,7 @@ class MosaicGround(Stage):
         """Compares how frames show places where both grounds differ, if nobody has chosen."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
-        grounds = calmed(inputs["ground"]), inputs["terrain"].ground()
+        grounds = ortho_surface(inputs["ground"]), inputs["terrain"].ground()
         chosen = params.ortho
         if chosen == AUTO:
             used = [s != "rejected" for s in adjusted.status]

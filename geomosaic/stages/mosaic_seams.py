@@ -11,22 +11,22 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.mosaic.alignment import read_alignment
-from geomosaic.mosaic.area import Area, elsewhere, read_outline
-from geomosaic.mosaic.bands import with_all_bands
-from geomosaic.mosaic.grid import MAX_GIGAPIXELS, far_from_own, output_grid, without_flung
-from geomosaic.mosaic.hidden import Hidden
-from geomosaic.mosaic.limits import Limits
-from geomosaic.mosaic.ownership import Ownership, cell_px_of, nearest_nadir, within
-from geomosaic.mosaic.plugins import SEAMS_GROUP
-from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.seam_cut import NEAREST_NADIR, SEAMS, Seam
-from geomosaic.mosaic.seam_figures import seam_figures
-from geomosaic.mosaic.seam_parts import Glimpse, bands, giving, glimpsed
-from geomosaic.mosaic.shadows import hidden_parts, shaded, shadow, side_px_of
-from geomosaic.mosaic.tones import Tones
-from geomosaic.mosaic.trim import HORIZON, Edges, Looks, filled, mosaic_edges
-from geomosaic.mosaic.untied import needless
+from geomosaic.composition.alignment import read_alignment
+from geomosaic.composition.area import Area, elsewhere, read_outline
+from geomosaic.composition.bands import with_all_bands
+from geomosaic.composition.grid import MAX_GIGAPIXELS, far_from_own, output_grid, without_flung
+from geomosaic.composition.hidden import Hidden
+from geomosaic.composition.limits import Limits
+from geomosaic.composition.occlusion import occluded_parts, occlusion_depth, side_px_of, with_occlusion
+from geomosaic.composition.ownership import Ownership, cell_px_of, nearest_nadir, within
+from geomosaic.composition.plugins import SEAMS_GROUP
+from geomosaic.composition.scene import Scene
+from geomosaic.composition.seam_cut import NEAREST_NADIR, SEAMS, Seam
+from geomosaic.composition.seam_figures import seam_figures
+from geomosaic.composition.seam_parts import Glimpse, bands, giving, glimpsed
+from geomosaic.composition.tones import Tones
+from geomosaic.composition.trim import HORIZON, Edges, Looks, filled, mosaic_edges
+from geomosaic.composition.untied import needless
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
@@ -270,11 +270,11 @@ class MosaicSeams(Stage):
         if not scene.ground.has_walls:
             return scene, ()
         side_px = side_px_of(scene)
-        look = partial(shadow, replace(scene, views=()), side_px)
+        look = partial(occlusion_depth, replace(scene, views=()), side_px)
         shadows = context.map("shadows", look, scene.views, keys=[v.frame for v in scene.views])
-        hidden, unseen = hidden_parts(scene.grid, side_px, shadows)
+        hidden, unseen = occluded_parts(scene.grid, side_px, shadows)
         context.metric("seams.unseen", asdict(unseen))
-        return replace(scene, views=shaded(scene.views, hidden)), hidden
+        return replace(scene, views=with_occlusion(scene.views, hidden)), hidden
 
     @staticmethod
     def _cut(

@@ -15,12 +15,12 @@ from geomosaic.ccd.outlines import Outlines, outlines
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.ccd.scene_rpc import SceneRpc, scene_rpc
 from geomosaic.ccd.virtual_layout import virtual_layout
+from geomosaic.composition.blends import BLENDS
+from geomosaic.composition.estimate import estimate_scene
+from geomosaic.composition.grid import MAX_GIGAPIXELS
+from geomosaic.composition.plugins import BLENDS_GROUP
+from geomosaic.composition.strip_compose import StripMosaic, compose_strips
 from geomosaic.errors import InputError
-from geomosaic.mosaic.blends import BLENDS
-from geomosaic.mosaic.estimate import estimate_scene
-from geomosaic.mosaic.grid import MAX_GIGAPIXELS
-from geomosaic.mosaic.plugins import BLENDS_GROUP
-from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
 from geomosaic.survey.strips import StripGeometry

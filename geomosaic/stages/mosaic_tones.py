@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
 from geomosaic.errors import InputError
-from geomosaic.mosaic.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_grid import TRIM, Seeing

@@ -9,10 +9,10 @@ from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.ownership import Ownership
 from geomosaic.export.accuracy import write_accuracy
 from geomosaic.export.cog import write_cog
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.ownership import Ownership
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.accuracy_grid import (

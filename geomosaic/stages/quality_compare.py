@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.mosaic.model import Mosaic
+from geomosaic.composition.model import Mosaic
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison, compare

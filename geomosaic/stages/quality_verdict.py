@@ -10,10 +10,10 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.residual_pattern import residual_patterns
+from geomosaic.composition.model import Mosaic
+from geomosaic.composition.ownership import Ownership
 from geomosaic.export.on_map import work_from_map
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Mosaic
-from geomosaic.mosaic.ownership import Ownership
 from geomosaic.pipeline.params import StageParams, param
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.graph import connected_parts

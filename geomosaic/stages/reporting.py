@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.camera.exterior import Poses
+from geomosaic.composition.estimate import Estimate, room
+from geomosaic.composition.model import Trimmed
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import is_local
-from geomosaic.mosaic.estimate import Estimate, room
-from geomosaic.mosaic.model import Trimmed
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import footprint

@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.limits import limits_of
+from geomosaic.composition.views import seen_part
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.matching.features import grey
-from geomosaic.mosaic.limits import limits_of
-from geomosaic.mosaic.views import seen_part
 from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m

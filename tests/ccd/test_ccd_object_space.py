@@ -22,10 +22,10 @@ from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.scene_rpc import scene_rpc
 from geomosaic.ccd.virtual_layout import ideal_camera, virtual_layout
 from geomosaic.ccd.virtual_line import virtual_line
+from geomosaic.composition.strip_compose import compose_strips
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.mosaic.strip_compose import compose_strips
 from geomosaic.survey import strip_heights
 from geomosaic.survey.dem import read_heights
 from geomosaic.survey.model import ElevationModel

@@ -15,12 +15,12 @@ from pyproj import Transformer
 from stac_schema import check_schema
 from test_export_cog import raw_raster
 
+from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.errors import InputError
 from geomosaic.export.cog import write_cog
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, stac_item
 from geomosaic.export.web import write_kmz, write_tiles
-from geomosaic.mosaic.model import Mosaic, OutputGrid
 
 UTM = "EPSG:32760"
 GSD_M = 0.25

@@ -21,6 +21,9 @@ from osgeo_utils.samples import validate_gpkg
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.views import frame_views
 from geomosaic.export import residual_layers
 from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.export.layers import write_layers
@@ -29,9 +32,6 @@ from geomosaic.export.positions import COLUMNS, write_positions
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePair, TiePoints
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.views import frame_views
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import flat_ground

@@ -12,11 +12,11 @@ import rasterio
 import shapely
 from osgeo import ogr
 
+from geomosaic.composition.palette import frame_colour
 from geomosaic.export import looks
 from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.export.project import write_project
 from geomosaic.export.project_layers import project_of
-from geomosaic.mosaic.palette import frame_colour
 
 CRS = "EPSG:32615"
 

@@ -16,6 +16,7 @@ from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from pyproj import CRS, Transformer
 from stac_schema import check_schema
 
+from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.doors.raster import READ_CACHE_BYTES
 from geomosaic.errors import InputError
 from geomosaic.export.stac import coverage_of_mosaic, stac_item
@@ -23,7 +24,6 @@ from geomosaic.export.surface import SurfaceOnMap
 from geomosaic.export.surface_heights import HeightSystem, height_system, write_sidecar
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
-from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.pipeline.stage import Context
 from geomosaic.requests.mosaic_request import STAGES
 from geomosaic.requests.run_request import recipe_of

@@ -21,6 +21,7 @@ from rasterio.warp import transform_bounds
 from stac_schema import check_schema
 from test_export_cog import raw_raster
 
+from geomosaic.composition.model import Mosaic, OutputGrid, Seamline
 from geomosaic.errors import CancelledError
 from geomosaic.export.cog import write_cog
 from geomosaic.export.footprints import write_footprints
@@ -28,7 +29,6 @@ from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
 from geomosaic.export.web import write_kmz, write_tiles, write_vrt
-from geomosaic.mosaic.model import Mosaic, OutputGrid, Seamline
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from mosaic_scenes import CAMERA
 from test_mosaic_grid import given_for, seams
 
 from geomosaic.adjustment.procedure.rig import BandPose, RigPoses
-from geomosaic.mosaic.bands import other_bands
+from geomosaic.composition.bands import other_bands
 from geomosaic.survey.model import Band
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.mosaic.calmed import calmed
+from geomosaic.composition.ortho_surface import ortho_surface
 from geomosaic.projection.ground import GroundSurface
 
 SPACING_M = 0.25
@@ -27,7 +27,7 @@ def town_and_woods() -> GroundSurface:
 
 def test_woods_are_smoothed_and_what_is_sure_stays_to_the_last_bit() -> None:
     ground = town_and_woods()
-    found = calmed(ground)
+    found = ortho_surface(ground)
     np.testing.assert_array_equal(found.up_m[:155], ground.up_m[:155])
     step = np.abs(np.diff(found.up_m[155:], axis=0)).max(), np.abs(np.diff(found.up_m[160:], axis=1)).max()
     assert max(step) < 4.0 * SPACING_M, "they can be drawn without a fold"
@@ -39,6 +39,6 @@ def test_woods_are_smoothed_and_what_is_sure_stays_to_the_last_bit() -> None:
 def test_a_surface_that_is_sure_or_says_nothing_is_itself() -> None:
     ground = town_and_woods()
     plain = GroundSurface("dense", 0.0, 0.0, SPACING_M, ground.up_m)
-    assert calmed(plain) is plain
+    assert ortho_surface(plain) is plain
     sure = GroundSurface("dense", 0.0, 0.0, SPACING_M, ground.up_m, np.full((N, N), 0.1))
-    assert calmed(sure) is sure
+    assert ortho_surface(sure) is sure

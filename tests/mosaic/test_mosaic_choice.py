@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mosaic_scenes import CAMERA, make_survey
 
-from geomosaic.mosaic.choice import Agreement, agreement
-from geomosaic.mosaic.views import frame_views
+from geomosaic.composition.choice import Agreement, agreement
+from geomosaic.composition.views import frame_views
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import AtOnce
 

@@ -18,13 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mosaic_scenes import CAMERA, CRS, GSD_M, hills, make_survey, paint, truth, truth_of, with_mask
 
+from geomosaic.composition import blended, pyramid, raster
+from geomosaic.composition import compose as compose_module
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import auto_gsd_m, far_from_own, output_grid
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.views import frame_views
 from geomosaic.errors import CancelledError, FileError, InputError, UnknownNameError
-from geomosaic.mosaic import blended, pyramid, raster
-from geomosaic.mosaic import compose as compose_module
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import auto_gsd_m, far_from_own, output_grid
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.executor import Workers
 

@@ -22,16 +22,16 @@ from small_surveys import geomosaic, mosaic, small_survey, summary
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition import frame_part
+from geomosaic.composition.area import Outline, area_seen
+from geomosaic.composition.compose import compose
+from geomosaic.composition.frames import Decoded
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.views import FrameView
 from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.mosaic import frame_part
-from geomosaic.mosaic.area import Outline, area_seen
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.frames import Decoded
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import Ownership
-from geomosaic.mosaic.views import FrameView
 from geomosaic.pipeline.context import Notes
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single import run_stage

@@ -12,19 +12,19 @@ from mosaic_scenes import CAMERA, make_survey
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition.blends import BLENDS
+from geomosaic.composition.cells import Cells
+from geomosaic.composition.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
+from geomosaic.composition.frame_source import FrameSource
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.ownership import Ownership, nearest_nadir, owned_cells
+from geomosaic.composition.plan import Planned, Planning, windows
+from geomosaic.composition.scene import CELL_PX, Scene, ground_of, margin_px
+from geomosaic.composition.views import FrameView, frame_views
+from geomosaic.composition.visibility import FrameOnMap, cells_in_view
+from geomosaic.composition.window import Manner, Part, Step, Window, compose_window
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.mosaic.blends import BLENDS
-from geomosaic.mosaic.cells import Cells
-from geomosaic.mosaic.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
-from geomosaic.mosaic.frame_source import FrameSource
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import Ownership, nearest_nadir, owned_cells
-from geomosaic.mosaic.plan import Planned, Planning, windows
-from geomosaic.mosaic.scene import CELL_PX, Scene, ground_of, margin_px
-from geomosaic.mosaic.sight import FrameOnMap, cells_in_view
-from geomosaic.mosaic.views import FrameView, frame_views
-from geomosaic.mosaic.window import Manner, Part, Step, Window, compose_window
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import frame_from_map
 

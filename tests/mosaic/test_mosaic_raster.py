@@ -15,14 +15,14 @@ from osgeo import gdal
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from rasterio.enums import ColorInterp
 
+from geomosaic.composition import cog_layout
+from geomosaic.composition.blended import Blended, BlendedBlock, place_over
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.plan import windows as along_the_curve
+from geomosaic.composition.pyramid import TILE_PX, Pyramid, TileKind, halved
+from geomosaic.composition.raster import index_kind, writing_mosaic, writing_scene
+from geomosaic.composition.window import Composed, Window
 from geomosaic.export.cog import write_cog
-from geomosaic.mosaic import cog_layout
-from geomosaic.mosaic.blended import Blended, BlendedBlock, place_over
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.plan import windows as along_the_curve
-from geomosaic.mosaic.pyramid import TILE_PX, Pyramid, TileKind, halved
-from geomosaic.mosaic.raster import index_kind, writing_mosaic, writing_scene
-from geomosaic.mosaic.window import Composed, Window
 
 WIDTH, HEIGHT = 2301, 1300
 GRID = OutputGrid("EPSG:32615", 500_000.0, 5e6, 0.05, WIDTH, HEIGHT)

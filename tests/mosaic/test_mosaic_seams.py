@@ -17,21 +17,21 @@ from hypothesis import strategies as st
 from mosaic_scenes import CRS, GSD_M, make_survey
 
 from geomosaic.camera.interior import Camera
+from geomosaic.composition import seam_cut
+from geomosaic.composition.blends import BLENDS, Blend, Piece
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.ownership import Ownership, cell_px_of, frame_cells, nearest_nadir
+from geomosaic.composition.plan import windows
+from geomosaic.composition.plugins import BLENDS_GROUP, Named
+from geomosaic.composition.scene import Scene
+from geomosaic.composition.seam_cut import Shared, cut_pair, cut_seams
+from geomosaic.composition.seam_figures import seam_figures
+from geomosaic.composition.seam_parts import Glimpse, Part, bands, giving, glimpsed
+from geomosaic.composition.views import frame_views
+from geomosaic.composition.window import Window
 from geomosaic.errors import PluginError
-from geomosaic.mosaic import seam_cut
-from geomosaic.mosaic.blends import BLENDS, Blend, Piece
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import Ownership, cell_px_of, frame_cells, nearest_nadir
-from geomosaic.mosaic.plan import windows
-from geomosaic.mosaic.plugins import BLENDS_GROUP, Named
-from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.seam_cut import Shared, cut_pair, cut_seams
-from geomosaic.mosaic.seam_figures import seam_figures
-from geomosaic.mosaic.seam_parts import Glimpse, Part, bands, giving, glimpsed
-from geomosaic.mosaic.views import frame_views
-from geomosaic.mosaic.window import Window
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import AtOnce
 from geomosaic.survey.model import Survey
@@ -290,7 +290,7 @@ def test_other_distributions_bring_blends(tmp_path: Path, monkeypatch: pytest.Mo
     (meta / "METADATA").write_text("Metadata-Version: 2.1\nName: thirds\nVersion: 1.2\n")
     lines = ["works = thirds:works", "gone = thirds:gone", "number = thirds:number", "hard = thirds:works"]
     (meta / "entry_points.txt").write_text("\n".join([f"[{BLENDS_GROUP}]", *lines]))
-    code = "from geomosaic.mosaic.blends import Blend, hard\nworks = Blend(hard, lambda px: 0)\nnumber = 3\n"
+    code = "from geomosaic.composition.blends import Blend, hard\nworks = Blend(hard, lambda px: 0)\nnumber = 3\n"
     (tmp_path / "thirds.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     known = Named({"hard": BLENDS["hard"]}, BLENDS_GROUP, lambda found: isinstance(found, Blend))

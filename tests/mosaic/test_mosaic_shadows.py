@@ -12,15 +12,22 @@ import pytest
 import rasterio
 from mosaic_scenes import CAMERA, make_survey, truth
 
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.hidden import Clear, Hidden
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import nearest_nadir
-from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.shadows import Shadow, hidden_parts, settled, shaded, shadow, side_px_of
-from geomosaic.mosaic.views import frame_views
-from geomosaic.mosaic.window import Window
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.hidden import Clear, Hidden
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.occlusion import (
+    OcclusionDepth,
+    occluded,
+    occluded_parts,
+    occlusion_depth,
+    side_px_of,
+    with_occlusion,
+)
+from geomosaic.composition.ownership import nearest_nadir
+from geomosaic.composition.scene import Scene
+from geomosaic.composition.views import frame_views
+from geomosaic.composition.window import Window
 from geomosaic.projection.ground import GroundSurface
 
 GSD_M, SPACING_M, TOP_M = 0.25, 0.5, 10.0
@@ -42,24 +49,24 @@ def test_low_steps_and_islands_hide_nothing_and_edges_count_in_full() -> None:
     below[25:35, 10:18] = 0.8
     below[8:11, 40:42] = 3.0
     below[30, 50] = 9.0
-    found = settled(below, 0.5)
+    found = occluded(below, 0.5)
     assert found[4:16, 9:18].all() and not found[:, 19:38].any()
     assert not found[24:36, 8:20].any() and not found[29:32, 49:52].any() and found[7:12, 39:43].all()
     below[9:11, 12] = -1.0
-    assert settled(below, 0.5)[9:11, 12].all(), "two cells seen amid it"
+    assert occluded(below, 0.5)[9:11, 12].all(), "two cells seen amid it"
 
 
 def test_what_no_frame_sees_is_given_by_the_one_that_comes_nearest_to_it() -> None:
     grid = OutputGrid("EPSG:32632", 0.0, 0.0, 0.25, 64, 64)
 
-    def told(frame: int, depth: np.ndarray) -> Shadow:
+    def told(frame: int, depth: np.ndarray) -> OcclusionDepth:
         shape = (depth.shape[0], depth.shape[1])
-        return Shadow(frame, 0, 0, shape, zlib.compress(depth.astype(np.uint8).tobytes()))
+        return OcclusionDepth(frame, 0, 0, shape, zlib.compress(depth.astype(np.uint8).tobytes()))
 
     one, other = np.zeros((16, 16)), np.zeros((16, 16))
     one[2:6], other[4:9] = 30, 20
     one[4, :8], one[:, 15], other[:, 15] = 10, 255, 255
-    hidden, unseen = hidden_parts(grid, 4, [told(3, one), told(7, other)])
+    hidden, unseen = occluded_parts(grid, 4, [told(3, one), told(7, other)])
     flags = {h.frame: h.flags for h in hidden}
     assert flags[3][2:6, 8:15].all() and not flags[3][4, :8].any() and flags[3][5, :15].all()
     assert flags[7][4, :8].all() and not flags[7][4:6, 8:15].any() and flags[7][6:9, :15].all()
@@ -108,9 +115,11 @@ def composed(folder: Path, shade: bool) -> tuple[np.ndarray, np.ndarray, float]:
     grid = output_grid(survey.map_crs, views, GSD_M, [f.name for f in survey.frames])
     scene, hidden, share = Scene(survey.work_frame, ground, grid, views), (), 0.0
     if shade:
-        hidden, unseen = hidden_parts(grid, 2, [shadow(scene, side_px_of(scene), v) for v in views])
+        hidden, unseen = occluded_parts(
+            grid, 2, [occlusion_depth(scene, side_px_of(scene), v) for v in views]
+        )
         share = unseen.share
-        scene = replace(scene, views=shaded(views, hidden))
+        scene = replace(scene, views=with_occlusion(views, hidden))
     ownership = replace(nearest_nadir(scene, [True] * n, 8)[0], hidden=hidden)
     target = folder / "mosaic.tif"
     compose(survey, poses, [camera] * n, [True] * n, ground, grid, target, ownership=ownership)

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from osgeo import gdal
 
+from geomosaic.composition.pyramid import halved
+from geomosaic.composition.raster import BLOCK_ROWS, writing_scene
+from geomosaic.composition.window import Composed, Window
 from geomosaic.export.cog import write_cog
-from geomosaic.mosaic.pyramid import halved
-from geomosaic.mosaic.raster import BLOCK_ROWS, writing_scene
-from geomosaic.mosaic.window import Composed, Window
 
 
 def block(top: int, pixels: np.ndarray, valid: np.ndarray, left: int = 0) -> Composed:

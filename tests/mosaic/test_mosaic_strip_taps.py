@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from geomosaic.ccd.layout import Places
-from geomosaic.mosaic.strip_lines import Lines
-from geomosaic.mosaic.strip_taps import between
-from geomosaic.mosaic.strip_window import part_of_strip
+from geomosaic.composition.strip_lines import Lines
+from geomosaic.composition.strip_taps import between
+from geomosaic.composition.strip_window import part_of_strip
 from geomosaic.projection.resample import RESAMPLING
 
 IMAGE = np.random.default_rng(5).uniform(100.0, 900.0, (60, 150)).astype(np.float32)

@@ -14,9 +14,9 @@ import rasterio
 from geomosaic.ccd.layout import Places, image_space_layout
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.ccd.radiometry import Radiometry
+from geomosaic.composition.blends import BLENDS
+from geomosaic.composition.strip_compose import compose_strips
 from geomosaic.errors import FileError, UnknownNameError
-from geomosaic.mosaic.blends import BLENDS
-from geomosaic.mosaic.strip_compose import compose_strips
 from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_scene import Scene
@@ -430,7 +430,7 @@ import sys
 from pathlib import Path
 from geomosaic.ccd.layout import image_space_layout
 from geomosaic.ccd.model import StripOffsets
-from geomosaic.mosaic.strip_compose import compose_strips
+from geomosaic.composition.strip_compose import compose_strips
 from geomosaic.survey.strips import Ccd, StripGeometry
 folder, lines = Path(sys.argv[1]), int(sys.argv[2])
 g = StripGeometry(ccds=(Ccd(folder / "0.tif", 1), Ccd(folder / "1.tif", 2)), width_px=1024, lines=(lines, lines),

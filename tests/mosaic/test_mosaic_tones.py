@@ -15,9 +15,9 @@ from rasterio.warp import reproject
 from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.tones import Places, Sampling, Tones, evened, lattice, sampled, solve_tones
+from geomosaic.composition.views import frame_views
 from geomosaic.errors import InputError
-from geomosaic.mosaic.tones import Places, Sampling, Tones, evened, lattice, sampled, solve_tones
-from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.stage import Context
 from geomosaic.stages.mosaic_tones import MosaicTones
 from geomosaic.survey.model import Band

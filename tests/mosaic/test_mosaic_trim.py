@@ -17,10 +17,10 @@ from test_mosaic_grid import given_for, seams
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.limits import Limits
-from geomosaic.mosaic.trim import REASONS, looked_at, whole_of
-from geomosaic.mosaic.views import frame_views
+from geomosaic.composition.compose import compose
+from geomosaic.composition.limits import Limits
+from geomosaic.composition.trim import REASONS, looked_at, whole_of
+from geomosaic.composition.views import frame_views
 from geomosaic.projection.footprint import sightings, survey_pixel_m
 from geomosaic.projection.ground import flat_ground
 

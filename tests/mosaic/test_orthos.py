@@ -16,9 +16,9 @@ from rasterio.windows import Window, from_bounds
 from small_surveys import geomosaic, mosaic, small_survey
 from test_mosaic_grid import around, given_for, polygons, seams
 
+from geomosaic.composition.tones import Tones
 from geomosaic.errors import CancelledError
 from geomosaic.export.orthos import ortho_names
-from geomosaic.mosaic.tones import Tones
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single import run_stage

@@ -20,11 +20,14 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import FileError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.pipeline.artefacts import content_of, decode, encode, type_name, write
+from geomosaic.pipeline.artefacts import content_of, decode, encode, type_name, with_texts, write
 from geomosaic.pipeline.context import RunFile
+from geomosaic.pipeline.former_names import present_name
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.surface.dtm import TerrainModel
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
@@ -227,3 +230,13 @@ def test_what_is_written_is_not_held_twice(tmp_path: Path) -> None:
         tracemalloc.stop()
     assert most < 1 << 20
     assert (tmp_path / "a").read_bytes() == encode(value)
+
+
+def test_artefacts_of_earlier_versions_are_read_by_the_former_names_of_their_classes() -> None:
+    grid = OutputGrid("EPSG:32632", 500_000.0, 5_000_000.0, 0.1, 30, 20)
+    former = with_texts(
+        encode(grid), lambda text: text.replace("geomosaic.composition.", "geomosaic.mosaic.")
+    )
+    assert b"geomosaic.mosaic.model:OutputGrid" in former
+    assert decode(former, OutputGrid) == grid
+    assert present_name("geomosaic.surface.terrain:TerrainModel") == type_name(TerrainModel)

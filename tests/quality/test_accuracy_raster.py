@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation as Turn
 from geomosaic.adjustment.model import Adjusted, GroundPlaces, ImageResiduals
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition.area import Area
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.ownership import Ownership
 from geomosaic.export.accuracy import BANDS, write_accuracy
 from geomosaic.export.cog import write_cog
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.area import Area
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.accuracy_grid import AccuracyCells, MatchedCells, held_by_ties, standing_m

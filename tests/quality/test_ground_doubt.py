@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from geomosaic.camera.exterior import Poses
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.ownership import Ownership
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.mosaic.model import OutputGrid
-from geomosaic.mosaic.ownership import Ownership
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.ground_doubt import Land, LandDoubt, land_doubt, places_of
 

@@ -16,10 +16,10 @@ from small_surveys import mosaic, small_survey, summary
 from geomosaic.adjustment.model import Adjusted, ControlResidual, ImageResiduals
 from geomosaic.adjustment.procedure.residual_pattern import CELLS, residual_patterns
 from geomosaic.camera.interior import Camera
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.model import Mosaic
-from geomosaic.mosaic.views import frame_views
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.model import Mosaic
+from geomosaic.composition.views import frame_views
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement
 from geomosaic.quality.criteria import CRITERIA

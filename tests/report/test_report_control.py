@@ -20,8 +20,8 @@ from test_report_surface import METRICS as SURFACE_METRICS
 from test_report_surface import run as surface_run  # noqa: F401
 from test_report_surface import section as surface_section
 
+from geomosaic.composition.model import Trimmed, TrimmedPart
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.mosaic.model import Trimmed, TrimmedPart
 from geomosaic.pipeline.stage import Context
 from geomosaic.report.accuracy_table import accuracy_table
 from geomosaic.report.control import mapped_points, point_figures

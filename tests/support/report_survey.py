@@ -14,9 +14,9 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual, Round, SharedU
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePair, TiePoints
-from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement

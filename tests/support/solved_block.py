@@ -10,9 +10,9 @@ from adjustment_blocks import fly
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.control_points import ground_control
+from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
-from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.placement.model import Placement
 from geomosaic.survey.model import Attitude, ControlPoint, Frame, Position, Survey
 

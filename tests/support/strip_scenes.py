@@ -11,8 +11,8 @@ from geomosaic.ccd.layout import image_space_layout
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles
 from geomosaic.ccd.radiometry import Radiometry
+from geomosaic.composition.strip_compose import StripMosaic, compose_strips
 from geomosaic.export.offsets_csv import read_true_offsets
-from geomosaic.mosaic.strip_compose import StripMosaic, compose_strips
 from geomosaic.quality.strips import StripQuality, misplacement
 from geomosaic.survey.strips import StripGeometry, read_geometry
 from geomosaic_simulate.strip_plan import StripPlan

@@ -23,11 +23,11 @@ from survey_files import dji_xmp, exif_block, gps, image, write_jpeg
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition.estimate import estimate_scene
+from geomosaic.composition.grid import output_grid, stretching, without_flung
+from geomosaic.composition.views import FrameView
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.mosaic.estimate import estimate_scene
-from geomosaic.mosaic.grid import output_grid, stretching, without_flung
-from geomosaic.mosaic.views import FrameView
 from geomosaic.placement.heights import with_missing_heights
 from geomosaic.projection.ground import flat_ground, node_spacing_m
 from geomosaic.survey.model import Position, Warn

@@ -17,9 +17,9 @@ from small_surveys import geomosaic, mosaic, small_survey, summary
 from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
 
 from geomosaic.adjustment.procedure.rig import Captures, RigPoses, band_poses, register_bands
+from geomosaic.composition.bands import stack_bands
+from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
-from geomosaic.mosaic.bands import stack_bands
-from geomosaic.mosaic.model import OutputGrid
 from geomosaic.pipeline.finished import load_artefact
 from geomosaic.survey.model import Band
 from geomosaic.survey.read import read_survey

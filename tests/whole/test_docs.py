@@ -122,7 +122,7 @@ def test_every_command_is_one(page: Path) -> None:
 def test_what_commands_name_is_there() -> None:
     """Targets of make, the tools, recipes by name, and parameters of stages that --set and tables name."""
     targets = set(re.findall(r"^([a-z][a-z-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
-    known = {f"{id}.{p['name']}" for id, stage in gm.stages().items() for p in stage["params"]}
+    known = {f"{id}.{p['name']}" for id, stage in gm.list_stages().items() for p in stage["params"]}
     recipes = {path.stem.replace("_", "-") for path in (ROOT / "geomosaic" / "recipes").glob("*.yaml")}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")

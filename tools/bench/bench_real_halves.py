@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.ownership import cell_px_of, nearest_nadir
-from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.shadows import hidden_parts, shaded, shadow, side_px_of
-from geomosaic.mosaic.views import frame_views
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.occlusion import occluded_parts, occlusion_depth, side_px_of, with_occlusion
+from geomosaic.composition.ownership import cell_px_of, nearest_nadir
+from geomosaic.composition.scene import Scene
+from geomosaic.composition.views import frame_views
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import Comparison, compare
@@ -108,8 +108,8 @@ def _composed(run: Path, first: int, path: Path) -> Path:
     scene = Scene(survey.work_frame, ground, grid, views)
     if ground.has_walls:
         side_px = side_px_of(scene)
-        hidden, _ = hidden_parts(grid, side_px, [shadow(scene, side_px, view) for view in views])
-        scene = replace(scene, views=shaded(views, hidden))
+        hidden, _ = occluded_parts(grid, side_px, [occlusion_depth(scene, side_px, view) for view in views])
+        scene = replace(scene, views=with_occlusion(views, hidden))
     ownership, _ = nearest_nadir(scene, used, cell_px_of(scene))
     if ground.has_walls:
         ownership = replace(ownership, hidden=hidden)

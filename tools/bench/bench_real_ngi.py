@@ -16,10 +16,10 @@ import rasterio
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.compose import compose
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.views import frame_views
 from geomosaic.errors import InputError
-from geomosaic.mosaic.compose import compose
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.views import frame_views
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare

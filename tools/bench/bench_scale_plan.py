@@ -19,16 +19,16 @@ import numpy as np
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
+from geomosaic.composition.blends import BLENDS
+from geomosaic.composition.compose import WINDOW_PX
+from geomosaic.composition.frame_source import FrameSource
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.ownership import cell_px_of, nearest_nadir
+from geomosaic.composition.plan import Asking, Planning, windows
+from geomosaic.composition.scene import Scene
+from geomosaic.composition.views import frame_views
+from geomosaic.composition.visibility import cells_in_view
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.mosaic.blends import BLENDS
-from geomosaic.mosaic.compose import WINDOW_PX
-from geomosaic.mosaic.frame_source import FrameSource
-from geomosaic.mosaic.grid import output_grid
-from geomosaic.mosaic.ownership import cell_px_of, nearest_nadir
-from geomosaic.mosaic.plan import Asking, Planning, windows
-from geomosaic.mosaic.scene import Scene
-from geomosaic.mosaic.sight import cells_in_view
-from geomosaic.mosaic.views import frame_views
 from geomosaic.projection.ground import GroundSurface
 
 GSD_M, HEIGHT_M, CRS = 0.025, 100.0, "EPSG:32632"

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from osgeo import gdal
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.mosaic.model import Mosaic, OutputGrid
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface

@@ -26,9 +26,9 @@ from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 from scipy.spatial import cKDTree
 
+from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.matching.displacement import measure_displacements, patch_corners
-from geomosaic.mosaic.model import OutputGrid
 from geomosaic.projection.warp import frame_from_map, ground_window
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.figures import Similarity

@@ -27,9 +27,9 @@ from geomosaic.ccd.model import Settings, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
 from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import matched_points, segments
+from geomosaic.composition.strip_compose import compose_strips
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.offsets_csv import read_true_offsets
-from geomosaic.mosaic.strip_compose import compose_strips
 from geomosaic.report.plots import Axis, Series, line_plot
 from geomosaic.survey.strips import read_geometry
 from geomosaic_simulate.strip_overlaps import simulate_overlaps

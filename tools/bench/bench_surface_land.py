@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.mosaic.ownership import Ownership
+from geomosaic.composition.ownership import Ownership
 from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality import ground_doubt

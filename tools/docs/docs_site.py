@@ -15,7 +15,7 @@ FOLDER = "stage"
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pages."""
-    stages = gm.stages()
+    stages = gm.list_stages()
     for id, stage in stages.items():
         files.append(File.generated(config, f"{FOLDER}/{id}.md", content=page(stage, stages)))
     files.append(File.generated(config, f"{FOLDER}/index.md", content=index(stages)))

@@ -1,0 +1,1 @@
+"""Composition of the mosaic: output grid, seamlines, radiometric balancing, blending, windows."""

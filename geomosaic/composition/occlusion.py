@@ -1,0 +1,126 @@
+"""Which frames see a place where things stand on the ground, and who gives what none of them sees."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.composition.hidden import Hidden
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
+from geomosaic.composition.views import FrameView
+from geomosaic.constants import sourced, tuned
+from geomosaic.projection.horizon import hidden_m
+from geomosaic.projection.warp import frame_from_map
+
+Bools = NDArray[np.bool_]
+Floats32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+_SIDES_PX = sourced((8, 4, 2, 1), "mosaic px", "cells that divide planning cells", "mosaic.ownership: 8 px")
+_STEP_M = tuned(1.0, "m", "depth in an occlusion: less is kerbs and noise; more sees through sheds")
+_EDGE_M = tuned(0.25, "m", "depth at its edge: less frays it by noise; more shows roof edges twice")
+_LEAST_M2 = tuned(1.0, "m2", "of an occlusion or an island: smaller is noise, with visible seams")
+_ABOUT_CELLS = tuned(1, "cells", "added around: 0 doubles edges; simulated SSIM 0.759, with it 0.762")
+_PER_M = tuned(10.0, "steps per m", "of depth in a byte: fewer are coarse; more saturate at once")
+_BEYOND = sourced(255, "steps", "of a place that the frame does not show", "highest byte")
+
+
+@dataclass(frozen=True)
+class OcclusionDepth:
+    """How far below its lines of sight a frame's part of the mosaic lies, by cells from row and col on, in
+    bytes, packed: 0 where it is seen, 255 where the frame ends or is about to."""
+
+    frame: int
+    row: int
+    col: int
+    shape: tuple[int, int]
+    packed: bytes
+
+    @property
+    def depth(self) -> Bytes:
+        """(h, w)."""
+        return np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8).reshape(self.shape)
+
+
+@dataclass(frozen=True)
+class UnseenGround:
+    """What of the ground that frames show none of them sees: its share, and m2."""
+
+    share: float
+    area_m2: float
+
+
+def side_px_of(scene: Scene) -> int:
+    """The side of the cells of what is hidden: as the ground's nodes lie, and a part of a planning cell."""
+    return next((s for s in _SIDES_PX if s * scene.grid.gsd_m <= 1.5 * scene.ground.spacing_m), 1)
+
+
+def occlusion_depth(scene: Scene, side_px: int, view: FrameView) -> OcclusionDepth:
+    """What stands before what a frame shows. Of the scene no views are asked for."""
+    window = bounds_window(scene.grid, view.widened(), CELL_PX)
+    ground = ground_of(scene, window, side_px)
+    below_m = hidden_m(scene.ground, view.pose.position_m, ground.points_m())
+    hidden = occluded(below_m, side_px * scene.grid.gsd_m)
+    depth = np.where(hidden, np.clip(np.round(below_m * _PER_M), 1, _BEYOND - 1), 0).astype(np.uint8)
+    inside_px = margin_px(*frame_from_map(ground, view.pose, view.camera), view.camera, None)
+    depth[inside_px <= 1.5 * side_px * scene.grid.gsd_m / view.gsd_m] = _BEYOND
+    at = window.row // side_px, window.col // side_px
+    return OcclusionDepth(
+        view.frame, *at, (depth.shape[0], depth.shape[1]), zlib.compress(depth.tobytes(), 1)
+    )
+
+
+def occluded(below_m: Floats32, cell_m: float) -> Bools:
+    """What is hidden: below a line of sight, somewhere by a step, and no islands in it or of it."""
+    low = (below_m > _EDGE_M).view(np.uint8)
+    number, parts = cv2.connectedComponents(low, connectivity=4)
+    deep = np.zeros(number, dtype=bool)
+    deep[parts[below_m > _STEP_M]] = True
+    hidden, least = deep[parts] & (low > 0), max(round(_LEAST_M2 / cell_m**2), 1)
+    hidden = ~_without_islands(~_without_islands(hidden, least), least)
+    side = 2 * _ABOUT_CELLS + 1
+    return np.asarray(cv2.dilate(hidden.view(np.uint8), np.ones((side, side), np.uint8)) > 0)
+
+
+def _without_islands(flags: Bools, least: int) -> Bools:
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(flags.view(np.uint8), connectivity=4)
+    return np.asarray(flags & (stats[:, cv2.CC_STAT_AREA] >= least)[parts])
+
+
+def occluded_parts(
+    grid: OutputGrid, side_px: int, shadows: Sequence[OcclusionDepth]
+) -> tuple[tuple[Hidden, ...], UnseenGround]:
+    """What each frame doesn't give, and how much none sees: that is given by the frame that comes nearest to
+    seeing it, the first of several."""
+    shape = tuple(-(-n // CELL_PX) * CELL_PX // side_px for n in (grid.height_px, grid.width_px))
+    least = np.full(shape, _BEYOND, dtype=np.uint8)
+    for one in shadows:
+        depth, at = one.depth, _part(one)
+        np.minimum(least[at], depth, out=least[at])
+    unseen = (least > 0) & (least < _BEYOND)
+    cells, shown = int(np.count_nonzero(unseen)), int(np.count_nonzero(least < _BEYOND))
+    found = []
+    for one in shadows:
+        depth, at = one.depth, _part(one)
+        gives = unseen[at] & (depth == least[at])
+        unseen[at][gives] = False
+        flags = (depth > 0) & (depth < _BEYOND) & ~gives
+        if flags.any():
+            found.append(Hidden.of(one.frame, side_px, one.row, one.col, flags))
+    cell_m2 = (side_px * grid.gsd_m) ** 2
+    return tuple(found), UnseenGround(cells / max(shown, 1), cells * cell_m2)
+
+
+def _part(one: OcclusionDepth) -> tuple[slice, slice]:
+    return slice(one.row, one.row + one.shape[0]), slice(one.col, one.col + one.shape[1])
+
+
+def with_occlusion(views: Iterable[FrameView], hidden: Sequence[Hidden]) -> tuple[FrameView, ...]:
+    """Views with what they can't see."""
+    of = {one.frame: one for one in hidden}
+    return tuple(replace(view, hidden=of.get(view.frame)) for view in views)

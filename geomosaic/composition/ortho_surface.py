@@ -1,0 +1,55 @@
+"""A matched surface without what would tear the picture: smooth where it isn't sure, edges left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import tuned
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.surface.dtm import filled
+
+Bools = NDArray[np.bool_]
+Floats32 = NDArray[np.float32]
+_UNSURE_NODES = tuned(8.0, "node spacings", "deviation to smooth at: 6 cuts roofs; more leaves torn crowns")
+_WIDE_M = tuned(2.5, "m", "least width of a smoothed area: less smooths single crowns")
+_WIDE_NODES = tuned(12.0, "node spacings", "least width smoothed: 6 leaves 30.1 % wrong walls, not 23.9 %")
+_SMOOTHING_M = tuned(4.0, "m", "Gaussian: less still stretches what frames show; more makes woods lean")
+_APRON_M = tuned(2.0, "m", "from sure to smoothed heights: less makes a wall; more skips small woods")
+_SQUARE_M = tuned(1.0, "m", "smoothing grid, a quarter of the Gaussian: coarser shows; finer takes time")
+
+
+def ortho_surface(ground: GroundSurface) -> GroundSurface:
+    """The surface, and where it isn't sure a smooth one through its heights, which it passes into over an
+    apron; itself where deviations aren't known."""
+    if ground.sd_m is None:
+        return ground
+    unsure = _wide(ground.sd_m > _UNSURE_NODES * ground.spacing_m, ground.spacing_m)
+    if not unsure.any():
+        return ground
+    inside_m = cv2.distanceTransform(unsure.view(np.uint8), cv2.DIST_L2, 5) * ground.spacing_m
+    up = ground.up_m.astype(np.float32)
+    calm = np.where(unsure, _smooth(up, ground.spacing_m), up)
+    up = filled(calm, ~unsure | (inside_m > _APRON_M))
+    return replace(ground, up_m=np.where(unsure, up, ground.up_m))
+
+
+def _wide(flags: Bools, spacing_m: float) -> Bools:
+    """What is left of flags when nothing narrow counts, with the holes in it that are as narrow."""
+    side = 2 * round(max(_WIDE_M / spacing_m, _WIDE_NODES) / 2.0) + 1
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    opened = cv2.morphologyEx(flags.view(np.uint8), cv2.MORPH_OPEN, disk)
+    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, disk) > 0)
+
+
+def _smooth(up: Floats32, spacing_m: float) -> Floats32:
+    """Heights (rows, cols) without single ones that are far off, smoothed in squares."""
+    rows, cols = up.shape
+    by = max(_SQUARE_M / spacing_m, 1.0)
+    size = max(round(cols / by), 1), max(round(rows / by), 1)
+    small = cv2.medianBlur(cv2.resize(up, size, interpolation=cv2.INTER_AREA), 5)
+    small = cv2.GaussianBlur(small, (0, 0), _SMOOTHING_M / (spacing_m * by), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(small, (cols, rows), interpolation=cv2.INTER_LINEAR), dtype=np.float32)

@@ -1,0 +1,283 @@
+"""Who gives which part of the mosaic: a frame for every cell, before the first pixel is resampled."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.composition.area import Area
+from geomosaic.composition.hidden import Hidden
+from geomosaic.composition.model import OutputGrid, Trimmed
+from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, distances_m, ground_of, margin_px
+from geomosaic.composition.views import FrameView
+from geomosaic.composition.window import Window
+from geomosaic.constants import sourced, tuned
+from geomosaic.projection.warp import frame_from_map
+
+Floats32 = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+_LEAST_CELL_PX = tuned(8, "mosaic px", "finest cell: smaller follows leaves and takes long")
+_MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
+_CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
+_MOST_CELLS = tuned(16_000_000, "cells", "128 MB of owners: more take memory; fewer coarsen large mosaics")
+_APART = tuned(4, "cells", "between exact places: farther misses shutter turns by cells; nearer takes time")
+_AROUND_AREA_PX = sourced(64, "mosaic px", "around an area: the reach of bands", "mosaic.blends")
+
+
+@dataclass(frozen=True)
+class Ownership:
+    """The frame that gives each cell of cell_px x cell_px pixels, from the grid's upper left corner on.
+
+    used (n,): which of the survey's frames may give pixels: what an owner doesn't see, another one gives.
+    owner (rows, cols): index into `Survey.frames`, plus 1; 0 where no frame sees the ground. area: what the
+    mosaic is cut to, if anything; cells far from it have no owner. hidden: what frames can't see of the
+    ground for what stands on it. trimmed: what of the frames' land the mosaic leaves out, None where all is
+    kept.
+    """
+
+    grid: OutputGrid
+    used: Bools
+    cell_px: int
+    owner: NDArray[np.int32]
+    area: Area | None = None
+    hidden: tuple[Hidden, ...] = ()
+    trimmed: Trimmed | None = None
+
+    def shares(self) -> dict[int, float]:
+        """The share of the mosaic's land that each frame gives, by its index in `Survey.frames`."""
+        owner = self.owner
+        if self.area is not None:
+            whole = Window(0, 0, self.grid.width_px, self.grid.height_px)
+            owner = np.where(self.area.cells(self.grid, whole, self.cell_px), owner, 0)
+        cells = np.bincount(owner.ravel())[1:]
+        return {int(i): float(cells[i] / cells.sum()) for i in np.flatnonzero(cells)}
+
+    def around(self, window: Window) -> tuple[int, int, NDArray[np.int32]]:
+        """The owners of all cells that a window touches, and one more on every side: row and col of the
+        first, and the owners. What is outside the grid is as its edge."""
+        side, (height, width) = self.cell_px, self.owner.shape
+        row, last_row = window.row // side - 1, (window.row + window.height - 1) // side + 2
+        col, last_col = window.col // side - 1, (window.col + window.width - 1) // side + 2
+        if row >= 0 and col >= 0 and last_row <= height and last_col <= width:
+            return row, col, self.owner[row:last_row, col:last_col]
+        rows = np.arange(row, last_row).clip(0, height - 1)
+        cols = np.arange(col, last_col).clip(0, width - 1)
+        return row, col, self.owner[np.ix_(rows, cols)]
+
+
+@dataclass(frozen=True)
+class FrameCells:
+    """What a frame sees, by the mosaic's cells from `row` and `col` on: where their middles lie in the frame,
+    how far inside it (margin_px, not above 0 outside), and how far from its nadir point, (h, w) each.
+    relief_m (h, w): how high the ground is over a smooth one, None where it is smooth."""
+
+    view: FrameView
+    row: int
+    col: int
+    cols_px: Floats32
+    rows_px: Floats32
+    margin_px: Floats32
+    distance_m: Floats32
+    relief_m: Floats32 | None
+
+    @property
+    def of_all(self) -> tuple[slice, slice]:
+        """Their place among all cells."""
+        height, width = self.margin_px.shape
+        return slice(self.row, self.row + height), slice(self.col, self.col + width)
+
+    @property
+    def seen_well(self) -> Bools | None:
+        """Which of them the frame sees well enough to give them; None where it does all that it sees."""
+        return self.view.sees_well(self.cols_px, self.rows_px)
+
+    def window(self, cell_px: int) -> Window:
+        """The pixels that they cover."""
+        height, width = self.margin_px.shape
+        return Window(self.col * cell_px, self.row * cell_px, width * cell_px, height * cell_px)
+
+    def hidden(self, cell_px: int) -> Bools | None:
+        """Which of them are hidden from the frame, more than half; None where nothing stands before it."""
+        if self.view.hidden is None:
+            return None
+        return np.asarray(self.view.hidden.share(self.window(cell_px), cell_px) > 0.5)
+
+    def cropped(self, rows: slice, cols: slice) -> FrameCells:
+        """Some of them."""
+        at = rows, cols
+        return replace(
+            self,
+            row=self.row + rows.start,
+            col=self.col + cols.start,
+            cols_px=self.cols_px[at],
+            rows_px=self.rows_px[at],
+            margin_px=self.margin_px[at],
+            distance_m=self.distance_m[at],
+            relief_m=None if self.relief_m is None else self.relief_m[at],
+        )
+
+
+def cell_px_of(scene: Scene) -> int:
+    """The side of a mosaic's cells: a power of two."""
+    grid = scene.grid
+    across_px = [v.gsd_m / grid.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in scene.views]
+    longest_px, side = float(np.median(across_px)) if across_px else 0.0, _LEAST_CELL_PX
+    while side < _MOST_CELL_PX and (
+        longest_px >= 2 * side * _CELLS_ACROSS or grid.width_px * grid.height_px > _MOST_CELLS * side**2
+    ):
+        side *= 2
+    return side
+
+
+def frame_cells(
+    scene: Scene,
+    view: FrameView,
+    cell_px: int,
+    beyond_px: int = 0,
+    *,
+    smooth: bool = False,
+    part: tuple[slice, slice] | None = None,
+) -> FrameCells:
+    """The cells of a frame's bounds, as far as beyond_px outside the grid; part: some of their rows and cols.
+
+    smooth: places are exact at every fourth cell each way and bilinear between, without the ground's relief.
+    """
+    window = bounds_window(scene.grid, view, cell_px, beyond_px)
+    down, across = part or (slice(0, window.height // cell_px), slice(0, window.width // cell_px))
+    relief_m = None
+    places = _between(scene, view, window, cell_px, (down, across)) if smooth else None
+    if places is None:
+        ground = ground_of(scene, window, cell_px)
+        places = frame_from_map(ground, view.pose, view.camera, down, across)
+        relief_m = None if ground.relief_m is None else ground.relief_m[down, across]
+    cols, rows = places
+    first = window.row // cell_px + down.start, window.col // cell_px + across.start
+    of_part = Window(first[1] * cell_px, first[0] * cell_px, cols.shape[1] * cell_px, cols.shape[0] * cell_px)
+    margin, away_m = margin_px(cols, rows, view.camera, None), distances_m(scene.grid, of_part, view, cell_px)
+    return FrameCells(view, *first, cols, rows, margin, away_m, relief_m)
+
+
+def _between(
+    scene: Scene, view: FrameView, window: Window, cell_px: int, part: tuple[slice, slice]
+) -> tuple[Floats32, Floats32] | None:
+    """Cols and rows of part of a window's cells between those of every fourth; None where the lens ends near
+    the frame's edge, which would be lost."""
+    side, wide = _APART * cell_px, _APART
+    down, across = (-(-n // side) + 2 for n in (window.height, window.width))
+    around = Window(window.col - side, window.row - side, across * side, down * side)
+    places = frame_from_map(ground_of(scene, around, side), view.pose, view.camera)
+    beyond_lens = cv2.dilate(np.isnan(places[0]).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    step_px = 1.5 * side * scene.grid.gsd_m / view.gsd_m
+    if (margin_px(*places, view.camera, None)[beyond_lens] > -step_px).any():
+        return None
+    nodes = tuple(slice(of.start // wide, -(-of.stop // wide) + 2) for of in part)
+    cells = tuple(
+        slice(wide + of.start - of.start // wide * wide, wide + of.stop - of.start // wide * wide)
+        for of in part
+    )
+    cols, rows = (
+        cv2.resize(a[nodes], None, fx=wide, fy=wide, interpolation=cv2.INTER_LINEAR)[cells] for a in places
+    )
+    return np.ascontiguousarray(cols), np.ascontiguousarray(rows)
+
+
+def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Ownership, Floats32]:
+    """Each cell goes to the frame that sees it well and whose nadir point is nearest: it looks down most
+    steeply.
+
+    Frames are looked at where they are the nearest, then once more where the nearest sees nothing.
+    Returns: the ownership, and the distance to that point in m, infinite where no frame sees the ground well.
+    """
+    shape = -(-scene.grid.height_px // cell_px), -(-scene.grid.width_px // cell_px)
+    nearest, owner = np.full(shape, np.inf, dtype=np.float32), np.zeros(shape, dtype=np.int32)
+    windows = [bounds_window(scene.grid, view, cell_px) for view in scene.views]
+    areas = [_cells_in(window, cell_px) for window in windows]
+    for view, window, at in zip(scene.views, windows, areas, strict=True):
+        away_m = distances_m(scene.grid, window, view, cell_px)
+        np.copyto(owner[at], view.frame + 1, where=away_m < nearest[at])
+        np.minimum(nearest[at], away_m, out=nearest[at])
+    unseen = np.zeros(shape, dtype=bool)
+    for view, at in zip(scene.views, areas, strict=True):
+        mine = owner[at] == view.frame + 1
+        if (cells := _cells_of(scene, view, cell_px, mine)) is not None:
+            unseen[cells.of_all] |= (owner[cells.of_all] == view.frame + 1) & ~_shows(cells, cell_px)
+    nearest[unseen], owner[unseen] = np.inf, 0
+    for view, at in zip(scene.views, areas, strict=True):
+        if (cells := _cells_of(scene, view, cell_px, unseen[at])) is not None:
+            nearer = unseen[cells.of_all] & (cells.distance_m < nearest[cells.of_all])
+            nearer &= _shows(cells, cell_px)
+            np.copyto(nearest[cells.of_all], cells.distance_m, where=nearer)
+            owner[cells.of_all][nearer] = view.frame + 1
+    return Ownership(scene.grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
+
+
+def _cells_in(window: Window, cell_px: int) -> tuple[slice, slice]:
+    """Rows and cols of a window of whole cells."""
+    row, col = window.row // cell_px, window.col // cell_px
+    return slice(row, row + window.height // cell_px), slice(col, col + window.width // cell_px)
+
+
+def _cells_of(scene: Scene, view: FrameView, cell_px: int, wanted: Bools) -> FrameCells | None:
+    """The cells about all of a frame's that are wanted, if any are."""
+    down, across = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
+    if not down.size:
+        return None
+    part = slice(int(down[0]), int(down[-1]) + 1), slice(int(across[0]), int(across[-1]) + 1)
+    return frame_cells(scene, view, cell_px, smooth=True, part=part)
+
+
+def _shows(cells: FrameCells, cell_px: int) -> Bools:
+    """Which cells a frame sees, nothing hides, and it sees well."""
+    hidden, well, sees = cells.hidden(cell_px), cells.seen_well, cells.margin_px > 0.0
+    if well is not None:
+        sees &= well
+    return sees if hidden is None else sees & ~hidden
+
+
+def within(ownership: Ownership, area: Area) -> Ownership:
+    """The ownership of a mosaic that is cut to an area: cells in it and about it, as far as blends look."""
+    grid, side = ownership.grid, ownership.cell_px
+    inside = area.cells(grid, Window(0, 0, grid.width_px, grid.height_px), side)
+    reach = 2 * (-(-_AROUND_AREA_PX // side) + 1) + 1
+    about = cv2.dilate(inside.view(np.uint8), np.ones((reach, reach), np.uint8)) > 0
+    return replace(ownership, owner=np.where(about, ownership.owner, np.int32(0)), area=area)
+
+
+def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]:
+    """The frames that own any of a window or of the cells beside it, and in which of its planning cells each
+    may own pixels, (k, h, w): those that meet its own cells or the ones beside them."""
+    row, col, around = ownership.around(window)
+    owners = [n for n in np.flatnonzero(np.bincount(around.ravel())).tolist() if n]
+    side = ownership.cell_px
+    first_row = window.row + np.arange(-(-window.height // CELL_PX)) * CELL_PX
+    first_col = window.col + np.arange(-(-window.width // CELL_PX)) * CELL_PX
+    met = [((first_row + k) // side - row, (first_col + k) // side - col) for k in range(0, CELL_PX, side)]
+    near, beside = np.zeros((len(owners), *around.shape), dtype=np.uint8), np.ones((3, 3), np.uint8)
+    for of, number in zip(near, owners, strict=True):
+        cv2.dilate((around == number).view(np.uint8), beside, of)
+    owned = functools.reduce(np.bitwise_or, [near.take(rows, axis=1) for rows, _ in met])
+    owned = functools.reduce(np.bitwise_or, [owned.take(cols, axis=2) for _, cols in met])
+    return [n - 1 for n in owners], owned.view(bool)
+
+
+def owner_share(ownership: Ownership, window: Window, rows: slice, cols: slice, frame: int) -> Floats32:
+    """How far pixels of part of a window belong to a frame: 1 in the middle of its own cells, 0 in that of
+    others', linear between."""
+    part = Window(window.col + cols.start, window.row + rows.start, _length(cols), _length(rows))
+    row, col, around = ownership.around(part)
+    side = ownership.cell_px
+    mine = (around == frame + 1).astype(np.float32)
+    if (mine == mine[0, 0]).all():
+        return np.broadcast_to(mine[0, 0], (part.height, part.width))
+    share = cv2.resize(mine, None, fx=side, fy=side, interpolation=cv2.INTER_LINEAR)
+    top, left = part.row - row * side, part.col - col * side
+    return np.asarray(share[top : top + part.height, left : left + part.width])
+
+
+def _length(part: slice) -> int:
+    return int(part.stop - part.start)

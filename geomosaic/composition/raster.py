@@ -1,0 +1,192 @@
+"""The mosaic's raster on disk: a COG, written once, of windows in any order and by any thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any, Final
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+from osgeo import gdal, gdal_array, osr
+
+from geomosaic import __version__
+from geomosaic.composition.blended import BlendedBlock
+from geomosaic.composition.cog_layout import Tags, directories, write_cog_of
+from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.palette import frame_colour
+from geomosaic.composition.pyramid import TILE_PX, Pyramid, TileKind
+from geomosaic.composition.window import Composed, Window
+from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
+
+BLOCK_ROWS: Final = TILE_PX
+COMPRESSION: Final = "deflate"
+OVERVIEWS: Final = "average"
+SOFTWARE: Final = f"geomosaic {__version__}"
+STATISTICS: Final = ("MINIMUM", "MAXIMUM", "MEAN", "STDDEV")
+_PREDICTOR: Final = {"f": "3", "i": "2", "u": "2"}
+"""TIFF's, by numpy's kinds of numbers."""
+_INDICES: Final = ("uint8", "uint16", "uint32")
+"""Types of the frames' numbers; those of 8 bits have colours."""
+_COLOURS: Final = {
+    1: (gdal.GCI_GrayIndex,),
+    3: (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand),
+}
+
+
+class Raster:
+    """A raster to write windows into, and beside it one of who gave each pixel, if that is wanted."""
+
+    def __init__(self, image: Pyramid, sources: Pyramid | None = None) -> None:
+        self._image, self._sources = image, sources
+
+    def write(self, composed: Composed) -> None:
+        """One window, by any thread; each pixel once. Whoever brings a tile's last pixel packs it."""
+        window = composed.window
+        self._image.add(window.col, window.row, composed.pixels, composed.valid)
+        if self._sources is not None:
+            given = composed.source(self._sources.kind.dtype)
+            self._sources.add(window.col, window.row, given[..., None], composed.valid)
+
+    def put(self, done: BlendedBlock) -> None:
+        """Windows that are whole tiles, made elsewhere by the kinds of tiles; by any thread."""
+        at = {(w.window.row // TILE_PX, w.window.col // TILE_PX): w for w in done.windows}
+        self._image.put_under(done.place, {place: w.tile for place, w in at.items()}, done.over)
+        if self._sources is not None:
+            self._sources.put_under(done.place, {place: w.index for place, w in at.items()}, done.index_over)
+
+    def leave_out(self, window: Window) -> None:
+        """One in which nothing is shown: what it is part of need not wait for it."""
+        for pyramid in filter(None, (self._image, self._sources)):
+            pyramid.add_nothing(window.col, window.row, window.width, window.height)
+
+
+def index_kind(frames: int) -> TileKind:
+    """The tiles that say which of so many frames made each pixel."""
+    dtype = next(of for of in _INDICES if frames <= np.iinfo(of).max)
+    return TileKind(1, np.dtype(dtype), masked=False)
+
+
+@contextmanager
+def writing_mosaic(
+    path: Path,
+    grid: OutputGrid,
+    bands: int,
+    dtype: str,
+    sources: Path | None,
+    frames: Sequence[str],
+    band_names: Sequence[str] = (),
+) -> Iterator[Raster]:
+    """Files on the map to write windows into; there when the block ends.
+
+    band_names: of each band, as a rig's have; then none is a colour. sources: where the frame index raster
+    goes: 0 where there is no frame, else the frame's index + 1; its tags name the frames.
+    Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
+    """
+    colours = _COLOURS.get(bands, ())
+    if band_names:
+        colours = (gdal.GCI_GrayIndex, *[gdal.GCI_Undefined] * (bands - 1))
+    look = Look(TileKind(bands, np.dtype(dtype)), grid, colours, tuple(band_names))
+    with ExitStack() as files:
+        image = files.enter_context(_writing(path, grid.width_px, grid.height_px, look))
+        index = None
+        if sources is not None:
+            kind = index_kind(len(frames))
+            names = {f"FRAME_{i + 1}": name for i, name in enumerate(frames)}
+            told = ("index of the frame that made the pixel, from 1",)
+            colours = (gdal.GCI_PaletteIndex,) if kind.dtype == np.uint8 else _COLOURS[1]
+            of = Look(kind, grid, colours, told, names)
+            index = files.enter_context(_writing(sources, grid.width_px, grid.height_px, of))
+        yield Raster(image, index)
+
+
+@contextmanager
+def writing_scene(
+    path: Path, width: int, height: int, dtype: str, bit_depth: int, rpc: Mapping[str, str] | None
+) -> Iterator[Raster]:
+    """A raster of one band without a map, to write windows into; memory is least where they come by rows.
+
+    Raises: `OSError` (with `ENOSPC` where the disk is full) if it can't be written.
+    """
+    look = Look(TileKind(1, np.dtype(dtype)), None, _COLOURS[1], bit_depth=bit_depth, rpc=dict(rpc or {}))
+    with _writing(path, width, height, look) as image:
+        yield Raster(image)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a raster says of itself besides its pixels."""
+
+    kind: TileKind
+    grid: OutputGrid | None
+    colours: tuple[int, ...]
+    band_names: tuple[str, ...] = ()
+    tags: Mapping[str, str] = field(default_factory=dict)
+    bit_depth: int | None = None
+    rpc: Mapping[str, str] = field(default_factory=dict)
+
+
+@contextmanager
+def _writing(path: Path, width: int, height: int, look: Look) -> Iterator[Pyramid]:
+    with TemporaryFile(dir=path.parent) as tiles:
+        pyramid = Pyramid(width, height, look.kind, tiles, overviews=True)
+        yield pyramid
+        pyramid.finish()
+        tiles.flush()
+        with path.open("wb") as out:
+            write_cog_of(pyramid, _directories(look, pyramid.statistics()), out)
+
+
+def _directories(look: Look, statistics: NDArray[np.float64] | None) -> list[Tags]:
+    """Those of a raster of one pixel and of its mask, as GDAL writes them."""
+    name, kind = f"/vsimem/{uuid4()}.tif", look.kind
+    with gdal_failures(Path(name)), gdal_options({"GDAL_TIFF_INTERNAL_MASK": "YES"}):
+        options = [
+            "TILED=YES", f"BLOCKXSIZE={TILE_PX}", f"BLOCKYSIZE={TILE_PX}", "INTERLEAVE=PIXEL",
+            "COMPRESS=DEFLATE", f"PREDICTOR={_PREDICTOR[kind.dtype.kind]}", "SPARSE_OK=YES",
+            "ENDIANNESS=LITTLE",
+        ]  # fmt: skip
+        of = gdal_array.NumericTypeCodeToGDALTypeCode(kind.dtype)
+        dataset = gdal.GetDriverByName("GTiff").Create(name, 1, 1, kind.bands, of, options)
+        tags = {"TIFFTAG_SOFTWARE": SOFTWARE, **look.tags}
+        if look.grid is not None:
+            crs = osr.SpatialReference()
+            crs.SetFromUserInput(look.grid.crs)
+            dataset.SetSpatialRef(crs)
+            dataset.SetGeoTransform(look.grid.geotransform)
+            tags["GSD_M"] = f"{look.grid.gsd_m:.10g}"
+        dataset.SetMetadata(tags)
+        if look.rpc:
+            dataset.SetMetadata(dict(look.rpc), "RPC")
+        for k in range(kind.bands):
+            _describe(dataset.GetRasterBand(k + 1), look, k, statistics)
+        if kind.masked:
+            dataset.CreateMaskBand(gdal.GMF_PER_DATASET)
+        close(dataset)
+        file = gdal.VSIFOpenL(name, "rb")
+        data = bytes(gdal.VSIFReadL(1, gdal.VSIStatL(name).size, file))
+        gdal.VSIFCloseL(file)
+        gdal.Unlink(name)
+    return directories(data)
+
+
+def _describe(band: Any, look: Look, k: int, statistics: NDArray[np.float64] | None) -> None:
+    if look.colours == (gdal.GCI_PaletteIndex,):
+        table = gdal.ColorTable()
+        for number in range(1, 256):
+            table.SetColorEntry(number, frame_colour(number))
+        band.SetColorTable(table)
+    elif k < len(look.colours):
+        band.SetColorInterpretation(look.colours[k])
+    if k < len(look.band_names):
+        band.SetDescription(look.band_names[k])
+    if look.bit_depth is not None:
+        band.SetMetadataItem("NBITS", str(look.bit_depth))
+    if not look.kind.masked:
+        band.SetNoDataValue(0)
+    for name, of_bands in zip(STATISTICS, () if statistics is None else statistics, strict=False):
+        band.SetMetadataItem(f"STATISTICS_{name}", f"{of_bands[k]:.10g}")

@@ -1,0 +1,308 @@
+"""How brightly each frame shows the ground: gains, slopes and vignettes, found where frames overlap.
+
+A camera that writes what its sensor counted shows twice the light as twice the value; one that draws pictures
+bends values towards white, so that none is ever beyond it. Which of both a flight's frames do, they say
+themselves: by which they can be made alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
+from scipy.sparse.linalg import spsolve
+
+from geomosaic.camera.interior import Camera
+from geomosaic.composition.views import FrameView
+from geomosaic.composition.window import scaled
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.estimation.robust import cauchy_weight
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.resample import resample
+from geomosaic.projection.warp import frame_from_map, ground_window
+from geomosaic.survey.model import Frame
+from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import Spare
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.intp]
+
+_ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
+_LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field beside it")
+_TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may be saturated")
+_WHITE = sourced(256.0, "grey levels", "white of the tone curve: 255 cannot move", "number of grey levels")
+_GAIN_SD = tuned(0.2, "log brightness", "prior, half a stop: less forbids exposure; more follows noise")
+_SLOPE_SD = tuned(0.1, "log brightness", "prior, middle to corner: 10 % by the sun's side")
+_VIGNETTE_SD = tuned(0.5, "log brightness", "prior, middle to corner: half at most")
+_INDEPENDENT = tuned(25.0, "places", "independent in a frame, by fields: more follow noise at small overlaps")
+_LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights places that agree by chance")
+_ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
+
+
+@dataclass(frozen=True)
+class Tones:
+    """Natural logarithms of how much brighter frames show the ground than all do in the mean: of values v,
+    or, where these bend towards white, of their odds v / (white - v).
+
+    The logistic curve over the logarithm of light is the middle of a film's characteristic curve (Hurter and
+    Driffield 1890), which cameras draw by; more light moves odds by a factor.
+
+    gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
+    middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its
+    distance from there.
+    """
+
+    gain: Floats
+    slope: Floats
+    vignette: Floats
+    white: float = float("inf")
+
+    def flat(self, frame: int) -> bool:
+        """Whether a frame shows the ground as bright as all do."""
+        return not any(of[frame].any() for of in (self.gain, self.slope, self.vignette))
+
+    def brighter(self, frame: int, camera: Camera, cols: Floats32, rows: Floats32) -> Floats32:
+        """How much brighter than all in the mean a frame shows the ground at cols and rows (...), as natural
+        logarithms (..., b)."""
+        right, below = (
+            np.nan_to_num(a)[..., None] for a in _from_middle(camera, cols, rows)
+        )  # NaN: not seen
+        across, along = self.slope[frame].astype(np.float32).T
+        second, fourth = self.vignette[frame].astype(np.float32).T
+        radius2 = right * right + below * below
+        out = radius2 * (second + fourth * radius2)
+        out += self.gain[frame].astype(np.float32)
+        if across.any() or along.any():
+            out += right * across + below * along
+        return np.asarray(out)
+
+
+def evened(pixels: NDArray[Any], darker: Floats32, white: float, dtype: str) -> NDArray[Any]:
+    """Pixels (h, w, b) as all frames would show them, rounded and cut as by `window.as_type`.
+
+    Args: darker (h, w, b): what values are multiplied by, or their odds where there is a white.
+    """
+    if np.isfinite(white):
+        odds_less = darker - np.float32(1.0)
+        odds_less *= pixels
+        odds_less += np.float32(white)
+        np.divide(np.float32(white), odds_less, out=odds_less)
+        odds_less *= darker
+        darker = odds_less
+    return scaled(pixels, darker, dtype)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """A frame, where it is to be sampled: image_px (n, 2) col and row; and where it may lie small."""
+
+    frame: Frame
+    image_px: Floats
+    spare: Spare | None = None
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Values (n, b) of a frame at the places asked for, NaN where it is invalid, too dark or too bright."""
+
+    values: Floats32
+
+
+@dataclass(frozen=True)
+class Places:
+    """m sightings: number of the place and the frame, (m,) each; offset (m, 2) to the right of the frame's
+    middle and below it, in half diagonals; image_px (m, 2)."""
+
+    place: Ints
+    frame: Ints
+    offset: Floats
+    image_px: Floats
+
+
+@dataclass(frozen=True)
+class Evenness:
+    """By how many grey levels two frames differ where they show the same ground: median and nine tenths,
+    before and after."""
+
+    before_median: float
+    before_90: float
+    after_median: float
+    after_90: float
+
+
+def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface) -> Places:
+    """Where each frame sees the nodes of a lattice on the map that at least two see."""
+    spacing_m = float(np.median([v.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]))
+    spacing_m /= _ACROSS
+    place, frame, offset, image = [], [], [], []
+    for view in views:
+        west, south, east, north = view.bounds_m / spacing_m
+        first, last = (int(np.floor(west)), int(np.floor(-north))), (int(np.ceil(east)), int(np.ceil(-south)))
+        across, down = last[0] - first[0], last[1] - first[1]
+        corner = first[0] * spacing_m, -first[1] * spacing_m
+        window = ground_window(crs, work_frame, ground, *corner, spacing_m, across, down)
+        cols, rows = frame_from_map(window, view.pose, view.camera)
+        margin = _reduction(view.camera.width_px, view.camera.height_px)
+        seen = (cols > margin) & (cols < view.camera.width_px - margin)
+        seen &= (rows > margin) & (rows < view.camera.height_px - margin)
+        if (well := view.sees_well(cols, rows)) is not None:
+            seen &= well
+        j, i = np.nonzero(seen)
+        place.append(np.column_stack([j + first[1], i + first[0]]))
+        frame.append(np.full(len(i), view.frame))
+        offset.append(np.column_stack(_from_middle(view.camera, cols[seen], rows[seen])))
+        image.append(np.column_stack([cols[seen], rows[seen]]))
+    _, number, often = np.unique(np.concatenate(place), axis=0, return_inverse=True, return_counts=True)
+    twice = often[number] > 1
+    numbers = np.unique(number[twice], return_inverse=True)[1]
+    return Places(
+        numbers,
+        np.concatenate(frame)[twice],
+        np.concatenate(offset)[twice].astype(np.float64),
+        np.concatenate(image)[twice].astype(np.float64),
+    )
+
+
+def sampled(job: Sampling) -> Samples:
+    """Decodes a frame once, reduced, and takes its means about the places."""
+    frame = job.frame
+    reduction = _reduction(frame.width_px, frame.height_px)
+    pixels, valid = read_pixels(frame, reduction, spare=job.spare)
+    cols, rows = (np.ascontiguousarray(job.image_px[:, [k]] / reduction, dtype=np.float32) for k in (0, 1))
+    smooth = cv2.blur(pixels, (3, 3), borderType=cv2.BORDER_REPLICATE).reshape(pixels.shape)
+    values = resample(smooth, cols, rows, "bilinear")[:, 0].astype(np.float32)
+    dark, bright = _TELLING if pixels.dtype == np.uint8 else (0.0, _most(pixels.dtype))
+    values[~((values > dark) & (values < bright)).all(axis=1)] = np.nan
+    if valid is not None:
+        whole = cv2.erode(valid, np.ones((3, 3), np.uint8))
+        values[resample(whole[..., None], cols, rows, "bilinear")[:, 0, 0] < 255] = np.nan
+    return Samples(values)
+
+
+def _most(dtype: np.dtype[Any]) -> float:
+    return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else np.inf
+
+
+def solve_tones(
+    places: Places, values: Floats32, camera_of: Sequence[int], picture: bool = False
+) -> tuple[Tones, Evenness]:
+    """Gains, slopes and vignettes by which all frames show each place alike, band by band.
+
+    Of pictures of 8 bits by the response that leaves the smaller differences in the median.
+
+    Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
+    """
+    found = [
+        _by_response(places, values, camera_of, white)
+        for white in ((np.inf, _WHITE) if picture else (np.inf,))
+    ]
+    return min(found, key=lambda one: np.nan_to_num(one[1].after_median))
+
+
+def _by_response(
+    places: Places, values: Floats32, camera_of: Sequence[int], white: float
+) -> tuple[Tones, Evenness]:
+    """The solution by one response: see `Tones`.
+
+    Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
+    cars drive off and water shines from one side; weak priors at nothing.
+    """
+    n, bands = len(camera_of), values.shape[1]
+    known = np.isfinite(values).all(axis=1)
+    place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
+    grey = values[known].astype(np.float64)
+    below = np.maximum(1.0 - grey / white, 1.0 / _WHITE)
+    logs = np.log(grey / below)
+    camera = np.asarray(camera_of, dtype=np.intp)[frame]
+    seen = np.bincount(frame, minlength=n)
+    share = np.minimum(1.0, _INDEPENDENT / np.maximum(seen, 1))[frame]
+    cameras, radius2 = max(camera_of, default=0) + 1, (offset**2).sum(axis=1)
+    terms = (
+        (frame, np.ones(len(frame)), n, _GAIN_SD),
+        (frame, offset[:, 0], n, _SLOPE_SD),
+        (frame, offset[:, 1], n, _SLOPE_SD),
+        (camera, radius2, cameras, _VIGNETTE_SD),
+        (camera, radius2**2, cameras, _VIGNETTE_SD),
+    )
+    at = np.arange(len(frame))
+    design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
+    of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.place))).tocsr()
+    bent = float(np.median(1.0 / below)) if len(at) else 1.0
+    prior = np.concatenate([np.full(count, (sd * bent) ** -2) for _, _, count, sd in terms])
+    found, left = np.zeros((bands, len(prior))), np.zeros_like(logs)
+    for b in range(bands if len(at) else 0):
+        found[b], left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
+    gain, across, along, second, fourth = np.split(found.T, np.cumsum([c for _, _, c, _ in terms])[:-1])
+    seen_at_all = (seen > 0)[:, None]
+    of_frame = np.asarray(camera_of, dtype=np.intp)
+    tones = Tones(
+        np.where(seen_at_all, gain, 0.0),
+        np.where(seen_at_all[..., None], np.stack([across, along], axis=-1), 0.0),
+        np.stack([second[of_frame], fourth[of_frame]], axis=-1),
+        white,
+    )
+    before = logs - _means(of_place, np.ones(len(at)), logs)
+    return tones, _evenness(grey * below, before, left)
+
+
+def _solved(
+    design: csr_matrix, of_place: csr_matrix, logs: Floats, share: Floats, prior: Floats
+) -> tuple[Floats, Floats]:
+    """One band's unknowns, and what they leave of the differences to each place's mean."""
+    found, left = np.zeros(design.shape[1]), logs - _means(of_place, share, logs)
+    for _ in range(_ROUNDS):
+        sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
+        weight = share / sd**2 * cauchy_weight(left / sd)
+        weighed = diags(weight) @ design
+        beside = of_place.T @ weighed
+        total = of_place.T @ weight
+        per = diags(1.0 / np.maximum(total, 1e-12))
+        normal = design.T @ weighed - beside.T @ per @ beside + diags(prior)
+        side = weighed.T @ logs - beside.T @ (per @ (of_place.T @ (weight * logs)))
+        found = spsolve(normal.tocsc(), side)
+        off = logs - design @ found
+        left = off - _means(of_place, weight, off)
+    return found, left
+
+
+def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
+    """Each sighting's place's weighted mean of values (m,) or (m, b)."""
+    total = np.maximum(of_place.T @ weight, 1e-12)
+    sums = of_place.T @ (diags(weight) @ values)
+    return np.asarray(of_place @ (sums / (total if values.ndim == 1 else total[:, None])))
+
+
+def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:
+    """Differences of two frames are the root of two times those to their mean.
+
+    Args: grey (m, b): how far a value moves by its logarithm, or by that of its odds.
+    """
+    if not len(grey):
+        return Evenness(*[float("nan")] * 4)
+    figures = [
+        float(np.quantile(np.sqrt(2.0) * np.abs(np.expm1(off)) * grey, share))
+        for off in (before, after)
+        for share in (0.5, 0.9)
+    ]
+    return Evenness(*figures)
+
+
+def _from_middle(camera: Camera, cols: NDArray[Any], rows: NDArray[Any]) -> tuple[Floats32, Floats32]:
+    """How far places lie to the right of a frame's middle and below it, in half diagonals."""
+    half = np.array([camera.width_px, camera.height_px]) / 2.0
+    unit = float(np.hypot(*half))
+    right, below = (
+        np.asarray((a - h) / unit, dtype=np.float32) for a, h in zip((cols, rows), half, strict=True)
+    )
+    return right, below
+
+
+def _reduction(width_px: int, height_px: int) -> int:
+    return next((r for r in (8, 4, 2) if min(width_px, height_px) >= r * _LEAST_SIDE_PX), 1)

@@ -1,0 +1,261 @@
+"""Where a mosaic ends: beyond lies what is seen too aslant, too coarsely, or on ground that is a guess."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum, auto
+from typing import Final
+
+import cv2
+import numpy as np
+import rasterio
+import shapely
+from numpy.typing import NDArray
+from rasterio.features import shapes
+
+from geomosaic.camera.exterior import Poses
+from geomosaic.composition.area import Area, rings_of
+from geomosaic.composition.limits import Limits
+from geomosaic.composition.model import OutputGrid, Trimmed, TrimmedPart
+from geomosaic.composition.ownership import Ownership, cell_px_of, nearest_nadir
+from geomosaic.composition.scene import Scene
+from geomosaic.composition.views import FrameView
+from geomosaic.composition.window import Window
+from geomosaic.constants import tuned
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.placement.reach import half_extent_m
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.warp import ground_window
+
+Bools = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+OFF_PX = tuned(3.0, "px", "shift that makes land wrong: less trims roof rims, unsure by 1 or 2")
+_MOST_PLACES = tuned(1_000_000, "places", "where angles and deviations are computed: more take time and room")
+_WIDE_CELLS = tuned(1000, "cells", "along the seen area, to measure it: fewer are coarse; more take time")
+_HORIZON_DEG = tuned(85.0, "degrees", "of the horizon, which is no land: more makes any trimmed share 100 %")
+HORIZON: Final = Limits(float(np.tan(np.radians(_HORIZON_DEG))), np.inf)
+
+
+class _Why(IntEnum):
+    """Why a cell is trimmed."""
+
+    ASLANT = auto()
+    COARSE = auto()
+    GUESSED = auto()
+
+
+REASONS: Final = {
+    _Why.ASLANT: "seen too far off the vertical",
+    _Why.COARSE: "seen too coarsely",
+    _Why.GUESSED: "ground extrapolated too far",
+}
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Where a mosaic ends: kept, lost: polygons of shapely's on the map; filling: frames that fill cells
+    inside which none sees well; trimmed: what was left out, and why."""
+
+    kept: shapely.MultiPolygon
+    lost: shapely.MultiPolygon
+    filling: frozenset[int]
+    trimmed: Trimmed
+
+    def area(self, asked: Area | None) -> Area:
+        """What the mosaic is cut to, of an area that was asked for or of all."""
+        if asked is None:
+            return Area(rings_of(self.kept), asked=False)
+        return replace(asked, polygons=rings_of(shapely.difference(asked.geometry, self.lost)))
+
+    def views(self, well: Sequence[FrameView], seeing: Sequence[FrameView]) -> tuple[FrameView, ...]:
+        """Of the frames that give pixels, as far as they reach into what is kept. well: of what they see
+        well; seeing: of all up to `HORIZON`."""
+        low, high = np.split(np.array(self.kept.bounds), 2)
+        of = {view.frame: view for view in well}
+        for view in seeing:
+            if view.frame in self.filling:
+                own = of.get(view.frame)
+                nothing = np.zeros((2, 2), dtype=np.float32)
+                of[view.frame] = replace(view, quality=nothing if own is None else own.quality)
+        found = []
+        for _, view in sorted(of.items()):
+            least, most = np.maximum(view.bounds_m[:2], low), np.minimum(view.bounds_m[2:], high)
+            if (most > least).all():
+                found.append(replace(view, bounds_m=np.concatenate([least, most])))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class Looks:
+    """How a survey's frames look at the ground: poses, which of them tie points hold, views of all they see
+    up to `HORIZON`, and the limits of what they see well. known: the ground before a surface was matched,
+    the same without one. area: what the mosaic is cut to."""
+
+    poses: Poses
+    tied: Sequence[bool]
+    views: tuple[FrameView, ...]
+    limits: Limits
+    known: GroundSurface
+    area: Area | None = None
+
+
+def mosaic_edges(scene: Scene, looks: Looks) -> Edges:
+    """What of all that frames see is left out: what no frame sees within the limits, and beyond the land that
+    was flown over what lies on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches
+    the mosaic's outside.
+
+    Of a matched surface and the ground known before it the surer counts. Scene: its views are of what is seen
+    well.
+    """
+    n, cell_px = len(looks.poses), cell_px_of(scene)
+    grid, whole = scene.grid, replace(scene, views=looks.views)
+    well, seen = (nearest_nadir(of, [True] * n, cell_px)[0] for of in (scene, whole))
+    outside = seen.owner == 0
+    if looks.area is not None:
+        outside |= ~looks.area.cells(grid, whole_of(grid), cell_px)
+    shown = (well.owner > 0) & ~outside
+    why = np.where(outside | shown, 0, _why(seen, scene, looks)).astype(np.uint8)
+    guessed = shown & (_off_px(well, scene, looks) > OFF_PX)
+    guessed &= ~_flown_over(scene, looks)
+    if not guessed[shown].all():
+        why[guessed] = _Why.GUESSED
+    inside = ~_outer(why > 0, outside)
+    filling = np.unique(seen.owner[inside & (why > 0) & (well.owner == 0)]) - 1
+    why[inside] = 0
+    kept, cell_m2 = ~outside & (why == 0), (cell_px * grid.gsd_m) ** 2
+    about = (cv2.dilate(kept.view(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (why == 0)
+    parts = {code: _polygons(grid, cell_px, why == code) for code in REASONS}
+    areas = {code: float((why == code).sum()) * cell_m2 for code in REASONS}
+    for code, polygons in _beyond(scene, looks).items():
+        parts[code] = shapely.union_all([parts[code], polygons])
+        areas[code] += float(polygons.area)
+    trimmed = Trimmed(
+        float(kept.sum()) * cell_m2 + sum(areas.values()),
+        tuple(
+            TrimmedPart(REASONS[code], area_m2, rings_of(parts[code]))
+            for code, area_m2 in areas.items()
+            if area_m2 > 0.0
+        ),
+    )
+    lies = grid, cell_px
+    return Edges(_polygons(*lies, about), _polygons(*lies, why > 0), frozenset(filling.tolist()), trimmed)
+
+
+def filled(nearest: Ownership, nearest_m: Floats32, scene: Scene, filling: frozenset[int]) -> Ownership:
+    """With what no frame sees well given by the nearest of the frames that fill, as is `nearest_m`."""
+    views = tuple(replace(view, quality=None) for view in scene.views if view.frame in filling)
+    if not views:
+        return nearest
+    other, other_m = nearest_nadir(replace(scene, views=views), nearest.used.tolist(), nearest.cell_px)
+    empty = (nearest.owner == 0) & (other.owner > 0)
+    nearest_m[empty] = other_m[empty]
+    return replace(nearest, owner=np.where(empty, other.owner, nearest.owner))
+
+
+def looked_at(
+    ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface, step: int = 1
+) -> tuple[Floats, Floats]:
+    """Of every step-th cell, its place (h, w, 3) in the work frame, m, and the tangent (h, w) of the angle at
+    which its frame looks at it, NaN where none does."""
+    grid, owner = ownership.grid, ownership.owner[::step, ::step]
+    side_m = step * ownership.cell_px * grid.gsd_m
+    corner_m = grid.west_m, grid.north_m
+    window = ground_window(grid.crs, work_frame, ground, *corner_m, side_m, owner.shape[1], owner.shape[0])
+    at_m = window.points_m()
+    sight = at_m - poses.positions_m[np.maximum(owner, 1) - 1]
+    tangent = np.linalg.norm(sight[..., :2], axis=-1) / np.maximum(-sight[..., 2], 1e-6)
+    return at_m, np.where(owner > 0, tangent, np.nan)
+
+
+def _flown_over(scene: Scene, looks: Looks) -> Bools:
+    """Cells no farther from below a tied frame than a level frame would reach: seen by one frame alone, say,
+    but not extrapolated far."""
+    circles = []
+    for view in looks.views:
+        if looks.tied[view.frame]:
+            east, north, up = view.pose.position_m.tolist()
+            above_m = max(up - float(scene.ground.up_at(east, north)), 0.0)
+            circles.append(shapely.Point(view.nadir_m).buffer(half_extent_m(view.camera, above_m)))
+    over = Area(rings_of(shapely.union_all(circles)))
+    return over.cells(scene.grid, whole_of(scene.grid), cell_px_of(scene))
+
+
+def _looked_at(of: Ownership, scene: Scene, looks: Looks) -> tuple[Floats, Floats, int]:
+    """As `looked_at`, of cells as much larger as the third, one of whose owners stands for all."""
+    step, (down, across) = int(np.ceil(np.sqrt(of.owner.size / _MOST_PLACES))), of.owner.shape
+    whole = np.pad(of.owner, [(0, -down % step), (0, -across % step)])
+    blocks = whole.reshape(len(whole) // step, step, -1, step).max(axis=(1, 3))
+    larger = replace(of, owner=blocks, cell_px=step * of.cell_px)
+    return *looked_at(larger, looks.poses, scene.work_frame, scene.ground), step
+
+
+def _at_all(values: Floats, step: int, of: Ownership) -> Floats:
+    """Values of larger cells at all that they hold."""
+    down, across = of.owner.shape
+    return values.repeat(step, axis=0).repeat(step, axis=1)[:down, :across]
+
+
+def _why(seen: Ownership, scene: Scene, looks: Looks) -> Bytes:
+    """Of cells that frames see badly, why, 0 where none sees anything."""
+    _, tangent, step = _looked_at(seen, scene, looks)
+    aslant = _at_all(tangent, step, seen) > looks.limits.tangent
+    return np.where(seen.owner > 0, np.where(aslant, _Why.ASLANT, _Why.COARSE), 0).astype(np.uint8)
+
+
+def _off_px(well: Ownership, scene: Scene, looks: Looks) -> Floats:
+    """By how much the ground's stated deviation, one sigma, moves cells, NaN where it isn't known."""
+    at_m, tangent, step = _looked_at(well, scene, looks)
+    at = at_m[..., 0], at_m[..., 1]
+    sd_m = np.fmin(scene.ground.sd_at(*at), looks.known.sd_at(*at))
+    return _at_all(sd_m * tangent / looks.limits.own_m, step, well)
+
+
+def whole_of(grid: OutputGrid) -> Window:
+    """All of a grid."""
+    return Window(0, 0, grid.width_px, grid.height_px)
+
+
+def _outer(lost: Bools, unseen: Bools) -> Bools:
+    """What is lost as far as it hangs together with the outside."""
+    open_ = np.pad(lost | unseen, 1, constant_values=True).view(np.uint8)
+    _, part = cv2.connectedComponents(open_, connectivity=4)
+    return np.asarray(lost & (part == part[0, 0])[1:-1, 1:-1])
+
+
+def _beyond(scene: Scene, looks: Looks) -> dict[_Why, shapely.Geometry]:
+    """What frames see outside the scene's grid, by reason."""
+    grid = scene.grid
+    inner = shapely.box(grid.west_m, grid.south_m, grid.east_m, grid.north_m)
+    bounds = np.array([view.bounds_m for view in looks.views])
+    low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+    if shapely.contains(inner, shapely.box(*low, *high)):
+        return {}
+    side_m = float((high - low).max()) / _WIDE_CELLS
+    size = np.ceil((high - low) / side_m).astype(int) + 1
+    wide = OutputGrid(grid.crs, float(low[0]), float(high[1]), side_m, int(size[0]), int(size[1]))
+    whole = replace(scene, grid=wide, views=looks.views)
+    why = _why(nearest_nadir(whole, [True] * len(looks.poses), 1)[0], whole, looks)
+    found = {
+        code: shapely.difference(_polygons(wide, 1, why == code), inner)
+        for code in (_Why.ASLANT, _Why.COARSE)
+    }
+    if looks.area is not None:
+        found = {code: shapely.intersection(of, looks.area.geometry) for code, of in found.items()}
+    return found
+
+
+def _polygons(grid: OutputGrid, cell_px: int, cells: Bools) -> shapely.MultiPolygon:
+    """Cells on the map, their stairs made lines."""
+    side_m = cell_px * grid.gsd_m
+    transform = rasterio.Affine(side_m, 0.0, grid.west_m, 0.0, -side_m, grid.north_m)
+    found = [
+        shapely.geometry.shape(geometry)
+        for geometry, _ in shapes(cells.astype(np.uint8), mask=cells, transform=transform)
+    ]
+    smooth = shapely.simplify(shapely.union_all(found), side_m)
+    return shapely.MultiPolygon(
+        [p for p in shapely.get_parts(shapely.make_valid(smooth)) if p.geom_type == "Polygon"]
+    )

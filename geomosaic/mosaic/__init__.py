@@ -1,1 +1,0 @@
-"""Output grid, seams, blending, streaming composition."""
