@@ -26,7 +26,12 @@ YAW_LIES_DEG = tuned(8.0, "degrees", "of a wrong heading: compasses are off by a
 def heading_limits_rad(poses: Poses) -> Floats:
     """By how much each frame's heading (n,) may be off before it is called wrong: four deviations, or what
     nobody minds."""
-    return np.maximum(np.radians(YAW_LIES_DEG), 4.0 * poses.rotations_sd_rad[:, 2])
+    return heading_limit_rad(poses.rotations_sd_rad[:, 2])
+
+
+def heading_limit_rad(sd_rad: Floats) -> Floats:
+    """The same by the headings' deviations, (n,)."""
+    return np.fmax(np.radians(YAW_LIES_DEG), 4.0 * sd_rad)
 
 
 def heading_assumed(poses: Poses) -> NDArray[np.bool_]:

@@ -19,7 +19,6 @@ from geomosaic.quality.misalignment import pair_misalignments
 Floats = NDArray[np.float64]
 
 DOWN_WEIGHTED = tuned(0.5, "full weight", "below, a tie point counts as down-weighted")
-WORST_PAIRS = tuned(20, "pairs", "checked in the pixels: more than a person looks through")
 SAMPLED_TIES = tuned(4000, "tie points", "shown in a plan, 100 KB: fewer hide where the ground has none")
 _MIX = sourced(
     (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9),
@@ -133,9 +132,3 @@ def sampled_ties(
     both = Tracks(ends.ravel(), np.repeat(np.arange(len(taken)), 2), np.hstack([px, right_px]).reshape(-1, 2))
     met = nearest_to_rays(both, adjusted.poses, adjusted.cameras, at) if len(taken) else at
     return left, right, met, {"east_m": at[:, 0], "north_m": at[:, 1], "residual_m": np.hypot(*residual.T)}
-
-
-def worst_pairs(rms_m: Floats, most: int = WORST_PAIRS) -> list[int]:
-    """Rows of the pairs with the largest residuals, worst first; pairs of which none is known come last."""
-    order = np.argsort(-np.nan_to_num(rms_m, nan=-1.0), kind="stable")
-    return [int(i) for i in order[:most]]

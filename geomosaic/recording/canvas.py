@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
+
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 PAPER: Final[Colour] = (255, 255, 255)

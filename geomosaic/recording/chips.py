@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.recording.thumbnail import thumbnail
-
-Floats = NDArray[np.float64]
 
 SIDE_PX = tuned(400, "px", "of a chip's half: less hides what the ground is; 20 chips take 2 MB")
 _WORST = tuned(0.2, "share", "of a pair's tie points: chips are cut where most of the worst lie")

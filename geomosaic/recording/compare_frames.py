@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.geodesy.mapcrs import is_local
+from geomosaic.quality import ranking
 from geomosaic.recording.solved import Solved, known, pair_figures
 
-Floats = NDArray[np.float64]
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
 
@@ -35,11 +35,13 @@ def frames(a: Solved, b: Solved) -> list[dict[str, Any]]:
             row["status"] = [status_a, status_b]
         out.append(row)
 
-    def badness(row: dict[str, Any]) -> tuple[bool, bool, float, float]:
-        turned = max((abs(row.get(f"d_{n}") or 0.0) for n in _ANGLES), default=0.0)
-        return "only_in" in row, "status" in row, row.get("moved_m") or 0.0, turned
-
-    return sorted(out, key=badness, reverse=True)
+    order = ranking.worst_frames(
+        ["only_in" in row for row in out],
+        ["status" in row for row in out],
+        np.array([row.get("moved_m") for row in out], dtype=np.float64),
+        [max((abs(row.get(f"d_{n}") or 0.0) for n in _ANGLES), default=0.0) for row in out],
+    )
+    return [out[i] for i in order]
 
 
 def pairs(a: Solved, b: Solved) -> list[dict[str, Any]]:
@@ -60,11 +62,11 @@ def pairs(a: Solved, b: Solved) -> list[dict[str, Any]]:
         if change:
             out.append(row | change)
 
-    def badness(row: dict[str, Any]) -> tuple[bool, float]:
-        rms = [v or 0.0 for v in row.get("rms_m", (0.0, 0.0))]
-        return "tied_only_in" in row, abs(rms[1] - rms[0])
-
-    return sorted(out, key=badness, reverse=True)
+    rms_m = [[v or 0.0 for v in row.get("rms_m", (0.0, 0.0))] for row in out]
+    changes = [
+        np.inf if "tied_only_in" in row else abs(b - a) for row, (a, b) in zip(out, rms_m, strict=True)
+    ]
+    return [out[i] for i in ranking.worst_pairs(changes)]
 
 
 def places_m(a: Solved, b: Solved) -> tuple[list[str], Floats, Floats]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import MEDIAN_LENGTH
 from geomosaic.matching.explanations import (
     WRONG,
@@ -23,7 +23,6 @@ from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, YAW_LIES_DEG, courses_deg
 from geomosaic.recording.model import Figures, Recording
 
-Floats = NDArray[np.float64]
 TURNED: Final = "frame-turned"
 HEADING: Final = "yaw-wrong"
 POSITION: Final = "position-wrong"

@@ -6,11 +6,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.quality.criteria import CRITERIA
-
-Floats = NDArray[np.float64]
 
 
 class _Limits(NamedTuple):

@@ -8,7 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from geomosaic.recording.plan_view import HEADING_OFF_DEG, headings_off_deg, moves_m
+from geomosaic.quality import ranking
+from geomosaic.recording.plan_view import headings_off_deg, moves_m, wrong_headings
 from geomosaic.recording.reader import printable
 from geomosaic.recording.story import Story, ToldTable
 
@@ -29,14 +30,15 @@ def draw_lists(story: Story, stream: Any) -> None:
 
 
 def worst_frames(story: Story) -> list[int]:
-    """Rows of frames.adjusted: those that aren't tied, then those that turned or moved most."""
-    adjusted = story.table("frames.adjusted")
-    moved = np.nan_to_num(moves_m(adjusted))
-    turned = np.nan_to_num(headings_off_deg(story.table("frames.placed"), adjusted)) > HEADING_OFF_DEG
-    loose = np.array([n in ("placed", "rejected") for n in adjusted.note], dtype=bool)
-    usual = float(np.median(moved)) if len(moved) else 0.0
-    odd = loose * 1e12 + np.where(turned, np.maximum(moved, 10.0 * usual), moved)
-    return [int(k) for k in np.argsort(-odd, kind="stable")] if len(moved) else []
+    """Rows of frames.adjusted in the order of `quality.ranking`; of wrong tags are those that a warning
+    names."""
+    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+    warned = {line.frame for line in story.log if line.level == "WARNING"}
+    off_deg = headings_off_deg(placed, adjusted)
+    named = np.array([name in warned for name in adjusted.row], dtype=bool)
+    loose = [k < len(adjusted.note) and adjusted.note[k] != "tied" for k in range(len(adjusted.row))]
+    wrong = named | wrong_headings(placed, adjusted)
+    return ranking.worst_frames(loose, wrong, moves_m(adjusted), off_deg)
 
 
 def frame_text(story: Story, row: int, said: Iterable[str]) -> str:
@@ -88,13 +90,12 @@ def _pairs(story: Story) -> str:
     if not tied.row and not tried.row:
         return ""
     rms_m = tied.column("rms_m")
-    worst = np.argsort(-np.nan_to_num(rms_m, nan=-1.0), kind="stable")[:_MOST]
     rows = [
         (
             f"{_cell(tied.row[k])} - {_cell(tied.other[k])}",
             *(_figure(tied.column(c)[k], d) for c, d in _OF_PAIRS),
         )
-        for k in worst
+        for k in ranking.worst_pairs(rms_m, _MOST)
     ]
     vain = [note for note in tried.note if note]
     kinds = Counter(note.split(":")[0] for note in vain)

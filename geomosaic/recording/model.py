@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.doors.plain import plain_yaml
 from geomosaic.errors import FileError
-
-Floats = NDArray[np.float64]
 
 
 @dataclass

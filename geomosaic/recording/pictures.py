@@ -11,6 +11,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.projection.footprint import footprint
 from geomosaic.quality.bare_ground import bare_outlines
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
@@ -24,7 +25,6 @@ from geomosaic.recording.reader import messages
 from geomosaic.recording.solved import Solved
 from geomosaic.recording.thumbnail import decoded
 
-Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 _SIDE_PX: Final = 900
 _PLAN_PX: Final = 1500

@@ -8,10 +8,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
+from geomosaic.quality import ranking
 from geomosaic.recording.limits import MOVE, RESIDUAL, badness, moves_sd
 from geomosaic.recording.story import Story, ToldTable
 
-Floats = NDArray[np.float64]
 Colours = NDArray[np.uint8]
 PLAN: Final = "/plan"
 NAME: Final = (
@@ -30,8 +31,6 @@ _CROWDED: Final = 100
 """Frames of which a plan is full: beyond them what is all right is drawn thinner."""
 _LEAST_NAMED_M: Final = 1.0
 """No move below it is named, however sure its position was given: names tell whole metres."""
-HEADING_OFF_DEG: Final = 30.0
-"""From which a heading is said to be off: no sensor is that bad, a wrong tag is."""
 _TURNED: Final = "frame-turned:"
 """How the warning of an image that was turned begins."""
 
@@ -165,13 +164,13 @@ def frame_labels(placed: ToldTable, adjusted: ToldTable, turned: Collection[str]
     if not adjusted.row:
         return [_stem(name)[:_LONGEST_NAME] for name in placed.row]
     moved, far_sd = moves_m(adjusted), moves_in_sd(placed, adjusted)
-    off = headings_off_deg(placed, adjusted)
+    off, wrong = headings_off_deg(placed, adjusted), wrong_headings(placed, adjusted)
     out = []
     for k, name in enumerate(adjusted.row):
         odd = [f"{moved[k]:.0f} m"] if far_sd[k] > MOVE.good and moved[k] > _LEAST_NAMED_M else []
         if name in turned:
             odd.append("image turned")
-        elif off[k] > HEADING_OFF_DEG:
+        elif wrong[k]:
             odd.append(f"heading {off[k]:.0f} deg off")
         status = adjusted.note[k] if adjusted.note else "tied"
         odd += [status] if status != "tied" else []
@@ -194,8 +193,12 @@ def moves_in_sd(placed: ToldTable, adjusted: ToldTable) -> Floats:
 
 def headings_off_deg(placed: ToldTable, adjusted: ToldTable) -> Floats:
     """By how much headings as found differ from those as given, (n,) of the adjusted frames, 0 to 180."""
-    before = _given(placed, adjusted, "yaw_deg")
-    return np.asarray(np.abs((adjusted.column("yaw_deg") - before + 180.0) % 360.0 - 180.0))
+    return np.abs(ranking.headings_off_deg(_given(placed, adjusted, "yaw_deg"), adjusted.column("yaw_deg")))
+
+
+def wrong_headings(placed: ToldTable, adjusted: ToldTable) -> NDArray[np.bool_]:
+    """Of the adjusted frames, (n,), those whose heading is off by more than its limit."""
+    return ranking.wrong_headings(headings_off_deg(placed, adjusted), _given(placed, adjusted, "sd_yaw_deg"))
 
 
 def _given(placed: ToldTable, adjusted: ToldTable, column: str) -> Floats:
@@ -210,7 +213,7 @@ def frame_colours(placed: ToldTable, adjusted: ToldTable) -> Colours:
     if not adjusted.row:
         return np.full((len(placed.row), 3), 170, np.uint8)
     colours = by_badness(badness(moves_in_sd(placed, adjusted), MOVE.good, MOVE.bad))
-    colours[headings_off_deg(placed, adjusted) > HEADING_OFF_DEG] = _RED
+    colours[wrong_headings(placed, adjusted)] = _RED
     for k, status in enumerate(adjusted.note):
         if status in ("placed", "rejected"):
             colours[k] = _RED

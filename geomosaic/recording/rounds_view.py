@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.recording.reader import printable
 from geomosaic.recording.story import Story
 
-Floats = NDArray[np.float64]
 STAGES: Final = "/stages_drawn"
 STEPS: Final = "/steps_drawn"
 SPECTRUM: Final = "/spectrum_drawn"

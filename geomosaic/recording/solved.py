@@ -9,9 +9,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import log_turn
 from geomosaic.constants import tuned
@@ -24,7 +24,6 @@ from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _FARTHEST_M = tuned(1e8, "m", "from a survey's centre: beyond lies more than the Earth's other side")
 _OFF = tuned(1e-6, "1", "off unit length and square in a rotation's rows: more is no rotation")
 POSE = (

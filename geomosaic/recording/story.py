@@ -10,12 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.recording.kinds import KINDS
 from geomosaic.recording.messages import Kind
 
-Floats = NDArray[np.float64]
 SHOWN: Final[Mapping[str, Kind]] = {name: kind for name, kind in KINDS.items() if kind.shown}
 """What a story is made of, by schema."""
 _OF_RUN: Final = ("StageEvent", "Progress", "Log", "Metric", "Iteration")

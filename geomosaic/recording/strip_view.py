@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.strip_figures import LIMIT_PX
 from geomosaic.recording.model import Recording, StripCurve, StripResidual
@@ -14,7 +14,6 @@ from geomosaic.recording.reader import printable
 from geomosaic.recording.story import Story
 from geomosaic.recording.summary import largest_length
 
-Floats = NDArray[np.float64]
 LINE: Final = "line"
 STRIP_PLAN: Final = "/strip_plan"
 _INTERVAL_90 = 1.6449

@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.procedure.blunder_detection import HALF_TURN_DEG, headings_off_deg
+from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed
+from geomosaic.quality import ranking
 from geomosaic.quality.bare_ground import bare_ground
 from geomosaic.recording.explained import EXPLAINED, HEADING, POSITION, TURNED, Cause, causes, how_sure
 from geomosaic.recording.model import Recording
@@ -219,15 +221,25 @@ def _bare_ground(solved: Solved) -> Iterator[Fault]:
 
 
 def worst_frames(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Frames by how far their tags are off and how badly they hold together, worst first."""
-
-    def key(f: dict[str, Any]) -> tuple[bool, bool, float, str]:
-        moved = [v for v in f.get("moved_m", ())[:2] if v is not None]
-        return f["status"] != "tied", bool(f["said"]), float(np.linalg.norm(moved)), f["frame"]
-
-    return sorted(frames, key=key, reverse=True)
+    """Frames in the order of `quality.ranking`; of wrong tags are those that a warning names."""
+    off_deg = _figures(f.get("yaw_off_deg") for f in frames)
+    given_sd_deg = _figures((f.get("given") or {}).get("sd_kappa_deg") for f in frames)
+    order = ranking.worst_frames(
+        [f["status"] != "tied" for f in frames],
+        np.array([bool(f["said"]) for f in frames]) | ranking.wrong_headings(off_deg, given_sd_deg),
+        [np.linalg.norm(_figures(f.get("moved_m", (None,))[:2])) for f in frames],
+        off_deg,
+    )
+    return [frames[i] for i in order]
 
 
 def worst_pairs(pairs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Tied pairs by what the adjustment leaves between them, worst first; then those that aren't tied."""
-    return sorted(pairs, key=lambda p: -(-1.0 if p.get("rms_m") is None else p["rms_m"]))
+    """Tied pairs in the order of `quality.ranking`; then those that aren't tied."""
+    order = ranking.worst_pairs(_figures(p.get("rms_m") for p in pairs))
+    tied = [i for i in order if pairs[i]["tied"]]
+    return [pairs[i] for i in tied] + [p for p in pairs if not p["tied"]]
+
+
+def _figures(values: Iterable[float | None]) -> Floats:
+    """NaN for what is unknown."""
+    return np.array(list(values), dtype=np.float64)

@@ -14,6 +14,7 @@ from geomosaic.composition.model import Trimmed
 from geomosaic.export.orientation import Orientations
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
+from geomosaic.quality import ranking
 from geomosaic.quality.misalignment import PairMisalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.report.numbers import percent, short
@@ -118,7 +119,6 @@ def residuals_plot(adjusted: Adjusted, ground_pixel_m: float) -> str | None:
 
 def worst_pairs(survey: Survey, pairs: PairMisalignments) -> list[dict[str, object]]:
     """The pairs with the largest residuals."""
-    order = np.argsort(-np.nan_to_num(pairs.rms_m, nan=-1.0))[:_WORST_PAIRS]
     return [
         {
             "left": survey.frames[pairs.left[i]].name,
@@ -128,7 +128,7 @@ def worst_pairs(survey: Survey, pairs: PairMisalignments) -> list[dict[str, obje
             "rms_m": float(pairs.rms_m[i]),
             "max_m": float(pairs.max_m[i]),
         }
-        for i in order
+        for i in ranking.worst_pairs(pairs.rms_m, _WORST_PAIRS)
         if np.isfinite(pairs.rms_m[i])
     ]
 

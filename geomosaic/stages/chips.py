@@ -13,8 +13,9 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.stage import Context
+from geomosaic.quality.ranking import WORST_PAIRS, worst_pairs
 from geomosaic.quality.seam_check import SeamGround, Sighting, Sights, seen_in
-from geomosaic.quality.solved_tables import pair_columns, tie_weights, worst_pairs
+from geomosaic.quality.solved_tables import pair_columns, tie_weights
 from geomosaic.recording.chips import Cut, chip, cuts, shown
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
@@ -62,7 +63,7 @@ class Chips:
         self._weights = tie_weights(ties, adjusted.image_residuals)
         rms_m = pair_columns(ties, adjusted.residuals_m, self._weights)["rms_m"]
         wanted = context.recorder.wants("chip")
-        self._worst = [p for p in worst_pairs(rms_m) if np.isfinite(rms_m[p])] if wanted else []
+        self._worst = [p for p in worst_pairs(rms_m, WORST_PAIRS) if np.isfinite(rms_m[p])] if wanted else []
         self._where = {
             p: cuts(ties.pairs[p].left_px, ties.pairs[p].right_px, adjusted.residuals_m[p])
             for p in self._worst

@@ -16,9 +16,13 @@ from recorded_survey import bad_survey, planted
 from recording_scene import written
 
 from geomosaic.cli.main import main
-from geomosaic.recording import Recorder, read_recording
+from geomosaic.pipeline.recorded_solve import solved_of
+from geomosaic.quality.ranking import worst_pairs
+from geomosaic.recording import Recorder, list_view, read_recording
 from geomosaic.recording.canvas import RED, Canvas
 from geomosaic.recording.inspection import Inspection
+from geomosaic.recording.view import told
+from geomosaic.recording.worst import worst_frames
 
 
 @pytest.fixture(autouse=True)
@@ -108,6 +112,18 @@ def test_a_stage_tells_its_parameters_figures_and_log(
     assert f"adjustment.tracks = {stage['metrics']['adjustment']['tracks']}" in text
     assert main(["inspect", str(survey / "run"), "--stage", "adjustment.solv"]) == 2
     assert "did you mean 'adjustment.solve'?" in capsys.readouterr().err
+
+
+def test_view_and_inspect_name_the_same_frames_and_pairs(survey: Path) -> None:
+    recording = read_recording(survey / "run" / "run.mcap")
+    inspected, shown = Inspection(recording, solved_of(recording)), told(recording.path)
+    frames, pairs = shown.table("frames.adjusted"), shown.table("pairs.adjusted")
+    assert [frames.row[k] for k in list_view.worst_frames(shown)] == [
+        f["frame"] for f in worst_frames(inspected.frames)
+    ]
+    ranked = [(pairs.row[k], pairs.other[k]) for k in worst_pairs(pairs.column("rms_m"))]
+    worst = inspected.worst(len(ranked))["pairs"]
+    assert ranked == [(p["left"], p["right"]) for p in worst]
 
 
 @pytest.mark.parametrize("what", [[], ["--frame", "F0003"], ["--pair", "F0002", "F0003"]], ids=str)

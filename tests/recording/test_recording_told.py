@@ -16,7 +16,8 @@ from geomosaic.matching.match import PairMatch
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.recorded import StageRecorder
-from geomosaic.quality.solved_tables import pair_columns, tie_weights, worst_pairs
+from geomosaic.quality.ranking import worst_pairs
+from geomosaic.quality.solved_tables import pair_columns, tie_weights
 from geomosaic.recording import Recorder, messages
 from geomosaic.recording.chips import SIDE_PX, Cut, chip, cuts, shown
 from geomosaic.recording.run_kinds import Iteration
