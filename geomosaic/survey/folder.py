@@ -69,9 +69,12 @@ def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]
 
 
 def project_files(folder: Path) -> dict[str, Path]:
-    """The POS and the control file of an OpenDroneMap project, as far as its folder holds them."""
-    found = {kind: folder / name for kind, name in _PROJECT_FILES.items()}
-    return {kind: path for kind, path in found.items() if path.is_file()}
+    """The POS and the control file of an OpenDroneMap project, as far as its folder holds them; without such
+    a POS file the drone's own Timestamp.MRK, where there is one."""
+    named = {kind: folder / name for kind, name in _PROJECT_FILES.items()}
+    found = {kind: path for kind, path in named.items() if path.is_file()}
+    by_drone = sorted(path for path in folder.glob("*.[mM][rR][kK]") if path.is_file())
+    return {"pos": by_drone[0], **found} if len(by_drone) == 1 else found
 
 
 def unused_folders(folder: Path) -> list[str]:

@@ -32,6 +32,11 @@ class FrameNames:
             self._by_stem.setdefault(_IMAGE.sub("", name).casefold(), []).append(name)
         self._most_words = max((len(n.split()) for n in self._names), default=0)
 
+    @property
+    def all(self) -> tuple[str, ...]:
+        """Every name, as the frames bear it."""
+        return self._names
+
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""
         *folders, name = PurePosixPath(text.replace("\\", "/")).parts or ("",)

@@ -22,7 +22,7 @@ from geomosaic.survey.onboard import (
     onboard_position,
 )
 from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
-from geomosaic.survey.pos import PosFile, PosRow
+from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.tagged_place import APART, FINER, SIGNED, TaggedPlace, tagged_place
 
 Floats = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +17,9 @@ from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import NO_NAMES, FrameNames, some
 from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
+from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Aliases, Table, read_lines, read_table, split
+from geomosaic.survey.timestamp_mrk import is_timestamp_mrk, read_timestamp_mrk
 
 ALIASES: Final[Aliases] = {
     "frame": (
@@ -78,39 +80,6 @@ _GIVE_CRS: Final = "give it as an EPSG code (--pos-crs EPSG:32632), or put a .pr
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
 
 
-@dataclass(frozen=True)
-class PosRow:
-    """What a POS file says of one frame: geodetic WGS 84, body angles (`Attitude`), None where silent."""
-
-    name: str
-    line: int
-    lon_deg: float
-    lat_deg: float
-    height_ellipsoidal_m: float | None = None
-    height_above_ground_m: float | None = None
-    yaw_deg: float | None = None
-    pitch_deg: float | None = None
-    roll_deg: float | None = None
-    sd_east_m: float | None = None
-    sd_north_m: float | None = None
-    sd_vertical_m: float | None = None
-    sd_yaw_deg: float | None = None
-    sd_tilt_deg: float | None = None
-    camera: str | None = None
-    attitude_source: str = "pos-yaw-pitch-roll"
-
-
-@dataclass(frozen=True)
-class PosFile:
-    """Rows in the file's order, what was assumed in reading them, and whether the file says what its heights
-    count from."""
-
-    path: Path
-    rows: tuple[PosRow, ...]
-    warnings: tuple[Warn, ...]
-    datum_stated: bool = True
-
-
 def read_pos(
     path: Path,
     *,
@@ -118,13 +87,16 @@ def read_pos(
     attitude_convention: str = "auto",
     frames: FrameNames = NO_NAMES,
 ) -> PosFile:
-    """Read a POS file: a table with named columns, ODM's geo.txt, or Pix4D's table without a header.
+    """Read a POS file: a table with named columns, ODM's geo.txt, Pix4D's table without a header, or DJI's
+    Timestamp.MRK.
 
     Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
     .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
     whose names those with blanks are found.
     Raises: `InputError` naming the file, the line and the fix.
     """
+    if is_timestamp_mrk(path):
+        return read_timestamp_mrk(path, frames)
     notes: list[Warn] = []
     table, stated = _table(path, crs, frames, notes)
     if table.unknown_columns:

@@ -30,7 +30,8 @@ from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import check_extent, lonlat_of, observe
 from geomosaic.survey.onboard import platform_of
 from geomosaic.survey.places import NOWHERE, check_area
-from geomosaic.survey.pos import PosFile, read_pos
+from geomosaic.survey.pos import read_pos
+from geomosaic.survey.pos_row import PosFile
 from geomosaic.survey.rig import Captures, captures, incomplete_captures
 from geomosaic.survey.strays import (
     Stray,

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.survey.pos import ALIASES, PosFile, read_pos
+from geomosaic.survey.pos import ALIASES, read_pos
+from geomosaic.survey.pos_row import PosFile
 from geomosaic.survey.table import column_of
 
 

@@ -1,0 +1,109 @@
+"""DJI's `*_Timestamp.MRK`: where the camera was at each exposure, by RTK or to be replaced by PPK.
+
+A line is an exposure: its number, the GPS second and week, the offsets of the camera from the antenna in mm
+(already applied), latitude, longitude and ellipsoidal height of the camera, their standard deviations north,
+east and up in m, and the quality of the fix (DJI, Phantom 4 RTK User Manual, appendix).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePath
+from typing import Final
+
+from geomosaic.constants import tuned
+from geomosaic.errors import InputError
+from geomosaic.survey.accuracy import POSITION, RTK_SD_FLOOR_M
+from geomosaic.survey.model import Warn
+from geomosaic.survey.names import FrameNames, natural_key
+from geomosaic.survey.pos_row import PosFile, PosRow
+from geomosaic.survey.table import Line, read_lines
+
+_MOST_LINES = tuned(200_000, "lines", "exposures: the largest blocks have 50,000; more is a log")
+_FIXED: Final = 50
+_QUALITY: Final = {_FIXED: "rtk-fixed", 34: "rtk-float", 16: "exif"}
+_WORD: Final = re.compile(r"[^\s,\[\]]+")
+_FIX: Final = "give the file as the drone wrote it, or positions as a table with a header"
+
+
+def is_timestamp_mrk(path: Path) -> bool:
+    """By its name."""
+    return path.suffix.lower() == ".mrk"
+
+
+def read_timestamp_mrk(path: Path, frames: FrameNames) -> PosFile:
+    """A row for each frame of an exposure with a fix.
+
+    Exposures are found by the numbers in the frames' names (`DJI_20230814123501_0007_V.JPG`,
+    `100_0001_0007.JPG`), else by order where there are as many frames as exposures.
+
+    Raises: `InputError` naming the file, the line and the fix.
+    """
+    lines = [line for line in read_lines(path, _MOST_LINES, "exposures") if not line.comment]
+    exposures = [_exposure(path, line) for line in lines]
+    named = _frames_of([number for number, _ in exposures], frames.all)
+    if named is None:
+        raise InputError(
+            f"has {len(exposures)} exposures, and the names of {len(frames.all)} frames don't match them",
+            file=path,
+            fix="give its flight's frames alone under the drone's names, or take the file out of the folder",
+        )
+    pairs = [(row, name) for (_, row), names in zip(exposures, named, strict=True) for name in names]
+    rows = tuple(replace(row, name=name) for row, name in pairs if row is not None)
+    without = sum(row is None for _, row in exposures)
+    text = f"{path.name}: {without} exposures have no fix; their frames keep their own tags' positions"
+    return PosFile(path, rows, (Warn("pos-no-fix", "", text),) if without else ())
+
+
+def _exposure(path: Path, line: Line) -> tuple[int, PosRow | None]:
+    """Its number, and a row without a name; None without a fix."""
+    words = _WORD.findall(line.text)
+    try:
+        number = int(words[0])
+        lat_deg, lon_deg, height_m = (float(words[words.index(name) - 1]) for name in ("Lat", "Lon", "Ellh"))
+        end = words.index("Ellh") + 1
+        north, east, up = (float(word) for word in words[end : end + 3])
+        fix = int(words[words.index("Q") - 1]) if "Q" in words else _FIXED
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            f"line {line.number} is no exposure of a Timestamp.MRK", file=path, fix=_FIX
+        ) from error
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and math.isfinite(height_m)):
+        problem = f"line {line.number}: {lat_deg:g}, {lon_deg:g}, {height_m:g} m is no place"
+        raise InputError(problem, file=path, fix=_FIX)
+    if fix == 0 or (lat_deg == 0.0 and lon_deg == 0.0):
+        return number, None
+    default = POSITION[_QUALITY.get(fix, "exif")]
+    usual = (default.sd_horizontal_m, default.sd_horizontal_m, default.sd_vertical_m)
+    least = (RTK_SD_FLOOR_M[0], *RTK_SD_FLOOR_M) if fix == _FIXED else usual
+    stated = zip((east, north, up), least, usual, strict=True)
+    sd_east, sd_north, sd_up = (max(sd, floor) if sd > 0.0 else other for sd, floor, other in stated)
+    return number, PosRow(
+        "",
+        line.number,
+        lon_deg,
+        lat_deg,
+        height_m,
+        sd_east_m=sd_east,
+        sd_north_m=sd_north,
+        sd_vertical_m=sd_up,
+    )
+
+
+def _frames_of(numbers: Sequence[int], names: Sequence[str]) -> list[list[str]] | None:
+    """The frames of each exposure; None where neither names nor order tell."""
+    by_number: dict[int, dict[str, str]] = {}
+    for name in sorted(names, key=natural_key):
+        *_, (number, kind) = re.findall(r"(\d+)(\D*)", PurePath(name).stem) or [("-1", name)]
+        if kind in by_number.setdefault(int(number), {}):
+            return None  # of two flights
+        by_number[int(number)][kind] = name
+    found = [[*by_number.get(number, {}).values()] for number in numbers]
+    if sum(map(len, found)) == len(names):
+        return found
+    if len(numbers) == len(names):
+        return [[name] for name in sorted(names, key=natural_key)]
+    return None
