@@ -35,7 +35,7 @@ class SurveyRead(Stage):
     id = "survey.read"
     display_name = "Read the survey"
     group = "Survey"
-    version = 22
+    version = 23
     wants_frames: ClassVar[bool] = True
     outputs: ClassVar[dict[str, type]] = {"survey": Survey}
 

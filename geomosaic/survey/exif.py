@@ -31,7 +31,7 @@ class Exif:
     width_px and height_px are the image's as taken, before any later resize. altitude_m has no
     stated datum. time_s is seconds since 1970; a local time without its offset is taken as UTC.
     hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken. serial: of the
-    camera's body.
+    camera's body. position_error_m: of the position in plan.
     """
 
     make: str = ""
@@ -47,6 +47,7 @@ class Exif:
     pixels_per_mm: float | None = None
     hemisphere_assumed: bool = False
     serial: str = ""
+    position_error_m: float | None = None
 
 
 def exif_from_block(block: bytes) -> Exif:
@@ -109,6 +110,7 @@ def _exif(tags: Tags) -> Exif:
         pixels_per_mm=None if per_unit is None or mm is None else per_unit / mm,
         hemisphere_assumed=lat is not None and not (text("GPSLatitudeRef") and text("GPSLongitudeRef")),
         serial=text("BodySerialNumber") or text("SerialNumber"),
+        position_error_m=number("GPSHPositioningError"),
     )
 
 

@@ -50,6 +50,7 @@ _GPS = sourced(
         4: "GPSLongitude",
         5: "GPSAltitudeRef",
         6: "GPSAltitude",
+        31: "GPSHPositioningError",
     },
     "tag",
     "names of wanted tags, GPS directory",
