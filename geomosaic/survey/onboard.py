@@ -69,19 +69,18 @@ def onboard_position(exif: Exif, xmp: Xmp) -> Position | None:
     if place is None:
         return None
     heights = onboard_heights(exif, xmp)
-    position = Position(
-        place.lon_deg, place.lat_deg, heights.height_m, heights.above_ground_m, *_position_accuracy(xmp)
-    )
+    known = (place.lon_deg, place.lat_deg, heights.height_m, heights.above_ground_m)
+    position = Position(*known, *_position_accuracy(exif, xmp))
     return replace(position, datum_stated=not heights.datum_unknown)
 
 
-def _position_accuracy(xmp: Xmp) -> tuple[float, float, float, str]:
+def _position_accuracy(exif: Exif, xmp: Xmp) -> tuple[float, float, float, str]:
     """Standard deviations east, north and up, and where they come from."""
     source = {50.0: "rtk-fixed", 34.0: "rtk-float"}.get(number(xmp, "drone-dji:RtkFlag") or 0.0, "exif")
     if source != "exif":
         stated = [number(xmp, f"drone-dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
     else:
-        horizontal = number(xmp, "Camera:GPSXYAccuracy")
+        horizontal = number(xmp, "Camera:GPSXYAccuracy") or exif.position_error_m
         stated = [horizontal, horizontal, number(xmp, "Camera:GPSZAccuracy")]
     default = POSITION[source]
     east, north, up = (

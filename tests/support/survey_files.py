@@ -22,6 +22,7 @@ EXIF = {
 GPS = {
     "GPSLatitudeRef": (1, ASCII), "GPSLatitude": (2, RATIONAL), "GPSLongitudeRef": (3, ASCII),
     "GPSLongitude": (4, RATIONAL), "GPSAltitudeRef": (5, BYTE), "GPSAltitude": (6, RATIONAL),
+    "GPSHPositioningError": (31, RATIONAL),
 }  # fmt: skip
 
 

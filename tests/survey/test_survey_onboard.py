@@ -311,3 +311,11 @@ def test_the_drone_is_known_by_its_serial_number(tmp_path: Path) -> None:
     write_jpeg(tmp_path / "c.jpg", pixels, b"", dji_xmp(CameraSerialNumber="C9"))
     headers = [read_header(tmp_path / f"{name}.jpg") for name in "abc"]
     assert [platform_of(h) for h in headers] == ["CAM-7", "1581F4", "C9"]
+
+
+def test_the_error_that_exif_reports_is_the_positions_deviation() -> None:
+    block = exif_block(**gps(9.1, 48.7, 412.5), GPSHPositioningError=Fraction("1.75"))
+    position = onboard_position(exif_from_block(block), {})
+    assert position is not None and (position.sd_east_m, position.sd_north_m) == (1.75, 1.75)
+    finer = onboard_position(exif_from_block(block), {"Camera:GPSXYAccuracy": "0.5"})
+    assert finer is not None and finer.sd_east_m == 0.5
