@@ -23,8 +23,8 @@ from geomosaic.errors import (
 )
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePair, TiePoints
-from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint, ground_from_image, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
@@ -55,7 +55,6 @@ __all__ = [
     "GeomosaicError",
     "GroundSurface",
     "InputError",
-    "Kept",
     "LeftOut",
     "LocalFrame",
     "Mosaic",
@@ -73,6 +72,7 @@ __all__ = [
     "Seam",
     "Stage",
     "StageParams",
+    "StoredResult",
     "Survey",
     "TiePair",
     "TiePoints",

@@ -32,9 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.errors import FileError, UnknownNameError
-from geomosaic.pipeline.finished import load_artefact, read_summary
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.pipeline.registry import installed
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.option import kinds_of, option_of
 from geomosaic.requests.perform import check_result, perform

@@ -21,7 +21,7 @@ def described(stage: type[Stage]) -> str:
 
 def suiting(stages: Iterable[type[Stage]], folder: Path) -> list[type[Stage]]:
     """Those that find in a finished run what they take. Raises `FileError` if it is none."""
-    from geomosaic.pipeline.finished import read_summary
+    from geomosaic.pipeline.run_results import read_summary
 
     there = read_summary(folder)["artefacts"].keys()
     return [stage for stage in stages if stage.inputs.keys() <= there]

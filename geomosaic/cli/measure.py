@@ -59,7 +59,7 @@ def measure(
 
 def _rasters(run: Path) -> RunRasters:
     from geomosaic.pipeline.files import path_within
-    from geomosaic.pipeline.finished import read_summary
+    from geomosaic.pipeline.run_results import read_summary
     from geomosaic.quality.run_measures import RunRasters
 
     summary = read_summary(run)

@@ -60,7 +60,7 @@ def misplacement(
 
 
 def _scene(run: Path) -> _Scene:
-    from geomosaic.pipeline.finished import read_summary
+    from geomosaic.pipeline.run_results import read_summary
 
     metrics: dict[str, Any] = read_summary(run)["metrics"]
     figures = metrics.get("misplacement")

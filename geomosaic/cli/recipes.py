@@ -21,7 +21,7 @@ def recipes(
     A printed recipe can be saved, changed and run as a file.
     """
     from geomosaic.doors.plain import read_yaml
-    from geomosaic.pipeline.named import FOLDER, MAKEFILE, recipe_names, recipe_path
+    from geomosaic.pipeline.recipe_names import FOLDER, MAKEFILE, recipe_names, recipe_path
 
     if makefile:
         print(MAKEFILE)
@@ -41,7 +41,7 @@ def recipes(
 
 def completed(incomplete: str) -> list[str]:
     """Names of recipes, and recipe files, that begin so."""
-    from geomosaic.pipeline.named import recipe_names
+    from geomosaic.pipeline.recipe_names import recipe_names
 
     folder = Path(incomplete).parent if "/" in incomplete else Path()
     files = (

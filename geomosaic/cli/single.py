@@ -96,7 +96,7 @@ def _inputs(stage: type[Stage], folder: Path) -> tuple[dict[str, Any], dict[str,
     """The summary of a finished run and the artefacts a stage takes from it."""
     if not stage.inputs:
         return {}, {}
-    from geomosaic.pipeline.finished import load_artefact, read_summary
+    from geomosaic.pipeline.run_results import load_artefact, read_summary
 
     summary = read_summary(folder)
     inputs = {name: load_artefact(folder, summary, name, kind) for name, kind in stage.inputs.items()}
@@ -117,7 +117,7 @@ def _run(
     quiet: bool = False,
 ) -> tuple[dict[str, Any], Notes]:
     from geomosaic.cli.progress import progress
-    from geomosaic.pipeline.single import run_stage
+    from geomosaic.pipeline.single_stage import run_stage
 
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work, progress(quiet=quiet) as reporter:
         return run_stage(
@@ -216,8 +216,8 @@ def _compare(target: Path, reference: Path | None, set: Sets, as_json: bool) -> 
 
 def _compare_surface(run: Path, reference: Path, set: Sets, as_json: bool) -> None:
     """A table by slope, class and support, and the files that show where the differences are."""
-    from geomosaic.pipeline.finished import read_summary
     from geomosaic.pipeline.run_folder import RunFolder
+    from geomosaic.pipeline.run_results import read_summary
 
     stage, params = _referring("quality.surface", reference, set)
     if "surface_file" not in read_summary(run)["artefacts"]:

@@ -15,7 +15,7 @@ from geomosaic.composition.frame_part import FramePart
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.pyramid import TILE_PX, Tile, TileKind
-from geomosaic.composition.spread import Kept
+from geomosaic.composition.spread import SpooledResult
 from geomosaic.composition.window import Manner, Part, Step, Window, compose_window
 
 
@@ -46,10 +46,10 @@ class Wanted:
     window: Window
     around: Window
     parts: tuple[tuple[int, slice, slice], ...]
-    gives: tuple[Kept[FramePart], ...]
+    gives: tuple[SpooledResult[FramePart], ...]
 
     @classmethod
-    def of(cls, step: Step, gives: Mapping[int, Kept[FramePart]]) -> Wanted:
+    def of(cls, step: Step, gives: Mapping[int, SpooledResult[FramePart]]) -> Wanted:
         """A step of the plan, without the frames themselves, which all windows share."""
         parts = tuple((part.source.number, part.rows, part.cols) for part in step.parts)
         return cls(step.window, step.around, parts, tuple(gives[number] for number, *_ in parts))

@@ -35,7 +35,7 @@ from geomosaic.composition.pyramid import TileKind
 from geomosaic.composition.raster import Raster, index_kind, writing_mosaic
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.seamlines import SeamLabels
-from geomosaic.composition.spread import AtOnce, Kept, Spread
+from geomosaic.composition.spread import InProcessSpooler, SpooledResult, Spooler
 from geomosaic.composition.tones import Tones
 from geomosaic.composition.views import frame_views
 from geomosaic.composition.visibility import FrameOnMap, VisibilityTest, visible_cells
@@ -68,7 +68,7 @@ def compose(
     tones: Tones | None = None,
     sources_path: Path | None = None,
     threads: int = 2,
-    spread: Spread | None = None,
+    spread: Spooler | None = None,
     progress: Callable[[int, int], None] | None = None,
     check_cancelled: Callable[[], None] | None = None,
 ) -> Mosaic:
@@ -115,7 +115,7 @@ def compose(
         ownership,
         blending,
         Warping(replace(scene, views=()), resampling, tones, kind.dtype, reach_px / 2.0),
-        spread or AtOnce(check_cancelled),
+        spread or InProcessSpooler(check_cancelled),
         check_cancelled,
     )
     gave_pixels: set[int] = set()
@@ -163,11 +163,11 @@ class _Walk:
     ownership: Ownership
     blending: Blending
     warping: Warping
-    spread: Spread
+    spread: Spooler
     check_cancelled: Callable[[], None] | None
 
     @contextmanager
-    def windows(self, order: Sequence[Window]) -> Iterator[Sequence[Kept[BlendedBlock]]]:
+    def windows(self, order: Sequence[Window]) -> Iterator[Sequence[SpooledResult[BlendedBlock]]]:
         """Windows of the grid, by the overview's tiles over them, blended by whoever is free of what frames
         give."""
         plan, cells = self._plan(order)
@@ -222,7 +222,7 @@ class _Walk:
         return FrameOnMap(self.survey.frames[number], self.blending.sources[number].view)
 
 
-def _written(raster: Raster, made: Kept[BlendedBlock]) -> list[Blended]:
+def _written(raster: Raster, made: SpooledResult[BlendedBlock]) -> list[Blended]:
     """Brings windows' tiles to their files; what is left of them is small."""
     block = made.load()
     raster.put(block)

@@ -17,7 +17,7 @@ Made = TypeVar("Made", covariant=True)
 _LATEST = tuned(12, "results", "kept in memory: fewer are made again along Hilbert's curve; more take memory")
 
 
-class Kept(Protocol[Made]):
+class SpooledResult(Protocol[Made]):
     """A result that is somewhere, or can be made."""
 
     def load(self) -> Made: ...
@@ -26,12 +26,12 @@ class Kept(Protocol[Made]):
         """As load, where it is wanted again and again, in parts."""
 
 
-class Spread(spread.Spread, Protocol):
+class Spooler(spread.Spread, Protocol):
     """As `pipeline.Context` does it."""
 
     def spooled(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
-    ) -> AbstractContextManager[Sequence[Kept[Result]]]:
+    ) -> AbstractContextManager[Sequence[SpooledResult[Result]]]:
         """As `map`, but each result is loaded when it is wanted. Nobody asks for items where all results are
         there from before."""
 
@@ -39,17 +39,17 @@ class Spread(spread.Spread, Protocol):
 class _Later(Generic[Item, Result]):
     """A result that is made when it is wanted; what was looked at lately is kept."""
 
-    def __init__(self, function: Callable[[Item], Result], item: Item, at_once: AtOnce) -> None:
+    def __init__(self, function: Callable[[Item], Result], item: Item, at_once: InProcessSpooler) -> None:
         self._function, self._item, self._at_once = function, item, at_once
         self._lock = threading.Lock()
         self._made: tuple[Result] | None = None
 
     def load(self) -> Result:
-        """See `Kept`."""
+        """See `SpooledResult`."""
         return self._at_once.made(self._function, self._item)
 
     def look(self) -> Result:
-        """See `Kept`."""
+        """See `SpooledResult`."""
         with self._lock:
             made = self._made or (self.load(),)
             self._made = made
@@ -61,7 +61,7 @@ class _Later(Generic[Item, Result]):
         self._made = None
 
 
-class AtOnce(spread.AtOnce):
+class InProcessSpooler(spread.AtOnce):
     """In this process: spooled results are made when they are loaded, and again if they are loaded again."""
 
     def __init__(self, check_cancelled: Callable[[], None] | None = None) -> None:
@@ -80,6 +80,6 @@ class AtOnce(spread.AtOnce):
     @contextmanager
     def spooled(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
-    ) -> Iterator[Sequence[Kept[Result]]]:
-        """See `Spread`."""
+    ) -> Iterator[Sequence[SpooledResult[Result]]]:
+        """See `Spooler`."""
         yield [_Later(function, item, self) for item in items]

@@ -19,10 +19,10 @@ from geomosaic.pipeline.artefacts import (
     write,
 )
 from geomosaic.pipeline.context import Context, Notes
-from geomosaic.pipeline.given import Given
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.params import output_values
 from geomosaic.pipeline.recipe import Step
+from geomosaic.pipeline.replayed_stage import ReplayedStage
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
 from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_json
@@ -40,8 +40,8 @@ _MISSING = object()
 
 
 @dataclass
-class Held:
-    """An artefact of a run: its bytes, and the value they stand for, made when it is first asked for.
+class ArtefactHandle:
+    """An artefact of a run: its file, and its value, decoded on first use.
 
     fingerprint: of the bytes, of the files the stage wrote beside them, and of the lineage, so that
     whoever takes the artefact is redone if any file changes that it goes back to, through all stages.
@@ -64,13 +64,13 @@ class Held:
                 self._value = decode(file, self.type)
         return self._value
 
-    def let_go(self) -> None:
-        """Forgets the value until it is asked for again."""
+    def release(self) -> None:
+        """Drops the decoded value; it is decoded again on the next use."""
         self._value = _MISSING
 
 
 @dataclass(frozen=True)
-class Finished:
+class CachedOutcome:
     """A stage's outcome on disk.
 
     calls: what it recorded; None for a stage from a recording, whose messages are copied.
@@ -78,7 +78,7 @@ class Finished:
     written: hashes of the files that the stage wrote, by name; with the lineage part of each fingerprint.
     """
 
-    outputs: dict[str, Held]
+    outputs: dict[str, ArtefactHandle]
     notes: Notes
     calls: Path | None
     used: tuple[Path, ...]
@@ -93,13 +93,15 @@ def file_manifest(
     return {name: hashes.manifest(path, progress) for name, path in named.items()}
 
 
-def lineage_of(manifest: Manifest, inputs: Iterable[Held] = ()) -> Lineage:
+def lineage_of(manifest: Manifest, inputs: Iterable[ArtefactHandle] = ()) -> Lineage:
     """The lineage of what a stage makes of files and of earlier artefacts."""
     own = {fingerprint_of_json({n: dict(hashes) for n, hashes in manifest.items()})} if manifest else set()
     return frozenset(own).union(*(held.lineage for held in inputs))
 
 
-def stage_key(step: Step, inputs: Mapping[str, Held], seed: int, lineage: Lineage, code: str) -> str:
+def stage_key(
+    step: Step, inputs: Mapping[str, ArtefactHandle], seed: int, lineage: Lineage, code: str
+) -> str:
     """The fingerprint of a stage's work: whatever it depends on, and nothing else. code: `plugin.code_of`."""
     return fingerprint_of_json(
         {
@@ -125,7 +127,7 @@ class StageCache:
         self._folder = folder
         self._hashes = hashes
 
-    def find(self, stage: type[Stage], key: str, lineage: Lineage) -> Finished | None:
+    def find(self, stage: type[Stage], key: str, lineage: Lineage) -> CachedOutcome | None:
         """The outcome, if it is there, whole, and the files the stage wrote are unchanged."""
         try:
             folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
@@ -142,7 +144,9 @@ class StageCache:
                     content = fingerprint_of_file(file)
                     if content != entry["outputs"][name] or not self._names_only_inputs(file):
                         return None
-                outputs[name] = Held(kind, artefact_fingerprint(content, written, lineage), path, lineage)
+                outputs[name] = ArtefactHandle(
+                    kind, artefact_fingerprint(content, written, lineage), path, lineage
+                )
             calls = folder / _CALLS
             with files.open_own(calls) as file:
                 if fingerprint_of_file(file) != entry["calls"]:
@@ -150,7 +154,7 @@ class StageCache:
             beside = [self._folder.within(name) for name in (*written, *entry["items"])]
             notes = Notes.from_plain(entry["notes"])
             self._folder.note(written)
-            return Finished(outputs, notes, calls, (folder, *beside), written, lineage)
+            return CachedOutcome(outputs, notes, calls, (folder, *beside), written, lineage)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, MemoryError):
             return None
 
@@ -169,7 +173,7 @@ class StageCache:
         context: Context,
         lineage: Lineage,
         calls: Path,
-    ) -> Finished:
+    ) -> CachedOutcome:
         """Stores the outcome of a stage that ran in a context; `calls` moves into the cache."""
         folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
         with files.refusals_named(folder / _ENTRY):
@@ -184,7 +188,7 @@ class StageCache:
             with files.open_own(path) as file:
                 contents[name] = fingerprint_of_file(file)
             mark = artefact_fingerprint(contents[name], written, lineage)
-            outputs[name] = Held(kind, mark, path, lineage, values[name])
+            outputs[name] = ArtefactHandle(kind, mark, path, lineage, values[name])
         with files.open_own(calls) as file:
             recorded = fingerprint_of_file(file)
         with files.refusals_named(folder / _CALLS):
@@ -199,9 +203,9 @@ class StageCache:
         self._folder.note(written)
         files.write_json(folder / _ENTRY, entry)
         used = (folder, *context.kept, *context.lasting_items)
-        return Finished(outputs, context.notes, calls, used, written, lineage)
+        return CachedOutcome(outputs, context.notes, calls, used, written, lineage)
 
-    def keep_given(self, stage: type[Stage], given: Given, lineage: Lineage) -> Finished:
+    def keep_replayed(self, stage: type[Stage], given: ReplayedStage, lineage: Lineage) -> CachedOutcome:
         """Stores the outputs of a stage as a recording has them, under their recorded fingerprints."""
         marks = {name: given.entries[name].fingerprint for name in stage.outputs}
         folder = self._folder.within(f"{WORK}/{stage.id}/given-{fingerprint_of_json(marks)}")
@@ -210,10 +214,10 @@ class StageCache:
         for name, kind in stage.outputs.items():
             path = folder / f"{name}{_ARTEFACT}"
             files.write_bytes(path, given.data(name))
-            outputs[name] = Held(kind, marks[name], path, lineage, given.outputs[name])
+            outputs[name] = ArtefactHandle(kind, marks[name], path, lineage, given.outputs[name])
         brought = [self._folder.within(name) for name in given.files()]
         record = given.record
-        return Finished(outputs, given.notes, None, (folder, *brought), record.written, record.lineage)
+        return CachedOutcome(outputs, given.notes, None, (folder, *brought), record.written, record.lineage)
 
     def spool(self, stage: type[Stage]) -> Path:
         """Where a stage's calls go while it runs."""

@@ -16,9 +16,9 @@ from geomosaic.errors import CancelledError, FileError
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.items import Items, Progress
-from geomosaic.pipeline.kept import Kept, Spared, left_on_disk
-from geomosaic.pipeline.recorded import StageRecorder
 from geomosaic.pipeline.run_folder import WORK, RunFolder
+from geomosaic.pipeline.stage_recorder import StageRecorder
+from geomosaic.pipeline.stored_result import OptionalCache, StoredResult, without_bytes
 from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
 
 Item = TypeVar("Item")
@@ -251,36 +251,34 @@ class Context:
         key; any change to the stage's parameters or inputs redoes them all, and they go when the run is
         finished. Items are then made one after the other, as workers take them.
         """
-        return self._items.mapped(name, function, items, keys, Kept.load)
+        return self._items.mapped(name, function, items, keys, StoredResult.load)
 
     def stored(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item]
-    ) -> list[Kept[Result]]:
+    ) -> list[StoredResult[Result]]:
         """As `map`, but results stay on the disk and are referred to.
 
-        A `Kept` may stand in the items of a later `map` instead of what it refers to: it travels as a name of
-        a file, counts for the item's by its own name without being read, and the function calls `recall`,
-        which reads it once in each worker as long as it is wanted again soon.
+        A `StoredResult` may stand in the items of a later `map` instead of the result. Only its file's name
+        is sent, and identifies the item. The function calls `recall`, which reads the file once per worker.
         """
-        return self._items.mapped(name, function, items, None, left_on_disk, stay=True)
+        return self._items.mapped(name, function, items, None, without_bytes, stay=True)
 
-    def spared(self, returns: type[Result], path: str) -> Spared[Result]:
-        """Where a stage may leave what it came to know of a file, and another one may find it: by the type of
-        it and the file's content. It goes when the run is finished."""
+    def optional_cache(self, returns: type[Result], path: str) -> OptionalCache[Result]:
+        """A cache entry for a result of this type and this file's content, shared between stages of a run."""
         if not self._key:
-            return Spared(returns, None)
+            return OptionalCache(returns, None)
         mark = fingerprint_of_json([returns.__name__, self._hashes.of_file(Path(path))])
-        return Spared(returns, self._folder.within(f"{WORK}/spared/items/{mark[:2]}/{mark[2:]}"))
+        return OptionalCache(returns, self._folder.within(f"{WORK}/spared/items/{mark[:2]}/{mark[2:]}"))
 
     @contextmanager
     def spooled(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
-    ) -> Iterator[list[Kept[Result]]]:
+    ) -> Iterator[list[StoredResult[Result]]]:
         """As `map` with `keys`, for results that are too large to be held at once: see `stored`.
 
         They are there until the block ends; if it fails, the next run finds them.
         """
-        kept = self._items.mapped(name, function, items, keys, left_on_disk, stay=True)
+        kept = self._items.mapped(name, function, items, keys, without_bytes, stay=True)
         yield kept
         for one in kept:
             one.forget()

@@ -32,7 +32,7 @@ from typing import Any, Final
 from geomosaic import __version__
 from geomosaic.constants import tuned
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.pipeline.freed import give_back
+from geomosaic.pipeline.memory_release import release_memory
 
 ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """How many threads numpy and scipy start, read when they are first imported."""
@@ -133,7 +133,7 @@ def _start_worker(environment: dict[str, str]) -> None:
     os.environ.update(environment)
     for name in os.environ.keys() - environment.keys():
         del os.environ[name]
-    from geomosaic.pipeline import kept  # where there are workers; every command imports this module
+    from geomosaic.pipeline import stored_result  # where there are workers; every command imports this module
 
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -143,8 +143,8 @@ def _start_worker(environment: dict[str, str]) -> None:
             while parent.is_alive():
                 parent.join(_REST_S)
                 if done == _tasks.done == _tasks.begun > given_back:
-                    kept.forget_all()
-                    give_back()
+                    stored_result.forget_all()
+                    release_memory()
                     given_back = done
                 done = _tasks.done
             os._exit(1)
@@ -152,7 +152,7 @@ def _start_worker(environment: dict[str, str]) -> None:
         threading.Thread(target=follow, daemon=True).start()
 
 
-_FIRST = "geomosaic.pipeline.forked"
+_FIRST = "geomosaic.pipeline.fork_server"
 _FORKS: Final = "forkserver" in multiprocessing.get_all_start_methods()
 
 

@@ -18,7 +18,7 @@ from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import content_of
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.pipeline.kept import Encoding, Kept, Leaving, Lent
+from geomosaic.pipeline.stored_result import EncodedFunction, SharedFunction, SpoolingFunction, StoredResult
 from geomosaic.recording.fingerprints import fingerprint_of_json
 
 Item = TypeVar("Item")
@@ -61,7 +61,7 @@ class Items:
         function: Callable[[Item], Result],
         items: Iterable[Item],
         keys: Sequence[Any] | None,
-        take: Callable[[Kept[Result]], Taken],
+        take: Callable[[StoredResult[Result]], Taken],
         *,
         stay: bool = False,
     ) -> list[Taken]:
@@ -92,8 +92,8 @@ class Items:
     def _submitted(self, work: Callable[[Item], Any], item: Item, left_at: Path | None) -> Future[Any]:
         """An item on its way; other processes leave its result beside `left_at`, if that is given."""
         if left_at is not None and self.workers.elsewhere:
-            return self.workers.submit(Leaving(work), (item, left_at))
-        return self.workers.submit(Encoding(work), item)
+            return self.workers.submit(SpoolingFunction(work), (item, left_at))
+        return self.workers.submit(EncodedFunction(work), item)
 
     def _finished(self, running: Collection[Future[Any]]) -> Collection[Future[Any]]:
         """Those that are done after a second at most; if none is, whether anybody is at work."""
@@ -102,7 +102,7 @@ class Items:
             self.workers.check()
         return finished
 
-    def _kept(self, returns: Any, place: _Place, made: bytes | Path) -> Kept[Any]:
+    def _kept(self, returns: Any, place: _Place, made: bytes | Path) -> StoredResult[Any]:
         """A result in its place, as its bytes come or where it was left, if nothing changed meanwhile."""
         try:
             if place.path is not None:
@@ -114,7 +114,7 @@ class Items:
         finally:
             if isinstance(made, Path):
                 files.remove(made)
-        return Kept(returns, place.mark, place.path, made if isinstance(made, bytes) else None)
+        return StoredResult(returns, place.mark, place.path, made if isinstance(made, bytes) else None)
 
     @contextmanager
     def _for_workers(
@@ -126,7 +126,7 @@ class Items:
             return
         path = self.folder / f".{name}.{os.getpid()}.geomosaic.part"
         try:
-            yield Lent.of(function, path)
+            yield SharedFunction.of(function, path)
         finally:
             files.remove(path)
 
@@ -167,14 +167,14 @@ class Items:
 
 
 def _from_before(
-    places: Sequence[_Place], returns: Any, take: Callable[[Kept[Result]], Taken], stay: bool
+    places: Sequence[_Place], returns: Any, take: Callable[[StoredResult[Result]], Taken], stay: bool
 ) -> dict[int, Taken]:
     """What is taken of results that are in their places; one that isn't whole goes, and is made again."""
     done: dict[int, Taken] = {}
     for i, place in enumerate(places):
         if place.path is not None and os.path.lexists(place.path):
             try:
-                found = Kept[Result](returns, place.mark, place.path)
+                found = StoredResult[Result](returns, place.mark, place.path)
                 if stay:
                     found.load()
                 done[i] = take(found)

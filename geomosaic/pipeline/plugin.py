@@ -10,8 +10,8 @@ from pathlib import Path
 
 from geomosaic.errors import CancelledError, GeomosaicError, OutputError, StageFaultError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.announced import GROUP
 from geomosaic.pipeline.artefacts import fingerprint_of_file
+from geomosaic.pipeline.entry_points import GROUP
 from geomosaic.pipeline.stage import Stage
 from geomosaic.recording.fingerprints import fingerprint_of_json
 

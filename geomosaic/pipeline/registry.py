@@ -9,8 +9,8 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 
 from geomosaic.errors import BindingsError, PluginError, UnknownNameError
-from geomosaic.pipeline.announced import GROUP
 from geomosaic.pipeline.artefacts import dataclasses_in
+from geomosaic.pipeline.entry_points import GROUP
 from geomosaic.pipeline.params import StageParams, describe_params
 from geomosaic.pipeline.stage import Stage
 

@@ -12,21 +12,29 @@ from typing import Any, BinaryIO
 from geomosaic.errors import CancelledError, FileError, GeomosaicError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import type_name, with_texts
-from geomosaic.pipeline.cache import Finished, Held, Lineage, StageCache, file_manifest, lineage_of, stage_key
+from geomosaic.pipeline.cache import (
+    ArtefactHandle,
+    CachedOutcome,
+    Lineage,
+    StageCache,
+    file_manifest,
+    lineage_of,
+    stage_key,
+)
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers, peak_memory_bytes
-from geomosaic.pipeline.freed import give_back
-from geomosaic.pipeline.given import Given, bring_files
 from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.memory_release import release_memory
 from geomosaic.pipeline.plugin import blamed, code_of
 from geomosaic.pipeline.provenance import commit, sizes, surroundings
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe, Step
-from geomosaic.pipeline.recorded import record_again
+from geomosaic.pipeline.replayed_stage import ReplayedStage, bring_files
 from geomosaic.pipeline.reporter import Reporter, Silent, Source, warning_lines
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
-from geomosaic.pipeline.work import Voice, Work, may_be_forged_data, ready
+from geomosaic.pipeline.stage_recorder import replay_calls
+from geomosaic.pipeline.stage_task import StageLog, StageTask, concurrent_steps, may_be_forged_data
 from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
 from geomosaic.recording.levels import RecordOptions
 from geomosaic.recording.live import watched
@@ -42,7 +50,7 @@ def run(
     workers: int = 1,
     dask: str | None = None,
     fixed_time: bool = False,
-    given: Mapping[int, Given] | None = None,
+    given: Mapping[int, ReplayedStage] | None = None,
     reporter: Reporter | None = None,
     cancelled: Callable[[], bool] | None = None,
     record: RecordOptions | None = None,
@@ -136,13 +144,13 @@ class _Run:
         self._reporter = reporter
         self._cancelled = cancelled
         self._cache = StageCache(folder, hashes)
-        self._held: dict[str, Held] = {}
+        self._held: dict[str, ArtefactHandle] = {}
         self._lineages: list[Lineage] = []
         self._used: list[Path] = []
-        self._begun: dict[int, Finished | Work] = {}
+        self._begun: dict[int, CachedOutcome | StageTask] = {}
         self._summary: dict[str, Any] = {}
 
-    def run(self, given: Mapping[int, Given]) -> dict[str, Any]:
+    def run(self, given: Mapping[int, ReplayedStage]) -> dict[str, Any]:
         stage = ""
         try:
             self._begin(given)
@@ -158,7 +166,7 @@ class _Run:
                 self._begin_beside(i, given)
                 finished, source, early_s = self._step(i, given.get(i))
                 self._end_stage(step.stage, finished, early_s or time.monotonic() - started, source)
-                self._let_go(self._recipe.steps[i + 1 : i + 2])
+                self._release(self._recipe.steps[i + 1 : i + 2])
             with self._folder.writing(RUN_JSON) as path:
                 files.write_json(path, self._summary)
             self._tidy()
@@ -173,14 +181,14 @@ class _Run:
             self._record_failure(stage, f"{type(error).__name__}: {error}")
             raise
 
-    def _let_go(self, then: Sequence[Step]) -> None:
+    def _release(self, then: Sequence[Step]) -> None:
         """What the next step doesn't take stays on the disk alone, until a later one does."""
         taken = {name for step in then for name in (*step.stage.inputs, *step.stage.optional_inputs)}
         for name in self._held.keys() - taken:
-            self._held[name].let_go()
-        give_back()
+            self._held[name].release()
+        release_memory()
 
-    def _begin(self, given: Mapping[int, Given]) -> None:
+    def _begin(self, given: Mapping[int, ReplayedStage]) -> None:
         environment = {**versions(), "commit": commit()}
         if not self._fixed_time:
             environment |= surroundings(private=self._privacy is not None)
@@ -215,7 +223,7 @@ class _Run:
         }
         self._recorder.inputs(manifest)
 
-    def _check_recorded(self, given: Given) -> None:
+    def _check_recorded(self, given: ReplayedStage) -> None:
         """What a recorded stage found holds for the files it read, and only for them."""
         for path, mark in given.read_files():
             self._reporter.progress(0, 0, "reading inputs")
@@ -239,37 +247,37 @@ class _Run:
         self._recorder.progress(done, total, "reading inputs")
         self._reporter.progress(done, total, "reading inputs")
 
-    def _inputs(self, stage: type[Stage]) -> dict[str, Held]:
+    def _inputs(self, stage: type[Stage]) -> dict[str, ArtefactHandle]:
         return {
             name: self._held[name] for name in (*stage.inputs, *stage.optional_inputs) if name in self._held
         }
 
-    def _begin_beside(self, i: int, given: Mapping[int, Given]) -> None:
+    def _begin_beside(self, i: int, given: Mapping[int, ReplayedStage]) -> None:
         """Begins the stages that other processes can work on while step i is worked on."""
-        for k in ready(self._recipe.steps, i) if self._workers.elsewhere else ():
+        for k in concurrent_steps(self._recipe.steps, i) if self._workers.elsewhere else ():
             if k not in self._begun and k not in given:
                 self._begun[k] = task = self._task(k, early=True)
-                if isinstance(task, Work):
+                if isinstance(task, StageTask):
                     task.begin()
 
     def _end_begun(self) -> None:
         """Whatever was begun before its turn, which won't come."""
         for task in self._begun.values():
-            if isinstance(task, Work):
+            if isinstance(task, StageTask):
                 task.end()
 
-    def _step(self, i: int, given: Given | None) -> tuple[Finished, Source, float]:
+    def _step(self, i: int, given: ReplayedStage | None) -> tuple[CachedOutcome, Source, float]:
         """A step's outcome, where it is from, and the seconds it was worked on if that was begun early."""
         stage = self._recipe.steps[i].stage
         if given is not None:
             for message in given.messages():
                 self._recorder.copy(*message)
-            return self._cache.keep_given(stage, given, self._lineage(i)), "recording", 0.0
+            return self._cache.keep_replayed(stage, given, self._lineage(i)), "recording", 0.0
         early = i in self._begun
         task = self._begun.pop(i) if early else self._task(i, early=False)
-        if isinstance(task, Finished):
+        if isinstance(task, CachedOutcome):
             assert task.calls is not None
-            record_again(task.calls, self._recorder)
+            replay_calls(task.calls, self._recorder)
             return task, "cache", 0.0
         try:
             values = task.outcome()
@@ -282,14 +290,14 @@ class _Run:
                 problem = f"{stage.id} fails on what is kept there ({type(error).__name__}: {error})"
                 raise FileError(problem, file=work, fix="remove it and run again") from error
             raise
-        kept = self._cache.keep(stage, task.key, values, task.context, task.lineage, task.voice.spool)
+        kept = self._cache.keep(stage, task.key, values, task.context, task.lineage, task.log.spool)
         return kept, "work", task.seconds if early else 0.0
 
     def _lineage(self, i: int) -> Lineage:
         inputs = self._inputs(self._recipe.steps[i].stage)
         return self._lineages[i].union(*(held.lineage for held in inputs.values()))
 
-    def _task(self, i: int, *, early: bool) -> Finished | Work:
+    def _task(self, i: int, *, early: bool) -> CachedOutcome | StageTask:
         """What a step's stage has to do: nothing, if its outcome is in the cache."""
         step, lineage = self._recipe.steps[i], self._lineage(i)
         stage, inputs = step.stage, self._inputs(step.stage)
@@ -299,24 +307,24 @@ class _Run:
         if finished is not None and finished.calls is not None:
             return finished
         spool = self._cache.spool(stage)
-        voice = Voice(self._recorder, self._reporter, spool, stage.id, self._cancelled, early=early)
+        log = StageLog(self._recorder, self._reporter, spool, stage.id, self._cancelled, early=early)
         context = Context(
             self._folder,
             stage_id=stage.id,
             version=stage.version,
             code=code,
-            recorder=voice.calls,
+            recorder=log.calls,
             workers=self._workers,
             hashes=self._hashes,
             seed=self._recipe.seed,
             key=key,
             fixed_time=self._fixed_time,
-            on_progress=voice.progress,
-            on_note=voice.note,
-            cancelled=voice.cancelled,
+            on_progress=log.progress,
+            on_note=log.note,
+            cancelled=log.cancelled,
             summary=self._timeless_summary() if self._fixed_time else self._summary,
         )
-        return Work(step, inputs, context, voice, key, lineage)
+        return StageTask(step, inputs, context, log, key, lineage)
 
     def _timeless_summary(self) -> dict[str, Any]:
         """The summary without what differs between equal runs."""
@@ -327,7 +335,7 @@ class _Run:
         for line in warning_lines(warnings):
             self._reporter.warning(line)
 
-    def _end_stage(self, stage: type[Stage], finished: Finished, seconds: float, source: Source) -> None:
+    def _end_stage(self, stage: type[Stage], finished: CachedOutcome, seconds: float, source: Source) -> None:
         for name, held in finished.outputs.items():
             self._record_artefact(stage, name, held, finished)
             self._held[name] = held
@@ -364,7 +372,9 @@ class _Run:
         self._hashes.save()
         self._reporter.stage_finished(seconds, source)
 
-    def _record_artefact(self, stage: type[Stage], name: str, held: Held, finished: Finished) -> None:
+    def _record_artefact(
+        self, stage: type[Stage], name: str, held: ArtefactHandle, finished: CachedOutcome
+    ) -> None:
         """Its bytes, or in private those without folders, which have a fingerprint of their own."""
         with held.open() as file:
             data: BinaryIO = file
@@ -375,7 +385,7 @@ class _Run:
                 self._marks[held.fingerprint] = mark
             self._recorder.artefact(stage.id, name, type_name(held.type), self._mark(held), data)
 
-    def _mark(self, held: Held) -> str:
+    def _mark(self, held: ArtefactHandle) -> str:
         """What the recording calls an artefact."""
         return self._marks.get(held.fingerprint, held.fingerprint)
 

@@ -35,7 +35,7 @@ def perform(job: Job, reporter: Reporter) -> dict[str, Any]:
 
 
 def _name_missing(job: Job, error: FileError) -> None:
-    from geomosaic.pipeline.given import missing_inputs
+    from geomosaic.pipeline.replayed_stage import missing_inputs
 
     for path in missing_inputs(job.given.values()):
         fix = "put it back there, name its folder with --frames, or replay from a later stage"

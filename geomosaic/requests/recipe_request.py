@@ -37,7 +37,7 @@ class RecipeRequest(FramesRequest):
 
     @cached_property
     def _file(self) -> Path:
-        from geomosaic.pipeline.named import recipe_path
+        from geomosaic.pipeline.recipe_names import recipe_path
 
         return recipe_path(self.name)
 

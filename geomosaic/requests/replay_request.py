@@ -12,8 +12,8 @@ from geomosaic.requests.option import OUTPUT, RUNNING, Option, asked, folder_giv
 from geomosaic.requests.run_request import DASK, Job, RunRequest
 
 if TYPE_CHECKING:
-    from geomosaic.pipeline.given import Given
     from geomosaic.pipeline.recipe import Recipe
+    from geomosaic.pipeline.replayed_stage import ReplayedStage
     from geomosaic.recording.model import Recording
 
 _GSD: Final = "mosaic.seams.gsd_m"
@@ -54,8 +54,8 @@ class ReplayRequest(RunRequest):
 
     def job(self) -> Job:
         """The rest of the recorded run. Raises: `InputError` for what cannot be used."""
-        from geomosaic.pipeline.elsewhere import at_places, found_frames
-        from geomosaic.pipeline.given import given_stages
+        from geomosaic.pipeline.moved_frames import at_places, found_frames
+        from geomosaic.pipeline.replayed_stage import replayed_stages
         from geomosaic.recording import read_recording
 
         path = self.recording / "run.mcap" if self.recording.is_dir() else self.recording
@@ -71,7 +71,7 @@ class ReplayRequest(RunRequest):
         sets = [*self.set, *moved]
         recipe = _until(_recipe(recorded, sets), self.until, path)
         first = _first_stage(recipe, self.start, list(self.set), path)
-        given: Mapping[int, Given] = given_stages(recorded, recipe, first)
+        given: Mapping[int, ReplayedStage] = replayed_stages(recorded, recipe, first)
         if places:
             given = at_places(given, places)
         recipe, given, left_out = _on_thumbnails(recorded, recipe, given, sets, self.output)
@@ -86,11 +86,11 @@ def _recipe(recorded: Recording, sets: list[str]) -> Recipe:
 
 
 def _on_thumbnails(
-    recorded: Recording, recipe: Recipe, given: Mapping[int, Given], sets: list[str], output: Path
-) -> tuple[Recipe, Mapping[int, Given], tuple[str, ...]]:
+    recorded: Recording, recipe: Recipe, given: Mapping[int, ReplayedStage], sets: list[str], output: Path
+) -> tuple[Recipe, Mapping[int, ReplayedStage], tuple[str, ...]]:
     """The replay with thumbnails for frames where these are gone and something reads them, and what is left
     out."""
-    from geomosaic.pipeline.elsewhere import (
+    from geomosaic.pipeline.moved_frames import (
         first_with_thumbnails,
         frames_gone,
         thumbnail_pixel_m,

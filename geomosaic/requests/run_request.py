@@ -23,8 +23,8 @@ from geomosaic.requests.option import (
 )
 
 if TYPE_CHECKING:
-    from geomosaic.pipeline.given import Given
     from geomosaic.pipeline.recipe import Recipe
+    from geomosaic.pipeline.replayed_stage import ReplayedStage
     from geomosaic.recording.levels import RecordOptions
 
 Parameters = dict[str, dict[str, Any]]
@@ -57,7 +57,7 @@ class Job:
     folder: Path
     recorded: RecordOptions
     how: How
-    given: Mapping[int, Given] = field(default_factory=dict)
+    given: Mapping[int, ReplayedStage] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
 
@@ -155,7 +155,7 @@ class RunRequest(ABC):
 
     def prepare(self, stages: Iterable[str]) -> None:
         """Has workers made ready, if there are to be some on this machine, while the recipe is read."""
-        from geomosaic.pipeline.announced import modules_of
+        from geomosaic.pipeline.entry_points import modules_of
         from geomosaic.pipeline.executor import prepare_workers
 
         if self.cluster is None and (self.workers or cores()) > 1:

@@ -65,7 +65,7 @@ class ExportCog(Stage):
         context.recorder.image("/images/mosaic", "mosaic", thumbnail(small))
         known = copied and raster == context.run_folder / composed.name
         file = context.copied_file(MOSAIC, composed) if known else context.run_file(MOSAIC)
-        spare = context.spared(Glance, str(path))
+        spare = context.optional_cache(Glance, str(path))
         if on_map and spare.path is not None:  # for the report, while others judge
             spare.leave(glance(path))
         return {"mosaic_file": file}

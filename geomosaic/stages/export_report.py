@@ -66,7 +66,7 @@ class ExportReport(Stage):
             adjusted=inputs["adjusted"],
             mosaic=inputs["mosaic"],
             mosaic_file=mosaic_file,
-            image=context.spared(Glance, str(mosaic_file)).found(),
+            image=context.optional_cache(Glance, str(mosaic_file)).found(),
             comparison=inputs.get("comparison"),
             verdict=inputs.get("verdict"),
             surface=_surface(inputs, context),

@@ -19,7 +19,7 @@ from geomosaic.export.surface import RASTERS, SurfaceOnMap, surface_grid, writin
 from geomosaic.export.surface_cloud import writing_cloud
 from geomosaic.export.surface_drawn import write_contours, write_hillshade
 from geomosaic.export.surface_heights import ELLIPSOIDAL, height_system, vertical_of, write_sidecar
-from geomosaic.pipeline.freed import give_back
+from geomosaic.pipeline.memory_release import release_memory
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.surface.dtm import TerrainModel
 from geomosaic.surface.model import DenseSurface
@@ -92,7 +92,7 @@ class ExportSurface(Stage):
                 with context.writing(CONTOURS) as out:
                     write_contours(plain["terrain"], out, params.contours_m)
             for path in plain.values():
-                give_back()
+                release_memory()
                 with context.writing(path.name) as out:
                     write_cog(path, out, threads=params.threads)
         for file in SIDECARS:

@@ -18,8 +18,8 @@ from geomosaic.matching.contrast import raised
 from geomosaic.matching.features import Bytes, Features, reduction_for, shrunk, sift_features, stretched
 from geomosaic.matching.match import Looks, Matching, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
-from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context
+from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import Small, Unseen
@@ -69,7 +69,7 @@ class Picture:
     """A frame's brightness where it lies, and how many of the frame's pixels one of its own is along each
     side."""
 
-    brightness: Kept[Brightness]
+    brightness: StoredResult[Brightness]
     reduction: int
 
 
@@ -77,7 +77,7 @@ class Picture:
 def pictured(context: Context, sight: Sight, frames: Sequence[Frame]) -> Iterator[list[Picture]]:
     """Frames decoded once for all that is done in the block. Then they go: a few MB each, and decoded again
     sooner than so much is kept; if the block fails, the next run finds them."""
-    unseen = [Unseen(frame, context.spared(Small, frame.path)) for frame in frames]
+    unseen = [Unseen(frame, context.optional_cache(Small, frame.path)) for frame in frames]
     decoded = context.stored("brightness", partial(frame_brightness, sight), unseen)
     yield [Picture(kept, sight.reduction(frame)) for kept, frame in zip(decoded, frames, strict=True)]
     for kept in decoded:
@@ -100,8 +100,8 @@ def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
 class PairItem:
     """A pair of frames, where it is believed to match, and by how much its keypoints' images were shrunk."""
 
-    left: Kept[Features]
-    right: Kept[Features]
+    left: StoredResult[Features]
+    right: StoredResult[Features]
     guess: Guess
     pixel_px: float
 
@@ -137,7 +137,7 @@ class Sought:
     """Some windows of a frame, where (n, 2) another is believed to show them, and how it turns and stretches
     them (n, 2, 2), in pixels of both frames."""
 
-    windows: Kept[Windows]
+    windows: StoredResult[Windows]
     reduction: int
     rows: NDArray[np.int64]
     near_px: Floats

@@ -23,8 +23,8 @@ from geomosaic.matching.planes import Guess
 from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import found_turned, reheaded, righted, seen_pairs
 from geomosaic.matching.untied import MOSTLY
-from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.ground import GroundSurface
@@ -175,7 +175,7 @@ class MatchingSift(Stage):
 
     @staticmethod
     def _without_positions(
-        context: Context, features: Sequence[Kept[Features]], frames: Sequence[int]
+        context: Context, features: Sequence[StoredResult[Features]], frames: Sequence[int]
     ) -> list[tuple[int, int]]:
         """Candidate pairs of frames that have no position, by what their images have in common."""
         if not frames:

@@ -50,7 +50,7 @@ class MosaicGiven(Stage):
             return {"given": GivenMosaic(None)}
 
         def spare(frame: Frame) -> Spare:
-            return context.spared(Small, frame.path)
+            return context.optional_cache(Small, frame.path)
 
         image = given_image(survey, placement, ground, params.longest_px, context.spooled, spare)
         return {"given": GivenMosaic(image)}

@@ -294,7 +294,7 @@ class MosaicSeams(Stage):
                 finer = nearest.cell_px * scene.grid.gsd_m / band.view.gsd_m
                 reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
                 frame = survey.frames[band.view.frame]
-                yield Glimpse(frame, reduction, band, context.spared(Small, frame.path))
+                yield Glimpse(frame, reduction, band, context.optional_cache(Small, frame.path))
 
         look = partial(glimpsed, replace(scene, views=()), nearest.cell_px, tones)
         parts = context.map("seams", look, glimpses(), keys=[v.frame for v in views])

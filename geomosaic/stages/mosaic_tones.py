@@ -83,7 +83,9 @@ class MosaicTones(Stage):
         seen = np.unique(places.frame).tolist()
         mine = [np.flatnonzero(places.frame == i) for i in seen]
         jobs = [
-            Sampling(survey.frames[i], places.image_px[m], context.spared(Small, survey.frames[i].path))
+            Sampling(
+                survey.frames[i], places.image_px[m], context.optional_cache(Small, survey.frames[i].path)
+            )
             for i, m in zip(seen, mine, strict=True)
         ]
         found = context.map("tones", sampled, jobs, keys=seen)

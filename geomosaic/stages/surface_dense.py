@@ -15,8 +15,8 @@ from geomosaic.composition.views import seen_part
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.matching.features import grey
-from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.reporting import first_capture_s
@@ -109,7 +109,7 @@ class SurfaceDense(Stage):
                 int(coarse.reduction),
                 int(fine.reduction),
                 fine.turn_rad,
-                context.spared(Small, survey.frames[i].path),
+                context.optional_cache(Small, survey.frames[i].path),
             )
             for i, coarse, fine in zip(used, *sighted, strict=True)
         ]
@@ -134,7 +134,7 @@ def _matched(
     levels: Sequence[PyramidLevel],
     base: GroundSurface,
     sighted: Sequence[Sequence[SweepView]],
-    pictures: Sequence[Kept[Pictures]],
+    pictures: Sequence[StoredResult[Pictures]],
 ) -> tuple[DenseSurface, MatchCounts]:
     """Tiles of the coarse level, of the fine one, and what is kept of those with what lies around: each is
     made once, whoever makes it, and lies on the disk until the surface is whole."""
@@ -198,7 +198,7 @@ class _Tile:
 
     search: HeightSearch
     frames: tuple[SweepView, ...]
-    pictures: tuple[Kept[Pictures], ...]
+    pictures: tuple[StoredResult[Pictures], ...]
 
 
 def _heights(base: GroundSurface, tile: _Tile) -> TileHeights:
@@ -213,7 +213,7 @@ class _Near:
     """A tile, and the heights of it and of those about it."""
 
     tile: Tile
-    heights: tuple[tuple[Tile, Kept[TileHeights]], ...]
+    heights: tuple[tuple[Tile, StoredResult[TileHeights]], ...]
 
 
 def _part(base: GroundSurface, cells: Cells, reach_m: tuple[float, float], near: _Near) -> FilteredTile:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.recording.thumbnail import Looking, Seen, seen, thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.damage import Wholeness
@@ -107,10 +107,10 @@ class SurveyRead(Stage):
                 context.warn(
                     "project-file", "", f"{given[name].name} beside the frames is taken for --{name}"
                 )
-        looks: dict[str, Kept[Seen]] = {}
+        looks: dict[str, StoredResult[Seen]] = {}
 
         def inspect(paths: list[str]) -> list[Wholeness]:
-            items = [Looking(path, context.spared(Small, path)) for path in paths]
+            items = [Looking(path, context.optional_cache(Small, path)) for path in paths]
             looks.update(zip(paths, context.stored("looking for damage", seen, items), strict=True))
             return [looks[path].load().wholeness for path in paths]
 

@@ -15,8 +15,8 @@ from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.planes import Guess, SeenPlanes
 from geomosaic.matching.refinement import Refinement
 from geomosaic.matching.untied import untied_reasons
-from geomosaic.pipeline.kept import Kept
 from geomosaic.pipeline.stage import Context
+from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.graph import connected_parts, flown_beside
 from geomosaic.stages.keypoints import (
     PairItem,
@@ -43,7 +43,7 @@ class Pairing:
 
     context: Context
     how: Matching
-    features: Sequence[Kept[Features]]
+    features: Sequence[StoredResult[Features]]
     sizes_px: Sequence[Pair]
     pixel_px: Sequence[float]
     believed: Callable[[int, int], Guess]

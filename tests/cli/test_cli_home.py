@@ -14,7 +14,7 @@ import pytest
 from small_surveys import geomosaic, small_survey, summary
 
 from geomosaic.cli.running import print_named
-from geomosaic.pipeline.named import recipe_names
+from geomosaic.pipeline.recipe_names import recipe_names
 from geomosaic.requests.run_request import beside
 from geomosaic_simulate.survey import SimulatedSurvey
 

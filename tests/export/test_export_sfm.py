@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation as Turn
 from solved_block import ALONE, solved_block
 
 from geomosaic.pipeline.run_folder import RunFolder
-from geomosaic.pipeline.single import run_stage
+from geomosaic.pipeline.single_stage import run_stage
 from geomosaic.stages.export_colmap import ExportColmap
 from geomosaic.stages.export_odm import ExportOdm
 from geomosaic.stages.export_opensfm import ExportOpensfm

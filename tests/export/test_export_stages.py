@@ -17,7 +17,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
-from geomosaic.pipeline.single import run_stage
+from geomosaic.pipeline.single_stage import run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.stages.export_cog import ExportCog
 from geomosaic.stages.export_layers import ExportLayers

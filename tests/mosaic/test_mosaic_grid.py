@@ -34,7 +34,7 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.context import Notes
 from geomosaic.pipeline.run_folder import RunFolder
-from geomosaic.pipeline.single import run_stage
+from geomosaic.pipeline.single_stage import run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
 from geomosaic.stages.mosaic_compose import MosaicCompose

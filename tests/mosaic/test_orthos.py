@@ -21,7 +21,7 @@ from geomosaic.errors import CancelledError
 from geomosaic.export.orthos import ortho_names
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.run_folder import RunFolder
-from geomosaic.pipeline.single import run_stage
+from geomosaic.pipeline.single_stage import run_stage
 from geomosaic.stages.export_orthos import ExportOrthos
 from geomosaic.stages.mosaic_compose import MosaicCompose
 

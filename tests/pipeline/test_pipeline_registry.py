@@ -12,7 +12,7 @@ import pytest
 from pipeline_toy import STAGES, PowerNumbers, ReadNumbers, distribution
 
 from geomosaic.errors import PluginError, UnknownNameError
-from geomosaic.pipeline.announced import GROUP
+from geomosaic.pipeline.entry_points import GROUP
 from geomosaic.pipeline.registry import Registry, check_stage
 from geomosaic.pipeline.stage import Stage, StageParams
 

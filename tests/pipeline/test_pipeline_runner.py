@@ -31,11 +31,11 @@ from geomosaic.errors import (
 from geomosaic.pipeline import executor, hashes
 from geomosaic.pipeline.artefacts import decode
 from geomosaic.pipeline.context import Context, Notes, RunFile
-from geomosaic.pipeline.finished import load_artefact, read_summary
-from geomosaic.pipeline.given import given_stage
 from geomosaic.pipeline.recipe import Recipe, load_recipe
+from geomosaic.pipeline.replayed_stage import replayed_stage
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_folder import MARKER
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.pipeline.runner import run
 from geomosaic.recording.compare import compare
 from geomosaic.recording.reader import read_recording
@@ -300,7 +300,7 @@ def test_given_stages_tell_what_they_told_and_are_not_run(toys: Toys) -> None:
     toys.folder.joinpath("numbers.txt").unlink()
     recording = read_recording(toys.run_folder / "run.mcap")
     recipe = toys.recipe()
-    given = {i: given_stage(recording, recipe, i) for i in range(2)}
+    given = {i: replayed_stage(recording, recipe, i) for i in range(2)}
     for again in range(2):
         second = run(recipe, toys.folder / "again", given=given)
         assert toys.done() == (["tell"] if again else ["sum", "write", "tell"])
@@ -321,7 +321,7 @@ def test_a_changed_step_after_given_ones_is_named_first(toys: Toys) -> None:
     toys.run(fixed_time=True)
     recording = read_recording(toys.run_folder / "run.mcap")
     recipe = toys.recipe("toy.sum.fill=7")
-    given = {i: given_stage(recording, recipe, i) for i in range(2)}
+    given = {i: replayed_stage(recording, recipe, i) for i in range(2)}
     run(recipe, toys.folder / "again", given=given)
     difference = compare(recording, read_recording(toys.folder / "again" / "run.mcap"))
     assert (

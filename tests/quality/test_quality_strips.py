@@ -13,7 +13,7 @@ from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, Stri
 from geomosaic.ccd.overlaps import Strips, strips_in_memory
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.pipeline.context import Context
-from geomosaic.pipeline.recorded import StageRecorder
+from geomosaic.pipeline.stage_recorder import StageRecorder
 from geomosaic.quality.jitter import Spectrum, jitter_spectrum, peaks_by_bin, residual_spectrum
 from geomosaic.quality.strip_figures import misplacement_rate, scene_errors, segment_rms, strip_figures
 from geomosaic.quality.strips import StripQuality, confirmed, misplacement, quality_metrics

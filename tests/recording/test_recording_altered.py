@@ -21,7 +21,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.interior import Camera
 from geomosaic.cli.main import main
 from geomosaic.errors import FileError
-from geomosaic.pipeline import given
+from geomosaic.pipeline import replayed_stage
 from geomosaic.pipeline.artefacts import decode, encode
 from geomosaic.recording import compare, read_recording, summary
 from geomosaic.recording.run_kinds import Artefact, StageEvent
@@ -155,12 +155,12 @@ def test_artefacts_of_different_frames_are_not_replayed(monkeypatch: pytest.Monk
     artefacts = [Adjusted(b.poses, b.cameras, ("tied",) * len(b.names), (), (), b.ground) for b in blocks]
     steps: dict[int, Adjusted] = dict(enumerate((*artefacts[:1], *artefacts)))
     monkeypatch.setattr(
-        given, "given_stage", lambda _r, _s, i: SimpleNamespace(outputs={"adjusted": steps[i]})
+        replayed_stage, "replayed_stage", lambda _r, _s, i: SimpleNamespace(outputs={"adjusted": steps[i]})
     )
     recording = SimpleNamespace(path=Path("run.mcap"))
-    assert len(given.given_stages(recording, None, 2)) == 2  # type: ignore[arg-type]
+    assert len(replayed_stage.replayed_stages(recording, None, 2)) == 2  # type: ignore[arg-type]
     with pytest.raises(FileError, match="of different frames"):
-        given.given_stages(recording, None, 3)  # type: ignore[arg-type]
+        replayed_stage.replayed_stages(recording, None, 3)  # type: ignore[arg-type]
 
 
 def test_an_array_of_an_endless_number_is_no_artefact() -> None:

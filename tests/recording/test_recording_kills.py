@@ -17,9 +17,9 @@ from recorded_survey import bad_survey
 from geomosaic.cli.main import main
 from geomosaic.errors import CancelledError
 from geomosaic.pipeline.recipe import parse_recipe
-from geomosaic.pipeline.recorded import StageRecorder, record_again
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.runner import run
+from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
 from geomosaic.recording import Recorder, read_recording
 from geomosaic.recording.heartbeat import EVERY_S
 from geomosaic.recording.inspection import Inspection
@@ -137,7 +137,7 @@ def test_what_a_cached_stage_has_not_made_is_told(tmp_path: Path) -> None:
     for level, told in (("normal", 1), ("summary", 0)):
         with Recorder(tmp_path / f"{level}.mcap", level=level) as recorder:
             recorder.stage_started("quality.verdict", 1, {}, {})
-            record_again(tmp_path / "calls", recorder)
+            replay_calls(tmp_path / "calls", recorder)
         log = read_recording(tmp_path / f"{level}.mcap").log
         assert len(log) == told and all("no ChipTies" in line.text for line in log)
     assert not read_recording(tmp_path / "first.mcap").log

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from rich.console import Console
 
-from geomosaic.pipeline.recorded import StageRecorder, record_again
+from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
 from geomosaic.recording import Recorder, compare, read_recording, summary
 from geomosaic.recording.difference_tables import show_difference
 from geomosaic.recording.reader import stage_messages
@@ -101,7 +101,7 @@ def test_a_replay_tells_them_again(tmp_path: Path) -> None:
             recorder.copy(topic, schema, data)
         recorder.stage_finished("ccd.offsets", {}, None, False)
         recorder.stage_started("spooled", 1, {}, {})
-        record_again(tmp_path / "spool", recorder)
+        replay_calls(tmp_path / "spool", recorder)
     again = read_recording(tmp_path / "b.mcap")
     assert [c.pair for c in again.strips] == [0, 2, 2]
     np.testing.assert_array_equal(again.strips[1].offset_px, recording.strips[1].offset_px)
@@ -222,7 +222,7 @@ def test_what_is_left_is_told_again(tmp_path: Path) -> None:
         recorder.stage_started("quality.strips", 2, {}, {})
         for topic, schema, data in stage_messages(recording, 1):
             recorder.copy(topic, schema, data)
-        record_again(tmp_path / "spool", recorder)
+        replay_calls(tmp_path / "spool", recorder)
     again = read_recording(tmp_path / "b.mcap")
     assert [r.pair for r in again.strip_residuals] == [0, 2, 4]
     for r in (again.strip_residuals[0], again.strip_residuals[2]):

@@ -15,7 +15,7 @@ from geomosaic.estimation.robust import share_down_weighted, student_weight
 from geomosaic.matching.match import PairMatch
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.pipeline.context import Context
-from geomosaic.pipeline.recorded import StageRecorder
+from geomosaic.pipeline.stage_recorder import StageRecorder
 from geomosaic.quality.ranking import worst_pairs
 from geomosaic.quality.solved_tables import pair_columns, tie_weights
 from geomosaic.recording import Recorder, messages

@@ -14,7 +14,7 @@ from small_surveys import geomosaic, small_survey, summary
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.pipeline.context import Context
-from geomosaic.pipeline.finished import load_artefact
+from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages import surface_dense as stage_module
 from geomosaic.stages.surface_dense import SurfaceDense

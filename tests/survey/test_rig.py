@@ -20,7 +20,7 @@ from geomosaic.adjustment.procedure.rig import Captures, RigPoses, band_poses, r
 from geomosaic.composition.bands import stack_bands
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
-from geomosaic.pipeline.finished import load_artefact
+from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.survey.model import Band
 from geomosaic.survey.read import read_survey
 

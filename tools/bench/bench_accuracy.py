@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.paper.misalignment import fullest_bin_mean
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.finished import load_artefact
+from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.placement.graph import connected_parts
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.figures import Figures, figures, touching_patches

@@ -16,7 +16,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.placement.graph import connected_parts
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_figures

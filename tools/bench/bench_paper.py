@@ -39,12 +39,12 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.finished import load_artefact
 from geomosaic.pipeline.recipe import recipe_from
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.run_folder import RunFolder
+from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.pipeline.runner import run
-from geomosaic.pipeline.single import run_stage
+from geomosaic.pipeline.single_stage import run_stage
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare

@@ -26,7 +26,7 @@ from geomosaic.composition.occlusion import occluded_parts, occlusion_depth, sid
 from geomosaic.composition.ownership import cell_px_of, nearest_nadir
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.views import frame_views
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.figures import best_similarity

@@ -20,7 +20,7 @@ from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
 from geomosaic.composition.views import frame_views
 from geomosaic.errors import InputError
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare
 from geomosaic.survey.model import Survey

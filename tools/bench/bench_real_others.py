@@ -18,7 +18,7 @@ import rasterio
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.quality.compare import compare
 from geomosaic.quality.figures import best_similarity
 from geomosaic.survey.model import Survey

@@ -29,7 +29,7 @@ from osgeo import gdal
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey

@@ -33,7 +33,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface, flat_ground

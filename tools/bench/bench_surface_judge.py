@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
 from geomosaic.survey.model import Survey

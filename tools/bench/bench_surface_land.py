@@ -10,7 +10,7 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.ownership import Ownership
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality import ground_doubt
 from geomosaic.quality.ground_doubt import OFF_PX, places_of

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.constants import sourced, tuned
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells

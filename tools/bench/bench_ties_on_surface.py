@@ -42,7 +42,7 @@ from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
 from geomosaic.matching.model import TiePair, TiePoints
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface

@@ -71,8 +71,12 @@ def columns_of(case: Case) -> Iterator[str]:
 def warm() -> None:
     """Imports all that commands import late, so that each child finds it there."""
     names = [
-        *("geomosaic.pipeline.runner", "geomosaic.pipeline.finished", "geomosaic.pipeline.given"),
-        *("geomosaic.pipeline.recorded_solve", "geomosaic.pipeline.elsewhere", "geomosaic.recording.repair"),
+        *("geomosaic.pipeline.runner", "geomosaic.pipeline.run_results", "geomosaic.pipeline.replayed_stage"),
+        *(
+            "geomosaic.pipeline.recorded_solve",
+            "geomosaic.pipeline.moved_frames",
+            "geomosaic.recording.repair",
+        ),
         *("geomosaic.recording.inspection_tables", "geomosaic.recording.difference_tables"),
         *("geomosaic.recording.compare", "geomosaic.recording.pictures", "geomosaic.recording.worst"),
         *("geomosaic.cli.main", "geomosaic.cli.app", "geomosaic.cli.plan", "geomosaic.cli.progress"),

@@ -15,7 +15,7 @@ import numpy as np
 import rasterio
 
 from geomosaic.errors import GeomosaicError
-from geomosaic.pipeline.finished import load_artefact, read_summary
+from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey

@@ -1,4 +1,4 @@
-"""A finished run folder, read back."""
+"""Summary and artefacts of a finished run folder."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from geomosaic.pipeline.registry import Registry
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
-from geomosaic.pipeline.work import ready
+from geomosaic.pipeline.stage_task import concurrent_steps
 from geomosaic.recording.reader import read_recording
 
 PATIENCE_S = 20.0
@@ -197,7 +197,7 @@ def test_ready_are_those_that_nobody_gives_anything_to(tmp_path: Path) -> None:
     more = [f"  - {{stage: toy.{name}, params: {{sign: {name}}}}}\n" for name in ("anew", "after")]
     path.write_text(RECIPE + "".join(more))
     steps = load_recipe(path, stages).steps
-    assert ready(steps, 0) == []  # reading gives the numbers
-    assert ready(steps, 1) == [2, 3]
-    assert ready(steps, 2) == [3]  # the last one waits for numbers given anew
-    assert ready(steps, 4) == []
+    assert concurrent_steps(steps, 0) == []  # reading gives the numbers
+    assert concurrent_steps(steps, 1) == [2, 3]
+    assert concurrent_steps(steps, 2) == [3]  # the last one waits for numbers given anew
+    assert concurrent_steps(steps, 4) == []

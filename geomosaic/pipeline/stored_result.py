@@ -1,4 +1,4 @@
-"""Results that stay on the disk and are referred to: by other items, by a stage, by workers anywhere.
+"""Results on disk that items, stages and workers refer to by their path.
 
 What is large goes between processes by its place in the run folder and not by its bytes: whoever needs it
 reads it there, and keeps what it needed lately.
@@ -38,7 +38,7 @@ class _Sized(typing.Protocol):
 Sized = TypeVar("Sized", bound=_Sized)
 
 _MEMORY_BYTES = tuned(128 << 20, "bytes", "of cached results, 40 frames of keypoints: less reads files again")
-_LENT_BYTES = tuned(100_000, "bytes", "of arguments sent with each item: a file costs as much as 100 kB")
+_SHARED_BYTES = tuned(100_000, "bytes", "of arguments sent with each item: a file costs as much as 100 kB")
 _LENGTH: Final = struct.Struct("<Q")
 _ALIGNED_BYTES: Final = 64
 """From where to where arrays begin: any number's size goes into it."""
@@ -79,12 +79,12 @@ _memory = _Memory(_MEMORY_BYTES)
 
 
 def forget_all() -> None:
-    """What this process was referred to is read anew if it is wanted again."""
+    """Clears this process's cache of results."""
     _memory.clear()
 
 
 @dataclass(frozen=True)
-class Kept(Reference, Generic[Result]):
+class StoredResult(Reference, Generic[Result]):
     """A result of `Context.stored` or `spooled`: in its file, or in memory where a stage is run by hand.
 
     It may stand in other items, however deep: it is the file's name that travels, not what the file holds,
@@ -140,16 +140,18 @@ class Kept(Reference, Generic[Result]):
 
 
 @dataclass(frozen=True)
-class Spared(Reference, Generic[Result]):
-    """Where a result may lie that spares who finds it some work, and changes nothing of what comes out: it
-    counts for nothing in the names of others, and who doesn't find it does that work."""
+class OptionalCache(Reference, Generic[Result]):
+    """A cache entry that may be missing: on a miss the caller computes the result, which is the same.
+
+    It takes no part in the names of other items.
+    """
 
     returns: Any
     path: Path | None
     mark: str = field(default="", init=False)
 
     def leave(self, result: Result) -> None:
-        """Puts it there."""
+        """Stores the result."""
         if self.path is not None:
             with files.refusals_named(self.path), files.writing(self.path) as place, place.open("wb") as file:
                 write(result, file)
@@ -164,14 +166,14 @@ class Spared(Reference, Generic[Result]):
             return None
 
 
-def left_on_disk(kept: Kept[Result]) -> Kept[Result]:
-    """Without its bytes in memory, if they are on the disk."""
-    return Kept(kept.returns, kept.mark, kept.path, None if kept.path is not None else kept.data)
+def without_bytes(kept: StoredResult[Result]) -> StoredResult[Result]:
+    """The same without the copy in memory, if the result is on disk."""
+    return StoredResult(kept.returns, kept.mark, kept.path, None if kept.path is not None else kept.data)
 
 
 @dataclass(frozen=True)
-class Lent(Generic[Item, Result]):
-    """A function with large arguments, written once for all workers.
+class SharedFunction(Generic[Item, Result]):
+    """A function with large arguments, written to disk once for all workers.
 
     Pickled, so that its numbers keep their types; it is taken only if its bytes have the mark that came
     with the task. Its arrays stay in the file, so that the workers of a machine share them.
@@ -187,7 +189,7 @@ class Lent(Generic[Item, Result]):
         arrays: list[pickle.PickleBuffer] = []
         told = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
         parts = [memoryview(told), *(a.raw() for a in arrays)]
-        if sum(len(part) for part in parts) <= _LENT_BYTES:
+        if sum(len(part) for part in parts) <= _SHARED_BYTES:
             return function
         pieces: list[bytes | memoryview] = [_LENGTH.pack(len(parts)), *(_LENGTH.pack(len(p)) for p in parts)]
         ends = []
@@ -219,7 +221,7 @@ class Lent(Generic[Item, Result]):
 
 
 @dataclass(frozen=True)
-class Encoding(Generic[Item]):
+class EncodedFunction(Generic[Item]):
     """A function whose result comes home as an artefact's bytes."""
 
     function: Callable[[Item], Any]
@@ -229,7 +231,7 @@ class Encoding(Generic[Item]):
 
 
 @dataclass(frozen=True)
-class Leaving(Generic[Item]):
+class SpoolingFunction(Generic[Item]):
     """A function whose result is left on the disk by who made it, beside the place it is to take; the name of
     the file comes home. A task that is done twice leaves two."""
 

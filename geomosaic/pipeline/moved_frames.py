@@ -16,9 +16,9 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError, InputError
-from geomosaic.pipeline.given import Given, files_of
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.recipe import Recipe, Step
+from geomosaic.pipeline.replayed_stage import ReplayedStage, files_of
 from geomosaic.placement.model import Placement
 from geomosaic.recording.mcapfile import BROKEN
 from geomosaic.recording.model import Recording
@@ -63,7 +63,7 @@ def _recorded_files(recording: Recording) -> Iterator[tuple[Path, str]]:
             yield from files_of(entry)
 
 
-def at_places(given: Mapping[int, Given], places: Mapping[Path, Path]) -> dict[int, Given]:
+def at_places(given: Mapping[int, ReplayedStage], places: Mapping[Path, Path]) -> dict[int, ReplayedStage]:
     """Stages from a recording, with the files that they read and name at other places."""
     texts = {str(old): str(new) for old, new in places.items()}
     return {
@@ -87,7 +87,7 @@ def _renamed(value: Any, texts: Mapping[str, str]) -> Any:
     return value
 
 
-def frames_gone(given: Mapping[int, Given]) -> list[Frame]:
+def frames_gone(given: Mapping[int, ReplayedStage]) -> list[Frame]:
     """Frames of the recorded survey whose files aren't where they were."""
     surveys = [v for g in given.values() for v in g.outputs.values() if isinstance(v, Survey)]
     return [f for f in surveys[0].frames if not S_ISREG(mode_of(Path(f.path)))] if surveys else []
@@ -100,8 +100,8 @@ def first_with_thumbnails(recipe: Recipe, first: int) -> int:
 
 
 def with_thumbnails(
-    recording: Recording, recipe: Recipe, given: Mapping[int, Given], output: Path
-) -> tuple[Recipe, dict[int, Given], list[str]]:
+    recording: Recording, recipe: Recipe, given: Mapping[int, ReplayedStage], output: Path
+) -> tuple[Recipe, dict[int, ReplayedStage], list[str]]:
     """A replay that has the recorded thumbnails, enlarged, for frames: recipe, stages from the recording, and
     what is left out, one line each.
 
@@ -148,7 +148,7 @@ def _without_pixels(steps: Sequence[Step], given: Collection[int]) -> tuple[list
     return kept, out
 
 
-def thumbnail_pixel_m(recording: Recording, given: Mapping[int, Given]) -> float:
+def thumbnail_pixel_m(recording: Recording, given: Mapping[int, ReplayedStage]) -> float:
     """The usual ground pixel of the survey's thumbnails, to two digits; NaN where nothing tells it."""
     values = [v for g in given.values() for v in g.outputs.values()]
     placed = [v for v in values if isinstance(v, Placement)]
@@ -171,7 +171,7 @@ def _thumbnails(recording: Recording) -> dict[str, bytes]:
     return out
 
 
-def _standing_in(given: Given, thumbnails: Mapping[str, bytes], folder: Path) -> Given:
+def _standing_in(given: ReplayedStage, thumbnails: Mapping[str, bytes], folder: Path) -> ReplayedStage:
     """A stage whose surveys have enlarged thumbnails for frames, which it brings along."""
     brought: dict[str, Callable[[], bytes]] = {}
 

@@ -1,7 +1,7 @@
-"""A stage at work: when its turn comes, or begun before it, beside the stages that the recipe has first.
+"""A stage at work: when its turn comes, or earlier, concurrently with the stages before it in the recipe.
 
-A stage that shares nothing with others but its inputs (`Stage.beside`) needs no turn to work, only to be
-heard: what it records, reports and notes waits for it. So a recording is the same, whoever was ready first.
+A stage that shares only its inputs with others (`Stage.beside`) may run early. Its messages, progress and
+notes are spooled until its turn, so that the recording does not depend on which stage finished first.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import GeomosaicError
-from geomosaic.pipeline.cache import Held
+from geomosaic.pipeline.cache import ArtefactHandle
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.plugin import blamed
 from geomosaic.pipeline.recipe import Step
-from geomosaic.pipeline.recorded import StageRecorder, record_again
 from geomosaic.pipeline.reporter import Reporter
-from geomosaic.pipeline.single import check_outputs
+from geomosaic.pipeline.single_stage import check_outputs
+from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
 from geomosaic.recording.writer import Recorder
 
 
-class Voice:
-    """What a stage says while it works: at once, or when its turn comes.
+class StageLog:
+    """The messages of a running stage: passed on at once, or spooled until its turn.
 
     spool: where its calls of the recorder are kept. early: whether it begins before its turn.
     """
@@ -40,7 +40,7 @@ class Voice:
         early: bool,
     ) -> None:
         self._recorder, self._reporter, self._cancelled = recorder, reporter, cancelled
-        self._early, self._heard, self._ended = early, not early, False
+        self._early, self._live, self._ended = early, not early, False
         self._notes: list[str] = []
         self._lock = threading.Lock()
         self.spool = spool
@@ -48,14 +48,14 @@ class Voice:
 
     def progress(self, done: int, total: int, text: str) -> None:
         """How far it is, if it is its turn."""
-        if self._heard:
+        if self._live:
             self._recorder.progress(done, total, text)
             self._reporter.progress(done, total, text)
 
     def note(self, text: str) -> None:
         """A line for the user."""
         with self._lock:
-            if self._heard:
+            if self._live:
                 self._reporter.note(text)
             else:
                 self._notes.append(text)
@@ -65,26 +65,26 @@ class Voice:
         return self._ended or (self._cancelled is not None and self._cancelled())
 
     def turn(self) -> None:
-        """What was noted is said, and what comes is said at once."""
+        """Passes on the spooled notes; later ones are passed on at once."""
         with self._lock:
             for text in self._notes:
                 self._reporter.note(text)
-            self._heard = True
+            self._live = True
 
     def end(self) -> None:
         """The stage is to stop."""
         self._ended = True
 
     def close(self) -> None:
-        """Nothing comes any more: what a stage recorded before its turn goes into the recording now, once."""
+        """Ends the log: what the stage recorded before its turn is copied into the recording."""
         self.calls.close()
-        if self._early and self._heard:
+        if self._early and self._live:
             self._early = False
-            record_again(self.spool, self._recorder)
+            replay_calls(self.spool, self._recorder)
 
 
-class Work:
-    """What a stage makes of its inputs, in this thread or in one of its own.
+class StageTask:
+    """The execution of a stage, in this thread or in one of its own.
 
     key, lineage: of its outcome.
     """
@@ -92,13 +92,13 @@ class Work:
     def __init__(
         self,
         step: Step,
-        inputs: Mapping[str, Held],
+        inputs: Mapping[str, ArtefactHandle],
         context: Context,
-        voice: Voice,
+        log: StageLog,
         key: str,
         lineage: frozenset[str],
     ) -> None:
-        self.context, self.voice, self.key, self.lineage = context, voice, key, lineage
+        self.context, self.log, self.key, self.lineage = context, log, key, lineage
         self.seconds = 0.0
         self._step, self._inputs = step, inputs
         self._values: dict[str, Any] = {}
@@ -107,7 +107,7 @@ class Work:
         self._thread: threading.Thread | None = None
 
     def begin(self) -> None:
-        """Before its turn, in a thread of its own; what is wrong is said when its turn comes."""
+        """Starts the stage in a thread of its own; errors are raised when its turn comes."""
         try:
             self._take()
         except Exception as error:
@@ -118,7 +118,7 @@ class Work:
 
     def outcome(self) -> dict[str, Any]:
         """The outputs, when they are there. Raises: what the stage raises."""
-        self.voice.turn()
+        self.log.turn()
         if self._thread is not None:
             self._thread.join()
         elif self._error is None:
@@ -126,18 +126,18 @@ class Work:
             self._go()
         if self._error is not None:
             raise self._error
-        self.voice.close()
+        self.log.close()
         return self._made
 
     def end(self) -> None:
         """Stops it as soon as it asks, and waits for that; nothing of it stays but finished items."""
-        self.voice.end()
+        self.log.end()
         if self._thread is not None:
             self._thread.join()
         try:
-            self.voice.close()
+            self.log.close()
         finally:
-            self.voice.spool.unlink(missing_ok=True)
+            self.log.spool.unlink(missing_ok=True)
 
     def _take(self) -> None:
         self._values = {name: held.value() for name, held in self._inputs.items()}
@@ -155,7 +155,7 @@ class Work:
         self.seconds = time.monotonic() - started
 
 
-def ready(steps: Sequence[Step], i: int) -> list[int]:
+def concurrent_steps(steps: Sequence[Step], i: int) -> list[int]:
     """The steps after step i that may be begun with it: nothing from i on gives what they take, and none has
     their name or writes their files.
 

@@ -15,12 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from geomosaic.errors import FileError
-from geomosaic.pipeline import kept
+from geomosaic.pipeline import stored_result
 from geomosaic.pipeline.artefacts import content_of, encode
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.pipeline.kept import Kept, Lent, Spared
+from geomosaic.pipeline.stored_result import OptionalCache, SharedFunction, StoredResult
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Keypoints:
 class Pair:
     """Two frames' keypoints, referred to, and what else its match hangs on."""
 
-    left: Kept[Keypoints]
-    right: Kept[Keypoints]
+    left: StoredResult[Keypoints]
+    right: StoredResult[Keypoints]
     radius: float = 1.0
 
 
@@ -162,7 +162,7 @@ def test_a_kept_result_that_is_spoiled_is_made_again(flight: Flight) -> None:
 
 
 def test_a_reference_that_leads_nowhere_says_where_and_what_to_do(tmp_path: Path) -> None:
-    gone = Kept(Keypoints, "0" * 40, tmp_path / "gone")
+    gone = StoredResult(Keypoints, "0" * 40, tmp_path / "gone")
     with pytest.raises(
         FileError, match=r"isn't there for the process at work on .*; with --dask the run fol"
     ):
@@ -170,15 +170,15 @@ def test_a_reference_that_leads_nowhere_says_where_and_what_to_do(tmp_path: Path
 
 
 def test_a_reference_is_no_artefact_and_counts_by_its_mark(tmp_path: Path) -> None:
-    a, b = (Kept(Keypoints, mark, tmp_path / "same") for mark in ("a", "b"))
-    assert content_of((1, a))[0] == content_of((1, Kept(Keypoints, "a", tmp_path / "moved")))[0]
+    a, b = (StoredResult(Keypoints, mark, tmp_path / "same") for mark in ("a", "b"))
+    assert content_of((1, a))[0] == content_of((1, StoredResult(Keypoints, "a", tmp_path / "moved")))[0]
     assert content_of((1, a))[0] != content_of((1, b))[0]
-    with pytest.raises(TypeError, match=r"^tuple\[1\]: Kept can't be kept as an artefact"):
+    with pytest.raises(TypeError, match=r"^tuple\[1\]: StoredResult can't be kept as an artefact"):
         encode((1, a))
 
 
 def test_a_process_keeps_of_what_it_read_the_latest(monkeypatch: pytest.MonkeyPatch) -> None:
-    memory = kept._Memory(10)
+    memory = stored_result._Memory(10)
     read: list[str] = []
 
     def of(mark: str, size: int) -> str:
@@ -213,7 +213,7 @@ def test_a_look_reads_what_is_looked_at(flight: Flight) -> None:
     assert made.path is not None
     made.path.write_bytes(made.path.read_bytes()[:-4000])
     with pytest.raises(FileError):
-        Kept(made.returns, "another", made.path).look()
+        StoredResult(made.returns, "another", made.path).look()
 
 
 def test_what_is_made_of_a_result_is_kept_instead_of_it(
@@ -227,8 +227,8 @@ def test_what_is_made_of_a_result_is_kept_instead_of_it(
         return values.astype(np.float64)
 
     path.write_bytes(encode(np.ones(2 << 20, np.uint8)))
-    one, other = (Kept[NDArray[np.uint8]](np.ndarray, mark, path) for mark in ("one", "other"))
-    monkeypatch.setattr(kept, "_memory", kept._Memory(20 << 20))
+    one, other = (StoredResult[NDArray[np.uint8]](np.ndarray, mark, path) for mark in ("one", "other"))
+    monkeypatch.setattr(stored_result, "_memory", stored_result._Memory(20 << 20))
     assert one.recall_as(wide).sum() == 2 << 20
     assert one.recall_as(wide) is one.recall_as(wide) and len(made) == 1
     other.recall_as(wide)
@@ -252,8 +252,8 @@ def test_large_arguments_are_written_once_for_all_items(flight: Flight) -> None:
 
 def test_a_lent_function_is_what_was_lent_or_nothing(tmp_path: Path) -> None:
     work = functools.partial(weighed, ground=np.zeros(100_000))
-    lent = Lent.of(work, tmp_path / "lent")
-    assert isinstance(lent, Lent)
+    lent = SharedFunction.of(work, tmp_path / "lent")
+    assert isinstance(lent, SharedFunction)
     (tmp_path / "lent").write_bytes(pickle.dumps(print))
     with pytest.raises(FileError, match="isn't what the run wrote"):
         lent(1.0)
@@ -267,7 +267,7 @@ def test_lent_arrays_stay_in_the_file(tmp_path: Path) -> None:
     """So that the workers of a machine share them; in every order and of every size that arrays have."""
     random = np.random.default_rng(2)
     ground, slope = random.normal(size=(301, 77)).T, random.integers(0, 9, (5, 3), dtype=np.uint8)
-    lent = Lent.of(functools.partial(lying, ground=ground, slope=slope[::2]), tmp_path / "lent")
+    lent = SharedFunction.of(functools.partial(lying, ground=ground, slope=slope[::2]), tmp_path / "lent")
     own, *arrays = lent(1.0)
     assert not own
     for found, given in zip(arrays, (ground, slope[::2]), strict=True):
@@ -278,13 +278,13 @@ def test_lent_arrays_stay_in_the_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("left", [0, 7, 1000])
 def test_a_lent_function_that_is_cut_off_is_refused(tmp_path: Path, left: int) -> None:
-    lent = Lent.of(functools.partial(weighed, ground=np.zeros(100_000)), tmp_path / "lent")
+    lent = SharedFunction.of(functools.partial(weighed, ground=np.zeros(100_000)), tmp_path / "lent")
     (tmp_path / "lent").write_bytes((tmp_path / "lent").read_bytes()[:left])
     with pytest.raises(FileError, match="isn't what the run wrote"):
         lent(1.0)
 
 
-def recalled(kept: Kept[np.ndarray]) -> int:
+def recalled(kept: StoredResult[np.ndarray]) -> int:
     return len(kept.recall())
 
 
@@ -292,7 +292,7 @@ def test_a_worker_at_rest_forgets_what_it_recalled(tmp_path: Path) -> None:
     """64 MB, that the parent may need meanwhile."""
     path = tmp_path / "large"
     path.write_bytes(encode(np.ones(8 << 20)))
-    large = Kept[np.ndarray](np.ndarray, "mark", path)
+    large = StoredResult[np.ndarray](np.ndarray, "mark", path)
     with Workers(2) as workers:
         assert workers.result(workers.submit(recalled, large)) == 8 << 20
         most = workers.memory_bytes()
@@ -311,17 +311,17 @@ def test_what_spares_work_counts_for_nothing(tmp_path: Path) -> None:
     one, other = (
         Context(tmp_path / "run", stage_id=id, key="k", hashes=FileHashes()) for id in ("a.b", "c.d")
     )
-    there = one.spared(Keypoints, str(tmp_path / "a"))
+    there = one.optional_cache(Keypoints, str(tmp_path / "a"))
     assert there.found() is None
     there.leave(Keypoints(np.arange(3.0)))
-    for found in (there, other.spared(Keypoints, str(tmp_path / "b"))):
+    for found in (there, other.optional_cache(Keypoints, str(tmp_path / "b"))):
         known = found.found()
         assert known is not None and known.at.tolist() == [0.0, 1.0, 2.0]
-    assert other.spared(Keypoints, str(tmp_path / "c")).found() is None
-    assert content_of([there, 1])[0] == content_of([Spared(Keypoints, None), 1])[0]
+    assert other.optional_cache(Keypoints, str(tmp_path / "c")).found() is None
+    assert content_of([there, 1])[0] == content_of([OptionalCache(Keypoints, None), 1])[0]
     assert there.path is not None
     there.path.write_bytes(b"spoiled")
     assert there.found() is None
-    byhand = Context(tmp_path / "run").spared(Keypoints, str(tmp_path / "a"))
+    byhand = Context(tmp_path / "run").optional_cache(Keypoints, str(tmp_path / "a"))
     byhand.leave(Keypoints(np.arange(3.0)))
     assert byhand.found() is None

@@ -92,7 +92,7 @@ def _told_classes() -> tuple[type, ...]:
     return tuple(found.values())
 
 
-def record_again(spool: Path, target: Recorder) -> None:
+def replay_calls(spool: Path, target: Recorder) -> None:
     """Sends every call of a spool to a recorder, in order. `FileError` if the spool isn't whole."""
     with spool.open("rb") as file:
         left = spool.stat().st_size

@@ -1,4 +1,4 @@
-"""Stages that are not run again: their outcome as a recording has it."""
+"""Stages whose outcome is taken from a recording."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from geomosaic.survey.model import Survey
 
 
 @dataclass(frozen=True)
-class Given:
-    """A stage's outcome in a recording: its outputs, what it recorded, its notes, the files it read.
+class ReplayedStage:
+    """A stage's outcome in a recording: outputs, messages, notes and input files.
 
     replaced: bytes of outputs that aren't the recorded ones, see `with_outputs`. places: where files that it
     read lie now, by where they lay. brought: files that it needs in the run folder and whose bytes are made
@@ -52,7 +52,7 @@ class Given:
             return self.replaced[name]
         return artefact_data(self.recording, self.entries[name])
 
-    def with_outputs(self, change: Callable[[Any], Any]) -> Given:
+    def with_outputs(self, change: Callable[[Any], Any]) -> ReplayedStage:
         """The same with other outputs, under fingerprints of their own; `change` gives what it leaves alone
         as it is."""
         outputs, entries, replaced = dict(self.outputs), dict(self.entries), dict(self.replaced)
@@ -72,7 +72,7 @@ class Given:
             line = Log(level=Log.Level.WARNING, message=text, name=self.record.stage_id)
             yield "/log", Log.DESCRIPTOR.full_name, line.SerializeToString()
 
-    def with_warning(self, code: str, text: str) -> Given:
+    def with_warning(self, code: str, text: str) -> ReplayedStage:
         """The same with one more warning, in its notes and in its log."""
         warning = {"code": code, "frame": "", "text": text}
         notes = dataclasses.replace(self.notes, warnings=[*self.notes.warnings, warning])
@@ -123,10 +123,10 @@ def moved(entry: Mapping[str, Any], places: Mapping[Path, Path]) -> dict[str, An
     return {**{k: v for k, v in entry.items() if k != "bytes"}, "path": str(folder), "files": named}
 
 
-def given_stages(recording: Recording, recipe: Recipe, count: int) -> dict[int, Given]:
+def replayed_stages(recording: Recording, recipe: Recipe, count: int) -> dict[int, ReplayedStage]:
     """The recorded outcomes of a recipe's first steps. Raises `FileError` if one isn't there, whole, or if
     they tell of different frames."""
-    given = {i: given_stage(recording, recipe, i) for i in range(count)}
+    given = {i: replayed_stage(recording, recipe, i) for i in range(count)}
     artefacts = [a for stage in given.values() for a in stage.outputs.values()]
     surveys = {tuple(f.name for f in a.frames) for a in artefacts if isinstance(a, Survey)}
     counts = {len(a.poses) for a in artefacts if isinstance(getattr(a, "poses", None), Poses)}
@@ -136,7 +136,7 @@ def given_stages(recording: Recording, recipe: Recipe, count: int) -> dict[int, 
     return given
 
 
-def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
+def replayed_stage(recording: Recording, recipe: Recipe, index: int) -> ReplayedStage:
     """The recorded outcome of a recipe's step. Raises `FileError` if it isn't there, whole."""
     stage = recipe.steps[index].stage
     fix = f"replay with --from {stage.id} or an earlier stage"
@@ -161,7 +161,7 @@ def given_stage(recording: Recording, recipe: Recipe, index: int) -> Given:
         notes = Notes.from_plain(record.notes)
     except FileError as error:
         raise FileError(error.problem, file=recording.path, fix=fix) from error
-    return Given(recording, record, entries, outputs, notes)
+    return ReplayedStage(recording, record, entries, outputs, notes)
 
 
 def _as_recorded(recording: Recording, record: StageRecord, entry: ArtefactEntry) -> bytes:
@@ -174,7 +174,7 @@ def _as_recorded(recording: Recording, record: StageRecord, entry: ArtefactEntry
     return data
 
 
-def bring_files(recipe: Recipe, given: Mapping[int, Given], folder: RunFolder) -> None:
+def bring_files(recipe: Recipe, given: Mapping[int, ReplayedStage], folder: RunFolder) -> None:
     """Copies into a new run folder the files that given artefacts name, from beside their recording.
 
     A file that a later stage takes must be there (`FileError`); another is copied if it is one of the
@@ -212,7 +212,7 @@ def _named_files(artefact: Any) -> list[str]:
     return [n for item in artefact for n in _named_files(item)] if isinstance(artefact, tuple) else []
 
 
-def missing_inputs(given: Iterable[Given]) -> list[Path]:
+def missing_inputs(given: Iterable[ReplayedStage]) -> list[Path]:
     """Files and folders that given stages read and that are no longer where they were."""
     paths = [Path(str(entry["path"])) for stage in given for entry in stage.manifest().values()]
     return [path for path in dict.fromkeys(paths) if not mode_of(path)]
