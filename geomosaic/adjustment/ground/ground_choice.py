@@ -46,9 +46,7 @@ def _least_relief_m(block: Block) -> float:
 def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: Ints) -> float:
     """Deviation in m of the points from the ground: the robust spread of the best determined quarter, without
     their own deviations; over flat ground without each part's bend, and at most the relief of flat land.
-
-    Args: part (p,): see `chosen_ground`.
-    """
+    Args: part (p,): see `chosen_ground`."""
     flat, least_m = ground.kind == "flat", _least_relief_m(block)
     off = _above(ground, bundle)
     off = off - _bends(bundle.points_m, off, part) if flat else off
@@ -79,15 +77,11 @@ def levelled(ground: GroundSurface, bundle: Solution) -> GroundSurface:
 def chosen_ground(
     block: Block, setting: str, bundle: Solution, lengths: Ints, part: Ints
 ) -> tuple[GroundSurface, float]:
-    """The DEM; else level ground, or the rough surface of the points where relief shows. The second is the
-    root mean square offset by relief in ground pixels, NaN where unknown.
-
-    With few points in three frames, tilts and relief are not separable: level ground comes first, see
-    `lies_flat`.
-
-    Args: setting: see `Settings.ground`; lengths (p,): frames of each point; part (p,): its connected part of
-        the block, with a level of its own.
-    """
+    """The DEM; else level ground, or the rough surface of the points where relief shows; and the root mean
+    square offset by relief in ground pixels, NaN where unknown. With few points in three frames, tilts and
+    relief are not separable: level ground comes first, see `lies_flat`. Args: setting: see `Settings.ground`;
+    lengths (p,): frames of each point; part (p,): its connected part of the block, with a level of its
+    own."""
     if block.ground.kind == "dem":
         return block.ground, float("nan")
     flat, points = levelled(block.ground, bundle), bundle.points_m

@@ -44,13 +44,13 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
 
     Minimises sum rho((up - surface) / sd) over the points plus squared slopes and third derivatives over
     their usual sizes; rho is Cauchy's, lengths count in flying heights. Third derivatives continue hills
-    beyond the last points; slopes return to level further out. Cross-validation over left-out squares finds
-    the usual third derivative. Cross-validation over the low points of left-out corners finds whether a plane
-    or paraboloid below the points holds the surface. Standard deviations grow with the distance from the
-    points, as the errors at left-out sides do.
+    beyond the last points, slopes return to level further out. Cross-validation finds the usual third
+    derivative (over left-out squares), and whether a plane or paraboloid holds the surface from below (over
+    the low points of left-out corners). Standard deviations grow with the distance from the points, as the
+    errors at left-out sides do.
 
     Args: rough: with the usual third derivative about a free plane, without deviations; a twentieth of the
-        work. spread: runs trials.
+    work. spread: runs trials.
     """
     points_m = heights.points_m
     inside = np.ptp(points_m[:, :2], axis=0)

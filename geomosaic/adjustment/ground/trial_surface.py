@@ -27,13 +27,10 @@ _LOWEST = tuned(0.4, "share of the points", "that show the ground's scatter; mor
 
 class SmoothedGrid:
     """A surface over a grid of nodes, bilinear between them, with priors on slopes and third derivatives.
-
-    Nodes are numbered along the shorter side: the normal matrix is a band as wide as three such sides.
-
-    Args: at (p, 2): columns and rows of the points, as node numbers; shape: rows and columns of the nodes;
-        spacing: of the nodes, in flying heights; curving: usual third derivative, 1 / flying height²; off:
-        deviation of heights from 0 in flying heights, or 0 where they are free.
-    """
+    Nodes are numbered along the shorter side, so that the normal matrix is a band. Args: at (p, 2): columns
+    and rows of the points, as node numbers; shape: rows and columns of the nodes; spacing: of the nodes, in
+    flying heights; curving: usual third derivative, 1 / flying height²; off: deviation of heights from 0 in
+    flying heights, or 0 where they are free."""
 
     def __init__(
         self, at: Floats, shape: tuple[int, int], spacing: float, curving: float, off: float
@@ -145,10 +142,8 @@ def fitted(trial: Trial) -> GroundSurface:
 
 
 def even_ground(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:
-    """Up by east and north of the ground's plane (3 terms) or paraboloid (6), below crowns.
-
-    Asymmetric least squares first (Eilers and Boelens 2005), then robust weights about the lowest points.
-    """
+    """Up by east and north of the ground's plane (3 terms) or paraboloid (6), below crowns: asymmetric least
+    squares (Eilers and Boelens 2005), then robust weights about the lowest points."""
     middle, size_m = points_m[:, :2].mean(axis=0), float(np.ptp(points_m[:, :2], axis=0).max()) or 1.0
 
     def powers(east_m: Floats, north_m: Floats) -> Floats:

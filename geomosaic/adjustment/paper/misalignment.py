@@ -18,12 +18,9 @@ from geomosaic.projection.ground import GroundSurface
 
 
 def fullest_bin_mean(differences: Floats, step: float = 1.0) -> Floats:
-    """Misalignment (2,) of a pair: the mean of the fullest histogram bin, each axis by itself.
-
-    Yue et al. 2021, equation 5. Of equally full bins the one nearest the median counts.
-
-    Args: differences (k, 2), k >= 1, of tie points, in the unit of `step`, the width of a bin.
-    """
+    """Misalignment (2,) of a pair: the mean of the fullest histogram bin, each axis by itself, of equally
+    full ones the nearest to the median (Yue et al. 2021, equation 5). Args: differences (k, 2), k >= 1, of
+    tie points, in the unit of `step`, the width of a bin."""
     return fullest_bin_means(differences, np.zeros(len(differences), np.intp), step).ravel()
 
 
@@ -48,11 +45,9 @@ def fullest_bin_means(differences: Floats, pair: Ints, step: float) -> Floats:
 
 @dataclass(frozen=True)
 class OffsetNet:
-    """A block as n frames that shift over the map.
-
-    pairs: (m, 2) frame indices, the lower first. left_m, right_m: per pair (k, 2) east and north of the tie
-    points by either frame before any move. step_m: width of the histogram's bins.
-    """
+    """A block as n frames that shift over the map. pairs: (m, 2) frame indices, the lower first. left_m,
+    right_m: per pair (k, 2) east and north of the tie points by either frame before any move. step_m: width
+    of the histogram's bins."""
 
     n: int
     pairs: Ints

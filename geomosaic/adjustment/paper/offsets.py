@@ -1,7 +1,5 @@
-"""Methods that shift whole frames over the map: the paper's error sharing and its rivals.
-
-Moves (n, 2) are in metres, for all frames.
-"""
+"""Methods that shift whole frames over the map: the paper's error sharing and its rivals, with moves (n, 2)
+in metres."""
 
 from __future__ import annotations
 
@@ -33,10 +31,10 @@ def rounds_of(net: OffsetNet, moves: Floats) -> tuple[Round, Round]:
 def error_sharing(net: OffsetNet, epsilon_m: float, max_rounds: int) -> Moves:
     """Error sharing without a base frame, all frames at once from the same state.
 
-    On an open line each frame moves by half the difference of its misalignments on both sides, so that the
-    mean move is 0 (Yue et al. 2021, section 2.2 and equation 6). On a net halves would oscillate; there a
-    pair's share is 1 / (1 + the larger number of neighbours), which converges (Metropolis weights, Xiao and
-    Boyd 2004). It stops when no misalignment exceeds epsilon_m in east or north, or after max_rounds.
+    On an open line each frame moves by half the difference of its misalignments on both sides (Yue et al.
+    2021, section 2.2 and equation 6). On a net, where halves would oscillate, a pair's share is 1 / (1 + the
+    larger number of neighbours) (Metropolis weights, Xiao and Boyd 2004). It stops when no misalignment
+    exceeds epsilon_m in east or north, or after max_rounds.
     """
     share = _shares(net)
     moves, rounds = np.zeros((net.n, 2)), []
@@ -66,11 +64,8 @@ def _shares(net: OffsetNet) -> Floats:
 
 
 def base_frame(net: OffsetNet, sequence: Sequence[int]) -> Moves:
-    """Traditional fine adjustment: the middle frame of each part stays, its error is passed on.
-
-    From the base outward, best tied first, each frame moves once, to zero mean misalignment against the
-    frames already aligned.
-    """
+    """Traditional fine adjustment: the middle frame of each part stays. From there outward, best tied first,
+    each frame moves once, to zero mean misalignment against the frames already aligned."""
     moves = np.zeros((net.n, 2))
     weight = [len(d) for d in net.left_m]
     order = {frame: k for k, frame in enumerate(sequence)}
@@ -88,12 +83,9 @@ def base_frame(net: OffsetNet, sequence: Sequence[int]) -> Moves:
 
 
 def layered(net: OffsetNet, sequence: Sequence[int]) -> Moves:
-    """The sequence aligned in halves, the drift of the whole spread evenly.
-
-    After Wu et al. 2016 (the paper's reference 13): the sequence is halved down to single frames; upwards,
-    two halves each take half of the misalignment between them. At the top the drift from the first to the
-    last frame, against the coarse placement, is removed in equal parts.
-    """
+    """The sequence aligned in halves, the drift of the whole spread evenly, after Wu et al. 2016 (the paper's
+    reference 13). Upwards from single frames, two halves each take half of the misalignment between them; at
+    the top the drift from the first to the last frame is removed in equal parts."""
     moves = np.zeros((net.n, 2))
 
     def align(frames: Sequence[int]) -> None:
@@ -119,11 +111,10 @@ def layered(net: OffsetNet, sequence: Sequence[int]) -> Moves:
 
 
 def chain(net: OffsetNet, sequence: Sequence[int]) -> tuple[Complexes, Complexes]:
-    """Turn (n,) and shift (n,): a frame's ground point z = east + i north goes to turn * z + shift.
-
-    Each frame gets the similarity to the latest earlier frame with common tie points (Xu et al. 2019, the
-    paper's reference 3, with similarities for homographies). Without one it keeps its coarse position.
-    """
+    """Turn (n,) and shift (n,): a frame's ground point z = east + i north goes to turn * z + shift. Each
+    frame gets the similarity to the latest earlier frame with common tie points (Xu et al. 2019, the paper's
+    reference 3, with similarities for homographies), so errors accumulate; without one it keeps its
+    position."""
     turn = np.ones(net.n, dtype=np.complex128)
     shift = np.zeros(net.n, dtype=np.complex128)
     for k, frame in enumerate(sequence):
@@ -142,14 +133,10 @@ def chain(net: OffsetNet, sequence: Sequence[int]) -> tuple[Complexes, Complexes
 def least_squares(
     net: OffsetNet, prior_sd_m: Floats, pair_sd_m: Floats, rounds: int = 8
 ) -> tuple[Floats, Floats]:
-    """Moves (n, 2) and their standard deviations (n,) per axis, in metres.
-
-    The minimum of sum (move / prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho. A pair observes the
-    difference of two moves as the median over its tie points. Priors keep errors from growing along a line.
-
-    Args: prior_sd_m (n,): of the ground of a frame by GNSS and IMU; pair_sd_m (m,): of a pair's mean
-        difference about a pure offset.
-    """
+    """Moves (n, 2) and their standard deviations (n,) per axis, in metres, that minimise sum (move /
+    prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho; a pair observes the difference of two moves as
+    the median over its tie points. Args: prior_sd_m (n,): of the ground of a frame by GNSS and IMU; pair_sd_m
+    (m,): of a pair's mean difference about a pure offset."""
     m, still = len(net.pairs), np.zeros((net.n, 2))
     observed = -np.array([np.median(net.differences_m(p, still), axis=0) for p in range(m)]).reshape(-1, 2)
     entries = np.concatenate([-np.ones(m), np.ones(m)])

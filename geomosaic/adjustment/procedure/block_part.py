@@ -16,10 +16,8 @@ from geomosaic.matching.model import TiePoints
 
 
 def neighbours(block: Block, allowed: Bools, most: int) -> Ints:
-    """Up to `most` frames, ascending, each the one with most tie points to those chosen before.
-
-    Args: allowed (f,): the frames to choose from.
-    """
+    """Up to `most` frames, ascending, each the one with most tie points to those chosen before. Args: allowed
+    (f,): the frames to choose from."""
     ends = np.array(block.ties.frames, dtype=np.intp).reshape(-1, 2)
     inside = allowed[ends].all(axis=1)
     count = np.array([len(pair) for pair in block.ties.pairs], dtype=np.float64)[inside]

@@ -45,10 +45,8 @@ _LEAST_LEVEL_SD_M = tuned(2.0, "m", "of the ground's level, however low: baromet
 
 
 def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Floats) -> BlockProblem:
-    """The problem of a block with tie points that begin at points_m (p, 3), bound to the terrain.
-
-    A frame without position is weakly drawn to where it begins: that holds a block that nothing else holds.
-    """
+    """The problem of a block with tie points that begin at points_m (p, 3), bound to the terrain. A frame
+    without position is weakly drawn to its initial place, which fixes a block that nothing else fixes."""
     assumed = position_assumed(block.poses)
     begun_sd_m = _BEGUN_SD_SHARE * flying_heights_m(block.poses, block.ground)
     sd_m = np.where(assumed[:, None], begun_sd_m[:, None], block.poses.positions_sd_m)
@@ -134,11 +132,9 @@ def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutte
 
 
 def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
-    """First deviations of the swings, (f, t, 3); None where all rows are read at once.
-
-    Without `turning` a constant rate about the image's axes stands for errors of the velocities; with a
-    gyroscope whose zero is unknown yet, one about all axes stands for that.
-    """
+    """First deviations of the swings, (f, t, 3); None where all rows are read at once. Without `turning` a
+    constant rate about the image's axes stands for errors of the velocities; with a gyroscope whose zero is
+    unknown, one about all axes stands for that."""
     readouts_s = _readouts_s(block, settings)
     if readouts_s is None:
         return None
@@ -157,11 +153,9 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
 
 
 def _drift_sd(block: Block, settings: Settings) -> Floats | None:
-    """First deviations of the drifts over the flying height, (f, 3).
-
-    No rotation stands for errors of velocities along the view; across it a drift differs too little from a
-    rate about an image axis where frames do rotate.
-    """
+    """First deviations of the drifts over the flying height, (f, 3). No rotation stands for errors of
+    velocities along the view; across it a drift differs too little from a rate about an image axis where
+    frames do rotate."""
     readouts_s = _readouts_s(block, settings)
     if readouts_s is None:
         return None
@@ -186,11 +180,8 @@ def _tie_point_sd_m(block: Block, points_m: Floats) -> Floats:
 
 
 def terrain_of(block: Block, image: ImageObservations) -> Terrain:
-    """A DEM binds the tie points; a level ground only determines their common height.
-
-    Relief is alike over many points: all of them together count as 50. Else their number would tilt the block
-    until its hills lie level in the mean, against the attitudes.
-    """
+    """A DEM binds the tie points; a level ground only determines their common height. Relief is alike over
+    many points: all of them together count as 50, else they would tilt the block against the attitudes."""
     height, bound, share = flying_height_m(block), ~image.control, image.frame_share()
     if block.ground.kind == "dem":
         return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M, bound, share)

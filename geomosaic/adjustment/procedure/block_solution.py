@@ -46,11 +46,8 @@ _OTHER_DATUM = tuned(3.0, "deviations", "of the shift to control; less: noise; m
 @dataclass(frozen=True)
 class BlockSolution:
     """Tie points, the problem that was solved (with control points last), its solution, and the ground.
-
-    offset (3,): along which axes positions have an offset in common that was solved for. relief_px: see
-    `chosen_ground`, of a surface that was taken since flat ground was tried in vain. steps: of all solves
-    that led here.
-    """
+    offset (3,): axes along which a common offset of the positions was solved for. relief_px: see
+    `chosen_ground`, of a surface taken after flat ground failed. steps: of all solves that led here."""
 
     ties: Tracks
     problem: BlockProblem
@@ -80,11 +77,8 @@ def block_solution(
     task: BlockTask, poses: Poses, start: BlockSolution | Start | None = None
 ) -> BlockSolution:
     """Free points first, then with control, then bound to the ground if they lie on one; only the last of
-    these solves goes on until nothing moves any more.
-
-    Args: poses: to begin from. start: a solution to go on from: of the same tracks and lenses, or a solver's,
-        by the same model and other tracks.
-    """
+    these solves converges fully. Args: poses: initial ones. start: a solution to go on from: of the same
+    tracks and lenses, or a solver's, by the same model and other tracks."""
     block, settings, tracks, rough = task.block, task.settings, task.tracks, task.rough
     last = SolveOptions(rough=rough, self_calibration=settings.self_calibration)
     again: Start | None = None
@@ -136,8 +130,8 @@ def _at_last(found: BlockSolution) -> BlockSolution:
 def by_all_points(
     block: Block, settings: Settings, tracks: Tracks, few: BlockSolution, design_effect: float
 ) -> BlockSolution:
-    """The solution by all tie points, from that by few of them, on the same kind of ground; a surface is
-    still that of the few."""
+    """The solution by all tie points, from that by few of them, on the same kind of ground; a surface stays
+    that of the few."""
     lenses, poses = [few.solution.cameras[k] for k in block.lens_of], few.solution.poses
     points, ties = points_on_ground(poses, lenses, few.ground, tracks)
     surface = few.ground.kind == "tie_surface"
@@ -188,12 +182,10 @@ def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -
 def _with_control(
     block: Block, problem: BlockProblem, poses: Poses, free: Solution | None, options: SolveOptions
 ) -> tuple[BlockProblem, Solution, Bools]:
-    """The solution with control points, begun from the free one shifted onto them.
-
-    So each point is compared with the others, not with positions that may be off in common. These have an
-    offset in common, with the deviation of their common error; without bounds where they are of another
-    datum. Else the common error of many positions would outweigh control, and the block would lean and bend.
-    """
+    """The solution with control points, begun from the free one shifted onto them, so that each point is
+    compared with the others. Positions have an offset in common, with the deviation of their common error, or
+    unbounded where they are of another datum: else their common error would outweigh control and bend the
+    block."""
     lenses, begun = (free.cameras, free.poses) if free else (problem.cameras, poses)
     shift, datum = _shift_to_control(block, begun, tuple(lenses[k] for k in block.lens_of))
     begun = replace(begun, positions_m=begun.positions_m + shift)

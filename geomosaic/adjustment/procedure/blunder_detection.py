@@ -30,11 +30,9 @@ _WRONG_SHIFT = tuned(5.0, "deviations", "between control and positions; datums d
 
 
 def strayed_frames(block: Block, poses: Poses, shares: Floats) -> dict[int, Warn]:
-    """Frames to leave out, by number: far from their positions, and either oblique among nadir views or with
-    most tie points down-weighted. Views of flat ground may converge to a second, oblique pose.
-
-    Args: shares (n,): `heard_shares`.
-    """
+    """Frames to leave out, by number: far from their positions, and either oblique among nadir views (over
+    flat ground views may converge to a second, oblique pose) or with most tie points down-weighted. Args:
+    shares (n,): `heard_shares`."""
     far, limit = _off_m(block, poses)
     tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
     usual = float(np.median(tilt))
@@ -61,13 +59,9 @@ def _off_m(block: Block, poses: Poses) -> tuple[Floats, Floats]:
 
 
 def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatter: float = 1.0) -> list[Warn]:
-    """Warnings of wrong positions and headings, except of frames that are left out.
-
-    Stated deviations are often cautious defaults: the estimated one counts where it is smaller, together
-    with the frame's own.
-
-    Args: scatter: estimated by stated deviation of positions in plan.
-    """
+    """Warnings of wrong positions and headings, except of frames that are left out. Where the estimated
+    deviation is smaller than the stated one, often a cautious default, it counts, together with the frame's
+    own. Args: scatter: estimated by stated deviation of positions in plan."""
     far, limit = _off_m(block, poses)
     known_m = np.hypot(scatter * block.poses.positions_sd_m[:, 0], poses.positions_sd_m[:, 0])
     limit = np.minimum(limit, _WRONG * np.maximum(np.median(far), known_m))
@@ -106,12 +100,10 @@ def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
 
 
 def doubtful_positions(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
-    """Warnings of a common shift of all positions, and of a wrong scale of the block.
-
-    A shift beyond five stated deviations means another datum of control. The scale is that of the similarity
-    from adjusted to given positions of the given frames. Its deviation is a position's over the root of the
-    squared extent; a position's is the residual of the similarity, and at least the stated one or 1 m.
-    """
+    """Warnings of a common shift of all positions beyond five stated deviations (another datum of control),
+    and of a wrong scale of the block by the similarity from adjusted to given positions. Its deviation is a
+    position's over the root of the squared extent; a position's is the residual of the similarity, and at
+    least the stated one or 1 m."""
     frames = frames[~position_assumed(block.poses)[frames]]
     if not len(frames):
         return []

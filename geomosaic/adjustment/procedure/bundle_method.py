@@ -57,11 +57,9 @@ _WORTHWHILE = tuned(4, "times the few points", "fewer: thinning saves too little
 
 
 def pose_block(block: Block, settings: Settings, spread: Spread | None = None) -> Adjusted:
-    """Every frame's six pose parameters, the lenses and the tie points' ground at once.
-
-    Positions and attitudes are weighted observations, so that no frame is the base and nothing accumulates;
-    their deviations are estimated again from the residuals. Frames without tie or control points keep theirs.
-    """
+    """Every frame's six pose parameters, the lenses and the tie points' ground at once. Positions and
+    attitudes are weighted observations, whose deviations are estimated again from the residuals. Frames
+    without tie or control points keep theirs."""
     sound, warnings = usable(as_taken(block))
     adjusted = with_fallbacks(sound, settings, lambda b, s: _solved(b, s, spread or AtOnce()))
     return as_filed(replace(adjusted, warnings=(*warnings, *adjusted.warnings)), block)
@@ -108,8 +106,8 @@ def _begun(
     spread: Spread,
     start: Poses | None = None,
 ) -> Work:
-    """Similarities, unless a start is known, then a bundle; where rows are read one after the other, first as
-    if they weren't."""
+    """Similarities, unless initial poses are known, then a bundle; with a rolling shutter first one as if all
+    rows were read at once."""
     tracks, few = all_and_few
     net = offset_net(given)
     start = start or start_poses(given, net)
@@ -129,10 +127,9 @@ def _begun(
 
 
 def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
-    """Poses as if rows were not read one after the other, with lenses as given: sure to a part of what a
-    platform flies meanwhile, which shows how fast it flew. By velocities of given positions, which
-    are off by metres where frames are a few metres apart, lenses stray far to explain what they do to rows.
-    """
+    """Poses as if all rows were read at once, with lenses as given: good enough to show how fast the platform
+    flew. Velocities by given positions are wrong where frames are a few metres apart, and lenses would absorb
+    that."""
     points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
     if not len(points):
         return start
@@ -194,8 +191,8 @@ def _model_chosen(work: Work) -> Work:
 
 
 def _turning_too(work: Work) -> Work:
-    """Beside reported turns, what a gyroscope's filter and its last sample leave of them; and where frames
-    turn faster while they are read than what is unknown of their velocities explains."""
+    """Rotations while rows are read: besides reported ones, what a gyroscope's filter and last sample leave
+    of them; and where frames rotate faster than unknown velocities explain."""
     settings, before = work.settings, work.found.solution
     rolling = work.rolling or settings.rolling_shutter
     if settings.model != "auto" or not rolling or settings.turning:
@@ -213,8 +210,7 @@ def _turning_too(work: Work) -> Work:
 
 
 def _leaves_open(its: Work, now: Work) -> bool:
-    """Whether a model leaves the block's shape less sure than the one before: what the left-out tie points
-    don't ask for has to be determined at least."""
+    """Whether a model leaves the block's shape less certain than the one before."""
     before_px, after_px = (
         shape_figures(w.block, places_of(w.found)).get("shape_sd_px", np.inf) for w in (now, its)
     )
@@ -248,7 +244,7 @@ def _by_all(work: Work) -> Work:
 
 def _readout_shown(work: Work) -> Work:
     """With rows read one after the other, where the solution by all points with all rows read at once shows
-    it: what stretches a block is far below the noise of few."""
+    it."""
     before = work.found.solution
     if work.settings.model != "auto" or not readout_shown(before):
         return work

@@ -47,13 +47,11 @@ from geomosaic.survey.model import Warn
 
 @dataclass(frozen=True)
 class Work:
-    """A block on its way through the procedure.
-
-    given: the block as it came; misalignments_m: of its pairs. tracks: all tie points, few: those that the
-    model is found by. rolling: whether rows were reported to be read one after the other. block, settings: as
-    corrected by now. found: the present solution. spread: runs tasks side by side. choice: of the model of
-    lens and shutter. notes: warnings of the start. steps: of all solves that led here.
-    """
+    """A block on its way through the procedure. given: the block as it came; misalignments_m: of its pairs.
+    tracks: all tie points, few: those that the model is found by. rolling: rolling shutters were reported.
+    block, settings: as corrected by now. found: the present solution. spread: runs tasks side by side.
+    choice: of the model of lens and shutter. notes: warnings of the start. steps: of all solves that led
+    here."""
 
     given: Block
     misalignments_m: Floats

@@ -32,12 +32,9 @@ _COMMON_SD_M = sourced(2.1, "m per axis", "common shift of a flight's positions"
 
 
 def height_reference(survey: Survey) -> HeightReference | None:
-    """What the survey's heights count from; None where a DEM holds them or all is in a local frame.
-
-    A source that doesn't state its vertical datum (EXIF, most POS files) may count from the ellipsoid or from
-    the sea: the deviation is then the geoid's undulation at the survey, or its size over the Earth where no
-    geoid grid is installed.
-    """
+    """What the survey's heights count from; None with a DEM or in a local frame. A source that doesn't state
+    its vertical datum (EXIF, most POS files) may count from the ellipsoid or from the sea: the deviation is
+    then the geoid's undulation at the survey, or its size over the Earth without a geoid grid."""
     if survey.elevation is not None or is_local(survey.map_crs):
         return None
     positions = [f.position for f in survey.frames]
@@ -61,11 +58,8 @@ def common_error(
     block: Block, poses: Poses, ground: GroundSurface, components: Components | None = None
 ) -> Floats:
     """Variances (3,), east, north and up in m², of an error that all reported positions may have in common,
-    which their residuals do not show.
-
-    Args: poses, ground: as found. components: of methods that estimate them; without them the deviations in
-        plan are taken to contain all.
-    """
+    which their residuals do not show. Args: poses, ground: as found. components: of methods that estimate
+    them; without them the deviations in plan contain all."""
     in_height = _in_height(block, poses, ground)
     if components is None:
         return np.array([0.0, 0.0, in_height])
@@ -75,9 +69,9 @@ def common_error(
 
 
 def _in_plan(given: Poses, horizontal: float) -> Floats:
-    """Residuals show how positions scatter about the block; a shift of all of them they don't show. Where
-    they scatter less than is stated of them, as those of one receiver on one flight do, the rest of what is
-    stated may be such a shift, up to what a receiver's errors have in common over a flight."""
+    """Of a common shift in plan, (2,): where positions scatter less than stated, as those of one receiver on
+    one flight do, the rest of the stated variance, up to what a receiver's errors have in common over a
+    flight."""
     known = ~position_assumed(given)
     if not known.any():
         return np.zeros(2)
@@ -88,8 +82,8 @@ def _in_plan(given: Poses, horizontal: float) -> Floats:
 
 def _in_height(block: Block, poses: Poses, ground: GroundSurface) -> float:
     """Of heights whose datum is not stated: their receiver's deviation, which frames share, and that of what
-    they count from: the ellipsoid, the sea or, where the ground comes out about height 0, the take-off. And
-    heights that drift say no better where the block lies than they differ from it."""
+    they count from: the ellipsoid, the sea or, where the ground comes out about height 0, the take-off; and
+    the drift of the heights."""
     reference = block.heights
     if reference is None:
         return 0.0

@@ -39,10 +39,8 @@ def means(values: Floats) -> Floats:
 
 
 def control_blunders(points: Sequence[ControlResidual]) -> Bools:
-    """Which of n points of one kind are blunders against the others, see `estimation.robust.blunders`.
-
-    All points may be off by one vector: that is the map's shift, not a blunder.
-    """
+    """Which of n points of one kind are blunders against the others, see `estimation.robust.blunders`. A
+    vector that all have in common is the map's shift, not a blunder."""
     found = np.zeros(len(points), dtype=bool)
     residual_m = known_residuals_m(points)
     for axis in range(3):

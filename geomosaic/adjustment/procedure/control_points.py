@@ -38,11 +38,9 @@ class Solved:
 
 
 def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl, ...]:
-    """The survey's control and check points in the work frame; those without an image are left out.
-
-    The work frame's up is taken for the point's own vertical: 1.6e-4 rad off per km from the centre. A point
-    known in plan only lies on the ground, as far as that is known.
-    """
+    """The survey's control and check points in the work frame; those without an image are left out. The work
+    frame's up is taken for the point's own vertical: 1.6e-4 rad off per km from the centre. A point known in
+    plan only lies on the ground."""
     number = {frame.name: i for i, frame in enumerate(survey.frames)}
 
     def place(p: ControlPoint) -> Floats:
@@ -71,13 +69,10 @@ def control_residuals(
 ) -> tuple[ControlResidual, ...]:
     """Where each point was surveyed minus where the images put it, by the poses as they are.
 
-    A point of two images and more is intersected from its image coordinates alone, whether it took part
-    in the solve or not; a point of one image is projected on the ground. Points that can't be reached
-    (rays that don't meet the ground) are left out.
-
-    Args: solved: the covariance of poses and cameras after a bundle, which used the points that aren't for
-        checking. Without it no point was used: all are check points, and the poses' own deviations count,
-        as if they were independent.
+    A point of two images and more is intersected from its image coordinates alone, whether it took part in
+    the solve or not; a point of one image is projected on the ground. Points that cannot be placed are left
+    out. Args: solved: the covariance of poses and cameras after a bundle, which used the points that aren't
+    for checking. Without it all are check points, and the poses' own deviations count as independent.
     """
     out = []
     for c in block.control:
@@ -98,10 +93,8 @@ def control_residuals(
 
 
 def spread_of(solution: Solution, camera_of: Ints) -> Spread:
-    """Covariance of what depends on a solution's poses and cameras, with all their correlations.
-
-    Args: camera_of (f,): the camera's index of each frame.
-    """
+    """Covariance of what depends on a solution's poses and cameras, with all correlations. Args: camera_of
+    (f,): the camera's index of each frame."""
     layout = solution.estimate.layout
 
     def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
@@ -128,12 +121,9 @@ def spread_of_poses(poses: Poses) -> Spread:
 def _place(
     poses: Poses, cameras: tuple[Camera, ...], ground: GroundSurface, control: GroundControl
 ) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """A ground point (3,) from its k image coordinates, by least squares.
-
-    Returns: the point; its covariance (3, 3) for poses and cameras without error; its derivatives by the
-    frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it can't be had. In a single image the
-    ground's height is as good as the surveyed point says.
-    """
+    """A ground point (3,) from its k image coordinates, by least squares; its covariance (3, 3) for poses and
+    cameras without error; its derivatives by the frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it
+    cannot be placed. In a single image the ground's height is as good as the surveyed point says."""
     frames = np.array([frame for frame, _, _ in control.observations], dtype=np.intp)
     image_px = np.array([at[1:] for at in control.observations])
     single = len(np.unique(frames)) == 1

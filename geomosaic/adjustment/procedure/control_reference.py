@@ -85,13 +85,10 @@ def _miss_px(poses: Poses, cameras: Sequence[Camera], control: GroundControl, sc
 
 
 def placed_by_control(block: Block, free: Free) -> Poses | None:
-    """The free block's poses after the similarity of space onto the control points.
-
-    None where a frame has a position, or with fewer than three control points in two images each or on a
-    line: then similarities of the plane georeference the block. So it is where frames would be tilted by more
-    than they are stated to, and the points' errors leave open how the block turns about the line that they
-    lie along.
-    """
+    """The free block's poses after the similarity of space onto the control points. None where a frame has a
+    position, with fewer than three control points in two images each or on a line, or where frames would be
+    tilted by more than stated while the points leave the turn about their line open; then similarities of the
+    plane georeference the block."""
     used = [c for c in in_several_images(block.control) if not c.check]
     if len(used) < 3 or not position_assumed(block.poses).all():
         return None

@@ -129,13 +129,10 @@ class Judged:
         return share < BETTER and at_most < 1.0
 
     def beside(self, other: Judged) -> tuple[float, float]:
-        """The share of another model's residuals that this one leaves, and what it is at most: the median of
-        the tracks' own shares.
-
-        So what moves in the wind, and fits no model, decides nothing. Tracks count the more the less both
-        models leave of them together, which favours neither, down to a quarter of the median. Those of one
-        place err alike, whatever they fit: the median is as sure as places differ, not tracks.
-        """
+        """The share of another model's residuals that this one leaves, and its upper limit: the median of the
+        tracks' own shares, so that what moves in the wind decides nothing. Tracks weigh by the inverse of
+        what both models leave together, down to a quarter of the median. Those of one place err alike: the
+        median is as certain as places differ."""
         if self.solved is None or other.solved is None:
             return (0.0, 0.0) if self.solved is not None else (np.inf, np.inf)
         mine, others = (np.maximum(a, _EXACT_PX) for a in (self.each_px, other.each_px))
@@ -160,10 +157,8 @@ class _Test:
 
 
 class LeftOut:
-    """Tracks that models are solved by, and all others, which judge them.
-
-    Of a large block some neighbouring frames are compared. Args: first: the solution by all tracks.
-    """
+    """Tracks that models are solved by, and all others, which judge them; of a large block those of some
+    neighbouring frames. Args: first: the solution by all tracks."""
 
     def __init__(self, block: Block, tracks: Tracks, first: Start, spread: Spread) -> None:
         self._whole, self._spread = first, spread

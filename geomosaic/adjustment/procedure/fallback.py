@@ -20,8 +20,8 @@ Solve = Callable[[Block, Settings], Adjusted]
 
 @dataclass(frozen=True)
 class _Level:
-    """A way to adjust a block: how it solves, and what the user is told when it takes over. The text's
-    `{why}` is the reason that the level before failed."""
+    """A way to adjust a block: how it solves, and its warning when it takes over, with `{why}` the level
+    before failed."""
 
     solve: Solve
     code: str
@@ -29,12 +29,9 @@ class _Level:
 
 
 def with_fallbacks(block: Block, settings: Settings, solve: Solve) -> Adjusted:
-    """The block adjusted by the richest model that can be solved.
-
-    In this order: the model as asked; the lens, shutter and mounting as given; the same with all rows read at
-    once; similarities of the plane; position and attitude alone. Each level that fails adds one warning.
-    An outcome that is not finite counts as a failure.
-    """
+    """The block adjusted by the richest model that can be solved: the model as asked; the lens, shutter and
+    mounting as given; the same with all rows read at once; similarities of the plane; position and attitude
+    alone. Each level that fails, or is not finite, adds one warning."""
     warnings: tuple[Warn, ...] = ()
     why = ""
     for level in _levels(solve):

@@ -19,11 +19,9 @@ _LEAST_NOISE = tuned(0.2, "of the stated deviations", "less: a few that agree by
 
 @dataclass(frozen=True)
 class Fixes:
-    """Points known on the ground: nadir points of observed positions, and control points in frames.
-
-    frame (k,): number of the frame. offset (k,): from its assumed nadir point, east + i north in m; 0 for a
-    position. at, sd_m (k,): the known place and its deviation.
-    """
+    """Points known on the ground: nadir points of observed positions, and control points in frames. frame
+    (k,): number of the frame. offset (k,): from its assumed nadir point, east + i north in m; 0 for a
+    position. at, sd_m (k,): the known place and its deviation."""
 
     frame: Ints
     offset: Complexes
@@ -59,9 +57,8 @@ def laid(
 
     Re-weighted least squares start from the least median of squares (Rousseeuw 1984) and from headings and
     heights; the lower cost decides. Headings and heights count as one frame's: their errors are mostly
-    common. A position beyond six deviations has no weight.
-
-    Args: shape (n,): turn and scale of each frame against the given ones; place (n,): nadir points.
+    common. A position beyond six deviations has no weight. Args: shape (n,): turn and scale of each frame
+    against the given ones; place (n,): nadir points.
     """
     given = _by_headings(shape, priors)
     if not len(fixes.at):

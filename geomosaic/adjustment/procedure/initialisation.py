@@ -63,12 +63,10 @@ class _Ties:
 
 
 def start_poses(block: Block, net: OffsetNet) -> Poses:
-    """Poses turned, scaled and shifted over the ground until the images agree; attitudes stay level.
-
-    Headings and heights of single frames may be wrong by any amount: both come from the pairs. Each connected
-    part is georeferenced by one robust similarity to positions, headings and heights, or to control points
-    where no frame has a position.
-    """
+    """Poses turned, scaled and shifted over the ground until the images agree; attitudes stay level. Headings
+    and heights come from the pairs, as single ones may be wrong by any amount. Each connected part is
+    georeferenced by one robust similarity to positions, headings and heights, or to control points where no
+    frame has a position."""
     poses, edges = block.poses, net.edges
     height = flying_heights_m(poses, block.ground)
     nadir: Complexes = poses.positions_m[:, :2] @ np.array([1, 1j])
@@ -96,8 +94,8 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
 
 
 def placed_by_images(block: Block, start: Poses) -> Block:
-    """The block with frames without position moved to their start, and headed as there without a heading;
-    their deviations stay. Without any position the ground pixel follows the new heights."""
+    """The block with frames without position moved to their initial place, and headed as there without a
+    heading; their deviations stay. Without any position the ground pixel follows the new heights."""
     assumed = position_assumed(block.poses)
     if not assumed.any():
         return block
@@ -170,11 +168,9 @@ def _agreed(
     ties: _Ties, shape: Complexes, prior: Complexes, prior_weight: Floats
 ) -> tuple[Complexes, Complexes]:
     """Turn and scale, and place, of a part's frames with the least distances of tie points; linear, robust.
-
     Unknowns of a frame, as complex numbers: the step of the logarithm of its scale and turn, and its place.
     The mean logarithm is fixed, so that the part does not shrink; priors (n, 2) of places keep long lines
-    straight.
-    """
+    straight."""
     g_a, g_b = shape[ties.a] * ties.z_a, shape[ties.b] * ties.z_b
     tie_weight, total = 1.0 / ties.sd_m**2, np.tile([1.0, 0.0, 0.0, 0.0], len(shape))
     for _ in range(3):

@@ -65,13 +65,12 @@ def unsure(camera: Camera) -> bool:
 
 
 def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
-    """The block whose unsure lenses begin where tie points left out of small solves are predicted best.
+    """The block whose uncertain lenses begin where tie points left out of small solves are predicted best.
 
-    Each start is solved on up to ten well-overlapping frames, with its focal length free. Another start is
-    taken where it predicts the left-out tie points surely better than the given one (`Judged.beats`): over
-    flat land all starts predict alike, and the given one stays. Its deviation stays wide. A reported focal
-    length becomes unsure where the same few frames contradict it, positions don't speak against another one,
-    and a rolling shutter explains no more.
+    Each start is solved on up to ten well-overlapping frames, with its focal length free, and taken where it
+    is surely better than the given one (`Judged.beats`). Its deviation stays wide. A reported focal length
+    becomes uncertain where these frames contradict it, positions allow another one, and a rolling shutter
+    explains no more.
     """
     starts = {c.name: _begun(block, settings, spread, c) for c in block.lenses}
     if all(starts[c.name] == c for c in block.lenses):
@@ -80,7 +79,7 @@ def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
 
 
 def lens_notes(block: Block, cameras: Sequence[Camera]) -> tuple[list[str], list[Warn]]:
-    """What the images found of unsure lenses, and a warning for each reported focal length that they
+    """What the images found of uncertain lenses, and a warning for each reported focal length that they
     contradict. Args: cameras: of each frame, adjusted."""
     notes, warnings = [], []
     found = {c.name: c for c in cameras}

@@ -54,15 +54,13 @@ _SHOWN_BY = {
 def chosen_model(
     block: Block, settings: Settings, tracks: Tracks, first: Solution, spread: Spread
 ) -> tuple[Block, Settings, ModelChoice | None, Start]:
-    """Block and settings of the model to solve with, how it was chosen, None where the given one is good
-    from the start, and what its solve begins from.
+    """Block and settings of the model to solve with, how it was chosen (None where the given one is good from
+    the start), and the start of its solve.
 
-    What is missing is added one by one, each time what helps most, as long as it helps by a twentieth; a
-    readout that the block does not determine is not tried again. Every model is judged on the same tracks,
-    which took no part in its solve, track by track (`Judged.beside`). Some steps from the solution so far
-    show which models may win; only the best of these is solved, and a simpler one that does about as well.
-
-    Args: first: the solution as given, by these tracks.
+    What is missing is added one by one, each time what helps most, as long as it helps by a twentieth. Every
+    model is judged on the same tracks, which took no part in its solve, track by track (`Judged.beside`).
+    Some steps from the solution so far show which models may win; only the best of these is solved, and a
+    simpler one that does about as well. Args: first: the solution as given, by these tracks.
     """
     good = first.components[IMAGE] <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _moving(block) and not settings.turning:
@@ -141,8 +139,8 @@ def _compared(
 
 
 def contradicts(its: Start | None, now: Start | None) -> bool:
-    """Whether a model's solution can't be beside the one so far: positions fit worse by it, or rows are read
-    slower than any sensor reads them, or in negative time."""
+    """Whether a model's solution is impossible by the one so far: positions fit worse, or a readout time is
+    negative or longer than any sensor's."""
     if its is None or now is None:
         return False
     scattered = its.components[HORIZONTAL] > _CONTRADICTS * max(now.components[HORIZONTAL], _LEAST_SCATTER)
@@ -150,8 +148,8 @@ def contradicts(its: Start | None, now: Start | None) -> bool:
 
 
 def _in_vain(block: Block, its: Judged) -> bool:
-    """Whether none of the readouts that a model asks for is determined by the block: what it gains is chance,
-    as where most tie points move in the wind."""
+    """Whether none of the readouts that a model asks for is determined by the block: what it gains is
+    chance."""
     if its.solved is None:
         return False
     number = {c.name: k for k, c in enumerate(its.solved.cameras)}
@@ -174,15 +172,15 @@ def readout_shown(solved: Solution) -> bool:
 
 
 def turns_shown(solved: Solution) -> bool:
-    """Whether rates of turning that stand for what velocities are off by are larger than these are: then
-    frames do turn while they are read, and a constant rate is too little, though left-out points may not show
-    that (seed 986, bent by 1.4 px by swings that left 0.1 px)."""
+    """Whether estimated rates of rotation are larger than errors of the velocities explain: then frames do
+    rotate while they are read, though left-out points may not show that."""
     return bool(solved.estimate.swing_rad.shape[1]) and solved.components["swing 1"] >= _NO_GUSTS
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
-    """A line if something other than the given was needed, and one if how frames turn is the images' word
-    alone or can't be determined; not where a gyroscope's record leaves but its last rows to them."""
+    """A line if something other than the given was needed, and one if rotations while rows are read are known
+    by the images alone or not determined; not where a gyroscope's record leaves only its last rows to
+    them."""
     out: list[Warn] = []
     judged = () if choice is None else choice.taken[: len(choice.taken) - choice.shown]
     if choice is not None and choice.shown:

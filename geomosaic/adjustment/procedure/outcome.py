@@ -32,8 +32,8 @@ def residuals_m(
 
 def unplaced_parts(block: Block) -> list[list[int]]:
     """The connected parts of a block that nothing places: no frame in them has a position, and they see fewer
-    than two control points. Where all are such, the largest lies in a frame of its own, and is none of these.
-    """
+    than two control points. Where all are such, the largest lies in a frame of its own, and is none of
+    these."""
     assumed = position_assumed(block.poses)
     if not assumed.any():
         return []
@@ -48,12 +48,10 @@ def unplaced_parts(block: Block) -> list[list[int]]:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a method found besides poses.
-
-    cameras, ground: None for those of the block. spread: see `control_residuals`; covariance (f, 6, 6): of
-    the poses; both of methods that use control points. common_m2 (3,): see `common_error`. unsolved:
-    frames that could not be solved for; strayed: frames whose poses are rejected.
-    """
+    """What a method found besides poses. cameras, ground: None for those of the block. spread: see
+    `control_residuals`; covariance (f, 6, 6): of the poses; both of methods that use control points.
+    common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; strayed: frames whose
+    poses are rejected."""
 
     cameras: tuple[Camera, ...] | None = None
     ground: GroundSurface | None = None
@@ -69,12 +67,9 @@ class Findings:
 def outcome(
     block: Block, poses: Poses, rounds: tuple[Round, ...], findings: Findings | None = None
 ) -> Adjusted:
-    """The outcome for poses found by any method.
-
-    `tied` are frames with tie points. The others, and those unsolved, are `placed` by POS alone and moved
-    with the tied ones around them unless control points hold them. Frames that nothing places, see
-    `unplaced_parts`, and those strayed are `rejected`.
-    """
+    """The outcome for poses found by any method. `tied` are frames with tie points. The others, and those
+    unsolved, are `placed` by POS alone and moved with the tied ones around them unless control points fix
+    them. Frames of `unplaced_parts` and those strayed are `rejected`."""
     findings = findings or Findings()
     cameras, ground = findings.cameras or block.cameras, findings.ground or block.ground
     tied = {i for pair in block.ties.frames for i in pair} - set(findings.unsolved)

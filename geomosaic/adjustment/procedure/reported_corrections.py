@@ -36,11 +36,9 @@ _MOST_PARTS = tuned(4, "jumps and slopes", "two batteries, a wrong barometer: tw
 
 
 def flown(block: Block, poses: Poses) -> tuple[Block, bool]:
-    """The block with velocities of solved poses, and whether one differs by a tenth from the given: wrong
-    positions, gaps and ends of lines falsify given velocities.
-
-    Rolling shutters tie the size of the block to velocities, so the scale is that of given positions.
-    """
+    """The block with velocities of solved poses, and whether one differs by a tenth from the given, as after
+    wrong positions, gaps and ends of lines. Their scale is that of given positions, since rolling shutters
+    tie the size of the block to velocities."""
     given, times_s = block.poses.velocities_m_per_s, block.times_s
     if given is None or times_s is None or not np.isfinite(times_s).any():
         return block, False
@@ -56,9 +54,9 @@ def flown(block: Block, poses: Poses) -> tuple[Block, bool]:
 
 
 def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tuple[Block, Settings]:
-    """The block with the median of the frames' own rates, in camera axes, added to the reported rotations,
-    and settings with a narrower prior of own rates. Rates as free as the offset weaken small blocks.
-    """
+    """The block with the median of the frames' own rates (a gyroscope's zero), in camera axes, added to the
+    reported rotations, and settings with a narrower prior of own rates. Rates as free as the offset weaken
+    small blocks."""
     if not solved.estimate.swing_rad.shape[1] or block.poses.turns is None:
         return block, settings
     readouts_s = np.array([c.readout_s for c in block.cameras])
@@ -71,13 +69,12 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
 
 
 def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
-    """The block with the headings of each connected part turned by what they are off by in common, and a
-    warning for each part that is turned.
+    """The block with the headings of each connected part corrected by their common error, and a warning for
+    each such part.
 
-    Headings of n frames that share an error outweigh positions: the block would be turned to them and shrink,
-    by the cosine of the error. A part's turn comes from its positions, where `start_poses` found that they
-    contradict the headings; the median of the frames' turns is common where it is beyond each frame's limit
-    and the frames' own scatter.
+    Headings of n frames that share an error outweigh positions: the block would turn to them and shrink. A
+    part's turn comes from its positions, where `start_poses` found that they contradict the headings; the
+    median of the frames' turns is common where it is beyond each frame's limit and the frames' own scatter.
     """
     observed = ~heading_assumed(block.poses)
     known = observed & ~position_assumed(block.poses)
@@ -107,11 +104,9 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
 
 @dataclass(frozen=True)
 class HeightDrift:
-    """Drift of reported heights in order of flight.
-
-    order (n,): frames by time. metres (n,): drift of each, with mean 0. parts: the largest first: rise in m,
-    and the place in `order` behind which it jumps, or None for a slope from end to end.
-    """
+    """Drift of reported heights in order of flight. order (n,): frames by time. metres (n,): drift of each,
+    with mean 0. parts: the largest first: rise in m, and the place in `order` behind which it jumps, or None
+    for a slope from end to end."""
 
     order: Ints
     metres: Floats
@@ -140,11 +135,9 @@ class HeightDrift:
 
 
 def height_drift(block: Block, poses: Poses, frames: Ints) -> HeightDrift:
-    """The drift of reported minus adjusted heights of the given frames, as slopes and jumps.
-
-    Forward selection: a line, a jump, or both at once where neither suffices, as long as each rise exceeds
-    three stated deviations of a height and five of its own.
-    """
+    """The drift of reported minus adjusted heights of the given frames, as slopes and jumps. Forward
+    selection: a line, a jump, or both at once where neither suffices, as long as each rise exceeds three
+    stated deviations of a height and five of its own."""
     known = set(frames[~position_assumed(block.poses)[frames]].tolist())
     order = np.array([i for i in block.sequence if i in known], dtype=np.intp)
     n = len(order)
@@ -188,10 +181,8 @@ def _shapes(parts: tuple[int, ...], n: int) -> Floats:
 
 
 def _best(off_m: Floats, others: tuple[int, ...]) -> int:
-    """The line or jump that reduces the squares most, given the other parts.
-
-    All jumps at once, by running sums: a jump's product with a vector of mean 0 is the sum behind the jump.
-    """
+    """The line or jump that reduces the squares most, given the other parts. All jumps at once, by running
+    sums: a jump's product with a vector of mean 0 is the sum behind the jump."""
     n = len(off_m)
     (line,), q = _shapes((0,), n), orthonormal(_shapes(others, n).T)
     behind = np.arange(1, n - 2)  # two frames at least on either side

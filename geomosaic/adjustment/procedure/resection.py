@@ -1,8 +1,5 @@
-"""Resection of frames with wrong poses, from ground points of other frames.
-
-An oblique view of flat ground has two similar poses. A frame without a known attitude starts with a nadir
-view and may converge to the wrong one, with most of its tie points down-weighted.
-"""
+"""Resection of frames with wrong poses, from ground points of other frames: an oblique view of flat ground
+has two similar poses, of which a nadir start may lead to the wrong one."""
 
 from __future__ import annotations
 
@@ -40,11 +37,9 @@ def heard_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
 
 def resected(tracks: Tracks, bundle: Solution, cameras: Sequence[Camera], wrong: Bools) -> Poses | None:
     """The bundle's poses with frames resected from points of at least two other frames; None where none is
-    better than before. wrong (n,): frames to resect; cameras: of each frame.
-
-    Random samples, then a quadratic programme of all points that agree (SQPnP, Terzakis and Lourakis 2020),
-    which finds the better of two poses over a plane.
-    """
+    better than before. Random samples, then a quadratic programme of all points that agree (SQPnP, Terzakis
+    and Lourakis 2020), which finds the better of two poses over a plane. Args: cameras: of each frame; wrong
+    (n,): frames to resect."""
     counts = (bundle.weight > _COUNTS) & ~wrong[tracks.frame]
     sure = np.bincount(tracks.point, counts, minlength=tracks.points) >= _OTHERS
     positions, rotations, found = bundle.poses.positions_m.copy(), bundle.poses.rotations.copy(), False

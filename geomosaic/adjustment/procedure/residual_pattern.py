@@ -1,8 +1,5 @@
-"""Systematic image residuals by place in the frame, as a lens or a shutter causes.
-
-Mean residuals by place are the check of a camera after self-calibration (Luhmann et al., Close-Range
-Photogrammetry, 3rd ed. 2020, section 7.2).
-"""
+"""Systematic image residuals by place in the frame, as a lens or a shutter causes: the check of a camera
+after self-calibration (Luhmann et al., Close-Range Photogrammetry, 3rd ed. 2020, section 7.2)."""
 
 from __future__ import annotations
 
@@ -27,11 +24,9 @@ _COUNTS = tuned(0.1, "share of the weight of a residual of 0", "less: wrong matc
 
 @dataclass(frozen=True)
 class ResidualPattern:
-    """One camera's mean residuals by place in the frame.
-
-    mean_px, sd_px (rows, cols, 2): mean of measured minus computed in each cell and its deviation, NaN with
-    too few frames. systematic_px: root mean square without the part of chance.
-    """
+    """One camera's mean residuals by place in the frame. mean_px, sd_px (rows, cols, 2): mean of measured
+    minus computed in each cell and its deviation, NaN with too few frames. systematic_px: root mean square
+    without the part of chance."""
 
     camera: str
     mean_px: Floats
@@ -60,11 +55,9 @@ def residual_patterns(image: ImageResiduals, cameras: Sequence[Camera]) -> tuple
 
 def left_by_vibration(image: ImageResiduals, cameras: Sequence[Camera]) -> float:
     """Residual deviation of functions of the row as fine as vibration's, as a share of that of functions as
-    coarse as a rotation's, fitted frame by frame; 1 without vibration.
-
-    Nested regressions, each with its own redundancy (Draper and Smith, Applied Regression Analysis, 3rd ed.
-    1998, section 6.1). Args: cameras: of each frame.
-    """
+    coarse as a rotation's, fitted frame by frame; 1 without vibration. Nested regressions, each with its own
+    redundancy (Draper and Smith, Applied Regression Analysis, 3rd ed. 1998, section 6.1). Args: cameras: of
+    each frame."""
     used, squares, redundancy = _valid(image), np.zeros(2), np.zeros(2)
     row_px, residual_px = image.image_px[used, 1], image.residual_px[used]
     for frame, own in frame_by_frame(image.frame[used]):

@@ -41,12 +41,9 @@ _EDGE_SIGMA_PX = tuned(1.0, "ground px", "before gradients; less: noise counts; 
 
 @dataclass(frozen=True)
 class BandPose:
-    """A band's camera and its relative rotation.
-
-    own_from_band: (3, 3), from the band's camera axes to those of the survey's frames. places: number of
-    matches; before_px, after_px: their median residual in the band's pixels. NaN where matches were too few
-    and the reported values stay.
-    """
+    """A band's camera and its relative rotation. own_from_band (3, 3): from the band's camera axes to those
+    of the survey's frames. places: number of matches; before_px, after_px: their median residual in the
+    band's pixels, NaN where matches were too few and the reported values stay."""
 
     name: str
     camera: Camera
@@ -77,12 +74,10 @@ class Captures:
 def register_bands(
     captures: Captures, threads: int = 2, progress: Callable[[int, int, str], None] | None = None
 ) -> RigPoses:
-    """One rotation and focal length for each band, from all captures at once.
-
-    Both images of a capture are projected to the ground; edges (the gradient of log grey values, which red
-    and infrared share) are correlated in patches; least squares with Cauchy's loss follow. A second round
-    searches nearby. The offset of the lenses, some centimetres, acts as a rotation over level ground.
-    """
+    """One rotation and focal length for each band, from all captures at once. Both images of a capture are
+    projected to the ground; edges (the gradient of log grey values, which red and infrared share) are
+    correlated in patches; least squares with Cauchy's loss follow. A second round searches nearby. The offset
+    of the lenses, some centimetres, acts as a rotation over level ground."""
     out = []
     survey, poses, used = captures.survey, captures.poses, captures.used
     rig = _Rig(survey, poses, captures.cameras, captures.ground)

@@ -1,8 +1,6 @@
-"""Poses of frames without tie points, predicted from the corrections of the tied frames around them.
-
-Errors of GNSS and IMU are correlated along a flight: a bias, a datum, a compass, a drifting height.
-Least-squares collocation (Moritz 1980, Advanced Physical Geodesy) predicts them for the other frames.
-"""
+"""Poses of frames without tie points, predicted from the corrections of the tied frames around them by
+least-squares collocation (Moritz 1980, Advanced Physical Geodesy): errors of GNSS and IMU are correlated
+along a flight."""
 
 from __future__ import annotations
 
@@ -29,10 +27,8 @@ _LEAST_NOISE = tuned(0.1, "of the stated deviations", "least scatter of correcti
 
 def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools) -> Poses:
     """The poses `found` with the untied frames' predicted from those given: shift, turn and scale in plan,
-    height, attitude, with the deviations of the prediction. Assumed positions and headings stay.
-
-    Args: tied, untied (n,): which frames.
-    """
+    height, attitude, with the deviations of the prediction. Assumed positions and headings stay. Args: tied,
+    untied (n,): which frames."""
     located = ~position_assumed(given)
     known, wanted = np.flatnonzero(tied & located), np.flatnonzero(untied & located)
     if not len(known):
@@ -70,9 +66,8 @@ def _predicted(at_m: Floats, values: Floats, stated: Floats) -> tuple[Floats, fl
 
     The model is a trend (a constant, or in plan a similarity), a signal of exponential covariance, and noise
     in proportion to the stated deviations. The restricted likelihood decides on length and share of the
-    signal, and by Schwarz's criterion (1978) on the signal itself.
-
-    Args: at_m (k, 2); stated (k + 1,): deviations of the corrections and, last, of the prediction.
+    signal, and by Schwarz's criterion (1978) on the signal itself. Args: at_m (k, 2); stated (k + 1,):
+    deviations of the corrections and, last, of the prediction.
     """
     k, c = values.shape
     apart_m, away_m = np.linalg.norm(at_m[:, None] - at_m, axis=2), np.linalg.norm(at_m, axis=1)
