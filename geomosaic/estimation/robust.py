@@ -11,15 +11,17 @@ from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
 
-_CAUCHY = tuned(3.0, "deviations", "half weight here; less: noisy data lose weight; more: blunders keep it")
-_BLUNDER = tuned(6.0, "deviations", "residuals of blunders; less: good observations are rejected")
+CAUCHY = tuned(3.0, "deviations", "half weight here; less: noisy data lose weight; more: blunders keep it")
+BLUNDER = tuned(6.0, "deviations", "residuals of blunders; less: good observations are rejected")
 _REJECTED = tuned(1e-6, "share of the full weight", "0 would leave frames without other data undetermined")
 _FREEDOM = sourced(5.0, "degrees of freedom", "of image errors with long tails", "docs/results.md")
 INFORMATION: float = sourced((_FREEDOM + 2) / (_FREEDOM + 4), "1", "of Student pairs", "Lange 1989, app. B")
+THREE_SIGMA = sourced(3.0, "deviations", "beyond: not chance", "normal errors: 0.3 %")
+STRONG = sourced(20.0, "evidence ratio", "that counts as strong", "Kass and Raftery 1995, section 3.2")
 LEAST_OBSERVATIONS = sourced(5, "observations", "to call one a blunder", "the median holds with 2 of 5 wrong")
 _CHANCE = sourced(0.0027, "probability", "of a blunder among normal errors", "beyond three deviations")
 _OWN = tuned(2.0, "stated deviations", "least size; less: chance agreement of others names good points")
-_CLEAR = tuned(5.0, "deviations", "blunders by stated deviation and scatter; fewer: good points are named")
+FAR = tuned(5.0, "deviations", "blunders by stated deviation and scatter; fewer: good points are named")
 
 
 def irls(
@@ -51,20 +53,20 @@ def irls(
 
 def cauchy_weight(standardised: Floats) -> Floats:
     """Cauchy's weights of standardised residual lengths."""
-    return np.asarray(1.0 / (1.0 + (standardised / _CAUCHY) ** 2))
+    return np.asarray(1.0 / (1.0 + (standardised / CAUCHY) ** 2))
 
 
 def cauchy_cost(standardised: Floats) -> Floats:
     """The cost that `cauchy_weight` minimises; the square for small residuals."""
-    return np.asarray(_CAUCHY**2 * np.log1p((standardised / _CAUCHY) ** 2))
+    return np.asarray(CAUCHY**2 * np.log1p((standardised / CAUCHY) ** 2))
 
 
-def lie_weight(standardised: Floats) -> Floats:
+def redescending_weight(standardised: Floats) -> Floats:
     """Weights for GNSS and IMU data, nearly all of which are right: 1 up to three deviations, then falling
     with the square, next to 0 beyond six. Cauchy's would take a quarter of the weight of three good
     numbers."""
-    falling = (_CAUCHY / np.maximum(standardised, _CAUCHY)) ** 2
-    return np.asarray(np.where(standardised > _BLUNDER, _REJECTED, falling))
+    falling = (CAUCHY / np.maximum(standardised, CAUCHY)) ** 2
+    return np.asarray(np.where(standardised > BLUNDER, _REJECTED, falling))
 
 
 def student_weight(standardised: Floats) -> Floats:
@@ -120,7 +122,7 @@ def blunders(values: Floats, sd: Floats) -> Bools:
         return np.zeros(n, dtype=bool)
     off = np.abs(values - np.median(values))
     mad = NORMAL_PER_MAD * float(np.median(off / sd))
-    found = np.asarray(off > _CLEAR * max(mad, 1.0) * sd)
+    found = np.asarray(off > FAR * max(mad, 1.0) * sd)
     order = np.argsort(-off / sd, kind="stable")
     for k in range((n - 3) // 2, 0, -1):
         tested, rest = order[k - 1], order[k:]

@@ -28,7 +28,7 @@ from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
-from geomosaic.adjustment.procedure.blunder_detection import doubtful_positions, strayed_lenses
+from geomosaic.adjustment.procedure.blunder_detection import implausible_lenses, shift_and_scale
 from geomosaic.adjustment.solver.solve import solve
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.interior_orientation import (
@@ -313,15 +313,15 @@ def test_a_block_of_the_wrong_size_is_named() -> None:
     for scale, codes in ((1.0, []), (0.98, ["scale-doubtful"]), (1.02, ["scale-doubtful"])):
         middle = poses.positions_m.mean(axis=0)
         found = replace(poses, positions_m=middle + scale * (flown.truth.positions_m - middle))
-        warnings = doubtful_positions(flown.block, found, every)
+        warnings = shift_and_scale(flown.block, found, every)
         assert [w.code for w in warnings] == codes
     stated = re.match(r"the block is (\S+) % larger .*\(standard deviation (\S+) %\)", warnings[0].text)
     assert stated and [float(v) for v in stated.groups()] == pytest.approx([2.0, 0.03], abs=0.06)
     alike = replace(poses, positions_m=np.tile(poses.positions_m.mean(axis=0), (len(poses), 1)))
-    told = doubtful_positions(replace(flown.block, poses=alike), flown.truth, every)
+    told = shift_and_scale(replace(flown.block, poses=alike), flown.truth, every)
     assert "scale-doubtful" not in [w.code for w in told]
     away = replace(poses, positions_m=poses.positions_m + [1.0, -2.0, 0.0])
-    assert [w.code for w in doubtful_positions(flown.block, away, every)] == ["positions-shifted"]
+    assert [w.code for w in shift_and_scale(flown.block, away, every)] == ["positions-shifted"]
 
 
 def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> None:
@@ -340,7 +340,7 @@ def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> N
     at = Estimate(layout, one, np.eye(3)[None], none, shared, np.zeros((1, 0, 3)), one)
     strayed = implausible_principal_points(at, (sure, loose))
     assert np.flatnonzero(strayed).tolist() == [10, 11]
-    (warning,) = strayed_lenses((sure, loose), strayed)
+    (warning,) = implausible_lenses((sure, loose), strayed)
     assert (warning.code, warning.text[:7]) == ("lens-strayed", "loose: ")
 
 

@@ -44,7 +44,7 @@ def random_normals(
     n = build_normals(
         Sightings.of(frame, point, frames, points),
         camera_of,
-        (cameras, numbers),
+        (cameras, numbers, 0),
         lambda which: (
             residual[:, which],
             weight[which],
@@ -208,7 +208,7 @@ def test_equations_of_many_sightings_are_held_by_few_numbers_each() -> None:
             return rng.normal(0, 1, (2, n)), np.ones(n), levers, by_interior, by_point
 
         tracemalloc.start()
-        normals = build_normals(sightings, np.zeros(frames, np.intp), (1, k), linearised)
+        normals = build_normals(sightings, np.zeros(frames, np.intp), (1, k, 0), linearised)
         normals.pose[:, range(6), range(6)] += 1.0
         reduce_normals(replace(normals, level=1.0)).solve()
         _, most = tracemalloc.get_traced_memory()

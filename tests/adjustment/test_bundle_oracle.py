@@ -74,7 +74,7 @@ class Oracle:
     def free(self):
         """Which unknowns are solved for."""
         free = self.size > 0.0
-        free[self.lens] &= ~self.solved.held[:8]
+        free[self.lens] &= ~self.solved.fixed[:8]
         return np.flatnonzero(free)
 
     @property
@@ -183,7 +183,7 @@ class Oracle:
         weight = self.shown * (FREEDOM + 2.0) / (FREEDOM + (r**2).sum(axis=1) / TELLS)
         root = np.repeat(np.sqrt(weight), 2)
         jacobian = self.derivatives(x).reshape(-1, n) * root[:, None]
-        free, held = self.free, self.lens.start + np.flatnonzero(self.solved.held[:8])
+        free, held = self.free, self.lens.start + np.flatnonzero(self.solved.fixed[:8])
         own = np.linalg.inv(jacobian[:, free].T @ jacobian[:, free] + np.eye(len(free)))
         follow = -own @ jacobian[:, free].T @ jacobian[:, held]
         out = np.zeros((n, n))
@@ -235,7 +235,7 @@ def both(request):
 def test_the_block_is_what_it_should_be(both, request):
     """What is compared has free and held numbers, observations without much say, and no tag that lies."""
     oracle, x, _ = both
-    held = [name for name, h in zip(LENS, oracle.solved.held, strict=False) if h]
+    held = [name for name, h in zip(LENS, oracle.solved.fixed, strict=False) if h]
     some = "some" in request.node.callspec.params["both"]
     assert held == ([] if some else ["focal_length_px", "k2", "k3", "p2"])
     assert np.all(oracle.solved.weight[list(OFF_PX)] < 0.5)

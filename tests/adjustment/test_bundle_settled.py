@@ -14,7 +14,7 @@ from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.solver import single_points
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.solver.single_points import settled_points, wandering
+from geomosaic.adjustment.solver.single_points import converged_points, wandering
 from geomosaic.adjustment.solver.variance_components import _ahead
 from geomosaic.adjustment.terms.frame_components import PRIOR_FACTORS
 from geomosaic.adjustment.terms.image_observations import IMAGE
@@ -44,7 +44,7 @@ def test_points_go_where_their_images_want_them_while_all_others_stand() -> None
     which = np.arange(0, problem.tracks.points, 2)
     settled = at
     for _ in range(3):
-        settled = settled_points(problem, settled, COMPONENTS, which, 0.01)
+        settled = converged_points(problem, settled, COMPONENTS, which, 0.01)
     assert problem.cost(settled, COMPONENTS) < problem.cost(at, COMPONENTS)
     assert settled.points_m[1::2] == pytest.approx(at.points_m[1::2], abs=0.0)
     assert settled.positions_m is at.positions_m
@@ -58,9 +58,9 @@ def test_points_go_where_their_images_want_them_while_all_others_stand() -> None
 def test_points_a_few_at_a_time_are_those_of_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, at = at_truth(400, 40)
     which = np.arange(1, problem.tracks.points, 3)
-    together = settled_points(problem, at, COMPONENTS, which, 0.01)
+    together = converged_points(problem, at, COMPONENTS, which, 0.01)
     monkeypatch.setattr(single_points, "AT_ONCE", 25)
-    apart = settled_points(problem, at, COMPONENTS, which, 0.01)
+    apart = converged_points(problem, at, COMPONENTS, which, 0.01)
     assert np.ptp(together.points_m[which] - at.points_m[which]) > 0.0
     assert apart.points_m == pytest.approx(together.points_m, abs=1e-9)
 
@@ -69,7 +69,7 @@ def test_who_wanders_are_the_farthest_of_a_large_block_alone() -> None:
     problem, at = at_truth(4000, 10)
     everyone = np.arange(problem.tracks.points)
     for _ in range(3):
-        at = settled_points(problem, at, COMPONENTS, everyone, 0.01)
+        at = converged_points(problem, at, COMPONENTS, everyone, 0.01)
     thrown = np.array([7, 500, 2900])
     points = at.points_m.copy()
     points[thrown] += [0.5, 0.3, 4.0]

@@ -290,7 +290,7 @@ def test_tracks_of_one_place_are_one_witness() -> None:
     other = Judged(solved, np.ones(2000), place)  # type: ignore[arg-type]
     for better, sure in ((13, False), (19, True)):
         its = Judged(solved, np.where(place < better, 0.9, 1.1), place)  # type: ignore[arg-type]
-        assert its.beside(other)[0] == 0.9
+        assert its.compared_to(other)[0] == 0.9
         assert its.beats(other) is sure
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from adjustment_blocks import fly
 
-from geomosaic.adjustment.procedure.blunder_detection import lying_tags, strayed_frames
+from geomosaic.adjustment.procedure.blunder_detection import contradicted_frames, wrong_tags
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn
 
@@ -24,9 +24,9 @@ def test_a_frame_that_looks_aside_far_from_its_position_is_left_out() -> None:
     name = block.names[4]
     for east_m, tilt_deg, strayed in ((200.0, 31.0, [4]), (200.0, 5.0, []), (3.0, 31.0, [])):
         poses = _moved(block.poses, 4, east_m, tilt_deg)
-        found = strayed_frames(block, poses, np.ones(len(poses)))
+        found = contradicted_frames(block, poses, np.ones(len(poses)))
         assert list(found) == strayed, (east_m, tilt_deg)
-        lies = [w.frame for w in lying_tags(block, poses, found) if w.code == "position-wrong"]
+        lies = [w.frame for w in wrong_tags(block, poses, found) if w.code == "position-wrong"]
         assert lies == ([name] if east_m > 100.0 and not strayed else [])
         for warning in found.values():
             assert warning.code == "frame-oblique" and warning.frame == name
@@ -37,7 +37,7 @@ def test_a_survey_that_looks_aside_keeps_its_frames() -> None:
     block = fly(1).block
     aside = exp_turn(np.radians(np.tile([45.0, 0.0, 0.0], (len(block.names), 1))))
     poses = _moved(replace(block.poses, rotations=aside @ block.poses.rotations), 4, 200.0, 31.0)
-    assert strayed_frames(block, poses, np.ones(len(poses))) == {}
+    assert contradicted_frames(block, poses, np.ones(len(poses))) == {}
 
 
 def test_a_position_is_judged_by_how_positions_were_found_to_scatter() -> None:
@@ -48,5 +48,5 @@ def test_a_position_is_judged_by_how_positions_were_found_to_scatter() -> None:
     for scatter, own_m, named in ((1.0, 0.2, []), (0.3, 0.2, [block.names[4]]), (0.3, 4.5, [])):
         found = _moved(block.poses, 4, 25.0, 0.0)
         found = replace(found, positions_sd_m=np.full((len(found), 3), own_m))
-        said = lying_tags(replace(block, poses=given), found, scatter=scatter)
+        said = wrong_tags(replace(block, poses=given), found, scatter=scatter)
         assert [w.frame for w in said if w.code == "position-wrong"] == named, (scatter, own_m)

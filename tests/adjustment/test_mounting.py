@@ -10,8 +10,7 @@ from adjustment_blocks import fly, frame_terms
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.adjustment.problem.estimate import Estimate, UnknownLayout
 from geomosaic.adjustment.terms.attitudes import Attitudes
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.terrain import level_unknown

@@ -1,4 +1,4 @@
-"""Where a bundle begins: the images' own shape, laid onto the positions as one, whatever single tags say."""
+"""Where a bundle begins: the images' own shape, georeferenced as one by the positions, whatever single tags say."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from adjustment_blocks import Flown, fly
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, laid
+from geomosaic.adjustment.procedure.georeference_parts import Fixes, PlanPriors, georeferenced
 from geomosaic.adjustment.procedure.initialisation import start_poses
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
 from geomosaic.camera.exterior import Poses
@@ -153,9 +153,9 @@ def test_a_part_is_laid_as_one(whole: complex) -> None:
     place = rng.uniform(-80.0, 80.0, 21) + 1j * rng.uniform(-40.0, 40.0, 21)
     nadir = whole * place + (12.0 - 5.0j) + rng.normal(0.0, 1.0, 21) + 1j * rng.normal(0.0, 1.0, 21)
     nadir[::3] += rng.uniform(60.0, 200.0, 7) * np.exp(1j * rng.uniform(0.0, 6.0, 7))
-    beliefs = Beliefs(nadir, np.full(21, 5.0), np.full(21, 0.05), np.full(21, 0.15))
+    beliefs = PlanPriors(nadir, np.full(21, 5.0), np.full(21, 0.05), np.full(21, 0.15))
     fixes = Fixes(np.arange(21), np.zeros(21, np.complex128), nadir, np.full(21, 5.0))
-    found, shift, trust = laid(np.ones(21, np.complex128), place, beliefs, fixes)
+    found, shift, trust = georeferenced(np.ones(21, np.complex128), place, beliefs, fixes)
     assert found == pytest.approx(whole, abs=0.02)
     assert shift == pytest.approx(12.0 - 5.0j, abs=1.5)
     assert trust[::3].max() < 1e-3 and np.delete(trust, np.s_[::3]).min() > 0.5

@@ -13,8 +13,7 @@ from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.estimate import Estimate, Step
-from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.adjustment.problem.estimate import Estimate, Step, UnknownLayout
 from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground

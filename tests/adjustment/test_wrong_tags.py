@@ -8,7 +8,7 @@ from adjustment_blocks import fly, hills, level
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.procedure.blunder_detection import lying_tags
+from geomosaic.adjustment.procedure.blunder_detection import wrong_tags
 from geomosaic.adjustment.procedure.reported_corrections import height_drift
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z, exp_turn
@@ -106,7 +106,7 @@ def test_an_image_on_its_head_whose_heading_fits_its_line_was_turned() -> None:
     told = replace(flown.truth, rotations_sd_rad=np.radians(np.full((12, 3), 2.0)))
     found = replace(told, rotations=upside_down)
     for given, adjusted, code in ((told, found, "frame-turned"), (found, told, "yaw-wrong")):
-        said = lying_tags(replace(flown.block, poses=given), adjusted)
+        said = wrong_tags(replace(flown.block, poses=given), adjusted)
         assert [(w.code, w.frame) for w in said] == [(code, "003.jpg")]
 
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.interior import INTERIOR, interior_of
 from geomosaic.adjustment.model import Block
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import UnknownLayout, Unknowns
+from geomosaic.adjustment.problem.estimate import Estimate, UnknownLayout, Unknowns
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.attitudes import Attitudes
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions

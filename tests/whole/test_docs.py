@@ -297,7 +297,7 @@ def test_the_equations_name_modules_and_functions_that_are_there() -> None:
     for module in modules:
         assert (ROOT / "geomosaic" / module).is_file(), module
     for name, module in (
-        ("shown", "adjustment/terms/image_observations"), ("lie_weight", "estimation/robust"),
+        ("shown", "adjustment/terms/image_observations"), ("redescending_weight", "estimation/robust"),
         ("stepped", "adjustment/problem/estimate"),
         ("common_error", "adjustment/procedure/common_offsets"), ("Readout", "adjustment/kernels/collinearity"),
     ):  # fmt: skip

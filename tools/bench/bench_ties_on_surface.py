@@ -281,7 +281,7 @@ def print_left_out(run: Run, own: Tracks, more: Tracks, folds: int) -> None:
     for name, parts in left.items():
         before_px, after_px, where = (np.concatenate(part) for part in zip(*parts, strict=True))
         judged = [Judged(run.adjusted, px, where) for px in (before_px, after_px)]
-        share, most = judged[1].beside(judged[0])
+        share, most = judged[1].compared_to(judged[0])
         text = f"median {judged[0].median_px:.4f} px, with the surface's {judged[1].median_px:.4f}"
         print(f"  left-out tie points, {name}: {text}; share {share:.3f}, at most {most:.3f}", flush=True)
 

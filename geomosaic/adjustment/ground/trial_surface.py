@@ -16,9 +16,7 @@ from geomosaic.estimation.robust import irls
 from geomosaic.projection.ground import GroundSurface
 
 _SLOPE = tuned(1.0, "m per m", "usual slope; less: hills are levelled; more: no return to level far out")
-_PER_HEIGHT = tuned(
-    20.0, "places a flying height", "at which slopes count; less: single points bend the land"
-)
+_PER_HEIGHT = tuned(20.0, "places a flying height", "where slopes count; less: points bend the land")
 _REGULAR = tuned(1e-6, "usual slopes", "draws nodes to 0, so that those without points are determined")
 _TRIAL_ROUNDS = tuned(4, "rounds", "of re-weighting a trial surface, which is judged by medians")
 _ABOVE = sourced(0.05, "weight", "above the ground; more: it rises into crowns", "Eilers and Boelens 2005")

@@ -18,12 +18,7 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import cholesky, inverse_of_factor, square_of_factor
 
 _LEAST_FRAMES = tuned(32, "frames", "that are not cut any further: below, a dense matrix is as fast")
-_MIDDLE: tuple[float, float] = tuned(
-    (0.3, 0.7),
-    "share of the frames",
-    "between which those from one rim on are cut off: where least frames part them, but not so far out "
-    "that the cuts hardly make parts smaller",
-)
+_MIDDLE: tuple[float, float] = tuned((0.3, 0.7), "share of the frames", "to cut at; farther out: small parts")
 _MOST_WORK = tuned(0.7, "share of a dense matrix's", "operations; with more, dissection takes longer")
 _UNDETERMINED = "the block does not determine the poses of its frames"
 

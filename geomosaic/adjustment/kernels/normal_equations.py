@@ -65,14 +65,18 @@ class Normals:
 
 
 def build_normals(
-    sightings: Sightings, camera_of: Ints, counts: tuple[int, int], linearised: Linearised, terms: int = 0
+    sightings: Sightings,
+    camera_of: Ints,
+    counts: tuple[int, int, int],
+    linearised: Linearised,
+    terms: int = 0,
 ) -> Normals:
     """Sums of the image observations, some points at a time, so that no array of all derivatives is made;
-    priors and unknowns of the mounting are added afterwards. Args: camera_of (f,); counts: cameras, numbers
-    of a camera; terms: of each frame's swing, with which it drifts. linearised: of some observations (n,)
+    priors are added afterwards. Args: camera_of (f,); counts: cameras, numbers of a camera, unknowns of the
+    mounting; terms: of each frame's swing, with which it drifts. linearised: of some observations (n,)
     residuals (2, n) observed minus computed, weights (n,), levers, derivatives by interior (2, k, n) and by
     point (2, 3, n), see `project_by_levers`."""
-    (c, k), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
+    (c, k, q), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)
     axes = np.empty((3, 3, m if terms else 0))
     levers = Levers(np.empty((3, m)), np.empty((terms, m)), np.empty((min(terms, 1), m)), axes)
     point_point, d = np.empty((6, m)), levers.numbers
@@ -116,9 +120,9 @@ def build_normals(
         level_point=np.zeros((p, 3)),
         level=0.0,
         level_side=0.0,
-        pose_mounting=np.zeros((f, d, 0)),
-        mounting=np.zeros((0, 0)),
-        mounting_side=np.zeros(0),
+        pose_mounting=np.zeros((f, d, q)),
+        mounting=np.zeros((q, q)),
+        mounting_side=np.zeros(q),
     )
 
 

@@ -14,12 +14,7 @@ from geomosaic.arrays import Ints
 from geomosaic.constants import tuned
 
 Numbers = NDArray[np.int32]
-AT_ONCE = tuned(
-    8192,
-    "image observations",
-    "linearised at once, all those of some points: their derivatives (2 to 4 MB) hardly leave the "
-    "processor's cache; fewer mean more calls, more go through the memory",
-)
+AT_ONCE = tuned(8192, "image observations", "linearised at once; fewer: more calls; more leave the cache")
 _PAIRS_AT_ONCE = tuned(1024, "pairs of observations", "multiplied at once; more leave the cache")
 
 

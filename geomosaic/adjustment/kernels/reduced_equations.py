@@ -102,14 +102,14 @@ class Reduced:
         """The system whose covariances include fixed shared unknowns with their prior variances (s,) for unit
         weight, 0 for solved ones: Schmidt's consider filter. The information left for the fixed ones, once
         all others are eliminated, is their prior's alone."""
-        held, free = np.flatnonzero(variance > 0.0), np.flatnonzero(variance == 0.0)
+        fixed, free = np.flatnonzero(variance > 0.0), np.flatnonzero(variance == 0.0)
         through_poses = self.border.T @ self._by_border
         corner = self.shared - through_poses
-        meet = corner[np.ix_(free, held)]
+        meet = corner[np.ix_(free, fixed)]
         through_shared = meet.T @ solve_scaled(corner[np.ix_(free, free)], meet)
         shared = self.shared.copy()
-        own = through_poses[np.ix_(held, held)] + through_shared
-        shared[np.ix_(held, held)] = own + np.diag(1.0 / variance[held])
+        own = through_poses[np.ix_(fixed, fixed)] + through_shared
+        shared[np.ix_(fixed, fixed)] = own + np.diag(1.0 / variance[fixed])
         return self._factors_for(replace(self, shared=shared))
 
     def responses(self, pull: Floats) -> Floats:
@@ -142,7 +142,7 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     the diagonal. With V = L L' of a point and W its rows in the poses' columns, W' V^-1 W is the square of
     L^-1 W, which leaves no direction of the poses negative."""
     (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
-    s, interior, less_beside = n.sightings, _damped(n.interior, damping), np.zeros((f, d, c * k + 2))
+    s, interior, less_border = n.sightings, _damped(n.interior, damping), np.zeros((f, d, c * k + 2))
     less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))
     columns, starts, order = s.matrix
     blocks, place = np.zeros((len(order), d, d)), np.argsort(order)
@@ -153,17 +153,17 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
         points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
         by_camera = n.interior_point[:, group.points].transpose(1, 3, 0, 2).reshape(group.size, 3, -1)
         others = n.level_point[group.points, :, None], n.point_side[group.points, :, None]
-        beside = root @ np.concatenate([by_camera, *others], axis=2)
-        flat = beside.reshape(3 * len(beside), -1)
+        border_rows = root @ np.concatenate([by_camera, *others], axis=2)
+        flat = border_rows.reshape(3 * len(border_rows), -1)
         less_shared += flat.T @ flat
         which = s.point[group.span] - group.points.start
         seen = n.levers.of(group.span), n.point_point[SQUARE, group.span]
         scaled = _scaled_rows(*seen, root, which)
-        _less_of_frames(group, scaled, beside.take(which, axis=0), (blocks, own, less_beside))
+        _less_of_frames(group, scaled, border_rows.take(which, axis=0), (blocks, own, less_border))
         _less_of_pairs(group, scaled, blocks, across)
     blocks[turned_over] = np.swapaxes(blocks[across], 1, 2)
-    less_beside = less_beside.reshape(d * f, -1)
-    border = np.column_stack([-less_beside[:, :-1], n.pose_mounting.reshape(d * f, -1)])
+    less_border = less_border.reshape(d * f, -1)
+    border = np.column_stack([-less_border[:, :-1], n.pose_mounting.reshape(d * f, -1)])
     for i in range(c):
         rows = np.flatnonzero(n.camera_of == i)
         index = (d * rows[:, None] + np.arange(d)).ravel()
@@ -176,7 +176,7 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
         poses=bsr_matrix((blocks, columns, starts), shape=(d * f, d * f)),
         border=border,
         shared=corner,
-        pose_side=n.pose_side.ravel() - less_beside[:, -1],
+        pose_side=n.pose_side.ravel() - less_border[:, -1],
         shared_side=shared_side,
         points_inverse=points_inverse,
         normals=n,

@@ -17,9 +17,7 @@ from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.placement.graph import connected_parts
 
 Moves = tuple[Floats, tuple[Round, ...]]
-_HUBER = sourced(
-    1.5, "deviations", "full weight up to here; more: wrong pairs pull", "Huber 1981, about 1.345"
-)
+_HUBER = sourced(1.5, "deviations", "of full weight; more: wrong pairs pull", "Huber 1981, about 1.345")
 
 
 def rounds_of(net: OffsetNet, moves: Floats) -> tuple[Round, Round]:

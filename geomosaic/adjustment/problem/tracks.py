@@ -17,6 +17,8 @@ from geomosaic.estimation.linear import solve_each
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.tracks import join
 
+FEW_PER_FRAME = tuned(192, "image observations a frame", "for solves that find the block or compare lenses")
+FEW_CELLS = tuned(8, "cells a side", "of a frame, 3 observations each; fewer: corners may stay empty")
 _OVER = tuned(1.25, "times the observations asked for", "of the median frame; more: each asks for fewer")
 _PARALLEL: float = tuned(float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: near_m wins")
 

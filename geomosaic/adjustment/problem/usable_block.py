@@ -21,9 +21,7 @@ from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import some
 
-_LEAST_SD_M = tuned(
-    1e-4, "m", "of a position: no survey is better, and a deviation of zero weighs without bound"
-)
+_LEAST_SD_M = tuned(1e-4, "m", "of a position: no survey is better; zero weighs without bound")
 _LEAST_SD_RAD = tuned(1e-6, "rad", "the same of an attitude")
 _ORTHONORMAL = tuned(1e-6, "of 1", "by which a rotation matrix times its transpose may miss the unit matrix")
 

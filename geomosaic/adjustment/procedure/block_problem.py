@@ -16,7 +16,7 @@ from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.attitudes import Attitudes
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import ImageObservations
-from geomosaic.adjustment.terms.interior_orientation import interior_unknowns
+from geomosaic.adjustment.terms.interior_orientation import NOMINAL_READOUT_S, interior_unknowns
 from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
 from geomosaic.adjustment.terms.rolling_shutter_rotation import (
     ALONG_VIEW,
@@ -34,14 +34,12 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.reach import flying_heights_m
 
-NOMINAL_READOUT_S = tuned(0.05, "s", "where nothing reports one: small cameras take 0.01 to 0.1 s")
 _ZERO_SD_RAD_PER_S = tuned(0.05, "rad/s", "of a small gyroscope's zero; less: it is followed")
-_DEM_LEVEL_SD_M = tuned(2.0, "m", "between a DEM and the frames' heights: datums and geoid models")
+_LEVEL_SD_M = tuned(2.0, "m", "of the ground's level: datums and geoid models of a DEM, barometers")
 _ANY_RELIEF = tuned(0.3, "share of the flying height", "of unknown ground; less: hills are pressed flat")
 _HILLS = tuned(50.0, "points", "independent places of relief; more: hills without a DEM tilt a block")
 _LEVEL_SD_SHARE = tuned(0.04, "share of the flying height", "of the ground's level: barometers, relief")
 _BEGUN_SD_SHARE = tuned(0.1, "share of the flying height", "of an assumed position: tilts of 5 degrees")
-_LEAST_LEVEL_SD_M = tuned(2.0, "m", "of the ground's level, however low: barometers drift so in an hour")
 
 
 def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Floats) -> BlockProblem:
@@ -184,9 +182,9 @@ def terrain_of(block: Block, image: ImageObservations) -> Terrain:
     many points: all of them together count as 50, else they would tilt the block against the attitudes."""
     height, bound, share = flying_height_m(block), ~image.control, image.frame_share()
     if block.ground.kind == "dem":
-        return Terrain(block.ground, DEM_SD_M / height, _DEM_LEVEL_SD_M, bound, share)
+        return Terrain(block.ground, DEM_SD_M / height, _LEVEL_SD_M, bound, share)
     reported_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
-    level_sd_m = float(max(_LEVEL_SD_SHARE * height, _LEAST_LEVEL_SD_M, reported_sd_m))
+    level_sd_m = float(max(_LEVEL_SD_SHARE * height, _LEVEL_SD_M, reported_sd_m))
     relief = _ANY_RELIEF * float(np.sqrt(max(int(bound.sum()) / _HILLS, 1.0)))
     return Terrain(block.ground, relief, level_sd_m, bound, share)
 

@@ -17,7 +17,7 @@ from geomosaic.adjustment.ground.ground_choice import (
     surface_and_relief,
 )
 from geomosaic.adjustment.model import Block, Settings, SolveStep
-from geomosaic.adjustment.problem.tracks import Tracks, nearest_to_rays
+from geomosaic.adjustment.problem.tracks import Tracks, chosen_tracks, nearest_to_rays
 from geomosaic.adjustment.procedure.block_problem import (
     block_problem,
     part_of_frames,
@@ -35,12 +35,11 @@ from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import NORMAL_PER_MAD, tuned
+from geomosaic.constants import NORMAL_PER_MAD
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.accuracy import POSITION
-
-_OTHER_DATUM = tuned(3.0, "deviations", "of the shift to control; less: noise; more: another datum pulls")
 
 
 @dataclass(frozen=True)
@@ -94,22 +93,22 @@ def block_solution(
     problem = block_problem(block, settings, ties, points)
     options = replace(last, last=not ties.points)
     free = solve(problem, poses, again, options) if ties.points else None
-    held, offset = with_control(problem, block.control), np.zeros(3, dtype=bool)
-    if free is not None and held is problem:
+    controlled, offset = with_control(problem, block.control), np.zeros(3, dtype=bool)
+    if free is not None and controlled is problem:
         solved = free
     else:
-        held, solved, offset = _with_control(block, held, poses, free, options)
+        controlled, solved, offset = _with_control(block, controlled, poses, free, options)
     steps = solved.steps if free is None or solved is free else free.steps + solved.steps
     if not ties.points:
-        return BlockSolution(ties, held, solved, block.ground, float("nan"), offset, steps)
+        return BlockSolution(ties, controlled, solved, block.ground, float("nan"), offset, steps)
     part = part_of_frames(block)[ties.frame[np.unique(ties.point, return_index=True)[1]]]
     ground, relief_px = chosen_ground(block, settings.ground, _of_ties(solved, ties), ties.lengths, part)
-    free_points = BlockSolution(ties, held, solved, ground, relief_px, offset, steps)
+    free_points = BlockSolution(ties, controlled, solved, ground, relief_px, offset, steps)
     if ground.kind == "tie_surface":
         return free_points if rough else _at_last(free_points)
     off_m = off_ground_m(block, ground, _of_ties(solved, ties), part)
-    near = replace(terrain_of(block, held.image), sd_share=off_m / flying_height_m(block))
-    bound_problem = replace(held, terrain=near)
+    near = replace(terrain_of(block, controlled.image), sd_share=off_m / flying_height_m(block))
+    bound_problem = replace(controlled, terrain=near)
     bound = solve(bound_problem, solved.poses, solved, last)
     steps += bound.steps
     ground = levelled(ground, _of_ties(bound, ties))
@@ -176,7 +175,7 @@ def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -
     scatter_m = NORMAL_PER_MAD * np.median(np.abs(off - shift), axis=0)
     of_shift_m = np.sqrt(np.pi / 2.0 / len(off)) * scatter_m  # a median's, of normal errors
     sd_m = np.hypot(np.median(block.poses.positions_sd_m, axis=0), of_shift_m)
-    return shift, np.asarray((len(off) >= 3) & (np.abs(shift) > _OTHER_DATUM * sd_m))
+    return shift, np.asarray((len(off) >= 3) & (np.abs(shift) > THREE_SIGMA * sd_m))
 
 
 def _with_control(
@@ -216,10 +215,8 @@ def points_on_ground(
     lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
     if not lost.any():
         return _means(tracks, at), tracks
-    keep = ~lost[tracks.point]
-    _, point = np.unique(tracks.point[keep], return_inverse=True)
-    kept = Tracks(tracks.frame[keep], point.astype(np.intp), tracks.image_px[keep])
-    return _means(kept, at[keep]), kept
+    kept = chosen_tracks(tracks, ~lost)
+    return _means(kept, at[~lost[tracks.point]]), kept
 
 
 def _means(tracks: Tracks, at_m: Floats) -> Floats:

@@ -8,19 +8,19 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.model import Block, SharedUnknowns
-from geomosaic.adjustment.procedure.resection import UNHEARD
+from geomosaic.adjustment.procedure.resection import LEAST_COUNTED
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.constants import MEDIAN_LENGTH, tuned
+from geomosaic.estimation.robust import BLUNDER
 from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn
 
-_WRONG = tuned(6.0, "deviations", "of a wrong position; of a million good ones none is")
 _UPRIGHT_DEG = tuned(20.0, "degrees", "most tilt of a nadir view")
 HALF_TURN_DEG = tuned(30.0, "degrees", "about half a turn: less than halfway to the next quarter")
 _SAME_PLACE_M = tuned(1e-3, "m", "equal positions show no scale")
@@ -29,16 +29,16 @@ _WITHIN_FLIGHT_M = tuned(1.0, "m", "agreement of a code receiver's positions in 
 _WRONG_SHIFT = tuned(5.0, "deviations", "between control and positions; datums differ by more")
 
 
-def strayed_frames(block: Block, poses: Poses, shares: Floats) -> dict[int, Warn]:
+def contradicted_frames(block: Block, poses: Poses, shares: Floats) -> dict[int, Warn]:
     """Frames to leave out, by number: far from their positions, and either oblique among nadir views (over
     flat ground views may converge to a second, oblique pose) or with most tie points down-weighted. Args:
-    shares (n,): `heard_shares`."""
+    shares (n,): `counted_shares`."""
     far, limit = _off_m(block, poses)
     tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
     usual = float(np.median(tilt))
     aside = (tilt > usual + _UPRIGHT_DEG) & (usual <= _UPRIGHT_DEG) & (far > limit)
     found = {}
-    for i in np.flatnonzero((far > limit) & (shares < UNHEARD)).tolist():
+    for i in np.flatnonzero((far > limit) & (shares < LEAST_COUNTED)).tolist():
         text = f"{100.0 * (1.0 - shares[i]):.0f} % of its tie points contradict those of other frames, "
         text += f"which put it {far[i]:.0f} m from its own position; left out"
         found[i] = Warn("frame-contradicted", block.names[i], text)
@@ -55,16 +55,16 @@ def _off_m(block: Block, poses: Poses) -> tuple[Floats, Floats]:
     """Distances (n,) of frames from their given positions in plan, and their limits (n,), in m."""
     moved = poses.positions_m - block.poses.positions_m
     far = np.where(position_assumed(block.poses), 0.0, np.linalg.norm(moved[:, :2], axis=1))
-    return far, _WRONG * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
+    return far, BLUNDER * np.maximum(np.median(far), block.poses.positions_sd_m[:, 0])
 
 
-def lying_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatter: float = 1.0) -> list[Warn]:
+def wrong_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatter: float = 1.0) -> list[Warn]:
     """Warnings of wrong positions and headings, except of frames that are left out. Where the estimated
     deviation is smaller than the stated one, often a cautious default, it counts, together with the frame's
     own. Args: scatter: estimated by stated deviation of positions in plan."""
     far, limit = _off_m(block, poses)
     known_m = np.hypot(scatter * block.poses.positions_sd_m[:, 0], poses.positions_sd_m[:, 0])
-    limit = np.minimum(limit, _WRONG * np.maximum(np.median(far), known_m))
+    limit = np.minimum(limit, BLUNDER * np.maximum(np.median(far), known_m))
     off_deg, most_deg = headings_off_deg(block.poses, poses)
     given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (block.poses, poses))
     given, found = (np.degrees(yaw_rad) % 360.0 for yaw_rad in (given_rad, found_rad))
@@ -99,7 +99,7 @@ def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
     return np.degrees(turned), np.degrees(heading_limits_rad(given))
 
 
-def doubtful_positions(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
+def shift_and_scale(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
     """Warnings of a common shift of all positions beyond five stated deviations (another datum of control),
     and of a wrong scale of the block by the similarity from adjusted to given positions. Its deviation is a
     position's over the root of the squared extent; a position's is the residual of the similarity, and at
@@ -136,7 +136,7 @@ def doubtful_positions(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
     return out
 
 
-def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
+def implausible_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
     """Warnings of estimated principal points (by `strayed_principal_points`) where no lens has them."""
     rows = strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)
     text = (
@@ -150,7 +150,7 @@ def strayed_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
     ]
 
 
-def undetermined_wishes(shared: SharedUnknowns, cameras: Sequence[Camera]) -> list[Warn]:
+def undetermined_unknowns(shared: SharedUnknowns, cameras: Sequence[Camera]) -> list[Warn]:
     """Warnings of requested, undetermined unknowns beyond the lens; of readouts unless reported."""
     reported = {c.name for c in cameras if c.readout_s}
     text = "this block does not determine it; kept as given. It takes lines flown there, back and across"

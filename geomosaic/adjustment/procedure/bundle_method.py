@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import levelled, surface_of
 from geomosaic.adjustment.model import Adjusted, Block, ModelChoice, Round, Settings, SolveStep
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.problem.tracks import Tracks, join_tracks, thin_tracks
+from geomosaic.adjustment.problem.tracks import FEW_CELLS, FEW_PER_FRAME, Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.problem.usable_block import as_filed, as_taken, usable
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import (
@@ -34,12 +34,12 @@ from geomosaic.adjustment.procedure.model_selection import (
 )
 from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.adjustment.procedure.reported_corrections import (
-    flown,
     height_drift,
     with_common_heading,
     with_common_rate,
+    with_solved_velocities,
 )
-from geomosaic.adjustment.procedure.resection import UNHEARD, heard_shares, resected
+from geomosaic.adjustment.procedure.resection import LEAST_COUNTED, counted_shares, resected
 from geomosaic.adjustment.solver.place_uncertainty import design_effect, with_design_effect
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
@@ -50,8 +50,6 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Warn
 
-_FEW_PER_FRAME = tuned(192, "image observations a frame", "for solves that find the block, a tenth of all")
-_FEW_CELLS = tuned(8, "cells a side", "of a frame, 3 observations each; fewer: corners may stay empty")
 _SURE_PX = tuned(1.0, "px on the ground", "of the shape, with a model that no left-out point asks for")
 _WORTHWHILE = tuned(4, "times the few points", "fewer: thinning saves too little for a second solve")
 
@@ -72,7 +70,7 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
     if not tracks.points and all(c.check for c in block.control):
         still = np.zeros((len(block.names), 2))
         return outcome(block, block.poses, (Round(np.zeros((0, 2)), still),))
-    few = thin_tracks(tracks, sizes, _FEW_PER_FRAME, _FEW_CELLS)
+    few = thin_tracks(tracks, sizes, FEW_PER_FRAME, FEW_CELLS)
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
 
     def free(its: Block) -> tuple[Poses, tuple[Camera, ...]]:
@@ -115,7 +113,7 @@ def _begun(
     rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     if rolling:
         start = _read_at_once(block, settings, few, start)
-        block, _ = flown(block, start)
+        block, _ = with_solved_velocities(block, start)
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
     del net  # where every tie point lies, twice
     found = block_solution(BlockTask(block, settings, few, few is not tracks), start)
@@ -155,7 +153,7 @@ def again(work: Work, block: Block, settings: Settings, start: BlockSolution | S
 def _wrong_ones_resected(work: Work) -> Work:
     """Frames with most of their tie points put aside, by what the others have found."""
     ties, solution, cameras = work.found.ties, work.found.of_ties, work.block.cameras
-    wrong = heard_shares(ties, solution, len(cameras)) < UNHEARD
+    wrong = counted_shares(ties, solution, len(cameras)) < LEAST_COUNTED
     poses = resected(ties, solution, cameras, wrong) if wrong.any() else None
     if poses is None:
         return work
@@ -166,7 +164,7 @@ def _wrong_ones_resected(work: Work) -> Work:
 def _heights_freed(work: Work) -> Work:
     """Velocities by the solved positions; heights that drift or jump don't any longer."""
     poses = work.found.solution.poses
-    block, other = flown(work.block, poses)
+    block, other = with_solved_velocities(work.block, poses)
     drift = height_drift(block, poses, np.unique(work.found.problem.tracks.frame))
     block = drift.freed(block)
     if drift.parts or (other and work.rolling):

@@ -20,25 +20,25 @@ from geomosaic.adjustment.model import (
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_solution import BlockSolution
 from geomosaic.adjustment.procedure.blunder_detection import (
-    doubtful_positions,
-    lying_tags,
-    strayed_frames,
-    strayed_lenses,
-    undetermined_wishes,
+    contradicted_frames,
+    implausible_lenses,
+    shift_and_scale,
+    undetermined_unknowns,
     unsolved_frames,
+    wrong_tags,
 )
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
 from geomosaic.adjustment.procedure.control_points import spread_of
 from geomosaic.adjustment.procedure.model_selection import model_warnings
 from geomosaic.adjustment.procedure.outcome import Findings, outcome
 from geomosaic.adjustment.procedure.reported_corrections import height_drift
-from geomosaic.adjustment.procedure.resection import heard_shares
+from geomosaic.adjustment.procedure.resection import counted_shares
 from geomosaic.adjustment.solver.place_uncertainty import ground_places
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.attitudes import TILT, YAW
-from geomosaic.adjustment.terms.control_precision import precision_figures, precision_warnings, with_precision
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
 from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.adjustment.terms.point_coordinates import precision_figures, precision_warnings, with_precision
 from geomosaic.arrays import Floats
 from geomosaic.errors import NotSolvableError
 from geomosaic.spread import Spread
@@ -85,26 +85,26 @@ def bundle_outcome(work: Work) -> Adjusted:
     common_m2 = np.where(found.offset, 0.0, common_m2)  # in the covariance
     moves = (solution.poses.positions_m - given.poses.positions_m)[:, :2]
     shared, places = solution.shared_unknowns(), places_of(found)
-    heard = heard_shares(found.ties, solution, len(block.names))
-    strayed = strayed_frames(block, solution.poses, heard)
+    counted = counted_shares(found.ties, solution, len(block.names))
+    rejected = contradicted_frames(block, solution.poses, counted)
     certain = with_common_error(solution.poses, common_m2)
     findings = Findings(
         cameras=tuple(solution.cameras[k] for k in block.lens_of),
         ground=found.ground,
         warnings=(
             *work.notes,
-            *lying_tags(block, certain, strayed, components[HORIZONTAL]),
-            *strayed.values(),
-            *doubtful_positions(block, solution.poses, observed),
+            *wrong_tags(block, certain, rejected, components[HORIZONTAL]),
+            *rejected.values(),
+            *shift_and_scale(block, solution.poses, observed),
             *height_drift(given, solution.poses, observed).warnings(given),
-            *undetermined_wishes(shared, given.cameras),
+            *undetermined_unknowns(shared, given.cameras),
             *unsolved_frames(block, solution.left_out),
-            *strayed_lenses(block.lenses, solution.implausible),
+            *implausible_lenses(block.lenses, solution.implausible),
             *model_warnings(block, work.choice),
             *precision_warnings(block.control, components),
         ),
         unsolved=tuple(np.flatnonzero(solution.left_out).tolist()),
-        strayed=tuple(strayed),
+        rejected=tuple(rejected),
         figures=_figures(solution, found.ties)
         | ({"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {})
         | shape_figures(block, places)

@@ -15,6 +15,7 @@ from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.errors import InputError
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.geodesy.heights import ellipsoidal_offset_m
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.placement.prior import position_assumed
@@ -23,7 +24,6 @@ from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
 _GEOIDS = sourced((3855, 5773), "EPSG", "of sea level, the first that is installed", "EGM2008, EGM96")
-_DRIFT_CLEARLY = sourced(3.0, "deviations of the scatter", "beyond: heights drift", "normal: 0.3 %")
 _SEA_LEVEL_SD_M = sourced(30.0, "m", "of sea level about the ellipsoid without a geoid grid", "EGM96: 30.6 m")
 _TAKE_OFF = tuned(0.5, "flying heights", "of the ground about height 0 where heights count from take-off")
 _LAND_M = sourced(800.0, "m", "of the land above the sea, which such heights leave out", "ETOPO1: mean 797 m")
@@ -100,7 +100,7 @@ def _in_height(block: Block, poses: Poses, ground: GroundSurface) -> float:
         datum_m = float(np.hypot(stated_m, _LAND_M if take_off else reference.datum_sd_m))
     off = reference.height_m[known] - found_m
     spread_m = NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off))))
-    drift_m = spread_m if spread_m > _DRIFT_CLEARLY * stated_m or datum_m else 0.0
+    drift_m = spread_m if spread_m > THREE_SIGMA * stated_m or datum_m else 0.0
     return datum_m**2 + drift_m**2
 
 

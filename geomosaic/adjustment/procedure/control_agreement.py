@@ -9,14 +9,11 @@ import numpy as np
 
 from geomosaic.adjustment.model import ControlResidual
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import sourced, tuned
-from geomosaic.estimation.robust import LEAST_OBSERVATIONS, blunders
+from geomosaic.estimation.robust import FAR, LEAST_OBSERVATIONS, THREE_SIGMA, blunders
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import some
 
-_DISAGREES = tuned(5.0, "deviations", "beyond: a control point is called wrong")
-_SHIFTED = sourced(3.0, "stated deviations", "beyond: a common shift is a fault", "3 in 1000 by chance")
 _AXES = ("east", "north", "up")
 _DISAGREE: Final = {"control": "control-disagrees", "check": "check-disagrees"}
 _SHIFT: Final = {"control": "control-shifted", "check": "check-shifted"}
@@ -87,7 +84,7 @@ def _shifted(kind: str, points: Sequence[ControlResidual], shift_m: Floats, scat
     sd_m = np.where(known, [p.sd_m for p in points], np.nan)
     stated_m = np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in sd_m.T])
     ratio = float(np.nanmax(np.abs(shift_m) / stated_m))
-    if not ratio > _SHIFTED:
+    if not ratio > THREE_SIGMA:
         return []
     text = (
         f"{len(points)} {kind} points lie off the map by one shift ({_vector(shift_m)}), {ratio:.1f} of its "
@@ -100,7 +97,7 @@ def _shifted(kind: str, points: Sequence[ControlResidual], shift_m: Floats, scat
 def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Warn]:
     """One line for all points that lie more than five of their deviations off, (n, 3)."""
     share = np.nan_to_num(np.abs(off_m) / np.array([p.sd_m for p in points])).max(axis=1)
-    far = [(p.name, at) for p, at, s in zip(points, off_m, share, strict=True) if s > _DISAGREES]
+    far = [(p.name, at) for p, at, s in zip(points, off_m, share, strict=True) if s > FAR]
     if not far:
         return []
     few = len(points) < LEAST_OBSERVATIONS
@@ -108,7 +105,7 @@ def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Wa
     worst_m = max((at for _, at in far), key=_length)
     text = (
         f"{len(far)} of {len(points)} {kind} points{names} disagree with the images by more than "
-        f"{_DISAGREES:g} deviations, the farthest by {_length(worst_m):.2f} m ({_vector(worst_m)})"
+        f"{FAR:g} deviations, the farthest by {_length(worst_m):.2f} m ({_vector(worst_m)})"
         f"{f', and fewer than {LEAST_OBSERVATIONS} points do not show which is wrong' if few else ''}; "
         "check their coordinates and their marks in the images"
     )

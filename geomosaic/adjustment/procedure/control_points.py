@@ -11,18 +11,16 @@ from geomosaic.adjustment.kernels.collinearity import Projections, Rows, kinds_o
 from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.adjustment.terms.gnss_positions import ANYWHERE_M
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX
 from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse, is_parallel, solve
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import ControlPoint, Survey
-
-_UNKNOWN_SD = tuned(1e3, "m", "of a coordinate that is not given: farther than any frame sees")
 
 Spread = Callable[[Ints, Floats, Floats], Floats]
 """Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses
@@ -110,7 +108,7 @@ def spread_of(solution: Solution, camera_of: Ints) -> Spread:
 def spread_of_poses(poses: Poses) -> Spread:
     """That of poses as if they were independent."""
     sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
-    variance = np.where(np.isfinite(sd), sd, _UNKNOWN_SD) ** 2
+    variance = np.where(np.isfinite(sd), sd, ANYWHERE_M) ** 2
 
     def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
         return np.asarray(np.einsum("kia,ka,kja->ij", by_pose, variance[frames], by_pose))

@@ -12,9 +12,9 @@ from geomosaic.adjustment.procedure.control_points import intersection_of_rays
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import singular_values
-from geomosaic.estimation.robust import cauchy_cost
+from geomosaic.estimation.robust import STRONG, cauchy_cost
 from geomosaic.estimation.similarity import Similarity3D
 from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Warn
@@ -24,7 +24,6 @@ Free = Callable[[Block], tuple[Poses, tuple[Camera, ...]]]
 _BY_CHANCE = tuned(1e-6, "probability", "of marks all near the first corner, if spread over whole images")
 _STEP = tuned(0.01, "share", "between the scales that are tried first; then a twentieth of it")
 _MISS_PX = tuned(5.0, "px", "residual of rays of good marks, block and marks together")
-_SURELY = sourced(20.0, "evidence ratio", "that counts as strong", "Kass and Raftery 1995, section 3.2")
 _DOUBT_RAD = tuned(0.1, "rad", "of a turn about a line of points: more turns blocks over")
 
 
@@ -61,7 +60,7 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
 
     best = min(np.arange(1.0, 1.0 / share, _STEP).tolist(), key=cost)
     best = min((best + np.linspace(-_STEP, _STEP, 41)).tolist(), key=cost)
-    if best < 1.0 + _STEP or cost(1.0) - cost(best) < np.log(_SURELY):
+    if best < 1.0 + _STEP or cost(1.0) - cost(best) < np.log(STRONG):
         return block, ()
     text = (
         f"all {len(marks)} image marks of the control points lie in the first {100.0 * share:.0f} % of the "

@@ -12,6 +12,7 @@ from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT, interior_of, with_interior
 from geomosaic.adjustment.model import Block, ImageResiduals, Settings
 from geomosaic.adjustment.problem.tracks import (
+    FEW_CELLS,
     Tracks,
     asked_tracks,
     chosen_tracks,
@@ -29,28 +30,26 @@ from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, few_steps, solve
+from geomosaic.adjustment.solver.variance_components import EXACT_PX
 from geomosaic.adjustment.terms.interior_orientation import part_of_camera
 from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import least_squares
-from geomosaic.estimation.robust import cauchy_weight, median_of_known
+from geomosaic.estimation.robust import THREE_SIGMA, cauchy_weight, median_of_known
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.spread import Spread
 
 _OF_ALL_LENSES = INTERIOR.index("k1")
 _ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
 BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
-_SURELY = tuned(3.0, "deviations", "of the median share: with two, chance chooses; with more, none is chosen")
 LEFT_OUT = tuned(5, "tracks", "of which one is left out: more weaken the solve, fewer the judgement")
 _LEAST_TRACKS = tuned(300, "tracks", "that thinning leaves: with fewer all are taken")
 _PER_FRAME = tuned(64, "tracks", "that each frame asks for: fewer do not distinguish models by a twentieth")
-_CELLS = tuned(8, "cells a side", "of an image over which they are spread: corners distinguish lenses")
 _SURE = tuned(0.25, "share of the median", "a track's least residual by both models: less, exact fits decide")
 _ALIKE = tuned(0.25, "flying heights", "side of a place where tracks err alike: a third of a frame's width")
 _MOST_FRAMES = tuned(200, "frames", "that are compared: with 100 of 195 a readout came out negative")
-_EXACT_PX = tuned(1e-4, "px", "least residual of a track, so that two exact ones have a ratio")
 _NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
 
 
@@ -81,13 +80,13 @@ def tested(tracks: Tracks, model: Model) -> Start:
 def _start(model: Model) -> Start:
     """What the model's solve begins from: lenses of its kind, whose terms are determined anew."""
     before = model.before
-    by_name, held = {c.name: c for c in model.block.lenses}, before.held.copy()
+    by_name, fixed = {c.name: c for c in model.block.lenses}, before.fixed.copy()
     lenses = tuple(_begun_lens(by_name.get(c.name, c), c) for c in before.cameras)
     for lens, found in zip(lenses, before.cameras, strict=True):
         if lens.kind != found.kind and model.settings.self_calibration:
-            its = held[before.estimate.layout.slices[part_of_camera(lens.name)]]
+            its = fixed[before.estimate.layout.slices[part_of_camera(lens.name)]]
             its[_OF_ALL_LENSES:READOUT] = False
-    return replace(before.of_points(before.points_m, lenses), held=held)
+    return replace(before.of_points(before.points_m, lenses), fixed=fixed)
 
 
 def _begun_lens(given: Camera, found: Camera) -> Camera:
@@ -125,17 +124,17 @@ class Judged:
 
     def beats(self, other: Judged) -> bool:
         """Whether it leaves less by what makes a model worth its unknowns, and surely less."""
-        share, at_most = self.beside(other)
+        share, at_most = self.compared_to(other)
         return share < BETTER and at_most < 1.0
 
-    def beside(self, other: Judged) -> tuple[float, float]:
+    def compared_to(self, other: Judged) -> tuple[float, float]:
         """The share of another model's residuals that this one leaves, and its upper limit: the median of the
         tracks' own shares, so that what moves in the wind decides nothing. Tracks weigh by the inverse of
         what both models leave together, down to a quarter of the median. Those of one place err alike: the
         median is as certain as places differ."""
         if self.solved is None or other.solved is None:
             return (0.0, 0.0) if self.solved is not None else (np.inf, np.inf)
-        mine, others = (np.maximum(a, _EXACT_PX) for a in (self.each_px, other.each_px))
+        mine, others = (np.maximum(a, EXACT_PX) for a in (self.each_px, other.each_px))
         both = np.hypot(mine, others)
         weight = 1.0 / np.maximum(both, _SURE * np.median(both))
         order = np.argsort(mine / others)
@@ -143,7 +142,7 @@ class Judged:
         half = int(np.searchsorted(below, 0.5))
         side = np.where(np.arange(len(shares)) < half, 0.5, -0.5) * weight[order]
         sd = np.sqrt((np.bincount(self.place[order], side) ** 2).sum()) / weight.sum()
-        most = int(np.searchsorted(below, 0.5 + _SURELY * sd))
+        most = int(np.searchsorted(below, 0.5 + THREE_SIGMA * sd))
         return float(shares[half]), float(shares[min(most, len(shares) - 1)])
 
 
@@ -167,7 +166,7 @@ class LeftOut:
         tracks, kept = part_of_tracks(tracks, self._frames)
         points_m = first.points_m[kept]
         sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
-        asked = np.flatnonzero(asked_tracks(tracks, sizes, _PER_FRAME, _CELLS))
+        asked = np.flatnonzero(asked_tracks(tracks, sizes, _PER_FRAME, FEW_CELLS))
         few = asked if len(asked) >= _LEAST_TRACKS else np.arange(tracks.points)
         out = np.random.default_rng(0).permutation(len(few)) % LEFT_OUT == 0
         solving = np.isin(np.arange(tracks.points), few[~out])
@@ -250,5 +249,5 @@ def left_out_residuals(tracks: Tracks, block: Block, solved: Start) -> ImageResi
         computed_px[mine] = solved.poses[i].image_from_ground(cameras[i], points[tracks.point[mine]])
     residual_px = tracks.image_px - computed_px
     length = np.linalg.norm(residual_px, axis=1)
-    weight = cauchy_weight(length / max(median_of_known(length), _EXACT_PX))
+    weight = cauchy_weight(length / max(median_of_known(length), EXACT_PX))
     return ImageResiduals(tracks.frame, tracks.image_px, residual_px, weight)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
-from geomosaic.adjustment.paper.misalignment import OffsetNet, offset_net
+from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.adjustment.procedure.initialisation import start_poses
 from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.camera.exterior import Poses
@@ -18,27 +18,17 @@ from geomosaic.survey.model import Warn
 Solve = Callable[[Block, Settings], Adjusted]
 
 
-@dataclass(frozen=True)
-class _Level:
-    """A way to adjust a block: how it solves, and its warning when it takes over, with `{why}` the level
-    before failed."""
-
-    solve: Solve
-    code: str
-    text: str
-
-
 def with_fallbacks(block: Block, settings: Settings, solve: Solve) -> Adjusted:
     """The block adjusted by the richest model that can be solved: the model as asked; the lens, shutter and
     mounting as given; the same with all rows read at once; similarities of the plane; position and attitude
     alone. Each level that fails, or is not finite, adds one warning."""
     warnings: tuple[Warn, ...] = ()
     why = ""
-    for level in _levels(solve):
-        if level.code:
-            warnings = (*warnings, Warn(level.code, "", level.text.format(why=why)))
+    for solve_level, code, text in _levels(solve):
+        if code:
+            warnings = (*warnings, Warn(code, "", text.format(why=why)))
         try:
-            adjusted = level.solve(block, settings)
+            adjusted = solve_level(block, settings)
             _check_finite(adjusted)
         except (NotSolvableError, np.linalg.LinAlgError) as error:
             why = str(error)
@@ -47,30 +37,29 @@ def with_fallbacks(block: Block, settings: Settings, solve: Solve) -> Adjusted:
     return replace(_by_positions(block, settings), warnings=warnings)
 
 
-def _levels(solve: Solve) -> tuple[_Level, ...]:
-    held = (
-        "the lens, the shutter and the camera's mounting cannot be solved for ({why}) and are kept as given: "
-    )
+def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
+    """Ways to adjust a block, each with the code and text of its warning; `{why}` the one before failed."""
     return (
-        _Level(solve, "", ""),
-        _Level(
+        (solve, "", ""),
+        (
             lambda block, settings: solve(block, replace(settings, self_calibration=False, model="given")),
             "self-calibration-failed",
-            held + "the map is as true as they are; give a calibrated lens with --camera",
+            "the lens, the shutter and the camera's mounting cannot be solved for ({why}) and are kept as "
+            "given: the map is as true as they are; give a calibrated lens with --camera",
         ),
-        _Level(
+        (
             lambda block, settings: solve(*_read_at_once(block, settings)),
             "self-calibration-failed",
             "poses cannot be solved for with the shutter as given ({why}): all rows are taken as read at "
             "once; ground may be displaced by what the camera moved meanwhile; give the lens with --camera",
         ),
-        _Level(
+        (
             _by_similarities,
             "bundle-failed",
             "the bundle adjustment cannot be solved ({why}): frames are shifted, turned and scaled over the "
             "ground until they agree, without tilts or lens; more overlap or frames with positions help",
         ),
-        _Level(
+        (
             _by_positions,
             "bundle-failed",
             "the frames cannot be adjusted ({why}): each lies where its position and attitude put it, and "
@@ -99,18 +88,17 @@ def _read_at_once(block: Block, settings: Settings) -> tuple[Block, Settings]:
 
 def _by_similarities(block: Block, settings: Settings) -> Adjusted:
     """Where a bundle adjustment would begin."""
-    net = offset_net(block)
-    return _outcome(block, net, start_poses(block, net))
+    return _outcome(block, start_poses(block, offset_net(block)))
 
 
 def _by_positions(block: Block, settings: Settings) -> Adjusted:
     """Poses as given."""
-    return _outcome(block, offset_net(block), block.poses)
+    return _outcome(block, block.poses)
 
 
-def _outcome(block: Block, net: OffsetNet, poses: Poses) -> Adjusted:
+def _outcome(block: Block, poses: Poses) -> Adjusted:
     moves = (poses.positions_m - block.poses.positions_m)[:, :2]
-    return outcome(block, poses, (Round(net.misalignments_m(np.zeros_like(moves)), moves),))
+    return outcome(block, poses, (Round(offset_net(block).misalignments_m(np.zeros_like(moves)), moves),))
 
 
 def _check_finite(adjusted: Adjusted) -> None:

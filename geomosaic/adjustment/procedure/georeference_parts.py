@@ -9,7 +9,7 @@ import numpy as np
 from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.estimation.linear import least_squares
-from geomosaic.estimation.robust import lie_weight
+from geomosaic.estimation.robust import redescending_weight
 from geomosaic.estimation.similarity import similarity_design
 
 _DRAWS = tuned(300, "pairs of frames", "tried; with half of the positions wrong a quarter of them is right")
@@ -36,7 +36,7 @@ class Fixes:
 
 
 @dataclass(frozen=True)
-class Beliefs:
+class PlanPriors:
     """Priors of frames by GNSS and IMU (n,): nadir points, east + i north in m, and standard deviations: of
     these in m, of headings in rad, of the scale by height and focal length as a share."""
 
@@ -45,13 +45,13 @@ class Beliefs:
     yaw_sd_rad: Floats
     scale_sd: Floats
 
-    def of(self, f: Ints) -> Beliefs:
+    def of(self, f: Ints) -> PlanPriors:
         """Those of some frames."""
-        return Beliefs(self.nadir[f], self.position_sd_m[f], self.yaw_sd_rad[f], self.scale_sd[f])
+        return PlanPriors(self.nadir[f], self.position_sd_m[f], self.yaw_sd_rad[f], self.scale_sd[f])
 
 
-def laid(
-    shape: Complexes, place: Complexes, priors: Beliefs, fixes: Fixes
+def georeferenced(
+    shape: Complexes, place: Complexes, priors: PlanPriors, fixes: Fixes
 ) -> tuple[complex, complex, Floats]:
     """The similarity, at = whole * place + shift, of a part onto its fixes, and their weights (k,).
 
@@ -69,7 +69,7 @@ def laid(
     return min(tried, key=lambda t: t[0])[1:]
 
 
-def _by_headings(shape: Complexes, priors: Beliefs) -> complex:
+def _by_headings(shape: Complexes, priors: PlanPriors) -> complex:
     """Turn and scale of the part by most of its headings and heights."""
     turns = np.conj(shape) / np.abs(shape)
     apart = np.abs(np.angle(turns[:, None] * np.conj(turns)))
@@ -109,10 +109,10 @@ def _improved(
     for _ in range(20):
         standard = np.abs(fixes.at - whole * place - shift) / fixes.sd_m
         noise = max(float(np.median(standard)) / MEDIAN_LENGTH, _LEAST_NOISE)
-        weight = lie_weight(standard / noise)
+        weight = redescending_weight(standard / noise)
         root = np.sqrt(weight) / (noise * fixes.sd_m)
         axis, off = whole / abs(whole), float(np.angle(whole / given))
-        by_turn = np.sqrt(float(lie_weight(np.array(abs(off) / sd[1])))) / sd[1]
+        by_turn = np.sqrt(float(redescending_weight(np.array(abs(off) / sd[1])))) / sd[1]
         prior = np.array([[axis.real, axis.imag, 0, 0], [-axis.imag, axis.real, 0, 0]])
         prior *= [[1.0 / (sd[0] * abs(given))], [by_turn / abs(whole)]]
         rows = np.concatenate([design * np.tile(root, 2)[:, None], prior])

@@ -11,11 +11,12 @@ from scipy.sparse import bsr_matrix
 from geomosaic.adjustment.kernels.nested_dissection import Dissected, Dissection, matrix_of_pairs
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.paper.misalignment import OffsetNet
-from geomosaic.adjustment.procedure.georeference_parts import Beliefs, Fixes, laid
+from geomosaic.adjustment.procedure.georeference_parts import Fixes, PlanPriors, georeferenced
 from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import tuned
+from geomosaic.estimation.robust import CAUCHY
 from geomosaic.matching.relative import averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, position_assumed
@@ -24,12 +25,9 @@ from geomosaic.projection.footprint import ground_from_images
 
 _MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
 _ROUNDS = tuned(4, "rounds", "of shape, then georeferencing; fewer: a long line stays bent")
-_SAME = tuned(
-    1e-4, "rad, share of the scale", "of any frame in a round: 1 cm at 100 m; attitudes are off by more"
-)
+_SAME = tuned(1e-4, "rad, share of the scale", "of any frame in a round: 1 cm at 100 m, below attitudes")
 _OF_A_PAIR = tuned(6.0, "independent tie points", "of a pair, whose errors are alike; more outvote positions")
 _LOCAL_SD = tuned(0.1, "rad, share of the scale", "of a frame about the pairs' mean; more: lines bend")
-_CAUCHY = tuned(3.0, "deviations of a tie point", "less: tilted frames lose ties; more: blunders keep weight")
 _ANYWHERE = tuned(100.0, "flying heights; of the scale the share", "deviation without a position; less pulls")
 
 
@@ -111,13 +109,13 @@ def placed_by_images(block: Block, start: Poses) -> Block:
     return replace(moved, ground_pixel_m=block.ground_pixel_m * times)
 
 
-def _priors(block: Block, nadir: Complexes, height_m: Floats) -> Beliefs:
+def _priors(block: Block, nadir: Complexes, height_m: Floats) -> PlanPriors:
     """Priors in plan by positions, headings, heights and focal lengths."""
     poses, assumed = block.poses, position_assumed(block.poses)
     position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), _by_tilt_m(poses, height_m))
     focal = np.array([(c.focal_length_sd_px or 0.0) / c.focal_length_px for c in block.cameras])
     height = np.minimum(poses.positions_sd_m[:, 2] / np.maximum(height_m, 1.0), 0.5)
-    return Beliefs(
+    return PlanPriors(
         nadir,
         np.where(assumed, _ANYWHERE * height_m, position_sd_m),
         np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
@@ -143,7 +141,7 @@ def _control_fixes(block: Block, height_m: Floats) -> Fixes:
     return Fixes(frame[hit], offset[hit], at[hit], sd_m[hit])
 
 
-def _part(ties: _Ties, shape: Complexes, priors: Beliefs, fixes: Fixes) -> tuple[Complexes, Complexes]:
+def _part(ties: _Ties, shape: Complexes, priors: PlanPriors, fixes: Fixes) -> tuple[Complexes, Complexes]:
     """Turn and scale, and nadir point, of each frame of a part."""
     shape, place = shape / np.exp(np.log(np.abs(shape)).mean()), np.zeros(len(shape), np.complex128)
     own, middle = fixes.offset == 0.0, priors.nadir.mean()
@@ -156,7 +154,7 @@ def _part(ties: _Ties, shape: Complexes, priors: Beliefs, fixes: Fixes) -> tuple
         prior_weight[:, 1] = np.maximum(weight, 1e-6) / (priors.position_sd_m / abs(whole)) ** 2
         before = whole * shape
         shape, place = _agreed(ties, shape, np.column_stack([-off, wanted]), prior_weight)
-        whole, shift, of_fixes = laid(shape, place, priors, fixes)
+        whole, shift, of_fixes = georeferenced(shape, place, priors, fixes)
         weight[fixes.frame[own]] = of_fixes[own]
         place = place + (shift - middle) / whole
         if np.abs(np.log(whole * shape / before)).max() < _SAME:
@@ -182,7 +180,7 @@ def _agreed(
         step, place = x.view(np.complex128).reshape(-1, 2).T
         grown = 1.0 + step
         length = np.abs(g_a * grown[ties.a] + place[ties.a] - g_b * grown[ties.b] - place[ties.b])
-        limit = _CAUCHY * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
+        limit = CAUCHY * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
         tie_weight = 1.0 / ties.sd_m**2 / (1.0 + (length / limit) ** 2)
     return shape * np.exp(np.clip(step.real, -0.5, 0.5) + 1j * step.imag), place
 

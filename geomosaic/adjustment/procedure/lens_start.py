@@ -11,7 +11,14 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.problem.tracks import Tracks, chosen_tracks, join_tracks, thin_tracks
+from geomosaic.adjustment.problem.tracks import (
+    FEW_CELLS,
+    FEW_PER_FRAME,
+    Tracks,
+    chosen_tracks,
+    join_tracks,
+    thin_tracks,
+)
 from geomosaic.adjustment.procedure.block_part import neighbours, part_of_block
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
@@ -37,8 +44,6 @@ from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.model import Warn
 
 _FRAMES = tuned(10, "frames", "of one camera to compare starts on: with fewer focal lengths are chance")
-_PER_FRAME = tuned(192, "image observations a frame", "that each frame asks for: fewer leave lenses alike")
-_CELLS = tuned(8, "cells a side", "of a frame over which they are spread: corners distinguish lenses")
 _LEAST = tuned(50, "tracks", "with fewer nothing is compared: ten would judge")
 _BROWN = tuned((0.5, 0.67, 0.9, 1.2, 1.6), "focal lengths by longer side", "fewer: solves end elsewhere")
 _FISHEYE = tuned((0.35, 0.5, 0.75, 1.1, 1.6), "the same of fisheyes", "8 mm on APS-C is 0.34: fewer miss one")
@@ -110,9 +115,11 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     if known and not unsure(camera):
         return camera
     part = _part(block, camera)
+    if len(part.names) < 2:
+        return camera
     sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
-    tracks = thin_tracks(join_tracks(part.ties), sizes, _PER_FRAME, _CELLS) if len(part.names) > 1 else None
-    if tracks is None or tracks.points < _LEAST:
+    tracks = thin_tracks(join_tracks(part.ties), sizes, FEW_PER_FRAME, FEW_CELLS)
+    if tracks.points < _LEAST:
         return camera
     out = np.random.default_rng(0).permutation(tracks.points) % LEFT_OUT == 0
     judges = chosen_tracks(tracks, out)

@@ -10,12 +10,12 @@ import numpy as np
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.procedure.block_problem import NOMINAL_READOUT_S
 from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
 from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.adjustment.terms.interior_orientation import NOMINAL_READOUT_S
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import median_of_known
@@ -58,9 +58,10 @@ def chosen_model(
     the start), and the start of its solve.
 
     What is missing is added one by one, each time what helps most, as long as it helps by a twentieth. Every
-    model is judged on the same tracks, which took no part in its solve, track by track (`Judged.beside`).
-    Some steps from the solution so far show which models may win; only the best of these is solved, and a
-    simpler one that does about as well. Args: first: the solution as given, by these tracks.
+    model is judged on the same tracks, which took no part in its solve, track by track
+    (`Judged.compared_to`). Some steps from the solution so far show which models may win; only the best of
+    these is solved, and a simpler one that does about as well. Args: first: the solution as given, by these
+    tracks.
     """
     good = first.components[IMAGE] <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _moving(block) and not settings.turning:
@@ -80,14 +81,14 @@ def chosen_model(
         found = _compared(left_out, f"models-{len(taken)}", now.block, candidates, its)
         in_vain |= found.in_vain
         left = {
-            name: model.median_px if its.solved is None else model.beside(its)[0] * now_px
+            name: model.median_px if its.solved is None else model.compared_to(its)[0] * now_px
             for name, model in found.judged.items()
         }
         left_px |= {"+".join((*taken, name)): px for name, px in left.items()}
         contradicted += ["+".join((*taken, name)) for name in found.contradicted]
         if not found.better:
             break
-        least = found.judged[min(found.better, key=lambda name: found.judged[name].beside(its)[0])]
+        least = found.judged[min(found.better, key=lambda name: found.judged[name].compared_to(its)[0])]
         best = next(name for name in found.better if not least.beats(found.judged[name]))
         taken, its, now_px = (*taken, best), found.judged[best], left[best]
         now = replace(candidates[best], before=its.solved or now.before)
@@ -116,7 +117,7 @@ def _compared(
     """Candidates some steps from the solution so far. Solved are the simplest that none is better than by
     these steps, and a simpler one if it may do as well; then others as long as these are rejected."""
     judged = left_out.expected(f"{name}-tested", candidates) if candidates else {}
-    share = {n: test.beside(its)[0] for n, test in judged.items()}
+    share = {n: test.compared_to(its)[0] for n, test in judged.items()}
     may_win = [n for n in candidates if share[n] < _MAY_WIN]
     out = _Compared(judged, [], [], set())
     while may_win and not out.better:
@@ -154,8 +155,8 @@ def _in_vain(block: Block, its: Judged) -> bool:
         return False
     number = {c.name: k for k, c in enumerate(its.solved.cameras)}
     asked = [number[c.name] for c in block.cameras if not c.readout_s]
-    held = its.solved.held[: len(number) * len(INTERIOR)].reshape(-1, len(INTERIOR))
-    return bool(held[asked, READOUT].all())
+    fixed = its.solved.fixed[: len(number) * len(INTERIOR)].reshape(-1, len(INTERIOR))
+    return bool(fixed[asked, READOUT].all())
 
 
 def with_readout(block: Block, settings: Settings) -> tuple[Block, Settings]:

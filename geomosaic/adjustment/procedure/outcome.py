@@ -50,7 +50,7 @@ def unplaced_parts(block: Block) -> list[list[int]]:
 class Findings:
     """What a method found besides poses. cameras, ground: None for those of the block. spread: see
     `control_residuals`; covariance (f, 6, 6): of the poses; both of methods that use control points.
-    common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; strayed: frames whose
+    common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; rejected: frames whose
     poses are rejected."""
 
     cameras: tuple[Camera, ...] | None = None
@@ -61,7 +61,7 @@ class Findings:
     covariance: Floats | None = None
     common_m2: Floats | None = None
     unsolved: tuple[int, ...] = ()
-    strayed: tuple[int, ...] = ()
+    rejected: tuple[int, ...] = ()
 
 
 def outcome(
@@ -69,11 +69,11 @@ def outcome(
 ) -> Adjusted:
     """The outcome for poses found by any method. `tied` are frames with tie points. The others, and those
     unsolved, are `placed` by POS alone and moved with the tied ones around them unless control points fix
-    them. Frames of `unplaced_parts` and those strayed are `rejected`."""
+    them. Frames of `unplaced_parts` and those rejected are `rejected`."""
     findings = findings or Findings()
     cameras, ground = findings.cameras or block.cameras, findings.ground or block.ground
     tied = {i for pair in block.ties.frames for i in pair} - set(findings.unsolved)
-    nowhere = {i for part in unplaced_parts(block) for i in part} | set(findings.strayed)
+    nowhere = {i for part in unplaced_parts(block) for i in part} | set(findings.rejected)
     status = np.array(
         ["rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))]
     )

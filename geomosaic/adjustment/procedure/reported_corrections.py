@@ -14,6 +14,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.estimation.linear import inverse, least_squares, orthonormal
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, heading_limits_rad, position_assumed
@@ -24,18 +25,12 @@ _OTHER_VELOCITY = tuned(0.1, "share of the velocity", "that justifies a new solv
 _MOST_SCALE = tuned(1.5, "times", "given by solved paths; beyond it the positions show no scale")
 _LEAST_RATES = tuned(5, "frames", "fewer: the median is chance")
 _OWN_SD_RAD_PER_S = tuned(0.012, "rad/s", "of a frame about the offset: 1 ms of delay in 10 rad/s²")
-_LEAST_HEADINGS = tuned(
-    4,
-    "frames with position and heading",
-    "of a part: with fewer, one wrong position turns it as wrong headings would",
-)
-_LEAST_HEIGHTS = tuned(4, "frames", "fewer: a drift is not separable from noise")
-_DRIFTS = tuned(3.0, "stated deviations of a height", "less is covered by the heights' own deviation")
+_LEAST_FRAMES = tuned(4, "frames", "fewer: what they have in common is not separable from one wrong frame")
 _CLEARLY = tuned(5.0, "its own deviations", "of the best of as many jumps as frames; less: chance")
 _MOST_PARTS = tuned(4, "jumps and slopes", "two batteries, a wrong barometer: two of each; more: noise")
 
 
-def flown(block: Block, poses: Poses) -> tuple[Block, bool]:
+def with_solved_velocities(block: Block, poses: Poses) -> tuple[Block, bool]:
     """The block with velocities of solved poses, and whether one differs by a tenth from the given, as after
     wrong positions, gaps and ends of lines. Their scale is that of given positions, since rolling shutters
     tie the size of the block to velocities."""
@@ -57,8 +52,6 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
     """The block with the median of the frames' own rates (a gyroscope's zero), in camera axes, added to the
     reported rotations, and settings with a narrower prior of own rates. Rates as free as the offset weaken
     small blocks."""
-    if not solved.estimate.swing_rad.shape[1] or block.poses.turns is None:
-        return block, settings
     readouts_s = np.array([c.readout_s for c in block.cameras])
     known = solved.estimate.swing_rad.any(axis=(1, 2)) & (readouts_s > 0.0)
     if known.sum() < _LEAST_RATES:
@@ -84,7 +77,7 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
     common, warnings = np.zeros(len(angle)), []
     for part in connected_parts(len(block.names), block.ties.frames):
         mine = np.array([i for i in part if known[i]], dtype=np.intp)
-        if len(mine) < _LEAST_HEADINGS:
+        if len(mine) < _LEAST_FRAMES:
             continue
         mean = np.angle(np.exp(1j * angle[mine]).sum())
         apart = np.angle(np.exp(1j * (angle[mine] - mean)))
@@ -141,11 +134,11 @@ def height_drift(block: Block, poses: Poses, frames: Ints) -> HeightDrift:
     known = set(frames[~position_assumed(block.poses)[frames]].tolist())
     order = np.array([i for i in block.sequence if i in known], dtype=np.intp)
     n = len(order)
-    if n < _LEAST_HEIGHTS:
+    if n < _LEAST_FRAMES:
         return HeightDrift(order, np.zeros(n), ())
     off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]
     off_m -= off_m.mean()
-    least_m = _DRIFTS * float(np.median(block.poses.positions_sd_m[order, 2]))
+    least_m = THREE_SIGMA * float(np.median(block.poses.positions_sd_m[order, 2]))
     parts: tuple[int, ...] = ()
     rises = np.zeros(0)
     while grown := _with_one_more(off_m, parts, least_m):

@@ -16,7 +16,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 
-UNHEARD = sourced(0.5, "share of observations", "with weight; wrong and blurred frames: less", "60 surveys")
+LEAST_COUNTED = sourced(0.5, "of the observations", "with weight; wrong, blurred frames: less", "60 surveys")
 _COUNTS = tuned(0.5, "share of a full weight", "more is no blunder")
 _OTHERS = sourced(2, "frames", "with weight for a point, without the frame itself", "rays meet from two on")
 _LEAST_POINTS = tuned(12, "points", "that agree on a pose; four determine one, so many hardly by chance")
@@ -28,7 +28,7 @@ _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
 """From camera axes with z backwards to OpenCV's with z forwards."""
 
 
-def heard_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
+def counted_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
     """Share of each frame's observations that count, (n,); NaN without any."""
     counts = np.bincount(tracks.frame, bundle.weight[: len(tracks.frame)] > _COUNTS, minlength=frames)
     with np.errstate(invalid="ignore"):

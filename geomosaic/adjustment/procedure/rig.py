@@ -80,14 +80,13 @@ def register_bands(
     of the lenses, some centimetres, acts as a rotation over level ground."""
     out = []
     survey, poses, used = captures.survey, captures.poses, captures.used
-    rig = _Rig(survey, poses, captures.cameras, captures.ground)
     for k, band in enumerate(survey.other_bands):
         there = [i for i, f in enumerate(band.frames) if f is not None and used[i]]
         some = np.unique(np.linspace(0, len(there) - 1, min(_MOST_CAPTURES, len(there))).astype(int))
         found = BandPose(band.name, band.camera, np.eye(3), 0, float("nan"), float("nan"))
         for search_px in _SEARCH_PX:
             with ThreadPoolExecutor(threads) as pool:
-                search = partial(rig.matches, band, found, search_px)
+                search = partial(_matches, captures, band, found, search_px)
                 each = list(pool.map(search, (there[j] for j in some)))
             if sum(len(ground_m) for _, ground_m, _ in each) < _LEAST_MATCHES:
                 break
@@ -103,47 +102,41 @@ def band_poses(poses: Poses, band: BandPose) -> Poses:
     return replace(poses, rotations=poses.rotations @ band.own_from_band)
 
 
-@dataclass(frozen=True)
-class _Rig:
-    survey: Survey
-    poses: Poses
-    cameras: Sequence[Camera]
-    ground: GroundSurface
+def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i: int) -> Matches:
+    """Matches of a band with frame i."""
+    window, pose = _window(captures, i), band_poses(captures.poses, so_far)[i]
+    own, own_valid = _edges(window, captures.poses[i], captures.cameras[i], captures.survey.frames[i])
+    other, other_valid = _edges(window, pose, so_far.camera, band.frames[i])
+    step_px = max(_LEAST_STEP_PX, int(np.sqrt(own.size / _PATCHES)))
+    found = measure_displacements(
+        other,
+        own,
+        other_valid,
+        own_valid,
+        patch_corners(own.shape, _PATCH_PX, step_px),
+        patch_px=_PATCH_PX,
+        search_px=search_px,
+        min_correlation=_LEAST_CORRELATION,
+        max_sd_px=_MOST_SD_PX,
+    )
+    points = window.points_m()
+    there_m = _bilinear(points, found.centres_px + found.displacement_px)
+    image_px = pose.image_from_ground(so_far.camera, there_m)
+    good = np.isfinite(image_px).all(axis=1)
+    return i, _bilinear(points, found.centres_px)[good], image_px[good]
 
-    def matches(self, band: Band, so_far: BandPose, search_px: int, i: int) -> Matches:
-        """Matches of a band with frame i."""
-        window, pose = self._window(i), band_poses(self.poses, so_far)[i]
-        own, own_valid = _edges(window, self.poses[i], self.cameras[i], self.survey.frames[i])
-        other, other_valid = _edges(window, pose, so_far.camera, band.frames[i])
-        step_px = max(_LEAST_STEP_PX, int(np.sqrt(own.size / _PATCHES)))
-        found = measure_displacements(
-            other,
-            own,
-            other_valid,
-            own_valid,
-            patch_corners(own.shape, _PATCH_PX, step_px),
-            patch_px=_PATCH_PX,
-            search_px=search_px,
-            min_correlation=_LEAST_CORRELATION,
-            max_sd_px=_MOST_SD_PX,
-        )
-        points = window.points_m()
-        there_m = _bilinear(points, found.centres_px + found.displacement_px)
-        image_px = pose.image_from_ground(so_far.camera, there_m)
-        good = np.isfinite(image_px).all(axis=1)
-        return i, _bilinear(points, found.centres_px)[good], image_px[good]
 
-    def _window(self, i: int) -> GroundWindow:
-        """The map window of frame i at its ground sampling distance."""
-        survey, pose, camera = self.survey, self.poses[i], self.cameras[i]
-        border = ground_from_image(pose, camera, self.ground, camera.border_px())
-        geodetic = survey.work_frame.geodetic_from_enu(border[np.isfinite(border).all(axis=1)])
-        on_map = MapProjection(survey.map_crs).map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
-        gsd_m = ground_sampling_distance_m(pose, camera, self.ground)
-        west, south = on_map.min(axis=0)
-        east, north = on_map.max(axis=0)
-        size = int((east - west) / gsd_m) + 1, int((north - south) / gsd_m) + 1
-        return ground_window(survey.map_crs, survey.work_frame, self.ground, west, north, gsd_m, *size)
+def _window(captures: Captures, i: int) -> GroundWindow:
+    """The map window of frame i at its ground sampling distance."""
+    survey, pose, camera = captures.survey, captures.poses[i], captures.cameras[i]
+    border = ground_from_image(pose, camera, captures.ground, camera.border_px())
+    geodetic = survey.work_frame.geodetic_from_enu(border[np.isfinite(border).all(axis=1)])
+    on_map = MapProjection(survey.map_crs).map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
+    gsd_m = ground_sampling_distance_m(pose, camera, captures.ground)
+    west, south = on_map.min(axis=0)
+    east, north = on_map.max(axis=0)
+    size = int((east - west) / gsd_m) + 1, int((north - south) / gsd_m) + 1
+    return ground_window(survey.map_crs, survey.work_frame, captures.ground, west, north, gsd_m, *size)
 
 
 def _edges(

@@ -15,7 +15,7 @@ from geomosaic.camera.rotation import exp_turn, log_turn
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import cholesky, solve
-from geomosaic.estimation.robust import irls, lie_weight
+from geomosaic.estimation.robust import irls, redescending_weight
 from geomosaic.placement.prior import heading_assumed, position_assumed
 
 _NEAREST = tuned(100, "tied frames", "about an untied one; the time grows with the cube")
@@ -105,7 +105,7 @@ def _noise(base: Floats, trend: Floats, values: Floats, stated: Floats) -> Float
     def weigh(left: Floats) -> Floats:
         length = np.linalg.norm(left, axis=1) / stated
         noise = max(float(np.median(length)) / (MEDIAN_LENGTH if c == 2 else MEDIAN_ONE), _LEAST_NOISE)
-        return np.asarray((lie_weight(length / noise) / stated**2)[:, None])
+        return np.asarray((redescending_weight(length / noise) / stated**2)[:, None])
 
     if k <= 2:
         return stated**2

@@ -30,7 +30,7 @@ def undetermined(problem: BlockProblem, at: Estimate, components: Components) ->
     layout = at.layout
     many = len(problem.tracks.frame) / (_INFORMATIVE * len(at.positions_m))
     wider = components.also({IMAGE: _ERRORS_ALIKE * max(1.0, float(np.sqrt(many))) * components[IMAGE]})
-    shared = reduce_normals(replace(problem, held=None).normals(at, wider)).shared_covariance()
+    shared = reduce_normals(replace(problem, fixed=None).normals(at, wider)).shared_covariance()
     sd = np.where(layout.optional, layout.sd, 0.0)
     free = np.flatnonzero(sd > 0.0)
     try:
@@ -60,7 +60,7 @@ def with_unreported_readouts(
     unreported = np.array([0.0 if c.readout_s else c.readout_sd_s for c in problem.cameras])
     unreported[layout.of_readouts(layout.sd) > 0.0] = 0.0
     moving = problem.image.reported.velocities_m_per_s is not None
-    if not moving or problem.held is None or not unreported.any():
+    if not moving or problem.fixed is None or not unreported.any():
         return problem, none
     readouts = np.arange(len(none)) * at.interior.shape[1] + READOUT
     free = _with_readout_sd(problem, layout.of_readouts(layout.sd) + unreported)
@@ -70,9 +70,9 @@ def with_unreported_readouts(
     own_s = np.sqrt(np.diag(reduced.covariance()[1])[readouts])
     asked = unreported > 0.0
     sd_s = np.where(asked, np.hypot(step_s, own_s), layout.of_readouts(free.layout.sd))
-    held = problem.held.copy()
-    held[readouts] |= asked
-    return replace(_with_readout_sd(problem, sd_s), held=held), np.where(asked, step_s / own_s, 0.0)
+    fixed = problem.fixed.copy()
+    fixed[readouts] |= asked
+    return replace(_with_readout_sd(problem, sd_s), fixed=fixed), np.where(asked, step_s / own_s, 0.0)
 
 
 def _with_readout_sd(problem: BlockProblem, sd_s: Floats) -> BlockProblem:

@@ -148,7 +148,7 @@ def _determined(solution: Solution) -> float:
     """How many numbers of the lenses the images determine, undetermined ones counted in part."""
     layout = solution.estimate.layout
     prior, sd = layout.sd[layout.interior], solution.stated.shared_sd[layout.interior]
-    free = (prior > 0.0) & ~solution.held[layout.interior]
+    free = (prior > 0.0) & ~solution.fixed[layout.interior]
     return float(np.maximum(1.0 - (sd[free] / prior[free]) ** 2, 0.0).sum())
 
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import UnknownLayout, Unknowns
+from geomosaic.adjustment.problem.estimate import Estimate, UnknownLayout, Unknowns
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
@@ -26,7 +25,7 @@ KNOWN = tuned(1e-6, "px, rad, m or s, or share of a deviation", "of known number
 class BlockProblem:
     """What is minimised: the cost of the image observations, of each term, and of the shared unknowns'
     priors. interior: each camera's unknowns. points: prior coordinates. frames: observations of the poses.
-    terrain: a surface under the tie points. held (s,): shared unknowns that keep their prior values.
+    terrain: a surface under the tie points. fixed (s,): shared unknowns that keep their prior values.
     clearance_m (f,): the least distance of each frame's points."""
 
     image: ImageObservations
@@ -34,7 +33,7 @@ class BlockProblem:
     points: PointCoordinates
     frames: tuple[FrameTerm, ...]
     terrain: Terrain | None
-    held: Bools | None = None
+    fixed: Bools | None = None
     clearance_m: Floats | None = None
 
     @property
@@ -87,11 +86,12 @@ class BlockProblem:
         )
 
     def known(self, layout: UnknownLayout) -> Bools:
-        """Which shared unknowns are known or held, (s,)."""
-        return np.asarray((layout.sd == 0.0) if self.held is None else (layout.sd == 0.0) | self.held)
+        """Which shared unknowns are known or fixed, (s,)."""
+        return np.asarray((layout.sd == 0.0) if self.fixed is None else (layout.sd == 0.0) | self.fixed)
 
     def shared_sd(self, layout: UnknownLayout) -> Floats:
-        """Prior deviations of the shared unknowns, (s,): next to nothing for those that are known or held."""
+        """Prior deviations of the shared unknowns, (s,): next to nothing for those that are known or
+        fixed."""
         sd = layout.sd
         return np.where(self.known(layout), KNOWN * np.where(sd == 0.0, 1.0, sd), sd)
 

@@ -52,7 +52,7 @@ def wandering(reduced: Reduced, stand: float) -> Ints:
     return np.flatnonzero(off > stand**2)
 
 
-def settled_points(
+def converged_points(
     problem: BlockProblem, at: Estimate, components: Components, which: Ints, stand: float
 ) -> Estimate:
     """The estimate with some points brought within `stand` deviations of their minimum, by Newton's steps of
@@ -68,11 +68,11 @@ def settled_points(
     cuts = np.unique(np.searchsorted(ends, np.arange(AT_ONCE, len(seen), AT_ONCE)))
     cuts = cuts[cuts < len(which)]
     for some, its in zip(np.split(which, cuts), np.split(seen, ends[cuts]), strict=True):
-        points_m[some] = _settled(_Own(problem, at, components, some, its), points_m[some], stand)
+        points_m[some] = _converged(_Own(problem, at, components, some, its), points_m[some], stand)
     return replace(at, points_m=points_m)
 
 
-def _settled(own: _Own, begun_m: Floats, stand: float) -> Floats:
+def _converged(own: _Own, begun_m: Floats, stand: float) -> Floats:
     """Where some points (n, 3) come to."""
     points = here = begun_m
     place, share = np.arange(len(here)), np.ones(len(here))

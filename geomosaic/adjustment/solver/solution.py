@@ -9,8 +9,7 @@ import numpy as np
 from geomosaic.adjustment.kernels.interior import interior_of
 from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import SharedUnknowns, SolveStep
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import UnknownLayout
+from geomosaic.adjustment.problem.estimate import Estimate, UnknownLayout
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Bools, Floats
@@ -41,8 +40,8 @@ def stated_accuracy(problem: BlockProblem, at: Estimate, components: Components)
     """By the normal equations at a solution. Raises: NotSolvableError where they have no solution."""
     layout = at.layout
     solved = reduced = reduce_normals(problem.normals(at, components))
-    if problem.held is not None and problem.held.any():
-        reduced = reduced.considering(np.where(problem.held, layout.sd, 0.0) ** 2)
+    if problem.fixed is not None and problem.fixed.any():
+        reduced = reduced.considering(np.where(problem.fixed, layout.sd, 0.0) ** 2)
     covariance, shared = reduced.covariance()
     covariance = covariance[:, :6, :6]
     before = np.column_stack([term.sd(components) for term in problem.frames[:2]])
@@ -71,7 +70,7 @@ class Start:
     cameras: tuple[Camera, ...]
     estimate: Estimate
     components: Components
-    held: Bools
+    fixed: Bools
     local: Floats | None
 
     @property
@@ -91,12 +90,12 @@ class Start:
     def shared_in(self, layout: UnknownLayout) -> tuple[Floats, Bools]:
         """Values of the shared unknowns and whether they are fixed, by name in the order of another layout;
         prior values where unknown."""
-        values, held = layout.given.copy(), np.zeros(layout.size, dtype=bool)
+        values, fixed = layout.given.copy(), np.zeros(layout.size, dtype=bool)
         for name, mine in self.estimate.layout.slices.items():
             its = layout.slices.get(name)
             if its is not None:
-                values[its], held[its] = self.estimate.shared[mine], self.held[mine]
-        return values, held
+                values[its], fixed[its] = self.estimate.shared[mine], self.fixed[mine]
+        return values, fixed
 
 
 @dataclass(frozen=True)
@@ -144,5 +143,5 @@ class Solution(Start):
             found=self.estimate.shared[rows] / unit,
             sd=self.stated.shared_sd[rows] / unit,
             correlation=self.stated.shared_correlation[np.ix_(rows, rows)],
-            held=self.held[rows],
+            held=self.fixed[rows],
         )

@@ -19,9 +19,9 @@ from geomosaic.adjustment.solver.steps import (
     Progress,
     converged,
     first_steps,
-    settle,
+    iterate,
     with_components,
-    with_held,
+    with_fixed,
 )
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
@@ -83,33 +83,33 @@ def _solved(
     problem: BlockProblem, poses: Poses, start: Start | None, options: SolveOptions, left_out: Bools
 ) -> Solution:
     """The solution with all unknowns that the block determines."""
-    at, held = _first_estimate(problem, poses, start)
+    at, fixed = _first_estimate(problem, poses, start)
     problem = problem.without(left_out, at)
-    settled = (
+    image_converged = (
         start is not None and options.same_model and start.estimate.swing_rad.shape == at.swing_rad.shape
     )
-    components = start.components if start is not None and settled else _first_components(problem, at)
+    components = start.components if start is not None and image_converged else _first_components(problem, at)
     if start is None:
-        held = at.layout.optional & (not options.self_calibration)
+        fixed = at.layout.optional & (not options.self_calibration)
     elif start.local is not None:
         problem = replace(problem, image=replace(problem.image, local=start.local))
     problem = replace(problem, clearance_m=clearances_m(problem.tracks, at.positions_m, at.points_m))
-    implausible, may_free = np.zeros_like(held), start is not None and options.self_calibration
+    implausible, may_free = np.zeros_like(fixed), start is not None and options.self_calibration
     progress = Progress(problem, at, components)
     while True:
-        progress = with_held(replace(progress, problem=replace(progress.problem, held=held)))
-        progress = settle(progress, rough=True, settled=settled)
+        progress = with_fixed(replace(progress, problem=replace(progress.problem, fixed=fixed)))
+        progress = iterate(progress, rough=True, image_converged=image_converged)
         problem, at = progress.problem, progress.at
         implausible = implausible | implausible_principal_points(at, problem.cameras)
         more = implausible | undetermined(problem, at, progress.components)
-        more = more if may_free else held | more
-        if np.array_equal(more, held):
+        more = more if may_free else fixed | more
+        if np.array_equal(more, fixed):
             break
-        held, may_free = more, False
+        fixed, may_free = more, False
     if not options.rough:
-        progress = settle(progress, rough=False, settled=True)
+        progress = iterate(progress, rough=False, image_converged=True)
     last = options.last and not options.rough
-    return replace(_at_last(progress) if last else _finished(progress), implausible=implausible, held=held)
+    return replace(_at_last(progress) if last else _finished(progress), implausible=implausible, fixed=fixed)
 
 
 def _at_last(progress: Progress) -> Solution:
@@ -124,40 +124,40 @@ def last_steps(begun: Solution) -> Solution:
     """The fully converged solution from one of a solve that was not the `last`. Raises: NotSolvableError
     where the equations have no solution."""
     solved = _at_last(Progress(begun.problem, begun.estimate, begun.components))
-    return replace(solved, implausible=begun.implausible, held=begun.held)
+    return replace(solved, implausible=begun.implausible, fixed=begun.fixed)
 
 
 def few_steps(problem: BlockProblem, start: Start) -> Start:
     """A few steps from a solution of another model, the first of them that of a score test (Rao 1948).
     Residuals weigh by their present median and priors as stated; then variance components are estimated once.
     Raises: NotSolvableError where the equations have no solution."""
-    at, held = _first_estimate(problem, start.poses, start)
+    at, fixed = _first_estimate(problem, start.poses, start)
     components = _first_components(problem, at)
     as_before = components.also({IMAGE: start.components[IMAGE]})
-    held = held & undetermined(problem, at, as_before)
-    problem = replace(problem, held=held)
+    fixed = fixed & undetermined(problem, at, as_before)
+    problem = replace(problem, fixed=fixed)
     progress = with_components(Progress(problem.reweighted(at, components), at, components))
     progress = first_steps(progress)
     at = progress.at
     poses = replace(problem.image.reported, positions_m=at.positions_m, rotations=at.rotations)
     poses = _with_rows_read(poses, problem, at)
-    return Start(poses, _cameras(problem, at), at, progress.components, held, None)
+    return Start(poses, _cameras(problem, at), at, progress.components, fixed, None)
 
 
 def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) -> tuple[Estimate, Bools]:
     """The initial estimate, and which shared unknowns are fixed."""
     layout, frames = problem.layout, len(poses)
-    shared, held = layout.given.copy(), np.zeros(layout.size, dtype=bool)
+    shared, fixed = layout.given.copy(), np.zeros(layout.size, dtype=bool)
     points_m = problem.points.given_m
     if start is not None:
-        (shared, held), points_m = start.shared_in(layout), start.points_m
+        (shared, fixed), points_m = start.shared_in(layout), start.points_m
     terms = next((t.terms for t in problem.frames if isinstance(t, RollingShutterRotation)), 0)
     swing_rad, drift = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
     if start is not None and terms:
         same = min(terms, start.estimate.swing_rad.shape[1])
         swing_rad[:, :same], drift = start.estimate.swing_rad[:, :same], start.estimate.drift
     positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
-    return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift), held
+    return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift), fixed
 
 
 def _first_components(problem: BlockProblem, at: Estimate) -> Components:
@@ -180,7 +180,7 @@ def _finished(progress: Progress) -> Solution:
         cameras=_cameras(problem, at),
         estimate=at,
         components=components,
-        held=np.zeros(at.layout.size, dtype=bool) if problem.held is None else problem.held,
+        fixed=np.zeros(at.layout.size, dtype=bool) if problem.fixed is None else problem.fixed,
         local=image.local,
         problem=problem,
         points_sd_m=deviations(points_m2, problem.points.sd_m),

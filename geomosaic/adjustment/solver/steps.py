@@ -11,13 +11,13 @@ from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_norma
 from geomosaic.adjustment.model import SolveStep
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.solver.single_points import settled_points, too_near, wandering
+from geomosaic.adjustment.solver.single_points import converged_points, too_near, wandering
 from geomosaic.adjustment.solver.variance_components import local_factors, variance_components
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import share_down_weighted
 
@@ -34,13 +34,8 @@ class _Stop:
     point: float
 
 
-_ROUGH = tuned(_Stop(1e-3, 0.3, 0.0, 0.1), "shares, deviations", "more: components before lenses settle")
-_FINE = sourced(
-    _Stop(1e-7, 0.01, 0.015, 0.01),
-    "shares, deviations",
-    "0.02 leaves 0.08 deviations",
-    "tests/adjustment/test_bundle_oracle.py",
-)
+_ROUGH = tuned(_Stop(1e-3, 0.3, 0.0, 0.1), "shares, deviations", "more: components before lenses iterate")
+_FINE = tuned(_Stop(1e-7, 0.01, 0.015, 0.01), "shares, deviations", "a step of 0.02 leaves 0.08 deviations")
 _FIRST = tuned(_Stop(1e-3, np.inf, 0.0, 0.1), "shares, deviations", "of steps that test a model: no damping")
 _FIRST_STEPS = tuned(4, "steps", "of a test, before and after variance components; fewer lose far models")
 _STANDS = tuned(0.03, "share of a variance component", "a dozen frames know it to a third")
@@ -68,7 +63,7 @@ class Progress:
         return self.problem.cost(self.at, self.components)
 
 
-def with_held(progress: Progress) -> Progress:
+def with_fixed(progress: Progress) -> Progress:
     """Fixed unknowns at their prior values; the others follow to first order, where that lowers the cost."""
     problem, at = progress.problem, progress.at
     known = problem.known(at.layout)
@@ -87,25 +82,27 @@ def with_held(progress: Progress) -> Progress:
     return alone
 
 
-def settle(progress: Progress, *, rough: bool, settled: bool) -> Progress:
-    """Iterates until unknowns, robust weights and variance components have converged. settled: the image's
-    component is taken as converged."""
+def iterate(progress: Progress, *, rough: bool, image_converged: bool) -> Progress:
+    """Iterates until unknowns, robust weights and variance components have converged. image_converged: the
+    image's component is taken as converged."""
     for k in range(_ROUNDS):
         problem = progress.problem.reweighted(progress.at, progress.components)
         most = _STEPS_BETWEEN if k else _MOST_STEPS
         progress, reduced = _converge(replace(progress, problem=problem), most, _ROUGH)
         problem, at = progress.problem, progress.at
-        if settled:
+        if image_converged:
             image = problem.image
             counts = ~image.by_hand & image.used
             local = local_factors(image.tracks, at.points_m, image.lengths_px(at), counts)
             problem = replace(problem, image=replace(image, local=local))
-        found = variance_components(problem, at, progress.components, reduced, image_only=not settled)
+        components, image_change, other_change = variance_components(
+            problem, at, progress.components, reduced, image_only=not image_converged
+        )
         del reduced  # the next ones take as much
-        progress = replace(progress, problem=problem, components=found.components)
-        if settled and max(found.image_change, found.other_change) < (_ROUGHLY if rough else _STANDS):
+        progress = replace(progress, problem=problem, components=components)
+        if image_converged and max(image_change, other_change) < (_ROUGHLY if rough else _STANDS):
             break
-        settled = found.image_change < 0.1
+        image_converged = image_change < 0.1
     return progress
 
 
@@ -123,8 +120,8 @@ def with_components(progress: Progress) -> Progress:
     """After a few steps, with all variance components by the residuals then."""
     progress, reduced = _converge(progress, _FIRST_STEPS, _FIRST)
     problem, at = progress.problem, progress.at
-    found = variance_components(problem, at, progress.components, reduced, image_only=False)
-    return replace(progress, components=found.components)
+    components, *_ = variance_components(problem, at, progress.components, reduced, image_only=False)
+    return replace(progress, components=components)
 
 
 def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Reduced]:
@@ -148,7 +145,7 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
             whole = damping == 0.0
             alone = wandering(reduced, stop.point) if whole else np.zeros(0, np.intp)
             for share in _SHARES if whole else _SHARES[:1]:
-                trial = settled_points(problem, at.stepped(step, share), components, alone, stop.point)
+                trial = converged_points(problem, at.stepped(step, share), components, alone, stop.point)
                 trial = _cleared(problem, at, trial)
                 trial_cost = problem.cost(trial, components)
                 if trial_cost < cost:

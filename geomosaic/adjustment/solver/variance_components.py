@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import digamma, polygamma
@@ -12,13 +10,13 @@ from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.terms.control_precision import (
+from geomosaic.adjustment.terms.image_observations import CONTROL_IMAGE, IMAGE
+from geomosaic.adjustment.terms.point_coordinates import (
     CONTROL_HEIGHT,
     CONTROL_PLAN,
     control_components,
     intersection_residuals,
 )
-from geomosaic.adjustment.terms.image_observations import CONTROL_IMAGE, IMAGE
 from geomosaic.adjustment.terms.term import Component, Components
 from geomosaic.adjustment.terms.terrain import surface_share
 from geomosaic.arrays import Bools, Floats
@@ -27,7 +25,7 @@ from geomosaic.estimation.linear import least_squares
 
 _NEIGHBOURS = tuned(8, "points", "fewer: chance; more: they reach beyond a crown")
 _FEWEST = tuned(100, "points", "of a block; fewer: places cannot be distinguished")
-_LEAST_PX = tuned(1e-4, "px", "of a point's residuals, so that exact ones have a logarithm")
+EXACT_PX = tuned(1e-4, "px", "of a point's residuals, so that exact ones have a logarithm")
 _TIMES = tuned((0.5, 4.0), "times its own change", "beyond: chance where unknowns are still on their way")
 
 
@@ -48,7 +46,7 @@ def local_factors(tracks: Tracks, points_m: Floats, length_px: Floats, counts: B
     if len(known) < _FEWEST:
         return out
     freedom = 2.0 * views[known] - 3.0
-    found = np.log(np.maximum(squares[known] / freedom, _LEAST_PX**2))
+    found = np.log(np.maximum(squares[known] / freedom, EXACT_PX**2))
     found -= digamma(freedom / 2.0) - np.log(freedom / 2.0)
     weight = 1.0 / polygamma(1, freedom / 2.0)
     near = cKDTree(points_m[known, :2]).query(points_m[known, :2], k=_NEIGHBOURS)[1]
@@ -59,22 +57,14 @@ def local_factors(tracks: Tracks, points_m: Floats, length_px: Floats, counts: B
     return out
 
 
-@dataclass(frozen=True)
-class FoundComponents:
-    """Components, and the largest relative changes of those of images and control, and of all others."""
-
-    components: Components
-    image_change: float
-    other_change: float
-
-
 def variance_components(
     problem: BlockProblem, at: Estimate, before: Components, reduced: Reduced, *, image_only: bool
-) -> FoundComponents:
-    """The components by residuals and redundancy (Foerstner 1979), those of the frames' observations by
-    Newton's step. These wait until the image's has converged (image_only), else they would take up what the
-    poses have not yet reached. Residuals that all frames of a part have in common do not count. Args:
-    reduced: the equations of the last step, whose redundancies count."""
+) -> tuple[Components, float, float]:
+    """The components by residuals and redundancy (Foerstner 1979), and the largest relative changes of those
+    of images and control, and of all others. Those of the frames' observations, found by Newton's step, wait
+    until the image's has converged (image_only), else they would take up what the poses have not yet reached.
+    Residuals that all frames of a part have in common do not count. Args: reduced: the equations of the last
+    step, whose redundancies count."""
     covariance, shared = reduced.covariance()
     variances = np.diagonal(covariance, axis1=1, axis2=2)
     determined = surface_share(reduced.normals, reduced.points_inverse)
@@ -92,11 +82,11 @@ def variance_components(
     names = IMAGE, CONTROL_IMAGE, CONTROL_PLAN, CONTROL_HEIGHT
     image_change = max(abs(float(np.log(before[name] / after[name]))) for name in names)
     if image_only:
-        return FoundComponents(after, image_change, 0.0)
+        return after, image_change, 0.0
     found = [c for term in problem.frames for c in term.components(at, after, variances)]
     followed = _followed(problem, at, after, found, (reduced, covariance))
     others, change = _ahead(found, before, followed)
-    return FoundComponents(after.also(others), image_change, change)
+    return after.also(others), image_change, change
 
 
 def _ahead(found: list[Component], before: Components, followed: Floats) -> tuple[dict[str, float], float]:

@@ -8,8 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.adjustment.problem.estimate import Estimate, Unknowns
 from geomosaic.adjustment.terms.frame_components import FrameGroup, common_mean, robust_weights
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm

@@ -10,11 +10,10 @@ import numpy as np
 
 from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY, Component
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced, tuned
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
 from geomosaic.estimation.linear import least_squares
-from geomosaic.estimation.robust import credible, lie_weight, median_of_known
+from geomosaic.estimation.robust import STRONG, credible, median_of_known, redescending_weight
 
-_STRONG = sourced(20.0, "times likelier", "strong evidence of a slope", "Kass and Raftery 1995, section 3.2")
 PRIOR_FACTORS = tuned((0.1, 10.0), "times the stated deviation", "beyond: tags are not what they claim")
 _A_LITTLE = tuned(1.01, "times a factor", "by which its slope is found by difference")
 
@@ -30,8 +29,8 @@ class RobustFit(NamedTuple):
 def robust_fit(
     design: Floats, residuals: Floats, sd: Floats, rounds: int = 10, rcond: float = 1e-10
 ) -> RobustFit:
-    """Least squares re-weighted from the median residual on; residuals count by `lie_weight` of their lengths
-    over the median one. Args: design (k, n, q), residuals and sd (k, n)."""
+    """Least squares re-weighted from the median residual on; residuals count by `redescending_weight` of
+    their lengths over the median one. Args: design (k, n, q), residuals and sd (k, n)."""
     k, n, q = design.shape
     typical = MEDIAN_LENGTH if n == 2 else MEDIAN_ONE
     fitted, found = np.zeros((k, n)) + np.median(residuals, axis=0), np.zeros(q)
@@ -39,7 +38,7 @@ def robust_fit(
     for _ in range(rounds):
         length = np.linalg.norm((residuals - fitted) / sd, axis=1)
         bulk = max(float(np.median(length)) / typical, 1e-9)
-        weight = np.sqrt(lie_weight(length / bulk))[:, None] / sd
+        weight = np.sqrt(redescending_weight(length / bulk))[:, None] / sd
         rows = (design * weight[:, :, None]).reshape(n * k, q)
         scale = np.linalg.norm(rows, axis=0) + 1e-12
         found = least_squares(rows / scale, (residuals * weight).ravel(), rcond=rcond) / scale
@@ -72,7 +71,7 @@ def common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> 
     squares = [float((((miss_m - its) * weight) ** 2).sum()) for its in (level, plane)]
     evidence = 0.5 * len(at_m) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) - np.log(len(at_m))
     steep = np.arctan(np.hypot(*fit.parameters[1:])) > may_rad
-    return np.asarray(level if steep or evidence <= np.log(_STRONG) else plane)
+    return np.asarray(level if steep or evidence <= np.log(STRONG) else plane)
 
 
 def common_mean(miss: Floats, sd: Floats) -> float:
@@ -137,5 +136,5 @@ def robust_weights(
         length = np.linalg.norm(standardised[:, columns], axis=1)
         typical = MEDIAN_LENGTH if len(columns) == 2 else MEDIAN_ONE
         bulk = max(1.0, median_of_known(length[tied[observed[tied, columns[0]]]]) / typical)
-        out[:, columns] = lie_weight(length / bulk)[:, None]
+        out[:, columns] = redescending_weight(length / bulk)[:, None]
     return out

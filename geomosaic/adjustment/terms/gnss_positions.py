@@ -8,8 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.adjustment.problem.estimate import Estimate, Unknowns
 from geomosaic.adjustment.terms.frame_components import (
     FrameGroup,
     common_similarity,
@@ -25,7 +24,7 @@ from geomosaic.constants import sourced, tuned
 
 HORIZONTAL, VERTICAL = "horizontal", "vertical"
 LEVER_ARM, DELAY, OFFSET = "lever arm", "GNSS delay", "common offset"
-_ANYWHERE_M = tuned(1e3, "m", "deviation of a left-out frame; more: the equations lose their digits")
+ANYWHERE_M = tuned(1e3, "m", "deviation of what is not known; more: the equations lose their digits")
 LEVER_ARM_SD_M = tuned(0.5, "m", "lever arms of small drones; less: one that is asked for is held")
 DELAY_SD_S = tuned(1.0, "s", "by which positions are late; less: one that is asked for is held")
 _OF_SIMILARITY = sourced(4.0, "unknowns", "that positions of a part have in common in plan", "similarity")
@@ -135,6 +134,6 @@ class GnssPositions(FrameTerm):
         reported = replace(
             self.reported,
             positions_m=np.where(stay, at.positions_m, self.reported.positions_m),
-            positions_sd_m=np.where(stay, np.minimum(sd_m, _ANYWHERE_M), sd_m),
+            positions_sd_m=np.where(stay, np.minimum(sd_m, ANYWHERE_M), sd_m),
         )
         return replace(self, reported=reported)

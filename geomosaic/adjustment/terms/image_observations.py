@@ -145,17 +145,9 @@ class ImageObservations:
     def normals(self, at: Estimate, components: Components) -> Normals:
         """The normal equations of the observations."""
         sightings = self.tracks.sightings(len(at.positions_m), len(at.points_m))
-        n = build_normals(
-            *(sightings, self.camera_of, at.interior.shape, self.linearised(at, components)),
-            terms=at.swing_rad.shape[1],
-        )
-        q = at.layout.platform_size
-        return replace(
-            n,
-            pose_mounting=np.zeros((*n.pose_side.shape, q)),
-            mounting=np.zeros((q, q)),
-            mounting_side=np.zeros(q),
-        )
+        counts = (*at.interior.shape, at.layout.platform_size)
+        linearised = self.linearised(at, components)
+        return build_normals(sightings, self.camera_of, counts, linearised, at.swing_rad.shape[1])
 
     def projections(self, at: Estimate, rows_px: Floats | None = None) -> Projections:
         """The points in the frames that see them; rolling shutters at rows_px (m,), or the measured rows."""
@@ -213,7 +205,7 @@ class ImageObservations:
 
 def _scale_px(error_px: Floats, shown: Floats, redundancy: float, first_px: float) -> float:
     """The scale of Student's distribution of errors with this redundancy; NaN count as beyond all."""
-    error_px, scale_px = np.nan_to_num(error_px, nan=1e6 * first_px), first_px
+    error_px, scale_px = np.nan_to_num(error_px, nan=BEHIND * first_px), first_px
     for _ in range(_SCALINGS):
         error = error_px / scale_px
         squares = float((shown * student_weight(error) * error**2).sum()) / INFORMATION

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.adjustment.kernels.interior import INTERIOR, PRINCIPAL, interior_of
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.adjustment.problem.estimate import Estimate, Unknowns
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
@@ -22,11 +21,9 @@ _LENS_SD: dict[str, tuple[float, float, float, float, float]] = tuned(
 )
 _FOCAL_SD = tuned(0.005, "share of the focal length", "of a calibrated one, where none is stated")
 WIDE_FOCAL = tuned(0.1, "share of the focal length", "more: it was assumed; tags that agree are good to 0.05")
-_WIDE_DISTORTION = sourced(
-    4.0, "times a lens's own deviations", "of radial terms under an assumed focal length", "-0.39: OpenSfM"
-)
+_WIDE_DISTORTION = sourced(4.0, "deviations", "of radial terms, with an assumed focal", "OpenSfM: -0.39")
 _PRINCIPAL_SD = tuned((0.003, 0.01), "share of the longer side", "more: it takes up how frames rotate")
-_READOUT_SD_S = tuned(0.05, "s", "of a readout that nothing reports: small cameras take 0.01 to 0.1 s")
+NOMINAL_READOUT_S = tuned(0.05, "s", "unreported readout and its deviation: small cameras: 0.01 to 0.1 s")
 
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
@@ -44,7 +41,7 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
         corner = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px
         lens = np.minimum(lens, camera.distortion_sd / camera.lens.shares(corner))
     about_s = camera.readout_sd_s if camera.readout_s else 0.0
-    return np.array([focal, principal, principal, *lens, about_s or (_READOUT_SD_S if readout else 0.0)])
+    return np.array([focal, principal, principal, *lens, about_s or (NOMINAL_READOUT_S if readout else 0.0)])
 
 
 def part_of_camera(name: str) -> str:

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
 
+from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.kernels.normal_equations import Normals
+from geomosaic.adjustment.model import GroundControl
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.terms.control_precision import (
-    CONTROL_HEIGHT,
-    CONTROL_PLAN,
-    control_factors,
-    control_weights,
-    intersection_residuals,
-)
+from geomosaic.adjustment.terms.frame_components import common_similarity, common_slope, robust_fit
 from geomosaic.adjustment.terms.image_observations import ImageObservations
-from geomosaic.adjustment.terms.term import Components, Term
+from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components, Term
 from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced, tuned
+from geomosaic.estimation.linear import inverse_each
+from geomosaic.estimation.robust import credible, median_of_known, redescending_weight, student_weight
+from geomosaic.survey.accuracy import POSITION
+from geomosaic.survey.model import Warn
+
+CONTROL_PLAN, CONTROL_HEIGHT = "control plan", "control height"
+LEAST_POINTS = sourced(5, "points", "fewer: no precision", "10 coordinates less 4 of a similarity")
+_COARSER = sourced(1.5, "stated deviations", "beyond: a warning", "F test at 1 %, 12 degrees: 1.48")
+_BEND = sourced(6, "numbers", "of a polynomial of the second degree: level, slope, bend", "by its definition")
+_ROUNDS = tuned(12, "rounds", "of re-weighting, which then has converged to a hundredth")
 
 
 @dataclass(frozen=True)
@@ -62,3 +71,199 @@ class PointCoordinates(Term):
         if residuals is None:
             return replace(self, weight=np.ones_like(self.sd_m))
         return replace(self, weight=control_weights(residuals, self.sd_m, components))
+
+
+@dataclass(frozen=True)
+class ControlResiduals:
+    """Surveyed minus intersected coordinates of n control points. point (n,): numbers among all points. off_m
+    (n, 3): without the part that all have in common. own_sd_m (n, 3): of the intersections. common: how many
+    numbers that part has in plan and in height. image_px: deviation of the image coordinates, by their
+    residuals at the intersections."""
+
+    point: Ints
+    off_m: Floats
+    own_sd_m: Floats
+    common: tuple[float, float]
+    image_px: float
+
+
+def control_factors(components: Components) -> Floats:
+    """Factors of the stated deviations east, north and up, (3,)."""
+    plan = components[CONTROL_PLAN]
+    return np.array([plan, plan, components[CONTROL_HEIGHT]])
+
+
+def control_components(residuals: ControlResiduals, sd_m: Floats, most_px: float) -> dict[str, float]:
+    """Factors of the stated deviations sd_m (p, 3) in plan and in height, at least 1, and the deviation of
+    the image coordinates. What all points have in common (a similarity; a height that may slope and bend)
+    does not count: it may be the block's."""
+    stated = sd_m[residuals.point]
+    plan = _factor(residuals.off_m[:, :2], stated[:, :2], residuals.own_sd_m[:, :2], residuals.common[0])
+    known, height = _height_known(stated), 1.0
+    if known.sum() >= LEAST_POINTS:
+        off, own = residuals.off_m[known, 2:], residuals.own_sd_m[known, 2:]
+        height = _factor(off, stated[known, 2:], own, residuals.common[1])
+    return {"control image": min(residuals.image_px, most_px), CONTROL_PLAN: plan, CONTROL_HEIGHT: height}
+
+
+def control_weights(residuals: ControlResiduals, sd_m: Floats, components: Components) -> Floats:
+    """Weights of the points' coordinates, (p, 3), below 1 for points that contradict the others."""
+    out = np.ones_like(sd_m)
+    sd = np.hypot(sd_m[residuals.point] * control_factors(components), residuals.own_sd_m)
+    for columns in ([0, 1], [2]):
+        length = np.linalg.norm(residuals.off_m[:, columns] / sd[:, columns], axis=1)
+        typical = MEDIAN_LENGTH if len(columns) == 2 else MEDIAN_ONE
+        bulk = max(1.0, float(np.median(length)) / typical)
+        out[residuals.point[:, None], columns] = redescending_weight(length / bulk)[:, None]
+    return out
+
+
+def with_precision(control: Sequence[GroundControl], components: Components) -> tuple[GroundControl, ...]:
+    """Control and check points with the estimated precision: they were measured alike."""
+    return tuple(replace(c, sd_m=c.sd_m * control_factors(components)) for c in control)
+
+
+def precision_figures(control: Sequence[GroundControl], components: Components) -> dict[str, float]:
+    """Median deviations of the points that took part, in m; nothing where they were too few to tell."""
+    used = np.array([c.sd_m for c in control if not c.check and c.observations]).reshape(-1, 3)
+    if len(used) < LEAST_POINTS:
+        return {}
+    found = {"control_sd_m.plan": components[CONTROL_PLAN] * float(np.median(used[:, 0]))}
+    known = _height_known(used)
+    if known.any():
+        found["control_sd_m.height"] = components[CONTROL_HEIGHT] * float(np.median(used[known, 2]))
+    return found
+
+
+def precision_warnings(control: Sequence[GroundControl], components: Components) -> list[Warn]:
+    """One line where control is less precise than stated."""
+    stated = precision_figures(control, Components())
+    found = precision_figures(control, components)
+    words = [
+        f"{found[name]:.2g} m in {name.rpartition('.')[2]} (stated {stated[name]:.2g} m)"
+        for name in found
+        if found[name] > _COARSER * stated[name]
+    ]
+    if not words:
+        return []
+    text = (
+        f"control points agree to {' and '.join(words)}: weighted by that; the map lies no surer than they do"
+    )
+    return [Warn("control-imprecise", "", text)]
+
+
+def _height_known(sd_m: Floats) -> Bools:
+    return np.asarray(sd_m[:, 2] < POSITION["none"].sd_vertical_m)
+
+
+def intersection_residuals(
+    image: ImageObservations, surveyed: PointCoordinates, at: Estimate
+) -> ControlResiduals | None:
+    """Residuals of control points, intersected from two frames or more by the present poses; None for fewer
+    than LEAST_POINTS."""
+    some = image.of(np.flatnonzero(image.by_hand & image.used))
+    if len(np.unique(some.tracks.point)) < LEAST_POINTS:
+        return None
+    point, of = np.unique(some.tracks.point, return_inverse=True)
+    points, scale_px = at.points_m.copy(), np.inf
+    for _ in range(_ROUNDS):
+        here = replace(at, points_m=points)
+        rows = some.projections_in_own_rows(here, some.computed_px(here))
+        computed, _, _, by_point = project_by_levers(rows)
+        residual = some.tracks.image_px.T - computed
+        length = np.hypot(*residual)
+        weight = np.where(np.isfinite(length), student_weight(length / scale_px), 0.0)
+        residual, by_point = (np.where(np.isfinite(length), a, 0.0) for a in (residual, by_point))
+        scale_px = max(MEASURED_SD_PX, median_of_known(length) / MEDIAN_LENGTH)
+        normal, side = np.zeros((len(point), 3, 3)), np.zeros((len(point), 3))
+        np.add.at(normal, of, np.einsum("m,aim,ajm->mij", weight, by_point, by_point))
+        np.add.at(side, of, np.einsum("m,aim,am->mi", weight, by_point, residual))
+        cofactors = inverse_each(normal)
+        step = np.einsum("pij,pj->pi", cofactors, side)
+        points = points.copy()
+        points[point] += np.where(np.isfinite(step), step, 0.0)
+    variances = np.diagonal(cofactors, axis1=1, axis2=2)
+    own_sd_m = scale_px * np.sqrt(np.where(variances > 0.0, variances, np.nan))
+    frames = np.zeros(len(point), dtype=np.intp)
+    np.add.at(frames, np.unique(np.column_stack([of, some.tracks.frame]), axis=0)[:, 0], 1)
+    good = np.isfinite(own_sd_m).all(axis=1) & np.isfinite(points[point]).all(axis=1) & (frames > 1)
+    if good.sum() < LEAST_POINTS:
+        return None
+    point, own_sd_m = point[good], own_sd_m[good]
+    at_m = points[point]
+    off_m, common_up = _without_common(surveyed, point, at_m, own_sd_m)
+    return ControlResiduals(point, off_m, own_sd_m, (4.0, common_up), scale_px)
+
+
+def _without_common(
+    surveyed: PointCoordinates, point: Ints, at_m: Floats, own_sd_m: Floats
+) -> tuple[Floats, float]:
+    """Surveyed minus intersected (n, 3) without what all points have in common, and how many numbers that has
+    in height. Unknown heights count as 0."""
+    off_m = surveyed.given_m[point] - at_m
+    sd_m = np.hypot(surveyed.sd_m[point], own_sd_m)
+    off_m[:, :2] -= common_similarity(at_m[:, :2], off_m[:, :2], sd_m[:, :2])
+    known, common_up = _height_known(surveyed.sd_m[point]), 0.0
+    if known.any():
+        slope = common_slope(at_m[known, :2], off_m[known, 2], sd_m[known, 2], surveyed.tilt_sd_rad)
+        off_m[known, 2] -= slope
+        common_up = 3.0 if np.ptp(slope) > 0.0 else 1.0
+        bend = _bend(at_m[known, :2], off_m[known, 2], sd_m[known, 2])
+        if bend is not None:
+            off_m[known, 2] -= bend
+            common_up = float(_BEND)
+    off_m[~known, 2] = 0.0
+    return off_m, common_up
+
+
+def _bend(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats | None:
+    """The polynomial of the second degree that residuals in height (k,) have in common, as a bent block
+    leaves at precise points; None with fewer than two points more than its numbers, or where it may be chance
+    (Schwarz 1978)."""
+    if len(at_m) < _BEND + 2:
+        return None
+    x, y = ((at_m - at_m.mean(axis=0)) / max(float(np.ptp(at_m, axis=0).max()), 1e-9)).T
+    design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
+    fit = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], _ROUNDS, rcond=1e-6)
+    found, weight = fit.fitted[:, 0], fit.weight[:, 0]
+    squares = [float(((its * weight) ** 2).sum()) for its in (miss_m, miss_m - found)]
+    gain = len(x) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
+    return np.asarray(found) if gain > 3.0 * np.log(len(x)) else None
+
+
+def _root(excess: Callable[[float], float]) -> float:
+    """The factor, at least 1, at which something that falls with it comes down to 1, by bisection."""
+    if not excess(1.0) > 1.0:
+        return 1.0
+    low, high = 0.0, 20.0
+    for _ in range(50):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if excess(float(np.exp(middle))) > 1.0 else (low, middle)
+    return float(np.exp(low))
+
+
+def _factor(off_m: Floats, stated_m: Floats, own_m: Floats, common: float) -> float:
+    """What stated deviations (n, c) are to be multiplied with, at least 1, so that residuals scatter as
+    stated; shrunk to 1 where that may be chance. Robust: begun from the median, points beyond three
+    deviations lose their weight."""
+    c = off_m.shape[1]
+    typical = MEDIAN_LENGTH if c == 2 else MEDIAN_ONE
+    lost = np.sqrt(off_m.size / max(off_m.size - common, 1.0))
+
+    def lengths(factor: float) -> Floats:
+        return np.asarray(np.linalg.norm(off_m / np.hypot(factor * stated_m, own_m), axis=1))
+
+    def scatter(factor: float, weight: Floats, redundancy: float) -> float:
+        return float(np.sqrt((weight * lengths(factor) ** 2).sum() / redundancy))
+
+    factor = _root(lambda f: lost * float(np.median(lengths(f))) / typical)
+    weight, redundancy = np.ones(len(off_m)), 1.0
+    for _ in range(_ROUNDS):
+        weight = redescending_weight(lengths(factor))
+        redundancy = max(float(c * weight.sum()) - common, 1.0)
+        factor = _root(partial(scatter, weight=weight, redundancy=redundancy))
+    as_stated = scatter(1.0, weight, redundancy)
+    if factor <= 1.0 or as_stated <= 1.0:
+        return 1.0
+    sure = np.log(credible(as_stated, redundancy)) / np.log(as_stated)
+    return float(factor ** np.clip(sure, 0.0, 1.0))

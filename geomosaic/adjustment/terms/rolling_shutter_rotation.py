@@ -13,17 +13,13 @@ from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY, Component, Compone
 from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
 
-RATE_SD_RAD_PER_S = sourced(
-    0.3, "rad/s", "first deviation of each function's rates; more: they take up poses", "a Sequoia: 0.26"
-)
+RATE_SD_RAD_PER_S = sourced(0.3, "rad/s", "of each function; more: they take up poses", "a Sequoia: 0.26")
 GUST_M_PER_S = tuned(0.5, "m/s", "error of a velocity; 0: chance differences set readout and scale")
 MOST_SWING = tuned(10.0, "times the first deviation", "of swings: ten times as fast is a crash")
 MOST_GUSTS = tuned(3.0, "times GUST_M_PER_S", "nothing flies a survey in stronger gusts")
 MOST_DRIFT = tuned(1.0, "times GUST_M_PER_S", "of drifts; more: climbs and tilts are confused")
 LEAST_SWING = tuned(0.02, "times the first deviation", "less: swings that shrank could not grow again")
-ALONG_VIEW: Floats = tuned(
-    np.array([1e-3, 1e-3, 1.0]), "of a drift's deviation", "where frames rotate: along the view"
-)
+ALONG_VIEW: Floats = tuned(np.array([1e-3, 1e-3, 1.0]), "of a drift's deviation", "where frames rotate")
 IMAGE_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "as velocities do")
 _STIFF = tuned(0.03, "of the largest axis's deviation", "below it an axis is held, see IMAGE_AXES")
 DRIFTS = "drift across the view", "drift along the view"

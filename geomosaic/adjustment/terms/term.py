@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
-from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.adjustment.problem.estimate import Estimate, Unknowns
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.kernels.reduced_equations import Reduced
-from geomosaic.adjustment.problem.estimate import Estimate, Step
-from geomosaic.adjustment.problem.layout import Unknowns
+from geomosaic.adjustment.problem.estimate import Estimate, Step, Unknowns
 from geomosaic.adjustment.terms.term import Components, Term
 from geomosaic.arrays import Bools, Floats
 from geomosaic.estimation.robust import cauchy_cost, cauchy_weight
