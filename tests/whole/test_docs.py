@@ -170,6 +170,14 @@ def test_the_results_page_needs_no_particular_row(tmp_path: Path) -> None:
     assert "**0 of 1**" in (tmp_path / "page.md").read_text(encoding="utf-8")
 
 
+def test_files_that_pages_name_are_there() -> None:
+    """Modules, tests and folders of the code, by their whole path or below the room that a page is about."""
+    rooms = [ROOT, ROOT / "geomosaic", ROOT / "geomosaic" / "adjustment"]
+    for page in (ROOT / "docs" / "architecture.md", *(ROOT / "docs" / "methods").glob("*.md")):
+        for name in re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.py)?)`", page.read_text(encoding="utf-8")):
+            assert any((room / name).exists() for room in rooms), f"{page.name}: {name}"
+
+
 def test_the_notebook_is_of_today() -> None:
     """Its commands parse, its cells compile, and what it reads of a run are a run's attributes."""
     notebook = json.loads((ROOT / "examples" / "notebook" / "mosaic.ipynb").read_text(encoding="utf-8"))
