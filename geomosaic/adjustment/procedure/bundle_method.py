@@ -251,7 +251,8 @@ def _readout_shown(work: Work) -> Work:
         return work
     tried = work.choice or ModelChoice((), (), ())
     choice = replace(tried, taken=(*tried.taken, "readout"), shown=True)
-    return _by_all(replace(read, choice=choice))
+    shown = _by_all(replace(read, choice=choice))
+    return work if contradicts(shown.found.solution, before) else shown
 
 
 def _accuracy_stated(work: Work) -> Work:
