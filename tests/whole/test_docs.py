@@ -170,6 +170,15 @@ def test_the_results_page_needs_no_particular_row(tmp_path: Path) -> None:
     assert "**0 of 1**" in (tmp_path / "page.md").read_text(encoding="utf-8")
 
 
+def test_the_architecture_knows_every_room() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").partition("## The rooms")[2]
+    named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\|[^|]*\|", text.partition("## ")[0], re.M))))
+    rooms = {path.parent.name for path in (ROOT / "geomosaic").glob("*/__init__.py")}
+    assert rooms <= named
+    assert all((ROOT / "geomosaic" / name).exists() or (ROOT / "geomosaic" / f"{name}.py").is_file()
+               for name in named - {"geomosaic_simulate"})  # fmt: skip
+
+
 def test_files_that_pages_name_are_there() -> None:
     """Modules, tests and folders of the code, by their whole path or below the room that a page is about."""
     rooms = [ROOT, ROOT / "geomosaic", ROOT / "geomosaic" / "adjustment"]
