@@ -13,7 +13,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import artefact_data
 from geomosaic.recording.solved import Solved
-from geomosaic.recording.tabled import warned
+from geomosaic.recording.table_figures import warned
 from geomosaic.survey.model import Survey
 
 Kind = TypeVar("Kind")

@@ -21,7 +21,7 @@ from geomosaic.matching.explanations import (
 )
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, YAW_LIES_DEG, courses_deg
-from geomosaic.recording.model import Figures, Recording
+from geomosaic.recording.model import FigureTable, Recording
 
 TURNED: Final = "frame-turned"
 HEADING: Final = "yaw-wrong"
@@ -50,8 +50,8 @@ def causes(
 
     Args: accused: codes and names of frames by the run's warnings; frames: their figures.
     """
-    placed, adjusted = (_last(recording, name) for name in ("frames.placed", "frames.adjusted"))
-    if placed is None or adjusted is None or tuple(placed.row) != tuple(adjusted.row):
+    placed, adjusted = (recording.table(name) for name in ("frames.placed", "frames.adjusted"))
+    if not placed.row or placed.row != adjusted.row:
         return []
     by_name = {f["frame"]: f for f in frames}
     mine = [by_name.get(name, {}) for name in adjusted.row]
@@ -63,18 +63,18 @@ def causes(
 
 
 def _of_headings(
-    placed: Figures, adjusted: Figures, held: Floats, accused: AbstractSet[tuple[str, str]]
+    placed: FigureTable, adjusted: FigureTable, held: Floats, accused: AbstractSet[tuple[str, str]]
 ) -> Iterator[Cause]:
     """Wrong headings and turned images."""
-    names, found_sd = adjusted.row, _column(adjusted, "sd_yaw_deg")
+    names, found_sd = adjusted.row, adjusted.column("sd_yaw_deg")
     given, found, given_sd = (
-        _column(placed, "yaw_deg"), _column(adjusted, "yaw_deg"), _column(placed, "sd_yaw_deg"),
+        placed.column("yaw_deg"), adjusted.column("yaw_deg"), placed.column("sd_yaw_deg"),
     )  # fmt: skip
     given = np.where(given_sd < COURSE_YAW_SD_DEG - 1e-9, given, np.nan)
     off = np.radians(given - found)
     if ("headings-off", "") in accused and np.isfinite(off).any():
         given = given - np.degrees(usual_angle(off[np.isfinite(off)]))
-    place = np.column_stack([_column(adjusted, "east_m"), _column(adjusted, "north_m")])
+    place = np.column_stack([adjusted.column("east_m"), adjusted.column("north_m")])
     sd_deg = np.hypot(np.maximum(YAW_LIES_DEG / 4.0, given_sd), np.nan_to_num(found_sd))
     possible = np.tile(_HALF_TURNS, (len(names), 1))
     possible[[(TURNED, name) in accused for name in names]] = True
@@ -98,18 +98,18 @@ def _of_headings(
 
 
 def _of_positions(
-    placed: Figures, adjusted: Figures, held: Floats, accused: AbstractSet[tuple[str, str]]
+    placed: FigureTable, adjusted: FigureTable, held: Floats, accused: AbstractSet[tuple[str, str]]
 ) -> Iterator[Cause]:
     """Wrong positions, of those that the run names."""
     names = adjusted.row
-    moved = np.column_stack([_column(adjusted, f"moved_{axis}_m") for axis in "en"])
+    moved = np.column_stack([adjusted.column(f"moved_{axis}_m") for axis in "en"])
     if not np.isfinite(moved).all(axis=1).any():
         return
     off_m = np.linalg.norm(moved - np.nanmedian(moved, axis=0), axis=1)
     scatter_m = float(np.nanmedian(off_m)) / MEDIAN_LENGTH
-    stated_m, found_m = _column(placed, "sd_e_m"), np.nan_to_num(_column(adjusted, "sd_e_m"))
+    stated_m, found_m = placed.column("sd_e_m"), np.nan_to_num(adjusted.column("sd_e_m"))
     sd_m = np.hypot(np.fmin(stated_m, scatter_m), found_m)
-    place = np.column_stack([_column(adjusted, "east_m"), _column(adjusted, "north_m")])
+    place = np.column_stack([adjusted.column("east_m"), adjusted.column("north_m")])
     reach_m = max(float(np.linalg.norm(np.ptp(place, axis=0))), float(np.nanmax(off_m)))
     probability = wrong_positions(off_m, sd_m, reach_m) * held
     for i, name in enumerate(names):
@@ -122,14 +122,6 @@ def how_sure(probability: float) -> str:
     word = "sure" if probability >= SURE else "likely" if probability >= LIKELY else "unsure"
     percent = np.floor(1000.0 * probability) / 10.0
     return f"{word}: {'over 99.9' if percent >= 99.9 else f'{percent:.1f}'} %"
-
-
-def _last(recording: Recording, name: str) -> Figures | None:
-    return next((t for t in reversed(recording.tables) if t.name == name), None)
-
-
-def _column(table: Figures, name: str) -> Floats:
-    return np.array(table.columns.get(name, [np.nan] * len(table.row)), dtype=np.float64)
 
 
 def _apart_deg(a: float, b: float) -> float:

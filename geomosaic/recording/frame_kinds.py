@@ -20,9 +20,11 @@ from scipy.spatial.transform import Rotation as Turn
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import opencv_terms
-from geomosaic.recording.messages import Kind, Topics, own, stamped
+from geomosaic.recording.messages import At, Kind, Topics, own, stamped
+from geomosaic.recording.model import Recording
 from geomosaic.recording.plain import as_text, json_text, topic_part
 
+THUMBNAILS = "/frames"
 MAP = "map"
 """The frame of reference of poses and points: east, north and up in metres about the work frame's origin."""
 _OPTICAL = np.diag([1.0, -1.0, -1.0])
@@ -56,7 +58,12 @@ def frame_image(frame: str, jpeg: bytes, captured_s: float | None = None) -> Top
     name = as_text(frame)
     shown = stamped(CompressedImage(frame_id=name, data=jpeg, format="jpeg"), captured_s)
     times = FrameTime(frame=name, captured_ns=shown.timestamp.ToNanoseconds())
-    yield from (("/frames", shown), ("/frames/times", times))
+    yield from ((THUMBNAILS, shown), ("/frames/times", times))
+
+
+def _take_image(recording: Recording, message: Any, at: At) -> None:
+    if recording.with_images and at.topic != THUMBNAILS:
+        recording.images.setdefault(at.topic, {})[message.frame_id] = message.data
 
 
 def location(
@@ -91,7 +98,7 @@ def location(
 def _location_of(data: bytes) -> Any:
     """A LocationFix. Recordings made until November 2026 hold it as JSON.
 
-    Raises one of `mcapfile.BROKEN`, TypeError, KeyError or AttributeError.
+    Raises one of `mcapfile.DAMAGED`.
     """
     if not data.startswith(b"{"):
         fix = LocationFix.FromString(data)
@@ -161,10 +168,22 @@ def geojson(topic: str, features: Iterable[Mapping[str, Any]]) -> Topics:
     yield topic, GeoJSON(geojson=json_text(collection))
 
 
+def _take_geojson(recording: Recording, message: Any, at: At) -> None:
+    """Names and outer rings (k, 2) of strips. Raises of `mcapfile.DAMAGED`."""
+    if at.topic == "/map/strips":
+        recording.strips_lonlat = [
+            (
+                str(feature["properties"].get("strip", "")),
+                np.array(feature["geometry"]["coordinates"][0], dtype=np.float64).reshape(-1, 2),
+            )
+            for feature in json.loads(message.geojson)["features"]
+        ]
+
+
 FRAME_KINDS = (
     Kind(
         CompressedImage, "/frames, /images/NAME, /chips, /strips", "images",
-        level="normal", calls=(image, frame_image), captured=True,
+        level="normal", calls=(image, frame_image), take=_take_image, captured=True,
     ),
     Kind(FrameTime, "/frames/times", level="normal"),
     Kind(
@@ -173,5 +192,5 @@ FRAME_KINDS = (
     Kind(FrameTransform, "/tf", calls=(pose,), captured=True),
     Kind(CameraCalibration, "/cameras/NAME", captured=True),
     Kind(PointCloud, "/points/NAME", level="normal", calls=(points,), captured=True),
-    Kind(GeoJSON, "/footprints/NAME, /map/strips", "plan of strips", calls=(geojson,)),
+    Kind(GeoJSON, "/footprints/NAME, /map/strips", "plan of strips", calls=(geojson,), take=_take_geojson),
 )  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -11,11 +10,12 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
+from geomosaic.recording.frame_kinds import THUMBNAILS
 from geomosaic.recording.list_view import PICK, frame_text, worst_frames
 from geomosaic.recording.mcapfile import BROKEN
+from geomosaic.recording.model import Recording
 from geomosaic.recording.plan_view import PLAN
 from geomosaic.recording.reader import messages, printable
-from geomosaic.recording.story import THUMBNAILS, Story
 from geomosaic.recording.thumbnail import decoded, thumbnail
 
 CHIP: Final = "/worst_pair"
@@ -31,16 +31,16 @@ _LARGE_PX, _SMALL_PX = 512, 160
 _KEPT, _REJECTED, _UNUSED = (70, 230, 90), (255, 60, 60), (150, 150, 160)
 
 
-def draw_chips(story: Story, stream: Any) -> None:
+def draw_chips(recording: Recording, stream: Any) -> None:
     """The k-th worst pair at the k-th place of the timeline: tie points that count in green, others in red,
     those that took no part in grey."""
     import rerun
 
     rms_m = {}
-    tied = story.table("pairs.adjusted")
+    tied = recording.table("pairs.adjusted")
     for a, b, rms in zip(tied.row, tied.other, tied.column("rms_m"), strict=False):
         rms_m[a, b] = rms
-    for jpeg, ties in story.chips:
+    for jpeg, ties in recording.chips:
         stream.set_time(PICK, sequence=ties.rank)
         stream.log(f"{CHIP}/image", rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"))
         weight = np.array(ties.weight, dtype=np.float64)
@@ -66,15 +66,15 @@ def draw_chips(story: Story, stream: Any) -> None:
     stream.reset_time()
 
 
-def draw_thumbnails(path: Path, story: Story, stream: Any) -> None:
+def draw_thumbnails(recording: Recording, stream: Any) -> None:
     """Frames' images at their places of the timeline `pick`, one after the other out of the recording: those
     of the worst as they are, others small, those of a very large survey's best ones not at all."""
     import rerun
 
-    names = story.table("frames.adjusted").row
-    place = {names[row]: k for k, row in enumerate(worst_frames(story))}
+    names = recording.table("frames.adjusted").row
+    place = {names[row]: k for k, row in enumerate(worst_frames(recording))}
     bare = dict(place)
-    for topic, _, data in messages(path, CompressedImage.DESCRIPTOR.full_name):
+    for topic, _, data in messages(recording.path, CompressedImage.DESCRIPTOR.full_name):
         if topic != THUMBNAILS or not bare:
             continue
         with suppress(*BROKEN):
@@ -99,20 +99,20 @@ def _bounded(jpeg: bytes, side_px: int) -> bytes:
     return thumbnail(image[..., ::-1], side_px)
 
 
-def draw_picks(story: Story, stream: Any) -> None:
+def draw_picks(recording: Recording, stream: Any) -> None:
     """A frame's figures at its place of the timeline, and where it is on the plan."""
     import rerun
 
-    adjusted = story.table("frames.adjusted")
-    rings = dict(story.outlines.get("adjusted", ()))
+    adjusted = recording.table("frames.adjusted")
+    rings = dict(recording.outlines.get("adjusted", ()))
     said: dict[str, list[str]] = {}
-    for told in story.log:
-        if told.frame and told.level != "INFO":
+    for told in recording.log:
+        if told.frame and told.level != "info":
             said.setdefault(told.frame, []).append(told.text)
-    for place, row in enumerate(worst_frames(story)):
+    for place, row in enumerate(worst_frames(recording)):
         name = adjusted.row[row]
         stream.set_time(PICK, sequence=place)
-        text = frame_text(story, row, said.get(name, ()))
+        text = frame_text(recording, row, said.get(name, ()))
         about = rerun.TextDocument(text, media_type="text/markdown")
         stream.log(FRAME_TEXT, about)
         ring = rings.get(name, np.zeros((0, 2)))
@@ -122,13 +122,13 @@ def draw_picks(story: Story, stream: Any) -> None:
     stream.reset_time()
 
 
-def draw_images(story: Story, stream: Any) -> None:
+def draw_images(recording: Recording, stream: Any) -> None:
     """The mosaic; of strips all of them side by side."""
     import rerun
 
-    for jpeg in story.images.get("/images/mosaic", {}).values():
+    for jpeg in recording.images.get("/images/mosaic", {}).values():
         stream.log(MOSAIC, rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"), static=True)
-    strips = story.images.get("/strips", {})
+    strips = recording.images.get("/strips", {})
     if strips:
         stacked, places = _stacked(list(strips.values()))
         stream.log(f"{STRIPS}/images", rerun.Image(stacked), static=True)

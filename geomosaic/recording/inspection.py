@@ -10,7 +10,7 @@ from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.model import LogLine, Recording, StageRecord
 from geomosaic.recording.solved import Solved, frame_figures, known, pair_figures, status_counts
-from geomosaic.recording.tabled import tabled_frames, tabled_pairs
+from geomosaic.recording.table_figures import table_frames, table_pairs
 from geomosaic.recording.worst import faults, worst_frames, worst_pairs
 
 SHOWN = 5
@@ -28,14 +28,14 @@ class Inspection:
     def __init__(self, recording: Recording, solved: Solved | None, unreadable: str = "") -> None:
         self.recording, self.solved, self.unreadable = recording, solved, unreadable
         reasons = {(t.row[i], t.other[i]): t.note[i] for t in _tried(recording) for i in range(len(t.note))}
-        self.pairs = tabled_pairs(recording) if solved is None else pair_figures(solved)
+        self.pairs = table_pairs(recording) if solved is None else pair_figures(solved)
         for pair in self.pairs:
             if not pair["tied"]:
                 pair["why_not"] = (
                     reasons.get((pair["left"], pair["right"])) or "tried, and no tie points agree"
                 )
         if solved is None:
-            self.frames = tabled_frames(recording, self.pairs)
+            self.frames = table_frames(recording, self.pairs)
         else:
             self.frames = frame_figures(solved, self.pairs)
 

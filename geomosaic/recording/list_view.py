@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from geomosaic.quality import ranking
+from geomosaic.recording.model import FigureTable, Recording
 from geomosaic.recording.plan_view import headings_off_deg, moves_m, wrong_headings
 from geomosaic.recording.reader import printable
-from geomosaic.recording.story import Story, ToldTable
 
 LISTS: Final = "/lists"
 PICK: Final = "pick"
@@ -19,21 +19,26 @@ PICK: Final = "pick"
 _MOST: Final = 14
 
 
-def draw_lists(story: Story, stream: Any) -> None:
+def draw_lists(recording: Recording, stream: Any) -> None:
     """Writes the lists anew."""
     import rerun
 
-    texts = {"said": _said(story), "pairs": _pairs(story), "frames": _frames(story), "strips": _strips(story)}
+    texts = {
+        "said": _said(recording),
+        "pairs": _pairs(recording),
+        "frames": _frames(recording),
+        "strips": _strips(recording),
+    }
     for name, text in texts.items():
         if text:
             stream.log(f"{LISTS}/{name}", rerun.TextDocument(text, media_type="text/markdown"), static=True)
 
 
-def worst_frames(story: Story) -> list[int]:
+def worst_frames(recording: Recording) -> list[int]:
     """Rows of frames.adjusted in the order of `quality.ranking`; of wrong tags are those that a warning
     names."""
-    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
-    warned = {line.frame for line in story.log if line.level == "WARNING"}
+    placed, adjusted = recording.table("frames.placed"), recording.table("frames.adjusted")
+    warned = {line.frame for line in recording.log if line.level == "warning"}
     off_deg = headings_off_deg(placed, adjusted)
     named = np.array([name in warned for name in adjusted.row], dtype=bool)
     loose = [k < len(adjusted.note) and adjusted.note[k] != "tied" for k in range(len(adjusted.row))]
@@ -41,9 +46,9 @@ def worst_frames(story: Story) -> list[int]:
     return ranking.worst_frames(loose, wrong, moves_m(adjusted), off_deg)
 
 
-def frame_text(story: Story, row: int, said: Iterable[str]) -> str:
+def frame_text(recording: Recording, row: int, said: Iterable[str]) -> str:
     """One frame in figures, and what was said of it."""
-    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+    placed, adjusted = recording.table("frames.placed"), recording.table("frames.adjusted")
     name = adjusted.row[row]
     given = placed.number.get(name)
     lines = [
@@ -60,9 +65,9 @@ def frame_text(story: Story, row: int, said: Iterable[str]) -> str:
     return "\n".join([*lines, "", *(f"- {_cell(text)}" for text in said)])
 
 
-def _said(story: Story) -> str:
+def _said(recording: Recording) -> str:
     """The verdict, and every warning; those of a kind together."""
-    verdict = story.figures.get("verdict")
+    verdict = recording.metrics.get("verdict")
     lines = []
     if isinstance(verdict, dict):
         lines += [f"**{_cell(verdict.get('grade'))}**: {_cell(verdict.get('text'))}", ""]
@@ -71,12 +76,11 @@ def _said(story: Story) -> str:
             if verdict.get("cause")
             else []
         )
-    elif story.beat is not None and story.stages and not story.stages[-1].ended_ns:
-        b = story.beat
+    elif recording.progress is not None and recording.stages and not recording.stages[-1].finished:
+        b = recording.progress
         at = f"{_cell(b.text)} {b.done} of {b.total}, {b.seconds:.0f} s in"
         lines += [f"not finished; last sign of life: **{_cell(b.stage_id)}**, {at}", ""]
-    warned = [line for line in story.log if line.level in ("WARNING", "ERROR", "FATAL")]
-    warned.sort(key=lambda line: not line.frame)
+    warned = sorted(recording.warnings, key=lambda line: not line.frame)
     for line in warned[:_MOST]:
         about = f"**{_cell(line.frame)}** " if line.frame else ""
         lines.append(f"- {about}{_cell(line.text)}")
@@ -85,8 +89,8 @@ def _said(story: Story) -> str:
     return "\n".join(lines) or "nothing was warned of"
 
 
-def _pairs(story: Story) -> str:
-    tied, tried = story.table("pairs.adjusted"), story.table("pairs.tried")
+def _pairs(recording: Recording) -> str:
+    tied, tried = recording.table("pairs.adjusted"), recording.table("pairs.tried")
     if not tied.row and not tried.row:
         return ""
     rms_m = tied.column("rms_m")
@@ -107,8 +111,8 @@ def _pairs(story: Story) -> str:
 _OF_PAIRS: Final = (("tie_points", 0), ("rms_m", 3), ("largest_m", 2), ("share_down_weighted", 2))
 
 
-def _frames(story: Story) -> str:
-    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+def _frames(recording: Recording) -> str:
+    placed, adjusted = recording.table("frames.placed"), recording.table("frames.adjusted")
     if not adjusted.row:
         return ""
     moved, off = moves_m(adjusted), headings_off_deg(placed, adjusted)
@@ -122,14 +126,14 @@ def _frames(story: Story) -> str:
             _figure(adjusted.column("pairs")[k], 0),
             adjusted.note[k] if adjusted.note else "",
         )
-        for k in worst_frames(story)[:_MOST]
+        for k in worst_frames(recording)[:_MOST]
     ]
     columns = ("frame", "moved m", "up m", "heading off", "ties", "pairs", "")
     return _markdown("frames moved most", columns, rows)
 
 
-def _strips(story: Story) -> str:
-    greys, bridged = story.table("strips.greys"), story.table("strips.bridged")
+def _strips(recording: Recording) -> str:
+    greys, bridged = recording.table("strips.greys"), recording.table("strips.bridged")
     parts = []
     if greys.row:
         columns = [greys.column("gain"), greys.column("offset")]
@@ -150,7 +154,7 @@ def _strips(story: Story) -> str:
     return "\n\n".join(parts)
 
 
-def _longest(bridged: ToldTable) -> list[int]:
+def _longest(bridged: FigureTable) -> list[int]:
     length = bridged.column("last_line") - bridged.column("first_line")
     return [int(k) for k in np.argsort(-length, kind="stable")]
 

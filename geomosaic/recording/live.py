@@ -1,7 +1,7 @@
 """A run shown in Rerun while it is on.
 
 A process of its own reads the recording as it grows, a second behind the run, and gives what it says to the
-viewer (`following`). So the viewer is shown the same messages as anybody later; and whether it is slow,
+viewer (`live_run`). So the viewer is shown the same messages as anybody later; and whether it is slow,
 closed or was never there makes no difference to the run, which knows nothing of it.
 """
 
@@ -28,7 +28,7 @@ def watched(recording: Path | None, live: bool) -> Iterator[None]:
         raise ModuleNotFoundError("No module named 'rerun'", name="rerun")
     if live and recording is not None:
         quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-        module = "geomosaic.recording.following"
+        module = "geomosaic.recording.live_run"
         command = [sys.executable, "-P", "-m", module, str(recording.absolute()), str(os.getpid())]
         shows = subprocess.Popen(command, start_new_session=True, **quiet)  # noqa: S603
         threading.Thread(target=shows.wait, daemon=True).start()  # no run waits for it, nor the process's end

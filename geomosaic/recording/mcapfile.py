@@ -28,6 +28,8 @@ BROKEN = (
     RecursionError,
 )
 """What the libraries raise on bytes that aren't what they should be."""
+DAMAGED = (*BROKEN, TypeError, KeyError, AttributeError)
+"""What decoding a message raises, JSON within it too."""
 
 
 class Item(NamedTuple):

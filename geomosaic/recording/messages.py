@@ -29,13 +29,17 @@ Topics = Iterable[tuple[str, Any]]
 
 
 class At(NamedTuple):
-    """Where a message stands. name: the last part of its topic. number: of the file's messages; offset: of
-    its chunk, in bytes."""
+    """Where a message stands. number: of the file's messages; offset: of its chunk, in bytes."""
 
-    name: str
+    topic: str
     time_ns: int
     number: int
     offset: int
+
+    @property
+    def name(self) -> str:
+        """The last part of its topic."""
+        return self.topic.rpartition("/")[2]
 
 
 @dataclass(frozen=True)

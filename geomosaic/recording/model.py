@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ class StageRecord:
     `finished` is False where the run ended within it; seconds are None where unknown.
     `reads_run`: it reports the run itself, so that equal runs differ in its outputs.
     `written` and `lineage` are what its outputs' fingerprints hold besides their bytes.
-    `notes` is what it added to run.json besides its artefacts.
+    `notes` is what it added to run.json besides its artefacts. begun_ns, ended_ns: by the recording's clock.
     """
 
     index: int
@@ -37,12 +38,16 @@ class StageRecord:
     reads_run: bool = False
     written: dict[str, str] = field(default_factory=dict)
     lineage: tuple[str, ...] = ()
+    begun_ns: int = 0
+    ended_ns: int = 0
 
 
 @dataclass(frozen=True)
 class LogLine:
-    """One line of the log. level is debug, info, warning or error; stage and frame may be empty."""
+    """One line of the log. number: of the recording's messages; level is debug, info, warning or error; stage
+    and frame may be empty."""
 
+    number: int
     time_ns: int
     level: str
     text: str
@@ -126,7 +131,7 @@ class StageProgress:
 
 
 @dataclass(frozen=True)
-class Figures:
+class FigureTable:
     """A table: of frames (`row`), or of pairs of `row` and `other`; columns (rows,) by name, NaN where
     unknown; `note` a text for each row, or empty."""
 
@@ -136,6 +141,15 @@ class Figures:
     other: tuple[str, ...]
     columns: dict[str, Floats]
     note: tuple[str, ...]
+
+    def column(self, name: str) -> Floats:
+        """One column; all unknown if it isn't there."""
+        return self.columns.get(name, np.full(len(self.row), np.nan))
+
+    @cached_property
+    def number(self) -> dict[str, int]:
+        """Each row's number by its name."""
+        return {name: k for k, name in enumerate(self.row)}
 
 
 @dataclass
@@ -171,12 +185,16 @@ class Topic:
 
 @dataclass
 class Recording:
-    """What a recording holds, without images, tie points and the artefacts' bytes, which stay in the file.
+    """What a recording holds; tie points, thumbnails and the artefacts' bytes stay in the file.
 
-    `problem` is empty for a whole file, else it says where the file ends or what is damaged.
+    `problem` is empty for a whole file, else it says where the file ends or what is damaged. with_images:
+    whether the other images are kept: JPEGs by topic and name, and chips with their `ChipTies`, worst first.
+    metrics, outlines: the latest of each name. strips_lonlat: outlines of CCD strips on the map. last_ns: of
+    the recording's clock.
     """
 
     path: Path
+    with_images: bool = False
     problem: str = ""
     recipe_yaml: str = ""
     environment: dict[str, Any] = field(default_factory=dict)
@@ -188,10 +206,21 @@ class Recording:
     strip_residuals: list[StripResidual] = field(default_factory=list)
     jitter: list[Jitter] = field(default_factory=list)
     iterations: list[dict[str, Any]] = field(default_factory=list)
-    tables: list[Figures] = field(default_factory=list)
+    tables: list[FigureTable] = field(default_factory=list)
+    metrics: dict[str, Any] = field(default_factory=dict)
+    outlines: dict[str, list[tuple[str, Floats]]] = field(default_factory=dict)
+    strips_lonlat: list[tuple[str, Floats]] = field(default_factory=list)
+    images: dict[str, dict[str, bytes]] = field(default_factory=dict)
+    chips: list[tuple[bytes, Any]] = field(default_factory=list)
     progress: StageProgress | None = None
     artefacts: list[ArtefactEntry] = field(default_factory=list)
     topics: dict[str, Topic] = field(default_factory=dict)
+    last_ns: int = 0
+
+    def table(self, name: str) -> FigureTable:
+        """The latest table of a name, or one without rows."""
+        nothing = FigureTable(name, -1, (), (), {}, ())
+        return next((t for t in reversed(self.tables) if t.name == name), nothing)
 
     @property
     def whole(self) -> bool:

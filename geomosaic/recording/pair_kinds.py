@@ -174,8 +174,17 @@ def chip(rank: int, left: str, right: str, chip: Chip) -> Topics:
     yield "/chips/ties", message
 
 
+def _take_chip(recording: Recording, message: Any, at: At) -> None:
+    sides = ("left_x_px", "left_y_px", "right_x_px", "right_y_px", "weight")
+    if len({len(getattr(message, side)) for side in sides}) != 1:
+        raise ValueError("tie points of unequal lengths")
+    jpeg = recording.images.get("/chips", {}).pop(f"{message.left} - {message.right}", None)
+    if jpeg is not None:
+        recording.chips.append((jpeg, message))
+
+
 PAIR_KINDS = (
     Kind(PairOffsets, "/offsets/STAGE", calls=(offsets,), take=_take_offsets),
     Kind(TiePoints, "/tie_points", level="full", calls=(tie_points,)),
-    Kind(ChipTies, "/chips/ties", "worst pairs", level="normal", calls=(chip,)),
+    Kind(ChipTies, "/chips/ties", "worst pairs", level="normal", calls=(chip,), take=_take_chip),
 )

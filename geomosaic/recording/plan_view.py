@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.arrays import Floats
 from geomosaic.quality import ranking
 from geomosaic.recording.limits import MOVE, RESIDUAL, badness, moves_sd
-from geomosaic.recording.story import Story, ToldTable
+from geomosaic.recording.model import FigureTable, Recording
 
 Colours = NDArray[np.uint8]
 PLAN: Final = "/plan"
@@ -35,22 +35,21 @@ _TURNED: Final = "frame-turned:"
 """How the warning of an image that was turned begins."""
 
 
-def draw_plan(story: Story, stream: Any) -> None:
+def draw_plan(recording: Recording, stream: Any) -> None:
     """Draws what is known so far, over what was drawn before."""
     import rerun
 
-    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+    placed, adjusted = recording.table("frames.placed"), recording.table("frames.adjusted")
     for what, colour, width in (
         ("placed", _FAINT, 0.6),
         ("adjusted", (80, 110, 160), 0.8),
         ("seams", _FAINT, 0.6),
     ):
-        rings = [
-            _drawn(np.concatenate([ring, ring[:1]])) for _, ring in story.outlines.get(what, ()) if len(ring)
-        ]
+        told = recording.outlines.get(what, ())
+        rings = [_drawn(np.concatenate([ring, ring[:1]])) for _, ring in told if len(ring)]
         lines = rerun.LineStrips2D(rings, colors=[colour], radii=_ui(width / 2), draw_order=1.0)
         stream.log(f"{PLAN}/footprints_{what}" if what != "seams" else f"{PLAN}/seams", lines, static=True)
-    bare = [_drawn(ring) for _, ring in story.outlines.get("bare", ()) if len(ring)]
+    bare = [_drawn(ring) for _, ring in recording.outlines.get("bare", ()) if len(ring)]
     lines = rerun.LineStrips2D(bare, colors=[_BARE], radii=_ui(1.0), draw_order=1.2)
     stream.log(f"{PLAN}/bare", lines, static=True)
     now = adjusted if adjusted.row else placed
@@ -58,18 +57,18 @@ def draw_plan(story: Story, stream: Any) -> None:
         return
     at, number = _drawn(_places(now)), now.number
     thin = min(1.0, (_CROWDED / len(now.row)) ** 0.5)
-    _draw_pairs(story, stream, at, number, thin)
-    _draw_ties(story, stream, thin)
+    _draw_pairs(recording, stream, at, number, thin)
+    _draw_ties(recording, stream, thin)
     far_sd = moves_in_sd(placed, adjusted)
     if adjusted.row:
         _draw_moves(stream, adjusted, at, far_sd)
-    turned = {line.frame for line in story.log if line.text.startswith(_TURNED)}
+    turned = {line.frame for line in recording.log if line.text.startswith(_TURNED)}
     labels, colours = frame_labels(placed, adjusted, turned), frame_colours(placed, adjusted)
     points = rerun.Points2D(
         at, colors=colours, radii=_ui(3.5 * thin), labels=labels, show_labels=False, draw_order=5.0
     )
     stream.log(f"{PLAN}/frames", points, static=True)
-    rings = [_drawn(ring) for what in ("placed", "adjusted") for _, ring in story.outlines.get(what, ())]
+    rings = [_drawn(ring) for what in ("placed", "adjusted") for _, ring in recording.outlines.get(what, ())]
     every = np.concatenate([at, *rings])
     seen = every[np.isfinite(every).all(axis=1)]
     middles = [(ring.min(axis=0) + ring.max(axis=0)) / 2.0 for ring in bare[:_BARE_NAMED]]
@@ -111,10 +110,10 @@ def names_apart(at: Floats, span_m: Floats, labels: list[str], far_sd: Floats) -
     return shown, at_pt[shown] / points_per_m
 
 
-def _draw_pairs(story: Story, stream: Any, at: Floats, number: dict[str, int], thin: float) -> None:
+def _draw_pairs(recording: Recording, stream: Any, at: Floats, number: dict[str, int], thin: float) -> None:
     import rerun
 
-    tried, tied = story.table("pairs.tried"), story.table("pairs.adjusted")
+    tried, tied = recording.table("pairs.tried"), recording.table("pairs.adjusted")
     vain = [
         at[[number[a], number[b]]]
         for a, b, why in zip(tried.row, tried.other, tried.note, strict=False)
@@ -126,22 +125,22 @@ def _draw_pairs(story: Story, stream: Any, at: Floats, number: dict[str, int], t
     rms_m = tied.column("rms_m")[known]
     order = np.argsort(np.nan_to_num(rms_m), kind="stable")
     ends = [at[[number[tied.row[known[k]]], number[tied.other[known[k]]]]] for k in order]
-    bad = _in_pixels(story, rms_m[order])
+    bad = _in_pixels(recording, rms_m[order])
     width = np.where(bad > 0.5, 1.2 * thin**0.5, 0.7 * thin)
     lines = rerun.LineStrips2D(ends, colors=by_badness(bad), radii=_ui(width), draw_order=3.0)
     stream.log(f"{PLAN}/pairs_tied", lines, static=True)
 
 
-def _draw_ties(story: Story, stream: Any, thin: float) -> None:
+def _draw_ties(recording: Recording, stream: Any, thin: float) -> None:
     import rerun
 
-    sample = story.table("ties.ground")
-    colours = by_badness(_in_pixels(story, sample.column("residual_m")))
+    sample = recording.table("ties.ground")
+    colours = by_badness(_in_pixels(recording, sample.column("residual_m")))
     points = rerun.Points2D(_drawn(_places(sample)), colors=colours, radii=_ui(0.9 * thin), draw_order=1.5)
     stream.log(f"{PLAN}/tie_points", points, static=True)
 
 
-def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats, far_sd: Floats) -> None:
+def _draw_moves(stream: Any, adjusted: FigureTable, at: Floats, far_sd: Floats) -> None:
     import rerun
 
     moved = _drawn(np.column_stack([adjusted.column("moved_e_m"), adjusted.column("moved_n_m")]))
@@ -156,7 +155,7 @@ def _draw_moves(stream: Any, adjusted: ToldTable, at: Floats, far_sd: Floats) ->
     stream.log(f"{PLAN}/moved", arrows, static=True)
 
 
-def frame_labels(placed: ToldTable, adjusted: ToldTable, turned: Collection[str] = ()) -> list[str]:
+def frame_labels(placed: FigureTable, adjusted: FigureTable, turned: Collection[str] = ()) -> list[str]:
     """Names without their endings, and behind a blank what is odd about a frame.
 
     Args: turned: names of frames whose images were turned, which isn't their headings' fault.
@@ -178,12 +177,12 @@ def frame_labels(placed: ToldTable, adjusted: ToldTable, turned: Collection[str]
     return out
 
 
-def moves_m(adjusted: ToldTable) -> Floats:
+def moves_m(adjusted: FigureTable) -> Floats:
     """How far frames moved over the ground, (n,)."""
     return np.hypot(adjusted.column("moved_e_m"), adjusted.column("moved_n_m"))
 
 
-def moves_in_sd(placed: ToldTable, adjusted: ToldTable) -> Floats:
+def moves_in_sd(placed: FigureTable, adjusted: FigureTable) -> Floats:
     """The same in deviations of given and found positions together, (n,)."""
     before = np.column_stack([_given(placed, adjusted, f"sd_{axis}_m") for axis in "en"])
     after = np.column_stack([adjusted.column(f"sd_{axis}_m") for axis in "en"])
@@ -191,23 +190,23 @@ def moves_in_sd(placed: ToldTable, adjusted: ToldTable) -> Floats:
     return moves_sd(moved, before, after)
 
 
-def headings_off_deg(placed: ToldTable, adjusted: ToldTable) -> Floats:
+def headings_off_deg(placed: FigureTable, adjusted: FigureTable) -> Floats:
     """By how much headings as found differ from those as given, (n,) of the adjusted frames, 0 to 180."""
     return np.abs(ranking.headings_off_deg(_given(placed, adjusted, "yaw_deg"), adjusted.column("yaw_deg")))
 
 
-def wrong_headings(placed: ToldTable, adjusted: ToldTable) -> NDArray[np.bool_]:
+def wrong_headings(placed: FigureTable, adjusted: FigureTable) -> NDArray[np.bool_]:
     """Of the adjusted frames, (n,), those whose heading is off by more than its limit."""
     return ranking.wrong_headings(headings_off_deg(placed, adjusted), _given(placed, adjusted, "sd_yaw_deg"))
 
 
-def _given(placed: ToldTable, adjusted: ToldTable, column: str) -> Floats:
+def _given(placed: FigureTable, adjusted: FigureTable, column: str) -> Floats:
     """A column of placed frames by the rows of adjusted ones, (n,); NaN where it isn't known."""
     rows = [placed.number.get(name, -1) for name in adjusted.row]
     return np.asarray(np.append(placed.column(column), np.nan)[rows])
 
 
-def frame_colours(placed: ToldTable, adjusted: ToldTable) -> Colours:
+def frame_colours(placed: FigureTable, adjusted: FigureTable) -> Colours:
     """By how many deviations frames moved, light grey before they did; red for a heading that is off, and for
     what isn't tied."""
     if not adjusted.row:
@@ -230,14 +229,14 @@ def by_badness(bad: Floats) -> Colours:
     return np.asarray(np.round(mixed), dtype=np.uint8)
 
 
-def _in_pixels(story: Story, residual_m: Floats) -> Floats:
+def _in_pixels(recording: Recording, residual_m: Floats) -> Floats:
     """How bad residuals are, by the frames' ground pixel; NaN if that isn't known."""
-    known = story.figures.get("placement.ground_pixel_m")
+    known = recording.metrics.get("placement.ground_pixel_m")
     pixel_m = float(known) if isinstance(known, int | float) and known > 0 else np.nan
     return badness(residual_m / pixel_m, RESIDUAL.good, RESIDUAL.bad)
 
 
-def _places(table: ToldTable) -> Floats:
+def _places(table: FigureTable) -> Floats:
     return np.column_stack([table.column("east_m"), table.column("north_m")])
 
 

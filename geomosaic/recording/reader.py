@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
 
 from geomosaic.errors import FileError
+from geomosaic.recording.frame_kinds import THUMBNAILS
 from geomosaic.recording.kinds import KINDS
-from geomosaic.recording.mcapfile import BROKEN, MEND, Item, items, opened, stream, unpacked
+from geomosaic.recording.mcapfile import BROKEN, DAMAGED, MEND, Item, items, opened, stream, unpacked
 from geomosaic.recording.messages import At
 from geomosaic.recording.model import ArtefactEntry, Recording, Topic
 from geomosaic.recording.plain import json_object
@@ -19,27 +21,31 @@ from geomosaic.recording.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFILE, R
 MAX_KEPT_BYTES = 512 * 2**20
 MOST_UNPACKED = 100
 """Times a recording's own size that its artefacts may take, beside 64 MiB; those of runs take 2 to 10."""
+MOST_SHOWN = 80
+"""The same of what a view takes: images hardly pack, tables do."""
 _ALWAYS_BYTES = 64 * 2**20
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path, with_images: bool = False) -> Recording:
     """Reads a recording in one pass; of an unfinished or damaged file everything that is whole.
 
-    Images, tie points and the artefacts' bytes stay in the file (`messages`, `artefact_data`).
+    Tie points, thumbnails, the artefacts' bytes and, unless asked for, all images stay in the file
+    (`messages`, `artefact_data`).
     Raises FileError if the file can't be opened, is no MCAP, no recording of geomosaic, or larger than
     any run could make it.
     """
-    recording = Recording(path)
-    kept_bytes = 0
+    recording, kept_bytes = Recording(path, with_images), 0
+    most_kept = MOST_SHOWN * path.stat().st_size + _ALWAYS_BYTES if with_images else MAX_KEPT_BYTES
     with opened(path) as file:
         for item in items(path, file):
             _check_ours(path, item)
-            kept_bytes += _kept_bytes(item)
-            if kept_bytes > MAX_KEPT_BYTES:
-                raise FileError(f"its log and offsets take more than {MAX_KEPT_BYTES} bytes", file=path)
+            kept_bytes += _kept_bytes(item, with_images)
+            if kept_bytes > most_kept:
+                problem = f"its figures and images take more than {most_kept} bytes"
+                raise FileError(problem, file=path, fix=MEND)
             try:
-                _take(recording, item)
-            except BROKEN as error:
+                take(recording, item)
+            except DAMAGED as error:
                 item = Item(
                     item.offset, None, problem=f"a message behind byte {item.offset} is damaged ({error})"
                 )
@@ -125,17 +131,20 @@ def _check_ours(path: Path, item: Item) -> None:
             )
 
 
-def _kept_bytes(item: Item) -> int:
+def _kept_bytes(item: Item, with_images: bool) -> int:
     """About how much memory an item will take for good."""
     if isinstance(item.record, Message):
         kind = KINDS.get(item.schema)
         once = kind is None or kind.take is None or item.schema == "geomosaic.Progress"
+        if item.schema == CompressedImage.DESCRIPTOR.full_name:
+            return len(item.record.data) if with_images and item.topic != THUMBNAILS else 0
         whole = 0 if item.schema == "geomosaic.Artefact" else len(item.record.data)
         return 0 if once else 256 + 4 * whole
     return 1024 if isinstance(item.record, Channel) else 0
 
 
-def _take(recording: Recording, item: Item) -> None:
+def take(recording: Recording, item: Item) -> None:
+    """Adds a record of its file to what is known of a recording. Raises of `DAMAGED`."""
     record = item.record
     if isinstance(record, Channel):
         recording.topics.setdefault(item.topic, Topic(item.topic, item.schema))
@@ -148,7 +157,9 @@ def _take(recording: Recording, item: Item) -> None:
     recording.topics[item.topic].messages += 1
     kind = KINDS.get(item.schema)
     if kind is not None and kind.take is not None:
-        at = At(item.topic.rpartition("/")[2], record.log_time, record.sequence, item.offset)
+        if not kind.captured:
+            recording.last_ns = max(recording.last_ns, record.log_time)
+        at = At(item.topic, record.log_time, record.sequence, item.offset)
         kind.take(recording, kind.of(record.data), at)
 
 

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from geomosaic.arrays import Floats
+from geomosaic.recording.model import Recording
 from geomosaic.recording.reader import printable
-from geomosaic.recording.story import Story
 
 STAGES: Final = "/stages_drawn"
 STEPS: Final = "/steps_drawn"
@@ -27,19 +27,19 @@ _BAR, _REUSED, _OPEN = (80, 140, 210), (90, 95, 110), (255, 90, 60)
 _COST, _SIGMA, _AXIS = (235, 150, 60), (90, 190, 250), (90, 95, 110)
 
 
-def draw_stages(story: Story, stream: Any) -> None:
+def draw_stages(recording: Recording, stream: Any) -> None:
     """A bar for each stage from its beginning to its end; one that didn't end in red, to the last message."""
     import rerun
 
-    if not story.stages:
+    if not recording.stages:
         return
-    begin_ns = story.stages[0].begun_ns
-    total_ns = max(story.last_ns - begin_ns, 1)
+    begin_ns = recording.stages[0].begun_ns
+    total_ns = max(recording.last_ns - begin_ns, 1)
     least_ns = _LEAST_SHARE * total_ns
     bars: list[Any] = []
     places, colours, labels = [], [], []
-    for stage in story.stages:
-        end_ns = stage.ended_ns or story.last_ns
+    for stage in recording.stages:
+        end_ns = stage.ended_ns or recording.last_ns
         if stage.ended_ns and end_ns - stage.begun_ns < least_ns:
             continue
         left, right = ((t - begin_ns) / total_ns * _WIDE for t in (stage.begun_ns, end_ns))
@@ -56,14 +56,15 @@ def draw_stages(story: Story, stream: Any) -> None:
     stream.log(f"{STAGES}/names", named, static=True)
 
 
-def draw_steps(story: Story, stream: Any) -> None:
+def draw_steps(recording: Recording, stream: Any) -> None:
     """Cost and sigma of each step, each in powers of ten between its own least and largest."""
     import rerun
 
-    if not story.steps:
+    steps = recording.iterations
+    if not steps:
         return
-    cost, sigma = (np.array([getattr(s, name) for s in story.steps]) for name in ("cost", "sigma_px"))
-    unit = story.steps[-1].cost_unit
+    cost, sigma = (np.array([s[name] for s in steps], dtype=np.float64) for name in ("cost", "sigma_px"))
+    unit = steps[-1]["cost_unit"]
     stream.log(f"{STEPS}/axes", rerun.LineStrips2D([_FRAME], colors=[_AXIS], radii=_ui(0.5)), static=True)
     for k, (name, values, colour) in enumerate((("cost", cost, _COST), ("sigma_px", sigma, _SIGMA))):
         line, text = _curve(values, name if name != "cost" or not unit else f"misalignment rms, {unit}")
@@ -71,7 +72,7 @@ def draw_steps(story: Story, stream: Any) -> None:
         at = [[_WIDE / 2.0, -14.0 - 22.0 * k]]
         label = rerun.Points2D(at, labels=[text], show_labels=bool(text), colors=[colour], radii=_ui(0.5))
         stream.log(f"{STEPS}/{name}_name", label, static=True)
-    solves = [s.solve for s in story.steps]
+    solves = [s["solve"] for s in steps]
     starts = [k for k, name in enumerate(solves) if k == 0 or name != solves[k - 1]]
     x = _along(len(solves))[starts]
     stream.log(
@@ -87,11 +88,11 @@ def draw_steps(story: Story, stream: Any) -> None:
     )
 
 
-def draw_spectra(story: Story, stream: Any) -> None:
+def draw_spectra(recording: Recording, stream: Any) -> None:
     """Amplitudes of what strips move by, as found and as left, both axes logarithmic."""
     import rerun
 
-    known = {what: s for what, s in story.spectra.items() if len(s.frequency_hz)}
+    known = {s.what: s for s in recording.jitter if len(s.frequency_hz)}
     if not known:
         return
     colours = {"found": ((90, 170, 250), (130, 200, 90)), "left": ((235, 110, 60), (240, 190, 90))}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -13,7 +14,14 @@ from numpy.typing import ArrayLike
 
 from geomosaic.camera.interior import Camera
 from geomosaic.recording.messages import At, Kind, Topics, own
-from geomosaic.recording.model import ArtefactEntry, Figures, LogLine, Recording, StageProgress, StageRecord
+from geomosaic.recording.model import (
+    ArtefactEntry,
+    FigureTable,
+    LogLine,
+    Recording,
+    StageProgress,
+    StageRecord,
+)
 from geomosaic.recording.plain import as_text, json_object, json_text, single, topic_part
 
 MAX_ARTEFACT_BYTES = 4 * 2**30
@@ -51,7 +59,7 @@ def _take_stage(recording: Recording, event: Any, at: At) -> None:
         inputs = {f.name: f.fingerprint for f in event.inputs}
         params = json_object(event.params_json)
         stages.append(StageRecord(event.stage_index, event.stage_id, event.version, params, inputs))
-        stages[-1].reads_run = event.reads_run
+        stages[-1].reads_run, stages[-1].begun_ns = event.reads_run, at.time_ns
         return
     if not stages or (stages[-1].index, stages[-1].stage_id) != (event.stage_index, event.stage_id):
         raise ValueError(f"stage {event.stage_id[:80]} ends without having begun")
@@ -60,7 +68,7 @@ def _take_stage(recording: Recording, event: Any, at: At) -> None:
     stages[-1].notes = json_object(event.notes_json) if event.notes_json else {}
     stages[-1].written = {f.name: f.fingerprint for f in event.written}
     stages[-1].lineage = tuple(event.lineage)
-    stages[-1].cached, stages[-1].finished = event.cached, True
+    stages[-1].cached, stages[-1].finished, stages[-1].ended_ns = event.cached, True, at.time_ns
 
 
 Progress = own(
@@ -120,7 +128,7 @@ def log(level: str, text: str, stage: str = "", frame: str = "") -> Topics:
 
 def _take_log(recording: Recording, log: Any, at: At) -> None:
     level, text = Log.Level.Name(log.level).lower(), log.message.removeprefix(f"{log.file}: ")
-    recording.log.append(LogLine(at.time_ns, level, text, log.name, log.file))
+    recording.log.append(LogLine(at.number, at.time_ns, level, text, log.name, log.file))
 
 
 Metric = own(
@@ -141,6 +149,10 @@ def metric(name: str, value: Any) -> Topics:
     if isinstance(value, int | float) and not isinstance(value, bool):
         message.number = value
     yield "/metrics", message
+
+
+def _take_metric(recording: Recording, message: Any, at: At) -> None:
+    recording.metrics[message.name] = json.loads(message.json)
 
 
 Table = own(
@@ -192,7 +204,7 @@ def _take_table(recording: Recording, message: Any, at: At) -> None:
         raise ValueError("a table of unequal rows")
     values = np.array(message.value, dtype=np.float64).reshape(len(columns), rows)
     recording.tables.append(
-        Figures(
+        FigureTable(
             at.name,
             message.stage_index,
             tuple(message.row),
@@ -228,6 +240,15 @@ def outlines(what: str, names: Sequence[str], lines_m: Sequence[ArrayLike]) -> T
         **single(east_m=east, north_m=north),
     )
     yield f"/outlines/{topic_part(what)}", message
+
+
+def _take_outlines(recording: Recording, message: Any, at: At) -> None:
+    at_m = np.array([message.east_m, message.north_m], dtype=np.float64).T
+    if sum(message.vertices) != len(at_m) or len(message.vertices) != len(message.name):
+        raise ValueError("outlines of unequal lengths")
+    ends = np.cumsum(message.vertices, dtype=np.int64)
+    parts = np.split(at_m, ends)[: len(ends)]
+    recording.outlines[at.name] = list(zip(message.name, parts, strict=True))
 
 
 Iteration = own(
@@ -285,9 +306,9 @@ def _take_iteration(recording: Recording, message: Any, at: At) -> None:
 RUN_KINDS = (
     Kind(StageEvent, "/stages", "stages", take=_take_stage),
     Kind(Progress, "/progress", "verdict and warnings", take=_take_progress),
-    Kind(Metric, "/metrics", "verdict and warnings", calls=(metric,)),
+    Kind(Metric, "/metrics", "verdict and warnings", calls=(metric,), take=_take_metric),
     Kind(Table, "/tables/NAME", "plan, lists", calls=(table, camera), take=_take_table),
-    Kind(Outlines, "/outlines/NAME", "plan", calls=(outlines,)),
+    Kind(Outlines, "/outlines/NAME", "plan", calls=(outlines,), take=_take_outlines),
     Kind(Iteration, "/iterations/STAGE", "steps", calls=(iteration,), take=_take_iteration),
     Kind(Artefact, "/artefacts", level="normal", take=_take_artefact),
     Kind(Log, "/log", "log", calls=(log,), take=_take_log),

@@ -11,7 +11,6 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.strip_figures import LIMIT_PX
 from geomosaic.recording.model import Recording, StripCurve, StripResidual
 from geomosaic.recording.reader import printable
-from geomosaic.recording.story import Story
 from geomosaic.recording.summary import largest_length
 
 LINE: Final = "line"
@@ -57,11 +56,11 @@ def log_strips(recording: Recording, stream: Any) -> None:
         stream.send_columns(at, [index], rerun.Scalars.columns(scalars=left.residual_px))
 
 
-def draw_strip_plan(story: Story, stream: Any) -> None:
+def draw_strip_plan(recording: Recording, stream: Any) -> None:
     """Outlines of the strips in metres about their middle, north up."""
     import rerun
 
-    rings = [(name, ring) for name, ring in story.strips_lonlat if len(ring) and np.isfinite(ring).all()]
+    rings = [(name, ring) for name, ring in recording.strips_lonlat if len(ring) and np.isfinite(ring).all()]
     if not rings:
         return
     lon, lat = np.concatenate([ring for _, ring in rings]).mean(axis=0)

@@ -9,26 +9,19 @@ import os
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Message
-
 from geomosaic.errors import FileError, OutputError
 from geomosaic.recording.image_view import draw_chips, draw_images, draw_picks, draw_thumbnails
 from geomosaic.recording.layout import layout
 from geomosaic.recording.list_view import PICK, draw_lists
-from geomosaic.recording.mcapfile import BROKEN, MEND, items, opened
 from geomosaic.recording.model import Recording
 from geomosaic.recording.plan_view import draw_plan
-from geomosaic.recording.reader import printable
+from geomosaic.recording.reader import printable, read_recording
 from geomosaic.recording.rounds_view import draw_spectra, draw_stages, draw_steps
-from geomosaic.recording.story import SHOWN, Story
 from geomosaic.recording.strip_view import LINE, draw_strip_plan, log_strips
 from geomosaic.recording.viewer import open_viewer, screenshot
 
 STEP = "step"
 LOG = "/log"
-MOST_TOLD = 20
-"""Times a recording's own size that what it shows may take, beside 64 MiB: images hardly pack, tables do."""
-_ALWAYS_BYTES = 64 * 2**20
 _STAGE_WIDTH = 22
 
 _PARTS = (
@@ -55,10 +48,10 @@ def write_rrd(recording: Recording, path: Path) -> None:
     try:
         stream = rerun.RecordingStream("geomosaic", recording_id=recording.path.parent.name or "run")
         stream.save(temporary, default_blueprint=layout(recording))
-        story = told(recording.path)
-        draw(story, stream)
-        draw_thumbnails(recording.path, story, stream)
-        draw_log(story, stream)
+        recording = read_recording(recording.path, with_images=True)
+        draw(recording, stream)
+        draw_thumbnails(recording, stream)
+        draw_log(recording, stream)
         log_strips(recording, stream)
         stream.flush()
         stream.disconnect()
@@ -69,54 +62,33 @@ def write_rrd(recording: Recording, path: Path) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def told(path: Path) -> Story:
-    """What a recording tells a view; messages that are damaged are left out.
-
-    Raises FileError if it would take far more memory than the file.
-    """
-    story, left_bytes = Story(), MOST_TOLD * path.stat().st_size + _ALWAYS_BYTES
-    with opened(path) as file:
-        for item in items(path, file):
-            if not isinstance(item.record, Message) or item.schema not in SHOWN:
-                continue
-            left_bytes -= len(item.record.data)
-            if left_bytes < 0:
-                raise FileError("what it shows would take far more than the file itself", file=path, fix=MEND)
-            try:
-                message = SHOWN[item.schema].of(item.record.data)
-                story.take(item.topic, message, item.record.sequence, item.record.log_time)
-            except (*BROKEN, KeyError, TypeError, AttributeError):
-                continue
-    return story
-
-
-def draw(story: Story, stream: Any) -> None:
+def draw(recording: Recording, stream: Any) -> None:
     """All that is drawn for good."""
     for part in _PARTS:
-        part(story, stream)
+        part(recording, stream)
 
 
-def draw_progress(story: Story, stream: Any) -> None:
+def draw_progress(recording: Recording, stream: Any) -> None:
     """What changes while a stage is on."""
     for part in (draw_stages, draw_lists):
-        part(story, stream)
+        part(recording, stream)
 
 
-def draw_log(story: Story, stream: Any, first: int = 0) -> None:
+def draw_log(recording: Recording, stream: Any, first: int = 0) -> None:
     """The log's lines from a number on; the stage is their first column."""
     import rerun
 
-    levels = {"WARNING": "WARN", "FATAL": "CRITICAL"}
-    for line in story.log[first:]:
+    levels = {"warning": "WARN", "fatal": "CRITICAL"}
+    for line in recording.log[first:]:
         stream.set_time(PICK, sequence=0)
         stream.set_time(LINE, sequence=0)
         stream.set_time(STEP, sequence=line.number)
         stream.set_time("time", timestamp=line.time_ns / 1e9)
         text = printable(f"{line.frame}: {line.text}" if line.frame else line.text)
         stage = printable(line.stage) or "run"
-        entry = rerun.TextLog(f"{stage:<{_STAGE_WIDTH}} {text}", level=levels.get(line.level, line.level))
-        stream.log(LOG, entry)
+        level = levels.get(line.level, line.level.upper())
+        stream.log(LOG, rerun.TextLog(f"{stage:<{_STAGE_WIDTH}} {text}", level=level))
     stream.reset_time()
 
 
-__all__ = ["draw", "draw_log", "draw_progress", "layout", "open_viewer", "screenshot", "told", "write_rrd"]
+__all__ = ["draw", "draw_log", "draw_progress", "layout", "open_viewer", "screenshot", "write_rrd"]

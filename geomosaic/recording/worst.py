@@ -24,7 +24,7 @@ from geomosaic.quality.bare_ground import bare_ground
 from geomosaic.recording.explained import EXPLAINED, HEADING, POSITION, TURNED, Cause, causes, how_sure
 from geomosaic.recording.model import Recording
 from geomosaic.recording.solved import Solved
-from geomosaic.recording.tabled import warned
+from geomosaic.recording.table_figures import warned
 from geomosaic.survey.names import some
 
 _TOGETHER = tuned(0.7, "mean length", "of unit vectors, for a usual heading: less is chance; more fails")

@@ -19,7 +19,7 @@ from geomosaic.errors import InputError
 from geomosaic.recording.heartbeat import Beat, Heartbeat
 from geomosaic.recording.kinds import CALLS, KINDS, kind_of
 from geomosaic.recording.levels import reaches
-from geomosaic.recording.mcapfile import BROKEN
+from geomosaic.recording.mcapfile import DAMAGED
 from geomosaic.recording.messagefile import MessageFile
 from geomosaic.recording.plain import json_text, topic_part
 from geomosaic.recording.privacy import Privacy
@@ -246,7 +246,7 @@ class Recorder:
             raise InputError(f"no stage records a '{topic_part(schema)}'", fix="replay from an earlier stage")
         try:
             message = kind.of(data)
-        except (*BROKEN, TypeError, KeyError, AttributeError) as error:
+        except DAMAGED as error:
             raise InputError(f"a {schema} is damaged", fix="replay from an earlier stage") from error
         if "timestamp" in message.DESCRIPTOR.fields_by_name and not kind.captured:
             message.ClearField("timestamp")

@@ -21,7 +21,6 @@ from geomosaic.quality.ranking import worst_pairs
 from geomosaic.recording import Recorder, list_view, read_recording
 from geomosaic.recording.canvas import RED, Canvas
 from geomosaic.recording.inspection import Inspection
-from geomosaic.recording.view import told
 from geomosaic.recording.worst import worst_frames
 
 
@@ -115,8 +114,8 @@ def test_a_stage_tells_its_parameters_figures_and_log(
 
 
 def test_view_and_inspect_name_the_same_frames_and_pairs(survey: Path) -> None:
-    recording = read_recording(survey / "run" / "run.mcap")
-    inspected, shown = Inspection(recording, solved_of(recording)), told(recording.path)
+    shown = read_recording(survey / "run" / "run.mcap", with_images=True)
+    inspected = Inspection(shown, solved_of(shown))
     frames, pairs = shown.table("frames.adjusted"), shown.table("pairs.adjusted")
     assert [frames.row[k] for k in list_view.worst_frames(shown)] == [
         f["frame"] for f in worst_frames(inspected.frames)

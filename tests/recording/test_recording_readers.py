@@ -18,14 +18,12 @@ import pytest
 from recording_scene import FRAMES, RECIPE, written
 
 from geomosaic.errors import FileError, GeomosaicError, OutputError
-from geomosaic.recording import Recorder, read_recording, viewer
+from geomosaic.recording import Recorder, Recording, read_recording, viewer
 from geomosaic.recording.chips import Chip
 from geomosaic.recording.limits import RESIDUAL, badness
 from geomosaic.recording.list_view import frame_text, worst_frames
 from geomosaic.recording.plan_view import by_badness, frame_colours, frame_labels, names_apart
-from geomosaic.recording.story import Story
 from geomosaic.recording.thumbnail import decoded, thumbnail
-from geomosaic.recording.view import told
 
 _SCRIPT = Path(__file__).parents[1] / "node" / "read_mcap.mjs"
 
@@ -162,10 +160,10 @@ def test_a_view_takes_no_more_than_a_recording_can_hold(tmp_path: Path) -> None:
     with Recorder(path) as recorder:
         recorder.stage_started("survey.read", 1, {}, {})
         for k in range(20):
-            recorder.image("/frames", f"{k}.jpg", bytes(8 * 2**20))
+            recorder.image("/images/large", f"{k}.jpg", bytes(8 * 2**20))
     assert path.stat().st_size < 100_000
-    with pytest.raises(FileError, match="far more than the file itself"):
-        told(path)
+    with pytest.raises(FileError, match="its figures and images take more than"):
+        read_recording(path, with_images=True)
 
 
 def test_tie_points_of_unequal_lengths_are_left_out(tmp_path: Path) -> None:
@@ -175,10 +173,10 @@ def test_tie_points_of_unequal_lengths_are_left_out(tmp_path: Path) -> None:
         none = np.zeros((0, 2))
         recorder.chip(0, "a", "b", Chip(jpeg, 400, (0, 0), (0, 0), 0, none, none, none, np.ones(3)))
         recorder.chip(1, "a", "c", Chip(jpeg, 400, (0, 0), (0, 0), 0, none, none, none, np.ones(0)))
-    assert [ties.rank for _, ties in told(path).chips] == [1]
+    assert [ties.rank for _, ties in read_recording(path, with_images=True).chips] == [1]
 
 
-def story_of(recorder: Recorder, path: Path) -> Story:
+def recorded(recorder: Recorder, path: Path) -> Recording:
     """Two frames, of which one moved far and has a wrong heading."""
     with recorder:
         recorder.begin_run("", {}, {})
@@ -192,16 +190,16 @@ def story_of(recorder: Recorder, path: Path) -> Story:
         recorder.table("frames.adjusted", ["a.jpg", "b|.jpg", "c.jpg"], found | moved, notes=status)
         recorder.table("pairs.tried", ["a.jpg"], {"inliers": [3]}, ["c.jpg"], ["too few agree: 3 of 9, 16"])
         recorder.log("warning", "its position was off", frame="b|.jpg")
-    return told(path)
+    return read_recording(path, with_images=True)
 
 
 def test_the_plan_names_what_is_odd(tmp_path: Path) -> None:
-    story = story_of(Recorder(tmp_path / "run.mcap"), tmp_path / "run.mcap")
-    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+    told = recorded(Recorder(tmp_path / "run.mcap"), tmp_path / "run.mcap")
+    placed, adjusted = told.table("frames.placed"), told.table("frames.adjusted")
     assert frame_labels(placed, adjusted) == ["a", "b| 61 m, heading 150 deg off", "c placed"]
     assert frame_labels(placed, adjusted, {"b|.jpg"})[1] == "b| 61 m, image turned"
-    assert worst_frames(story) == [2, 1, 0]
-    text = frame_text(story, 1, ["its position was off"])
+    assert worst_frames(told) == [2, 1, 0]
+    text = frame_text(told, 1, ["its position was off"])
     assert "| east_m | 9.00 | 70.00 |" in text and "b\\|.jpg" in text and "- its position was off" in text
     assert by_badness(np.array([0.0, 1.0, np.nan])).tolist()[:2] == [[60, 200, 80], [255, 60, 60]]
     assert frame_colours(placed, adjusted).tolist()[1:] == [[255, 60, 60]] * 2
@@ -217,8 +215,8 @@ def test_a_survey_that_is_bad_everywhere_is_red_everywhere(tmp_path: Path) -> No
         recorder.table(
             "frames.adjusted", names, placed | {"moved_e_m": 60.0, "moved_n_m": 0.0}, notes=["tied"] * 9
         )
-    story = told(tmp_path / "run.mcap")
-    placed, adjusted = story.table("frames.placed"), story.table("frames.adjusted")
+    told = read_recording(tmp_path / "run.mcap", with_images=True)
+    placed, adjusted = told.table("frames.placed"), told.table("frames.adjusted")
     assert {tuple(c) for c in frame_colours(placed, adjusted).tolist()} == {(255, 60, 60)}
     assert all("60 m" in label for label in frame_labels(placed, adjusted))
     bad = badness(np.array([0.0, 0.5, 1.0, 2.0, 3.0, 4.0, np.nan]), RESIDUAL.good, RESIDUAL.bad)

@@ -192,7 +192,7 @@ class _Canvas:
 
 def test_a_view_follows_a_recording_as_it_grows_and_ends_with_its_run(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="Rerun isn't installed")
-    from geomosaic.recording.following import follow
+    from geomosaic.recording.live_run import follow
 
     recorder, canvas = Recorder(tmp_path / "run.mcap"), _Canvas()
     recorder.begin_run(RECIPE, {}, {})
@@ -208,8 +208,8 @@ def test_a_view_follows_a_recording_as_it_grows_and_ends_with_its_run(tmp_path: 
             recorder.stage_started("b", 1, {}, {})
         return len(seen) < 8
 
-    story = follow(tmp_path / "run.mcap", canvas, alive)
-    assert [s.stage_id for s in story.stages] == ["a", "b"] and story.stages[1].ended_ns == 0
+    shown = follow(tmp_path / "run.mcap", canvas, alive)
+    assert [s.stage_id for s in shown.stages] == ["a", "b"] and shown.stages[1].ended_ns == 0
     assert "/stages_drawn/bars" in seen[1] and "/log" not in seen[1]
     assert "/log" in seen[-1], "drawn before the run ended"
     assert canvas.entities.count("/log") == 1, "each line once"

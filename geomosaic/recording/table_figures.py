@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from geomosaic.recording.model import Figures, Recording
+from geomosaic.recording.model import FigureTable, Recording
 from geomosaic.recording.solved import POSE, known, pairs_by_frame
 
 
@@ -28,10 +28,10 @@ def _warned(recording: Recording) -> Iterator[tuple[str, str, str]]:
             yield code, line.frame, text
 
 
-def tabled_pairs(recording: Recording) -> list[dict[str, Any]]:
+def table_pairs(recording: Recording) -> list[dict[str, Any]]:
     """As `solved.pair_figures`, as far as tables tell."""
     out: list[dict[str, Any]] = []
-    adjusted, tried = _last(recording, "pairs.adjusted"), _last(recording, "pairs.tried")
+    adjusted, tried = recording.table("pairs.adjusted"), recording.table("pairs.tried")
     for i, (left, right) in enumerate(_ends(adjusted)):
         value = _row(adjusted, i)
         out.append(
@@ -53,18 +53,17 @@ def tabled_pairs(recording: Recording) -> list[dict[str, Any]]:
     return out + [{"left": a, "right": b, "tied": False, "tie_points": 0} for a, b in rest]
 
 
-def tabled_frames(recording: Recording, pairs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def table_frames(recording: Recording, pairs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """As `solved.frame_figures`, as far as tables tell: places in the work frame are left out."""
-    placed, adjusted = _last(recording, "frames.placed"), _last(recording, "frames.adjusted")
-    names = (adjusted or placed).row if (adjusted or placed) is not None else ()  # type: ignore[union-attr]
-    given = {} if placed is None else {n: _row(placed, i) for i, n in enumerate(placed.row)}
+    placed, adjusted = recording.table("frames.placed"), recording.table("frames.adjusted")
+    given = {n: _row(placed, i) for i, n in enumerate(placed.row)}
     said: dict[str, list[str]] = {}
     for code, frame, text in warned(recording):
         said.setdefault(frame, []).append(f"{code}: {text}")
     by_frame = pairs_by_frame(pairs)
     out = []
-    for i, name in enumerate(names):
-        found = {} if adjusted is None else _row(adjusted, i)
+    for i, name in enumerate(adjusted.row or placed.row):
+        found = _row(adjusted, i) if adjusted.row else {}
         before = given.get(name, {})
         ends = by_frame.get(name, [])
         yaws = found.get("yaw_deg"), before.get("yaw_deg")
@@ -72,7 +71,7 @@ def tabled_frames(recording: Recording, pairs: list[dict[str, Any]]) -> list[dic
         out.append(
             {
                 "frame": name,
-                "status": adjusted.note[i] if adjusted is not None and adjusted.note else "not adjusted",
+                "status": adjusted.note[i] if adjusted.note else "not adjusted",
                 "line": None,
                 "given": _pose(before),
                 "found": _pose(found) if found else None,
@@ -91,16 +90,12 @@ def tabled_frames(recording: Recording, pairs: list[dict[str, Any]]) -> list[dic
     return out
 
 
-def _last(recording: Recording, name: str) -> Figures | None:
-    return next((t for t in reversed(recording.tables) if t.name == name), None)
+def _ends(table: FigureTable) -> list[tuple[str, str]]:
+    return list(zip(table.row, table.other, strict=False))
 
 
-def _ends(table: Figures | None) -> list[tuple[str, str]]:
-    return [] if table is None else list(zip(table.row, table.other, strict=False))
-
-
-def _row(table: Figures | None, i: int) -> dict[str, float | None]:
-    return {} if table is None else {name: known(column[i]) for name, column in table.columns.items()}
+def _row(table: FigureTable, i: int) -> dict[str, float | None]:
+    return {name: known(column[i]) for name, column in table.columns.items()}
 
 
 def _pose(row: dict[str, float | None]) -> dict[str, float | None]:

@@ -7,16 +7,16 @@ import socket
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
-
-from mcap.records import Message
 
 from geomosaic.errors import FileError
 from geomosaic.recording.image_view import draw_thumbnails
 from geomosaic.recording.layout import layout
-from geomosaic.recording.mcapfile import BROKEN, items, opened
-from geomosaic.recording.story import SHOWN, Story
+from geomosaic.recording.mcapfile import DAMAGED, items, opened
+from geomosaic.recording.model import Recording
+from geomosaic.recording.reader import take
 from geomosaic.recording.view import draw, draw_log, draw_progress
 
 _WAIT_S: Final = 0.5
@@ -28,12 +28,12 @@ ADDRESS: Final = "GEOMOSAIC_LIVE"
 """Names a viewer that listens already, as rerun+http://127.0.0.1:PORT/proxy."""
 
 
-def follow(recording: Path, stream: Any, alive: Callable[[], bool]) -> Story:
+def follow(path: Path, stream: Any, alive: Callable[[], bool]) -> Recording:
     """Draws what a recording tells as it grows, until it is whole or nobody writes to it any more.
 
     alive: says whether its run is on.
     """
-    story, logged, drawn_s = Story(), 0, 0.0
+    recording, logged, drawn_s = Recording(path, with_images=True), 0, 0.0
     known: set[str] = set()
 
     def more() -> bool:
@@ -41,27 +41,24 @@ def follow(recording: Path, stream: Any, alive: Callable[[], bool]) -> Story:
         if not alive():
             return False
         if time.monotonic() - drawn_s > _AGAIN_S:
-            new, known = story.tables.keys() - known, set(story.tables)
-            (draw if new else draw_progress)(story, stream)
+            there = {table.name for table in recording.tables}
+            new, known = there - known, there
+            (draw if new else draw_progress)(recording, stream)
             if "frames.adjusted" in new:
-                draw_thumbnails(recording, story, stream)
-            draw_log(story, stream, logged)
-            logged, drawn_s = len(story.log), time.monotonic()
+                draw_thumbnails(recording, stream)
+            draw_log(recording, stream, logged)
+            logged, drawn_s = len(recording.log), time.monotonic()
         time.sleep(_WAIT_S)
         return True
 
-    with opened(recording) as file:
-        for item in items(recording, file, more):
-            if isinstance(item.record, Message) and item.schema in SHOWN:
-                try:
-                    message = SHOWN[item.schema].of(item.record.data)
-                    story.take(item.topic, message, item.record.sequence, item.record.log_time)
-                except (*BROKEN, KeyError, TypeError, AttributeError):
-                    continue
-    draw(story, stream)
-    draw_thumbnails(recording, story, stream)
-    draw_log(story, stream, logged)
-    return story
+    with opened(path) as file:
+        for item in items(path, file, more):
+            with suppress(*DAMAGED):
+                take(recording, item)
+    draw(recording, stream)
+    draw_thumbnails(recording, stream)
+    draw_log(recording, stream, logged)
+    return recording
 
 
 def _main(recording: Path, run: int) -> None:
