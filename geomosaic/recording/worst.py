@@ -226,7 +226,8 @@ def worst_frames(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
     given_sd_deg = _figures((f.get("given") or {}).get("sd_kappa_deg") for f in frames)
     order = ranking.worst_frames(
         [f["status"] != "tied" for f in frames],
-        np.array([bool(f["said"]) for f in frames]) | ranking.wrong_headings(off_deg, given_sd_deg),
+        np.array([bool(f["said"]) for f in frames], dtype=bool)
+        | ranking.wrong_headings(off_deg, given_sd_deg),
         [np.linalg.norm(_figures(f.get("moved_m", (None,))[:2])) for f in frames],
         off_deg,
     )

@@ -10,6 +10,7 @@ from geomosaic.quality.ranking import headings_off_deg, worst_frames, worst_pair
 def test_untied_frames_come_first_then_wrong_tags_then_moves() -> None:
     moved = [1.0, 9.0, np.nan, 2.0, 2.0]
     assert worst_frames([0, 0, 1, 0, 0], [0, 0, 0, 1, 0], moved, [0.0, 0.0, 0.0, 0.0, 5.0]) == [2, 3, 1, 4, 0]
+    assert worst_frames([], [], [], []) == worst_pairs([]) == []
     assert worst_frames([0, 0], [0, 0], [3.0, 3.0], [1.0, -4.0]) == [1, 0]
 
 
