@@ -34,9 +34,9 @@ from geomosaic.survey.model import (
     ControlPoint,
     ElevationModel,
     Frame,
-    LeftOut,
     Position,
     Survey,
+    UnusedImage,
 )
 from geomosaic.survey.pixels import read_pixels
 
@@ -55,7 +55,6 @@ __all__ = [
     "GeomosaicError",
     "GroundSurface",
     "InputError",
-    "LeftOut",
     "LocalFrame",
     "Mosaic",
     "NotSolvableError",
@@ -78,6 +77,7 @@ __all__ = [
     "TiePoints",
     "Tones",
     "UnknownNameError",
+    "UnusedImage",
     "Verdict",
     "footprint",
     "ground_from_image",

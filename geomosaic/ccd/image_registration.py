@@ -17,11 +17,11 @@ from geomosaic.ccd.model import (
     MEASURED,
     UNKNOWN_SD_PX,
     UNRELIABLE,
+    CcdSettings,
     Floats,
     Overlap,
     PairOffsets,
     Progress,
-    Settings,
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.sift_chains import bridging_sd, pieces
@@ -37,7 +37,7 @@ _BLUR_PX = sourced(8, "px", "half a box of `columns`: less makes pieces differ a
 _PHASE_SD_PX = tuned(0.02, "px", "pixel locking of parabola peaks: less claims too much; more too little")
 
 
-def image_registration(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
+def image_registration(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
     """A smoothing spline through the peaks of the correlation of patches of 64 lines."""
     found: dict[int, list[Floats]] = {pair: [] for pair in strips.pairs}
     spare = settings.search_lines_px + 3 * _BLUR_PX
@@ -51,7 +51,7 @@ def image_registration(strips: Strips, settings: Settings, progress: Progress) -
     )
 
 
-def patches(overlap: Overlap, geometry: StripGeometry, settings: Settings, spare: int) -> Floats:
+def patches(overlap: Overlap, geometry: StripGeometry, settings: CcdSettings, spare: int) -> Floats:
     """The patches of an overlap, but for `spare` lines at either end: middle line, dcol, dline, correlation.
 
     Returns: (p, 4). Patches whose peak is at the edge of the search, or that hold what isn't valid, have

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.ccd.expected import Expected, expected
-from geomosaic.ccd.joint_window import KnotOffsets, Start, curve_of, first_offsets, solved_window
-from geomosaic.ccd.lost_lines import Step, lasting, steps
+from geomosaic.ccd.joint_window import KnotOffsets, WindowStart, curve_of, first_offsets, solved_window
+from geomosaic.ccd.lost_lines import LineStep, lasting, steps
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
     RELIABLE_SD_PX,
     UNKNOWN_SD_PX,
     UNRELIABLE,
+    CcdSettings,
     Flags,
     Floats,
     PairOffsets,
     Progress,
-    Settings,
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
@@ -41,7 +41,7 @@ _MEASURED_SD_PX = tuned(0.25, "px", "for a measured line: more admits lines that
 
 
 def joint(
-    strips: Strips, settings: Settings, progress: Progress, window_lines: int = _WINDOW_LINES
+    strips: Strips, settings: CcdSettings, progress: Progress, window_lines: int = _WINDOW_LINES
 ) -> tuple[PairOffsets, ...]:
     """Offsets of every line of every pair, with standard deviations.
 
@@ -90,7 +90,7 @@ def _windows(knots: int, longest: int, margin: int) -> Iterator[_Window]:
 
 
 def _solved(
-    strips: Strips, settings: Settings, likely: Expected, window: _Window, known_px: list[Floats]
+    strips: Strips, settings: CcdSettings, likely: Expected, window: _Window, known_px: list[Floats]
 ) -> KnotOffsets:
     """A window's curves; lines found lost or repeated are added to what is known, from there to the end."""
     step = likely.knot_lines
@@ -101,7 +101,7 @@ def _solved(
         range(len(known_px)),
     )
 
-    def begun(lost: list[Step]) -> Start:
+    def begun(lost: list[LineStep]) -> WindowStart:
         for px, mine in zip(known_px, before, strict=True):
             px[first:] = mine
         for at in lost:

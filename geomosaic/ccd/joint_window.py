@@ -17,8 +17,8 @@ from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.least_squares_matching import Cells, PairImages, measure, pair_images
-from geomosaic.ccd.model import Flags, Floats, Settings
+from geomosaic.ccd.least_squares_matching import KnotOffsetsMeasured, PairImages, measure, pair_images
+from geomosaic.ccd.model import CcdSettings, Flags, Floats
 from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
@@ -70,7 +70,7 @@ class KnotOffsets:
 
 
 @dataclass(frozen=True)
-class Start:
+class WindowStart:
     """Offsets (pairs, knots, 2), their information (pairs, knots, 2, 2); pixels (n, w) of each pair that may
     be cloud, none where nothing is."""
 
@@ -86,7 +86,7 @@ class Start:
 
 
 def solved_window(
-    pairs: Sequence[RowPair], start: Start, likely: Expected
+    pairs: Sequence[RowPair], start: WindowStart, likely: Expected
 ) -> tuple[KnotOffsets, list[RowPair]]:
     """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand.
 
@@ -96,7 +96,7 @@ def solved_window(
     coarse, weights = start.offset_px, start.information
     habits = first_habits(likely)
     now = smooth(coarse, weights, np.median(coarse, axis=1), habits)
-    cells: list[Cells] = []
+    cells: list[KnotOffsetsMeasured] = []
     cloudy = False
     believed = list(pairs)
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
@@ -129,7 +129,7 @@ def _centres(pairs: Sequence[RowPair], likely: Expected) -> Floats:
     return np.asarray(np.arange(len(pairs[0]) // step) * float(step) + (step - 1) / 2)
 
 
-def first_offsets(pairs: Sequence[RowPair], settings: Settings, likely: Expected) -> Start:
+def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expected) -> WindowStart:
     """Offsets to about a pixel, from correlation volumes."""
     centres = _centres(pairs, likely)
     blocks = max(len(pairs[0]) // BLOCK_LINES, 1)
@@ -147,7 +147,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: Settings, likely: Expected
     known = (volumes.max(axis=(2, 3)) > 2.0) & ~coarse.cloudy
     weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)
     suspect = [coarse.suspect.pixels(p.grey, p.valid.shape) for p in pairs] if coarse.suspect else []
-    return Start(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), suspect)
+    return WindowStart(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), suspect)
 
 
 def _beside(
@@ -192,7 +192,7 @@ def _refined(
     centres: Floats,
     habits: Habits,
     last: bool,
-) -> tuple[Smoothed, list[Cells], Flags, Habits]:
+) -> tuple[Smoothed, list[KnotOffsetsMeasured], Flags, Habits]:
     """One round: cells measured along the curves, implausible ones set back, curves drawn anew.
 
     Returns: curves, cells, which of them (pairs, knots) had a say, habits.
@@ -215,12 +215,12 @@ def _refined(
 
 def _measured(
     pairs: Sequence[RowPair], ready: Sequence[PairImages], now: Smoothed, coarse: Floats, centres: Floats
-) -> tuple[list[Cells], Floats, Floats]:
+) -> tuple[list[KnotOffsetsMeasured], Floats, Floats]:
     """Cells along the curves, their offsets (the coarse ones where there are none) and their information."""
     step = round(centres[1] - centres[0])
     at = np.arange(len(centres) * step, dtype=np.float64)
 
-    def measured_cells(k: int) -> Cells:
+    def measured_cells(k: int) -> KnotOffsetsMeasured:
         curve = curve_of(centres, now.offsets_px[k], at)
         return measure(ready[k], curve, pairs[k].known_px[: len(at)], step)
 

@@ -24,14 +24,14 @@ _SECOND_COSTS = tuned(1.0, "log-likelihood", "cost of a block in cloud: less mak
 
 
 @dataclass(frozen=True)
-class Layer:
+class LayerVector:
     """Clouds against the ground, in bins of the volumes: lines, columns."""
 
     lines: int
     cols: int
 
 
-def layer_candidates(volumes: Floats, around_blocks: int, most: int = 4) -> list[Layer]:
+def layer_candidates(volumes: Floats, around_blocks: int, most: int = 4) -> list[LayerVector]:
     """Vectors between two layers, most probable first: peaks of the volumes' correlation with themselves.
 
     Args: volumes (pairs, blocks, h, c). around_blocks: both are looked for within so
@@ -58,10 +58,10 @@ def layer_candidates(volumes: Floats, around_blocks: int, most: int = 4) -> list
     peak = (excess >= maximum_filter(excess, 3, mode="wrap")) & one_half & far & (share > 0)
     rows, cols = np.nonzero(peak & (excess > _NOTABLE * total[0, 0]))
     order = np.argsort(-excess[rows, cols], kind="stable")[:most]
-    return [Layer(int(lag_l[rows[i], 0]), int(lag_c[0, cols[i]])) for i in order]
+    return [LayerVector(int(lag_l[rows[i], 0]), int(lag_c[0, cols[i]])) for i in order]
 
 
-def either_layer(volumes: Floats, layers: list[Layer]) -> Floats:
+def either_layer(volumes: Floats, layers: list[LayerVector]) -> Floats:
     """For every shift of the ground, the evidence of the layer that explains a block best."""
     h, c = volumes.shape[2:]
     out = volumes
@@ -74,7 +74,7 @@ def either_layer(volumes: Floats, layers: list[Layer]) -> Floats:
     return out
 
 
-def second_layer(volumes: Floats, layer: Layer, path: NDArray[np.intp]) -> NDArray[np.bool_]:
+def second_layer(volumes: Floats, layer: LayerVector, path: NDArray[np.intp]) -> NDArray[np.bool_]:
     """(pairs, blocks): where the second layer explains more than the first along paths (pairs, blocks, 2)."""
     spread = maximum_filter(volumes, size=(1, 1, 3, 3), mode="constant")
     away = np.array([layer.lines, layer.cols])

@@ -24,7 +24,7 @@ _ROUNDS = tuned(12, "rounds", "of the fixed point: each leaves 1 %, but repeated
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class StripLookup:
     """Where raster rows see a strip: at knots, bilinear between them across the columns.
 
     knots_px: (m,) raster cols, ascending, from the first to the last col of the CCD at least.
@@ -58,7 +58,7 @@ class SceneLayout(Protocol):
     def cols(self, ccd: int) -> tuple[int, int]:
         """The raster cols, first and one beyond the last, that a CCD may fill: to its overlaps' ends."""
 
-    def places(self, ccd: int, top: int, bottom: int) -> Places:
+    def places(self, ccd: int, top: int, bottom: int) -> StripLookup:
         """Where raster rows top to bottom - 1 see the strip."""
 
 
@@ -119,7 +119,7 @@ class ImageSpaceLayout:
         first = ccd * (self.geometry.width_px - self.geometry.overlap_px)
         return first, first + self.geometry.width_px
 
-    def places(self, ccd: int, top: int, bottom: int) -> Places:
+    def places(self, ccd: int, top: int, bottom: int) -> StripLookup:
         """Where raster rows top to bottom - 1 see the strip; knots at the ends of its overlaps."""
         first, last = self.cols(ccd)
         overlap = self.geometry.overlap_px
@@ -127,7 +127,7 @@ class ImageSpaceLayout:
         middles = np.arange(top, bottom, dtype=np.float64) + (self.first_line + 0.5)
         image = self._edges(ccd, middles)[:, :, [0, 0, 1, 1]]
         image[0] += knots - first
-        return Places(knots, image)
+        return StripLookup(knots, image)
 
     def scene_from_strip(self, ccd: int, col: Floats, line: Floats) -> Floats:
         """Scene col and scene line (2, n) of a strip's cols and lines (n,)."""

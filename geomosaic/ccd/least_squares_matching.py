@@ -44,7 +44,7 @@ class PairImages:
 
 
 @dataclass(frozen=True)
-class Cells:
+class KnotOffsetsMeasured:
     """Measured against the curve that was given, per knot.
 
     offset_px: (knots, 2) dcol, dline of the whole, weighted mean of the knot's cells. information:
@@ -73,7 +73,7 @@ def pair_images(pair: RowPair, scale: int) -> PairImages:
     return PairImages(lead, trail, valid, pair.nominal_col / scale, scale)
 
 
-def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: int) -> Cells:
+def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: int) -> KnotOffsetsMeasured:
     """Offsets at every knot, from a curve near them.
 
     Args: curve_px (2, n) dcol, dline of every line of the strips beyond known_px (n,), the known part of
@@ -92,7 +92,7 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
     cols = (last - first) // _COL_GROUPS * _COL_GROUPS
     if cols <= 0 or knots == 0:
         none = np.zeros((knots, 2, 2))
-        return Cells(np.zeros((knots, 2)), none, none, np.zeros(knots))
+        return KnotOffsetsMeasured(np.zeros((knots, 2)), none, none, np.zeros(knots))
     map_col = (np.arange(first, first + cols)[None, :] + whole[0][:, None]).astype(np.float32)
     map_line = np.repeat((np.arange(n) + whole[1])[:, None], cols, axis=1).astype(np.float32)
     moved = _remap(given.trail, map_col, map_line, cv2.INTER_CUBIC)
@@ -119,7 +119,9 @@ def _gradients(image: Images) -> list[Images]:
     ]
 
 
-def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int, scale: int) -> Cells:
+def _weighed(
+    sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int, scale: int
+) -> KnotOffsetsMeasured:
     """Cells to knots.
 
     Args: sums (3, 3, knots, groups): centred products of the mean's gradients and the difference. apart
@@ -159,7 +161,7 @@ def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int,
     safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
     mean[known] = solve_each(safe, pull[known][..., None])[..., 0]
     centre = at.reshape(2, knots, lines).mean(axis=2).T
-    return Cells(scale * (centre + mean), total / scale**2, _definite(close) / scale**2, good)
+    return KnotOffsetsMeasured(scale * (centre + mean), total / scale**2, _definite(close) / scale**2, good)
 
 
 def _alike(sums: Floats, apart: Floats) -> Floats:

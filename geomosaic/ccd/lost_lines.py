@@ -34,7 +34,7 @@ _LEAST_SEEN = tuned(0.6, "share", "valid pixels at a step: less decides beside c
 
 
 @dataclass(frozen=True)
-class Step:
+class LineStep:
     """From `line` of a pair's (`index`) window on, dline is larger by `count`."""
 
     index: int
@@ -42,14 +42,16 @@ class Step:
     count: int
 
 
-def steps(pairs: Sequence[RowPair], offset_px: Floats, likely: Expected, coarse: bool = False) -> list[Step]:
+def steps(
+    pairs: Sequence[RowPair], offset_px: Floats, likely: Expected, coarse: bool = False
+) -> list[LineStep]:
     """Where pairs' dline changes by whole lines.
 
     Args: offset_px (pairs, knots, 2) as found without the steps. coarse: they are so to about a pixel, and
     only steps of several lines are looked for.
     A place shows one step, of the CCD that one or two pairs share: the largest.
     """
-    found: list[Step] = []
+    found: list[LineStep] = []
     knot_lines, alone = likely.knot_lines, len(pairs) < _ENOUGH_PAIRS
     least_px = _STEEP_COARSE_PX if coarse else likely.steep_px(_STEEP_KNOTS * knot_lines, alone)
     for knot in _steep(offset_px[..., 1], least_px):
@@ -59,13 +61,13 @@ def steps(pairs: Sequence[RowPair], offset_px: Floats, likely: Expected, coarse:
     return found
 
 
-def lasting(found: Sequence[Step]) -> list[Step]:
+def lasting(found: Sequence[LineStep]) -> list[LineStep]:
     """The steps less those that go and come back in one pair alone: a cloud's edges, not lines lost for good.
 
     Lines that a CCD lost are seen by both pairs that share it; such steps are believed.
     """
 
-    def alone(step: Step) -> bool:
+    def alone(step: LineStep) -> bool:
         return not any(
             other.index != step.index
             and abs(other.count) == abs(step.count)
@@ -73,7 +75,7 @@ def lasting(found: Sequence[Step]) -> list[Step]:
             for other in found
         )
 
-    def comes_back(step: Step) -> bool:
+    def comes_back(step: LineStep) -> bool:
         return any(o.index == step.index and o.count == -step.count and alone(o) for o in found)
 
     return [step for step in found if not (alone(step) and comes_back(step))]
@@ -93,7 +95,7 @@ def _steep(dline_px: Floats, least_px: float) -> list[int]:
 
 def _step(
     pair: RowPair, index: int, offset_px: Floats, knot: int, knot_lines: int, coarse: bool
-) -> Step | None:
+) -> LineStep | None:
     near, far = _KNOTS_APART, _KNOTS_APART + _KNOTS_FITTED
     if knot < far or knot + far >= offset_px.shape[1]:
         return None
@@ -122,7 +124,7 @@ def _step(
     if not tried:
         return None
     _, line, count = min(tried)
-    return Step(index, line, count)
+    return LineStep(index, line, count)
 
 
 def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float, int] | None:

@@ -7,12 +7,12 @@ from typing import Final
 
 from geomosaic.ccd.image_registration import image_registration
 from geomosaic.ccd.joint import joint
-from geomosaic.ccd.model import PairOffsets, Progress, Settings
+from geomosaic.ccd.model import CcdSettings, PairOffsets, Progress
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.sift_chains import piecewise_linear, whole_scene
 from geomosaic.ccd.virtual_line import virtual_line
 
-Method = Callable[[Strips, Settings, Progress], tuple[PairOffsets, ...]]
+Method = Callable[[Strips, CcdSettings, Progress], tuple[PairOffsets, ...]]
 
 METHODS: Final[dict[str, Method]] = {
     "joint": joint,

@@ -73,7 +73,7 @@ class StripOffsets:
 
 
 @dataclass(frozen=True)
-class Settings:
+class CcdSettings:
     """What the methods may be given.
 
     search_cols_px, search_lines_px: how far the offsets may lie from the nominal geometry. knot_lines: the

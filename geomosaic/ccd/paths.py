@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, uniform_filter1d
 from geomosaic.ccd.best_path import Ints, best_path, shifted
 from geomosaic.ccd.brightness import Suspect, bright_part
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.layers import Layer, either_layer, layer_candidates, second_layer
+from geomosaic.ccd.layers import LayerVector, either_layer, layer_candidates, second_layer
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
@@ -46,7 +46,7 @@ class Coarse:
     """
 
     offsets_px: Floats
-    layers: list[Layer]
+    layers: list[LayerVector]
     cloudy: Flags
     suspect: Suspect | None
 
@@ -66,11 +66,11 @@ def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected, rounds
         best, suspect = _darker_or_brighter(volumes, bright, brightness, likely, rounds)
         return Coarse(_px(volumes, best), [], np.zeros(brightness.shape, dtype=np.bool_), suspect)
     best, evidence = _solve(volumes, likely, rounds)
-    layers: list[Layer] = []
+    layers: list[LayerVector] = []
     threshold = evidence.sum() * (1.0 + _LAYER_GAIN)
     lowest = np.inf
     for candidate in layer_candidates(volumes, round(likely.steady_lines / BLOCK_LINES)):
-        for layer in (candidate, Layer(-candidate.lines, -candidate.cols)):
+        for layer in (candidate, LayerVector(-candidate.lines, -candidate.cols)):
             path, value = _solve(either_layer(volumes, [layer]), likely, rounds)
             ground = np.median(_px(volumes, path).reshape(-1, 2), axis=0)
             away = _BIN_PX * np.array([layer.cols, layer.lines], dtype=np.float64)

@@ -18,12 +18,12 @@ from geomosaic.ccd.model import (
     MEASURED,
     UNKNOWN_SD_PX,
     UNRELIABLE,
+    CcdSettings,
     Flags,
     Floats,
     Overlap,
     PairOffsets,
     Progress,
-    Settings,
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.constants import NORMAL_PER_MAD, tuned
@@ -93,7 +93,9 @@ def pieces(strips: Strips, length: int) -> Iterator[tuple[int, int, int, int]]:
                 yield pair, lead[0] + first, min(lead[1] + first, strips.lines(pair)), total
 
 
-def matched_points(overlap: Overlap, geometry: StripGeometry, settings: Settings, enhance: bool) -> Matched:
+def matched_points(
+    overlap: Overlap, geometry: StripGeometry, settings: CcdSettings, enhance: bool
+) -> Matched:
     """SIFT points of a piece of an overlap whose nearest descriptor is clearly the nearest (Lowe 2004).
 
     The columns' unequal response is taken out first, as ground segments do before they stitch. enhance: each
@@ -152,7 +154,7 @@ def consensus(moved_px: Floats, agree_px: float = _AGREE_PX) -> tuple[Floats, Fl
     return np.asarray(moved_px[inside].mean(axis=0)), inside
 
 
-def whole_scene(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
+def whole_scene(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
     """One offset for the scene and pair: the old chain, without enhancement.
 
     The standard deviation is the points' robust scatter about the one offset, with what drift and jitter make
@@ -181,7 +183,7 @@ def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) ->
     return PairOffsets(pair, dcol, dline, sd_col, sd_line, label)
 
 
-def segments(strips: Strips, settings: Settings, progress: Progress) -> tuple[Segments, ...]:
+def segments(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[Segments, ...]:
     """Offsets segment by segment, for each of `strips.pairs`; with `settings.enhance` or without."""
     rows: dict[int, list[tuple[float, ...]]] = {pair: [] for pair in strips.pairs}
     for done, (pair, first, stop, total) in enumerate(pieces(strips, settings.segment_lines)):
@@ -225,7 +227,7 @@ def steady(at: Floats, values: Floats, given: Flags) -> Flags:
     return kept
 
 
-def piecewise_linear(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
+def piecewise_linear(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
     """Offsets linear between the centres of the segments kept: the new chain.
 
     The standard deviation has the points' own part and what the segments' departures from their neighbours

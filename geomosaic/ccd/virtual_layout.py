@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.ccd.layout import Ends, Places
+from geomosaic.ccd.layout import Ends, StripLookup
 from geomosaic.ccd.line_poses import LinePoses
 from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
@@ -96,7 +96,7 @@ class VirtualLayout:
         """The raster cols, first and one beyond the last, that a CCD may fill."""
         return self.columns[ccd]
 
-    def places(self, ccd: int, top: int, bottom: int) -> Places:
+    def places(self, ccd: int, top: int, bottom: int) -> StripLookup:
         """Where raster rows top to bottom - 1 see the strip; knots every 64 columns.
 
         Heights are taken at every 16th row, the strip's columns and lines solved at every 4th.
@@ -113,7 +113,7 @@ class VirtualLayout:
         real = LinePoses(self.space.model, near[0] - _SPARE_LINES, near[-1] + _SPARE_LINES)
         image = np.nan_to_num(np.stack(real.image(ccd, ground, near[:, None])), nan=_NOWHERE_PX)
         image = np.moveaxis(_rows_between(np.moveaxis(image, 0, -1), _IMAGE_ROWS, 1)[:rows], -1, 0)
-        return Places(knots, image)
+        return StripLookup(knots, image)
 
 
 def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "all") -> VirtualLayout:

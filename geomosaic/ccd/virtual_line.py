@@ -9,7 +9,15 @@ import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import LinePoses
-from geomosaic.ccd.model import BRIDGED, RELIABLE_SD_PX, UNRELIABLE, Floats, PairOffsets, Progress, Settings
+from geomosaic.ccd.model import (
+    BRIDGED,
+    RELIABLE_SD_PX,
+    UNRELIABLE,
+    CcdSettings,
+    Floats,
+    PairOffsets,
+    Progress,
+)
 from geomosaic.ccd.object_space import ObjectSpace, level_ground
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.constants import NORMAL_PER_MAD, tuned
@@ -27,7 +35,7 @@ _STEP_M = tuned(50.0, "m", "of the numerical parallax: 5 to 500 agree; far less 
 _RELIEF_STEP_LINES = tuned(4, "lines", "between lines of relief: 4 is off by 1e-4 px, 32 by 8e-3")
 
 
-def virtual_line(strips: Strips, settings: Settings, progress: Progress) -> tuple[PairOffsets, ...]:
+def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
     """Offsets that the rigorous model and the DEM predict; no image is looked at.
 
     For the middle of each line of a left strip: the ground under column width - overlap / 2, and where the

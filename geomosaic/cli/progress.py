@@ -27,7 +27,7 @@ def _how(seconds: float, source: Source) -> str:
     return texts[source]
 
 
-class Lines:
+class ProgressLines:
     """One line when a stage begins, ends or warns, and one every ten seconds in between.
 
     When the reader of a pipe goes away, the run goes on unheard.
@@ -121,7 +121,7 @@ def progress(*, quiet: bool = False) -> Iterator[Reporter]:
         return
     console = Console(stderr=True)
     if sys.stderr is None or not console.is_terminal:
-        yield Lines(sys.stderr)
+        yield ProgressLines(sys.stderr)
         return
     columns = (
         TextColumn("{task.description}"),

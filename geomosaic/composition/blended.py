@@ -14,9 +14,9 @@ from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.frame_part import FramePart
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import OutputGrid
-from geomosaic.composition.pyramid import TILE_PX, Tile, TileKind
+from geomosaic.composition.pyramid import TILE_PX, PackedTile, TileKind
 from geomosaic.composition.spread import SpooledResult
-from geomosaic.composition.window import Manner, Part, Step, Window, compose_window
+from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Wanted:
     gives: tuple[SpooledResult[FramePart], ...]
 
     @classmethod
-    def of(cls, step: Step, gives: Mapping[int, SpooledResult[FramePart]]) -> Wanted:
+    def of(cls, step: CompositionStep, gives: Mapping[int, SpooledResult[FramePart]]) -> Wanted:
         """A step of the plan, without the frames themselves, which all windows share."""
         parts = tuple((part.source.number, part.rows, part.cols) for part in step.parts)
         return cls(step.window, step.around, parts, tuple(gives[number] for number, *_ in parts))
@@ -62,8 +62,8 @@ class Blended:
     gave: the numbers of the sources that gave pixels."""
 
     window: Window
-    tile: Tile | None
-    index: Tile | None
+    tile: PackedTile | None
+    index: PackedTile | None
     labels: NDArray[np.int32]
     wanted: NDArray[np.bool_] | None
     gave: tuple[int, ...]
@@ -83,8 +83,8 @@ class BlendedBlock:
 
     place: tuple[int, int]
     windows: tuple[Blended, ...]
-    over: Tile | None
-    index_over: Tile | None
+    over: PackedTile | None
+    index_over: PackedTile | None
 
 
 def place_over(window: Window) -> tuple[int, int]:
@@ -95,8 +95,8 @@ def place_over(window: Window) -> tuple[int, int]:
 def blended(how: Blending, of: WantedBlock) -> BlendedBlock:
     """All pixels of some windows, as tiles of the files they go to."""
     (i, j), made = of.place, []
-    tiles: dict[tuple[int, int], Tile | None] = {}
-    indices: dict[tuple[int, int], Tile | None] = {}
+    tiles: dict[tuple[int, int], PackedTile | None] = {}
+    indices: dict[tuple[int, int], PackedTile | None] = {}
     for wanted in of.windows:
         done = _blended(how, wanted)
         at = wanted.window.row // TILE_PX - 2 * i, wanted.window.col // TILE_PX - 2 * j
@@ -110,15 +110,15 @@ def blended(how: Blending, of: WantedBlock) -> BlendedBlock:
     return BlendedBlock(of.place, tuple(made), how.kind.over(tiles, height, width), index_over)
 
 
-def _without_half(tile: Tile | None) -> Tile | None:
+def _without_half(tile: PackedTile | None) -> PackedTile | None:
     """A tile whose overview's tile is made."""
     return None if tile is None else replace(tile, half=None, half_valid=None)
 
 
 def _blended(how: Blending, of: Wanted) -> Blended:
     """All of a window's pixels, as tiles of the files they go to."""
-    parts = tuple(Part(how.sources[number], rows, cols) for number, rows, cols in of.parts)
-    step = Step(of.window, of.around, how.reach_px, parts)
+    parts = tuple(SourcePart(how.sources[number], rows, cols) for number, rows, cols in of.parts)
+    step = CompositionStep(of.window, of.around, how.reach_px, parts)
     gives: dict[int, Any] = {
         part.source.number: give.look() for part, give in zip(parts, of.gives, strict=True)
     }

@@ -23,7 +23,7 @@ def window_cells(window: Window) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Cells:
+class MosaicCells:
     """Which of the mosaic's cells, CELL_PX a side, from row and col on, (h, w)."""
 
     row: int

@@ -63,7 +63,7 @@ class _Land:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _FramePlaces:
     """A frame, and the corners (k, 2) of the places that are to be seen in it, easting and northing."""
 
     frame: Frame
@@ -87,7 +87,7 @@ def agreement(
     for k, pair in enumerate(pairs):
         for i in pair:
             of.setdefault(i, []).append(k)
-    looks = [_Look(frames[views[i].frame], views[i], corners_m[ks]) for i, ks in of.items()]
+    looks = [_FramePlaces(frames[views[i].frame], views[i], corners_m[ks]) for i, ks in of.items()]
     found = spread.map("grounds", partial(_looked, land), looks, [views[i].frame for i in of])
     shown = {
         (i, k): one
@@ -135,7 +135,7 @@ def _apart_m(land: _Land, corner_m: Floats, step_px: int = 1) -> Floats32:
     return np.asarray(np.ptp(up, axis=0), dtype=np.float32)
 
 
-def _looked(land: _Land, look: _Look) -> list[list[Floats32]]:
+def _looked(land: _Land, look: _FramePlaces) -> list[list[Floats32]]:
     """Of each place, how the frame shows it on each ground, NaN where it doesn't or something hides it."""
     pixels, mask = read_pixels(look.frame, luma=True)
     grey = pixels[..., 0].astype(np.float32) if pixels.ndim == 3 else pixels.astype(np.float32)

@@ -16,7 +16,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.composition.pyramid import Level, Pyramid
+from geomosaic.composition.pyramid import RasterLevel, RasterPyramid
 
 
 class Tag(IntEnum):
@@ -48,7 +48,7 @@ class Subfile(IntFlag):
     MASK = 4
 
 
-class Kind(IntEnum):
+class NumberKind(IntEnum):
     """Types of whole numbers."""
 
     LONG = 4
@@ -92,7 +92,7 @@ def directories(tiff: bytes) -> list[Tags]:
     return found
 
 
-def write_cog_of(pyramid: Pyramid, like: Sequence[Tags], out: IO[bytes]) -> None:
+def write_cog_of(pyramid: RasterPyramid, like: Sequence[Tags], out: IO[bytes]) -> None:
     """Writes a finished pyramid. like: the directories of a raster of such tiles and, if they have masks, of
     its mask.
     """
@@ -108,7 +108,7 @@ def write_cog_of(pyramid: Pyramid, like: Sequence[Tags], out: IO[bytes]) -> None
             out.writelines(_blocks(pyramid.tiles, places, empty))
 
 
-def _sizes(level: Level, empty: tuple[bytes, bytes]) -> Ints:
+def _sizes(level: RasterLevel, empty: tuple[bytes, bytes]) -> Ints:
     """Bytes of each tile, and of its mask if there are any, (down, across, 1 or 2)."""
     of = level.places[..., 1:].copy()
     of[of[..., 0] == 0] = [len(part) for part in empty]
@@ -127,7 +127,9 @@ def _blocks(tiles: IO[bytes], places: Ints, empty: tuple[bytes, bytes]) -> Itera
             yield from (struct.pack("<I", len(part)), part, part[-_SIZE_BYTES:])
 
 
-def _header(levels: Sequence[Level], sizes: Sequence[Ints], like: Sequence[Tags], *, big: bool) -> bytes:
+def _header(
+    levels: Sequence[RasterLevel], sizes: Sequence[Ints], like: Sequence[Tags], *, big: bool
+) -> bytes:
     """Everything before the tiles, of which it says where each one lies."""
     places = [np.zeros_like(of) for of in sizes]
     at = len(_written(_directories(levels, sizes, places, like, big), len(like) > 1, big))
@@ -139,7 +141,11 @@ def _header(levels: Sequence[Level], sizes: Sequence[Ints], like: Sequence[Tags]
 
 
 def _directories(
-    levels: Sequence[Level], sizes: Sequence[Ints], places: Sequence[Ints], like: Sequence[Tags], big: bool
+    levels: Sequence[RasterLevel],
+    sizes: Sequence[Ints],
+    places: Sequence[Ints],
+    like: Sequence[Tags],
+    big: bool,
 ) -> list[Tags]:
     """In GDAL's order: the raster, its mask, the overviews, their masks."""
     whole, mask = Subfile.RASTER, Subfile.MASK
@@ -157,14 +163,14 @@ def _directories(
             tags[Tag.SUBFILE] = _numbers(of)
         tags[Tag.WIDTH], tags[Tag.HEIGHT] = _numbers(levels[k].width), _numbers(levels[k].height)
         part = 1 if of & mask else 0
-        tags[Tag.TILES] = _numbers(places[k][..., part], Kind.LONG8 if big else Kind.LONG)
+        tags[Tag.TILES] = _numbers(places[k][..., part], NumberKind.LONG8 if big else NumberKind.LONG)
         tags[Tag.TILE_BYTES] = _numbers(sizes[k][..., part])
         found.append(tags)
     return found
 
 
-def _numbers(values: Any, kind: Kind = Kind.LONG) -> tuple[int, int, bytes]:
-    numbers = np.asarray(values, "<u8" if kind == Kind.LONG8 else "<u4")
+def _numbers(values: Any, kind: NumberKind = NumberKind.LONG) -> tuple[int, int, bytes]:
+    numbers = np.asarray(values, "<u8" if kind == NumberKind.LONG8 else "<u4")
     return kind, numbers.size, numbers.tobytes()
 
 

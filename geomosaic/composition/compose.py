@@ -24,7 +24,7 @@ from geomosaic.composition.blended import (
     place_over,
 )
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.cells import Cells
+from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frame_part import Asked, Warping, frame_part
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import Mosaic, OutputGrid
@@ -39,7 +39,7 @@ from geomosaic.composition.spread import InProcessSpooler, SpooledResult, Spoole
 from geomosaic.composition.tones import Tones
 from geomosaic.composition.views import frame_views
 from geomosaic.composition.visibility import FrameOnMap, VisibilityTest, visible_cells
-from geomosaic.composition.window import DTYPES, Step, Window
+from geomosaic.composition.window import DTYPES, CompositionStep, Window
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
@@ -171,7 +171,7 @@ class _Walk:
         """Windows of the grid, by the overview's tiles over them, blended by whoever is free of what frames
         give."""
         plan, cells = self._plan(order)
-        blocks: dict[tuple[int, int], list[Step]] = {}
+        blocks: dict[tuple[int, int], list[CompositionStep]] = {}
         for step in plan:
             blocks.setdefault(place_over(step.window), []).append(step)
         asked = {number: Asked(self._on_map(number), of) for number, of in cells.items()}
@@ -199,7 +199,7 @@ class _Walk:
                 parts.close()
                 yield made
 
-    def _plan(self, order: Sequence[Window]) -> tuple[list[Step], dict[int, Cells]]:
+    def _plan(self, order: Sequence[Window]) -> tuple[list[CompositionStep], dict[int, MosaicCells]]:
         """The windows' steps, and the cells that frames are asked for."""
         scene, sources, reach_px = self.warping.scene, self.blending.sources, self.blending.reach_px
         halo_px = BLENDS[self.blending.blend].halo_px(reach_px)

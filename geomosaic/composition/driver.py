@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from typing import Any, Protocol, TypeVar
 
-from geomosaic.composition.window import Step
+from geomosaic.composition.window import CompositionStep
 
 Made = TypeVar("Made")
 Materials = Mapping[int, Any]
@@ -22,8 +22,8 @@ class Supply(Protocol):
 
 
 def composed(
-    steps: Sequence[Step],
-    compose: Callable[[Step, Materials], Made],
+    steps: Sequence[CompositionStep],
+    compose: Callable[[CompositionStep, Materials], Made],
     supply: Supply,
     pool: Executor,
     ahead: int,
@@ -43,6 +43,8 @@ def composed(
 
 
 def _given(
-    compose: Callable[[Step, Materials], Made], step: Step, materials: Mapping[int, Future[Any]]
+    compose: Callable[[CompositionStep, Materials], Made],
+    step: CompositionStep,
+    materials: Mapping[int, Future[Any]],
 ) -> Made:
     return compose(step, {number: material.result() for number, material in materials.items()})

@@ -86,7 +86,7 @@ class Before:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class SizeEstimate:
     """A mosaic's size, and the least and the most of what it takes.
 
     filled_share: of the grid that frames cover; empty parts take neither room nor time. mosaic_gb: of
@@ -131,7 +131,7 @@ def estimate(
     surface_cell_px: float | None = None,
     before: Before,
     threads: int,
-) -> Estimate:
+) -> SizeEstimate:
     """Of a grid: what its pixels take, besides what comes before them. surface_cell_px: the side of the cells
     of a surface that is matched."""
     pixels = float(width_px) * float(height_px)
@@ -147,7 +147,7 @@ def estimate(
         )
     ]
     memory = (before.memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
-    return Estimate(
+    return SizeEstimate(
         width_px=width_px,
         height_px=height_px,
         gsd_m=gsd_m,
@@ -168,7 +168,7 @@ def estimate_scene(
     pixel_bytes: int,
     max_gigapixels: float,
     laid: bool = False,
-) -> Estimate:
+) -> SizeEstimate:
     """Of a scene of strips, and of its map if it is laid on one; raises `InputError` where it would be larger
     than max_gigapixels."""
     gigapixels = width_px * height_px / 1e9
@@ -185,7 +185,7 @@ def estimate_scene(
     raw_gb = pixels * pixel_bytes / 1e9
     packed_gb = PACKED.least * raw_gb, PACKED.most * raw_gb
     least_s, most_s = STRIPS.least + laid * ON_MAP.least, STRIPS.most + laid * ON_MAP.most
-    return Estimate(
+    return SizeEstimate(
         width_px=width_px,
         height_px=height_px,
         gsd_m=None,

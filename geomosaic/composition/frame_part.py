@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.composition.cells import Cells
+from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frames import Decoded, decode
 from geomosaic.composition.hidden import Clear
 from geomosaic.composition.scene import Scene, margin_px
 from geomosaic.composition.tones import Tones, evened
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.visibility import FrameOnMap
-from geomosaic.composition.window import Shown, Window, as_type
+from geomosaic.composition.window import SourcePixels, Window, as_type
 from geomosaic.constants import tuned
-from geomosaic.projection.lattice import Seen
+from geomosaic.projection.lattice import WindowInFrame
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
 
 Floats32 = NDArray[np.float32]
@@ -29,7 +29,7 @@ _NODES_OFF_PX = tuned(1.0, "frame px", "tolerance past its nodes: less loses edg
 
 @dataclass(frozen=True)
 class Patch:
-    """Part of a frame on the mosaic's grid, from pixel row and col on: see `Shown`."""
+    """Part of a frame on the mosaic's grid, from pixel row and col on: see `SourcePixels`."""
 
     row: int
     col: int
@@ -60,7 +60,7 @@ class FramePart:
 
     patches: tuple[Patch, ...]
 
-    def shown(self, wanted: Window) -> Shown:
+    def shown(self, wanted: Window) -> SourcePixels:
         """A box of the grid that was planned. Pixels of no patch are not valid."""
         last_row, last_col = wanted.row + wanted.height, wanted.col + wanted.width
         lying = [
@@ -70,7 +70,9 @@ class FramePart:
         ]
         if len(lying) == 1 and lying[0][0].pixels[lying[0][1]].shape[:2] == (wanted.height, wanted.width):
             patch, there, _ = lying[0]
-            return Shown(patch.pixels[there], None if patch.margin_px is None else patch.margin_px[there])
+            return SourcePixels(
+                patch.pixels[there], None if patch.margin_px is None else patch.margin_px[there]
+            )
         like = self.patches[0].pixels
         shape = wanted.height, wanted.width
         pixels = np.zeros((*shape, like.shape[2]), dtype=like.dtype)
@@ -78,7 +80,7 @@ class FramePart:
         for patch, there, here in lying:
             pixels[here] = patch.pixels[there]
             margin[here] = np.inf if patch.margin_px is None else patch.margin_px[there]
-        return Shown(pixels, None if (margin == np.inf).all() else margin)
+        return SourcePixels(pixels, None if (margin == np.inf).all() else margin)
 
 
 def _overlap(patch: Patch, window: Window) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
@@ -114,7 +116,7 @@ class Asked:
     """A frame, and the cells that are asked for."""
 
     on_map: FrameOnMap
-    cells: Cells
+    cells: MosaicCells
 
 
 def frame_part(how: Warping, asked: Asked) -> FramePart:
@@ -148,7 +150,7 @@ def _patch(how: Warping, view: FrameView, decoded: Decoded, box: Window) -> Patc
     return Patch(box.row, box.col, pixels, _margin_px(how, view, decoded, seen))
 
 
-def _margin_px(how: Warping, view: FrameView, decoded: Decoded, seen: Seen) -> Floats32 | None:
+def _margin_px(how: Warping, view: FrameView, decoded: Decoded, seen: WindowInFrame) -> Floats32 | None:
     """How far inside the frame pixels lie, in pixels of the mosaic; None where that doesn't matter. Nodes far
     inside need no look at what lies between them."""
     per_px, far_px = np.float32(view.gsd_m / how.scene.grid.gsd_m), max(how.far_px, 0.0)
@@ -162,7 +164,7 @@ def _margin_px(how: Warping, view: FrameView, decoded: Decoded, seen: Seen) -> F
     return margin if margin.min() <= far_px else None
 
 
-def _evened(pixels: NDArray[Any], seen: Seen, view: FrameView, how: Warping) -> NDArray[Any]:
+def _evened(pixels: NDArray[Any], seen: WindowInFrame, view: FrameView, how: Warping) -> NDArray[Any]:
     """As all frames would show it. Tones bend over a tenth of a frame: every eighth pixel shows them."""
     tones = how.tones
     if tones is None or tones.flat(view.frame):

@@ -12,7 +12,7 @@ from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership, owner_share
 from geomosaic.composition.scene import distances_m
 from geomosaic.composition.views import FrameView
-from geomosaic.composition.window import Shown, Window
+from geomosaic.composition.window import SourcePixels, Window
 from geomosaic.constants import tuned
 
 Floats32 = NDArray[np.float32]
@@ -39,6 +39,6 @@ class FrameSource:
         nearer += owner_share(self.ownership, window, rows, cols, self.view.frame)
         return nearer
 
-    def shown(self, window: Window, rows: slice, cols: slice, material: FramePart) -> Shown:
+    def shown(self, window: Window, rows: slice, cols: slice, material: FramePart) -> SourcePixels:
         """As it was brought onto the grid."""
         return material.shown(window.part(rows, cols))

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.composition.cells import Cells, window_cells
+from geomosaic.composition.cells import MosaicCells, window_cells
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership, owned_cells
 from geomosaic.composition.scene import CELL_PX, distances_m
 from geomosaic.composition.visibility import VisibleCells
-from geomosaic.composition.window import Part, Step, Window
+from geomosaic.composition.window import CompositionStep, SourcePart, Window
 from geomosaic.constants import tuned
 
 Bools = NDArray[np.bool_]
@@ -59,7 +59,7 @@ def _hilbert(order: int, x: int, y: int) -> int:
 class Planned:
     """A step, and the cells of its surroundings that each of its parts is asked for, (parts, h, w)."""
 
-    step: Step
+    step: CompositionStep
     asked: Bools
 
 
@@ -94,7 +94,9 @@ class Planning:
         around, cells = window.grown(self.halo_px), self.halo_px // CELL_PX
         giving = of_square.within(around)
         if not giving.numbers:
-            return Planned(Step(window, window.grown(0), self.reach_px, ()), np.zeros((0, 0, 0), dtype=bool))
+            return Planned(
+                CompositionStep(window, window.grown(0), self.reach_px, ()), np.zeros((0, 0, 0), dtype=bool)
+            )
         asked = giving.blended(cells)
         if asked is None:
             rows, cols = _inner(giving.gives, cells)
@@ -103,10 +105,10 @@ class Planning:
         asked = asked[used]
         spans = zip(_spans(asked, 2), _spans(asked, 1), strict=True)
         parts = tuple(
-            Part(self.sources[number], rows, cols)
+            SourcePart(self.sources[number], rows, cols)
             for number, (rows, cols) in zip(itertools.compress(giving.numbers, used), spans, strict=True)
         )
-        return Planned(Step(window, around, self.reach_px, parts), asked)
+        return Planned(CompositionStep(window, around, self.reach_px, parts), asked)
 
     def _giving(self, window: Window) -> _Giving:
         """The frames that may give pixels of a window.
@@ -232,7 +234,7 @@ class Asking:
 
     def __init__(self, seen: Mapping[int, VisibleCells]) -> None:
         self._seen = seen
-        self._asked: dict[int, Cells] = {}
+        self._asked: dict[int, MosaicCells] = {}
 
     def add(self, planned: Planned) -> None:
         """One step more."""
@@ -241,14 +243,14 @@ class Asking:
             own, at = cells.common(planned.step.around)
             cells.flags[own] |= wanted[at]
 
-    def cells(self) -> dict[int, Cells]:
+    def cells(self) -> dict[int, MosaicCells]:
         """Of the frames that are asked for anything, in their order."""
         return dict(sorted(self._asked.items()))
 
-    def _of(self, number: int) -> Cells:
+    def _of(self, number: int) -> MosaicCells:
         if number not in self._asked:
             seen = self._seen[number]
-            self._asked[number] = Cells(seen.row, seen.col, np.zeros_like(seen.somewhere))
+            self._asked[number] = MosaicCells(seen.row, seen.col, np.zeros_like(seen.somewhere))
         return self._asked[number]
 
 

@@ -39,17 +39,19 @@ class TileKind:
         Technical Note 3)."""
         return _deflated(_less_neighbours(_full(pixels)))
 
-    def tile(self, pixels: NDArray[Any], valid: Flags, *, first: bool = True) -> Tile | None:
+    def tile(self, pixels: NDArray[Any], valid: Flags, *, first: bool = True) -> PackedTile | None:
         """A whole tile's pixels (h, w, bands), 0 where not valid (h, w); None where none is. first: of the
         raster itself, not of an overview."""
         if not valid.any():
             return None
         if not self.masked:
-            return Tile(self.packed(pixels), b"", None, pixels[::2, ::2], valid[::2, ::2])
+            return PackedTile(self.packed(pixels), b"", None, pixels[::2, ::2], valid[::2, ::2])
         figures = _figures(pixels, valid) if first else None
-        return Tile(self.packed(pixels), packed_mask(valid), figures, *halved(pixels, valid))
+        return PackedTile(self.packed(pixels), packed_mask(valid), figures, *halved(pixels, valid))
 
-    def over(self, tiles: Mapping[tuple[int, int], Tile | None], height: int, width: int) -> Tile | None:
+    def over(
+        self, tiles: Mapping[tuple[int, int], PackedTile | None], height: int, width: int
+    ) -> PackedTile | None:
         """The next overview's tile, of height x width pixels, over tiles: of those that show anything, by
         their place (down, across) in it."""
         pixels = np.zeros((height, width, self.bands), self.dtype)
@@ -98,7 +100,7 @@ def _deflated(values: NDArray[Any]) -> bytes:
 
 
 @dataclass(frozen=True)
-class Tile:
+class PackedTile:
     """What is left of a tile that shows something: its bytes and its mask's, packed; of an image's its
     figures, where it is none of an overview, and its part of the next overview: pixels and valid ones."""
 
@@ -119,7 +121,7 @@ class _Gathered:
 
 
 @dataclass(frozen=True)
-class Level:
+class RasterLevel:
     """A raster or an overview of it: its size, and of each tile (down, across) where it lies in the file of
     tiles: first byte, bytes of its pixels, of its mask; 0 bytes of a tile without a valid pixel."""
 
@@ -128,7 +130,7 @@ class Level:
     places: NDArray[np.int64]
 
 
-class Pyramid:
+class RasterPyramid:
     """A raster and its overviews, tile by tile. Windows may come in any order and by any thread, each pixel
     once; what never comes is empty. The tiles don't depend on how they came, but where they lie does.
 
@@ -137,10 +139,10 @@ class Pyramid:
 
     def __init__(self, width: int, height: int, kind: TileKind, tiles: IO[bytes], *, overviews: bool) -> None:
         self.kind, self.tiles = kind, tiles
-        self.levels: list[Level] = []
+        self.levels: list[RasterLevel] = []
         while True:
             shape = -(-height // TILE_PX), -(-width // TILE_PX)
-            self.levels.append(Level(width, height, np.zeros((*shape, 3), np.int64)))
+            self.levels.append(RasterLevel(width, height, np.zeros((*shape, 3), np.int64)))
             if not overviews or shape == (1, 1) or len(self.levels) > _MOST_OVERVIEWS:
                 break
             width, height = -(-width // 2), -(-height // 2)
@@ -228,7 +230,7 @@ class Pyramid:
     def _whole(self, level: int, tile: tuple[int, int], pixels: Any, valid: Flags | None) -> None:
         self.put(level, tile, None if valid is None else self.kind.tile(pixels, valid, first=level == 0))
 
-    def put(self, level: int, tile: tuple[int, int], made: Tile | None) -> None:
+    def put(self, level: int, tile: tuple[int, int], made: PackedTile | None) -> None:
         """A whole tile (down, across), and its part of the next overview."""
         self._lay(level, tile, made)
         if level + 1 < len(self.levels):
@@ -239,7 +241,10 @@ class Pyramid:
             self._add(level + 1, j * half, i * half, shape, pixels, valid)
 
     def put_under(
-        self, tile: tuple[int, int], made: Mapping[tuple[int, int], Tile | None], over: Tile | None
+        self,
+        tile: tuple[int, int],
+        made: Mapping[tuple[int, int], PackedTile | None],
+        over: PackedTile | None,
     ) -> None:
         """All tiles of the raster under one of the first overview, made elsewhere with that one."""
         for at, one in made.items():
@@ -247,7 +252,7 @@ class Pyramid:
         if len(self.levels) > 1:
             self.put(1, tile, over)
 
-    def _lay(self, level: int, tile: tuple[int, int], made: Tile | None) -> None:
+    def _lay(self, level: int, tile: tuple[int, int], made: PackedTile | None) -> None:
         """Brings a tile's bytes to the file."""
         if made is None:
             return

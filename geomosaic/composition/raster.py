@@ -19,7 +19,7 @@ from geomosaic.composition.blended import BlendedBlock
 from geomosaic.composition.cog_layout import Tags, directories, write_cog_of
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.palette import frame_colour
-from geomosaic.composition.pyramid import TILE_PX, Pyramid, TileKind
+from geomosaic.composition.pyramid import TILE_PX, RasterPyramid, TileKind
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
 
@@ -41,7 +41,7 @@ _COLOURS: Final = {
 class Raster:
     """A raster to write windows into, and beside it one of who gave each pixel, if that is wanted."""
 
-    def __init__(self, image: Pyramid, sources: Pyramid | None = None) -> None:
+    def __init__(self, image: RasterPyramid, sources: RasterPyramid | None = None) -> None:
         self._image, self._sources = image, sources
 
     def write(self, composed: Composed) -> None:
@@ -90,7 +90,7 @@ def writing_mosaic(
     colours = _COLOURS.get(bands, ())
     if band_names:
         colours = (gdal.GCI_GrayIndex, *[gdal.GCI_Undefined] * (bands - 1))
-    look = Look(TileKind(bands, np.dtype(dtype)), grid, colours, tuple(band_names))
+    look = RasterMetadata(TileKind(bands, np.dtype(dtype)), grid, colours, tuple(band_names))
     with ExitStack() as files:
         image = files.enter_context(_writing(path, grid.width_px, grid.height_px, look))
         index = None
@@ -99,7 +99,7 @@ def writing_mosaic(
             names = {f"FRAME_{i + 1}": name for i, name in enumerate(frames)}
             told = ("index of the frame that made the pixel, from 1",)
             colours = (gdal.GCI_PaletteIndex,) if kind.dtype == np.uint8 else _COLOURS[1]
-            of = Look(kind, grid, colours, told, names)
+            of = RasterMetadata(kind, grid, colours, told, names)
             index = files.enter_context(_writing(sources, grid.width_px, grid.height_px, of))
         yield Raster(image, index)
 
@@ -112,13 +112,15 @@ def writing_scene(
 
     Raises: `OSError` (with `ENOSPC` where the disk is full) if it can't be written.
     """
-    look = Look(TileKind(1, np.dtype(dtype)), None, _COLOURS[1], bit_depth=bit_depth, rpc=dict(rpc or {}))
+    look = RasterMetadata(
+        TileKind(1, np.dtype(dtype)), None, _COLOURS[1], bit_depth=bit_depth, rpc=dict(rpc or {})
+    )
     with _writing(path, width, height, look) as image:
         yield Raster(image)
 
 
 @dataclass(frozen=True)
-class Look:
+class RasterMetadata:
     """What a raster says of itself besides its pixels."""
 
     kind: TileKind
@@ -131,9 +133,9 @@ class Look:
 
 
 @contextmanager
-def _writing(path: Path, width: int, height: int, look: Look) -> Iterator[Pyramid]:
+def _writing(path: Path, width: int, height: int, look: RasterMetadata) -> Iterator[RasterPyramid]:
     with TemporaryFile(dir=path.parent) as tiles:
-        pyramid = Pyramid(width, height, look.kind, tiles, overviews=True)
+        pyramid = RasterPyramid(width, height, look.kind, tiles, overviews=True)
         yield pyramid
         pyramid.finish()
         tiles.flush()
@@ -141,7 +143,7 @@ def _writing(path: Path, width: int, height: int, look: Look) -> Iterator[Pyrami
             write_cog_of(pyramid, _directories(look, pyramid.statistics()), out)
 
 
-def _directories(look: Look, statistics: NDArray[np.float64] | None) -> list[Tags]:
+def _directories(look: RasterMetadata, statistics: NDArray[np.float64] | None) -> list[Tags]:
     """Those of a raster of one pixel and of its mask, as GDAL writes them."""
     name, kind = f"/vsimem/{uuid4()}.tif", look.kind
     with gdal_failures(Path(name)), gdal_options({"GDAL_TIFF_INTERNAL_MASK": "YES"}):
@@ -174,7 +176,7 @@ def _directories(look: Look, statistics: NDArray[np.float64] | None) -> list[Tag
     return directories(data)
 
 
-def _describe(band: Any, look: Look, k: int, statistics: NDArray[np.float64] | None) -> None:
+def _describe(band: Any, look: RasterMetadata, k: int, statistics: NDArray[np.float64] | None) -> None:
     if look.colours == (gdal.GCI_PaletteIndex,):
         table = gdal.ColorTable()
         for number in range(1, 256):

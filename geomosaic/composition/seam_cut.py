@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.plugins import SEAMS_GROUP, Named
-from geomosaic.composition.seam_parts import Part, to_8_bits
+from geomosaic.composition.seam_parts import SeamPart, to_8_bits
 from geomosaic.constants import tuned
 from geomosaic.spread import AtOnce, Spread
 
@@ -26,7 +26,7 @@ _MANY_CELLS = tuned(16_000, "cells", "above, cut coarse to fine: less coarsens s
 _ABOUT_CELLS = tuned(4, "cells", "refined beside a coarse seam: fewer keep its steps; more take time")
 
 
-Seam = Callable[[Ownership, Sequence[Part], Spread], Ownership]
+Seam = Callable[[Ownership, Sequence[SeamPart], Spread], Ownership]
 """Who owns what, by the ownership of the nearest nadir points and by what each frame may give. Work on many
 items may be spread."""
 
@@ -41,7 +41,7 @@ class Shared:
     standing: Bools | None
 
 
-def cut_seams(nearest: Ownership, parts: Sequence[Part], spread: Spread | None = None) -> Ownership:
+def cut_seams(nearest: Ownership, parts: Sequence[SeamPart], spread: Spread | None = None) -> Ownership:
     """Pair by pair, what both frames may give is cut where they differ least, see `cut_pair`. It is shown no
     more of both frames than what they share and the cells about it: what is farther off is decided. Pairs
     are cut in rounds of such as have no frame in common, with the outcome of one after the other.
@@ -75,7 +75,7 @@ def _rounds(pairs: Sequence[tuple[int, int]], parts: int) -> list[list[tuple[int
 
 
 def _shared(
-    parts: Sequence[Part], may: Sequence[Bools], i: int, j: int, window: tuple[slice, slice]
+    parts: Sequence[SeamPart], may: Sequence[Bools], i: int, j: int, window: tuple[slice, slice]
 ) -> Shared:
     one, other = ((k, parts[k].at(*window)) for k in (i, j))
     high = parts[i].standing
@@ -143,7 +143,7 @@ def _colours(values: NDArray[np.floating[Any]], scale: float) -> Floats32:
     return np.broadcast_to(values.astype(np.float32) * np.float32(scale), (*values.shape[:2], 3)).copy()
 
 
-def _meeting(parts: Sequence[Part]) -> list[tuple[int, int]]:
+def _meeting(parts: Sequence[SeamPart]) -> list[tuple[int, int]]:
     """Pairs of frames that have cells in common, by their bounds; the nearest by nadir points first, so
     that little is left to others."""
     bounds = shapely.box(
@@ -156,7 +156,7 @@ def _meeting(parts: Sequence[Part]) -> list[tuple[int, int]]:
     return [(int(one[k]), int(other[k])) for k in np.lexsort((other, one, away_m))]
 
 
-def _window(parts: Sequence[Part], may: Sequence[Bools], i: int, j: int) -> tuple[slice, slice] | None:
+def _window(parts: Sequence[SeamPart], may: Sequence[Bools], i: int, j: int) -> tuple[slice, slice] | None:
     """Rows and cols, of all cells, of what two frames may both give and, as far as both have them, of the
     cells about it."""
     rows, cols = (

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.composition.ownership import Ownership
-from geomosaic.composition.seam_parts import Part, to_8_bits
+from geomosaic.composition.seam_parts import SeamPart, to_8_bits
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -27,7 +27,7 @@ class SeamFigures:
     on_objects: float | None
 
 
-def seam_figures(of: Ownership, parts: Sequence[Part]) -> SeamFigures:
+def seam_figures(of: Ownership, parts: Sequence[SeamPart]) -> SeamFigures:
     """Both cells of every step from one frame's to another's, as both frames show them."""
     scale, number = to_8_bits(parts), {p.frame + 1: k for k, p in enumerate(parts)}
     steps = []
@@ -59,7 +59,7 @@ def seam_figures(of: Ownership, parts: Sequence[Part]) -> SeamFigures:
     return SeamFigures(length_m, float(known.mean()), float(np.quantile(known, 0.9)), share)
 
 
-def _within(part: Part, row: Ints, col: Ints) -> tuple[tuple[Ints, Ints], Bools]:
+def _within(part: SeamPart, row: Ints, col: Ints) -> tuple[tuple[Ints, Ints], Bools]:
     """Where cells of the mosaic lie in a part, and which of them do; the others are its first cell."""
     height, width = part.may.shape
     row, col = row - part.row, col - part.col
@@ -67,7 +67,7 @@ def _within(part: Part, row: Ints, col: Ints) -> tuple[tuple[Ints, Ints], Bools]
     return (np.where(there, row, 0), np.where(there, col, 0)), there
 
 
-def _at(part: Part, row: Ints, col: Ints) -> Floats32:
+def _at(part: SeamPart, row: Ints, col: Ints) -> Floats32:
     """Values (n, b) at cells of the mosaic, NaN beyond what the frame may give."""
     at, there = _within(part, row, col)
     there &= part.may[at]

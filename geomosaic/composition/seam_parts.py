@@ -35,7 +35,7 @@ _WHITE = sourced(255.0, "grey levels", "of 8 bits, the scale on which values are
 
 
 @dataclass(frozen=True)
-class Band:
+class SeamBand:
     """The mosaic's cells from `row` and `col` on that a frame may give by where its nadir point is, (h, w):
     its own, and those about them that are not much farther from it than from the nearest one."""
 
@@ -52,12 +52,12 @@ class Glimpse:
 
     frame: Frame
     reduction: int
-    band: Band
+    band: SeamBand
     spare: Spare | None = None
 
 
 @dataclass(frozen=True)
-class Part:
+class SeamPart:
     """What one frame may give, by the mosaic's cells from `row` and `col` on.
 
     frame: its index in the survey. nadir_m: easting and northing below it. values (h, w, 1 or 3): its first
@@ -96,7 +96,7 @@ def giving(scene: Scene, nearest: Ownership) -> list[FrameView]:
 
 def bands(
     scene: Scene, nearest: Ownership, distance_m: Floats32, views: Sequence[FrameView]
-) -> Iterator[Band]:
+) -> Iterator[SeamBand]:
     """Of each of these frames, which own a part."""
     side = nearest.cell_px
     cell_m = side * nearest.grid.gsd_m
@@ -112,10 +112,10 @@ def bands(
         near = distances_m(scene.grid, window, view, side) < distance_m[rows, cols] + band_m
         down, across = (np.flatnonzero((own | near).any(axis=axis)) for axis in (1, 0))
         at = slice(down[0], down[-1] + 1), slice(across[0], across[-1] + 1)
-        yield Band(view, rows.start + int(down[0]), cols.start + int(across[0]), own[at], near[at])
+        yield SeamBand(view, rows.start + int(down[0]), cols.start + int(across[0]), own[at], near[at])
 
 
-def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> Part:
+def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> SeamPart:
     """Decodes a frame once, reduced, and takes it at the cells that it may give: it sees them, no mask is in
     the way, and its outermost pixels are its own cells' alone. Of the scene no views are asked for."""
     frame, band, view = job.frame, job.band, job.band.view
@@ -146,7 +146,7 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> P
         values = evened(values, darker, tones.white, "float32")
     if valid is not None:
         may &= resample(valid[..., None], col, row, "bilinear")[..., 0] == 255
-    return Part(
+    return SeamPart(
         view.frame,
         view.nadir_m,
         cells.row + at[0].start,
@@ -165,7 +165,7 @@ def standing(heights_m: Floats32, cell_m: float) -> Bools:
     return np.asarray(over_m > _HIGH_M)
 
 
-def to_8_bits(parts: Sequence[Part]) -> np.float32:
+def to_8_bits(parts: Sequence[SeamPart]) -> np.float32:
     """What takes values to a scale of 8 bits."""
     every = slice(None, None, _SOME)
     some = [p.values[every, every][p.may[every, every]] for p in parts]

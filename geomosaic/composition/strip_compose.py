@@ -23,7 +23,7 @@ from geomosaic.composition.driver import composed
 from geomosaic.composition.raster import BLOCK_ROWS, Raster, writing_scene
 from geomosaic.composition.strip_lines import StripLines
 from geomosaic.composition.strip_source import StripBlocks, StripSource
-from geomosaic.composition.window import Manner, Part, Step, Window, compose_window
+from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
 from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
@@ -113,7 +113,7 @@ def compose_strips(
     )
 
 
-def _written(raster: Raster, manner: Manner, step: Step, materials: Mapping[int, Any]) -> Window:
+def _written(raster: Raster, manner: Manner, step: CompositionStep, materials: Mapping[int, Any]) -> Window:
     raster.write(compose_window(manner, step, materials))
     return step.window
 
@@ -188,7 +188,7 @@ def _columns(
 
 def _steps(
     columns: Sequence[_Column], sources: Sequence[StripSource], layout: SceneLayout, blend: Blend
-) -> tuple[list[Step], list[tuple[int, int]]]:
+) -> tuple[list[CompositionStep], list[tuple[int, int]]]:
     """All windows, blocks of rows from the top and columns from the left; and the rows that blocks need."""
     steps, rows = [], []
     halo = max((blend.halo_px(c.reach_px) for c in columns), default=0)
@@ -199,11 +199,11 @@ def _steps(
             alone = sum(_cols(source, window) is not None for source in sources) < 2
             around = window if alone else window.grown(halo)
             parts = [
-                Part(source, slice(0, around.height), cols)
+                SourcePart(source, slice(0, around.height), cols)
                 for source in sources
                 if (cols := _cols(source, around)) is not None
             ]
-            steps.append(Step(window, around, column.reach_px, tuple(parts)))
+            steps.append(CompositionStep(window, around, column.reach_px, tuple(parts)))
             rows.append((top - halo, bottom + halo + STEP_PX))
     return steps, rows
 

@@ -19,7 +19,7 @@ Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class LineBlock:
     """Lines of a strip from line `first` on, ready to be resampled.
 
     pixels: (n, width) on the scale all CCDs share; invalid ones near valid ones hold the mean of those, so
@@ -58,7 +58,7 @@ class StripLines:
         self._first = 0
         self._kept: NDArray[Any] = np.empty((0, strip.width), dtype=strip.dtypes[0])
 
-    def between(self, first: float, last: float) -> Lines | None:
+    def between(self, first: float, last: float) -> LineBlock | None:
         """The lines that kernels at lines `first` to `last` need, those before them forgotten; None if none.
 
         Raises: `FileError` if the strip can't be read.
@@ -88,7 +88,7 @@ class StripLines:
         self.lines_read += stop - start
         return np.asarray(found)
 
-    def _ready(self, first: int, counts: NDArray[Any]) -> Lines:
+    def _ready(self, first: int, counts: NDArray[Any]) -> LineBlock:
         pixels = counts.astype(np.float32)
         valid = None
         if self._nodata is not None:
@@ -103,7 +103,7 @@ class StripLines:
             saturated = counts >= self._highest
             if saturated.any():
                 pixels[saturated if valid is None else saturated & valid] = self._highest
-        return Lines(first, pixels, valid)
+        return LineBlock(first, pixels, valid)
 
 
 def _fill(pixels: Floats32, valid: Flags, radius_px: int) -> None:

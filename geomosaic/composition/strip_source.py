@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.ccd.layout import Places, SceneLayout
-from geomosaic.composition.strip_lines import Lines, StripLines
+from geomosaic.ccd.layout import SceneLayout, StripLookup
+from geomosaic.composition.strip_lines import LineBlock, StripLines
 from geomosaic.composition.strip_window import part_of_strip
-from geomosaic.composition.window import Shown, Step, Window
+from geomosaic.composition.window import CompositionStep, SourcePixels, Window
 
 Floats32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class StripBlock:
     """What a strip gives a block of rows: from raster row `top` on where they see it, and those lines."""
 
     top: int
-    places: Places
-    lines: Lines | None
+    places: StripLookup
+    lines: LineBlock | None
 
 
 @dataclass(frozen=True, eq=False)
 class StripSource:
-    """A living CCD, by its place among them. Its material is `Block`.
+    """A living CCD, by its place among them. Its material is `StripBlock`.
 
     left_px, right_px: raster cols of its seams, infinite where there is none.
     """
@@ -47,7 +47,7 @@ class StripSource:
         middle = window.col + np.arange(cols.start, cols.stop) + 0.5
         return np.minimum(middle - self.left_px, self.right_px - middle).astype(np.float32)[None]
 
-    def shown(self, window: Window, rows: slice, cols: slice, material: Block) -> Shown:
+    def shown(self, window: Window, rows: slice, cols: slice, material: StripBlock) -> SourcePixels:
         """Resampled; beyond the scene's first and last rows there is nothing."""
         shape = rows.stop - rows.start, cols.stop - cols.start
         first, last = window.row + rows.start, window.row + rows.stop
@@ -68,9 +68,9 @@ class StripSource:
         if (top, bottom) != (first, last):
             pixels = np.zeros((*shape, 1), dtype=np.float32)
             pixels[top - first : bottom - first] = found.pixels[..., None]
-        return Shown(pixels, margin)
+        return SourcePixels(pixels, margin)
 
-    def block(self, top: int, bottom: int, before: Future[Block] | None) -> Block:
+    def block(self, top: int, bottom: int, before: Future[StripBlock] | None) -> StripBlock:
         """What rows top to bottom - 1 of the scene need, once what lies before them is through."""
         if before is not None:
             before.result()
@@ -79,7 +79,7 @@ class StripSource:
         line = places.image_px[1]
         line = line[np.isfinite(line)]
         lines = self.strip.between(float(line.min()), float(line.max())) if line.size else None
-        return Block(top, places, lines)
+        return StripBlock(top, places, lines)
 
 
 class StripBlocks:
@@ -91,14 +91,14 @@ class StripBlocks:
     def __init__(
         self,
         sources: Sequence[StripSource],
-        steps: Sequence[Step],
+        steps: Sequence[CompositionStep],
         rows: Sequence[tuple[int, int]],
         pool: Executor,
     ) -> None:
         self._sources, self._steps, self._rows, self._pool = sources, steps, rows, pool
-        self._latest: dict[int, tuple[tuple[int, int], Future[Block]]] = {}
+        self._latest: dict[int, tuple[tuple[int, int], Future[StripBlock]]] = {}
 
-    def for_step(self, step: int) -> dict[int, Future[Block]]:
+    def for_step(self, step: int) -> dict[int, Future[StripBlock]]:
         """The blocks of the step's strips."""
         return {part.source.number: self._block(part.source.number, step) for part in self._steps[step].parts}
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.ccd.layout import Places
+from geomosaic.ccd.layout import StripLookup
 from geomosaic.ccd.model import Flags, Floats
-from geomosaic.composition.strip_lines import Lines
+from geomosaic.composition.strip_lines import LineBlock
 from geomosaic.composition.strip_taps import between
 from geomosaic.constants import sourced, tuned
 
@@ -30,9 +30,9 @@ class StripPart:
 
 
 def part_of_strip(
-    lines: Lines | None,
+    lines: LineBlock | None,
     count: int,
-    places: Places,
+    places: StripLookup,
     rows: tuple[int, int, int],
     cols: tuple[int, int],
     resampling: str,
@@ -67,7 +67,7 @@ def part_of_strip(
     return part
 
 
-def _off(knots_px: Floats, image_px: Floats, lines: Lines) -> Floats:
+def _off(knots_px: Floats, image_px: Floats, lines: LineBlock) -> Floats:
     """How much farther right and lower (2, rows, m) the strip has what is seen at knots, in rows from 0 on.
 
     Where it has nothing near, as if straight on between the knots where it has.
@@ -95,7 +95,7 @@ def _stretch(knots_px: Floats, off_px: Floats) -> int:
     return stretch
 
 
-def _valid(lines: Lines, count: int, knots_px: Floats, image_px: Floats, cols: tuple[int, int]) -> Flags:
+def _valid(lines: LineBlock, count: int, knots_px: Floats, image_px: Floats, cols: tuple[int, int]) -> Flags:
     """Where the nearest pixel is one of the strip's and valid, (rows, cols)."""
     height, width = lines.pixels.shape
     middles = np.arange(cols[0] + 0.5, cols[1])

@@ -116,7 +116,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Places:
+class ToneSightings:
     """m sightings: number of the place and the frame, (m,) each; offset (m, 2) to the right of the frame's
     middle and below it, in half diagonals; image_px (m, 2)."""
 
@@ -137,7 +137,9 @@ class Evenness:
     after_90: float
 
 
-def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface) -> Places:
+def lattice(
+    views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface
+) -> ToneSightings:
     """Where each frame sees the nodes of a lattice on the map that at least two see."""
     spacing_m = float(np.median([v.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]))
     spacing_m /= _ACROSS
@@ -162,7 +164,7 @@ def lattice(views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground
     _, number, often = np.unique(np.concatenate(place), axis=0, return_inverse=True, return_counts=True)
     twice = often[number] > 1
     numbers = np.unique(number[twice], return_inverse=True)[1]
-    return Places(
+    return ToneSightings(
         numbers,
         np.concatenate(frame)[twice],
         np.concatenate(offset)[twice].astype(np.float64),
@@ -191,7 +193,7 @@ def _most(dtype: np.dtype[Any]) -> float:
 
 
 def solve_tones(
-    places: Places, values: Floats32, camera_of: Sequence[int], picture: bool = False
+    places: ToneSightings, values: Floats32, camera_of: Sequence[int], picture: bool = False
 ) -> tuple[Tones, Evenness]:
     """Gains, slopes and vignettes by which all frames show each place alike, band by band.
 
@@ -207,7 +209,7 @@ def solve_tones(
 
 
 def _by_response(
-    places: Places, values: Floats32, camera_of: Sequence[int], white: float
+    places: ToneSightings, values: Floats32, camera_of: Sequence[int], white: float
 ) -> tuple[Tones, Evenness]:
     """The solution by one response: see `Tones`.
 

@@ -89,7 +89,7 @@ class Edges:
 
 
 @dataclass(frozen=True)
-class Looks:
+class ViewingGeometry:
     """How a survey's frames look at the ground: poses, which of them tie points hold, views of all they see
     up to `HORIZON`, and the limits of what they see well. known: the ground before a surface was matched,
     the same without one. area: what the mosaic is cut to."""
@@ -102,7 +102,7 @@ class Looks:
     area: Area | None = None
 
 
-def mosaic_edges(scene: Scene, looks: Looks) -> Edges:
+def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
     """What of all that frames see is left out: what no frame sees within the limits, and beyond the land that
     was flown over what lies on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches
     the mosaic's outside.
@@ -170,7 +170,7 @@ def looked_at(
     return at_m, np.where(owner > 0, tangent, np.nan)
 
 
-def _flown_over(scene: Scene, looks: Looks) -> Bools:
+def _flown_over(scene: Scene, looks: ViewingGeometry) -> Bools:
     """Cells no farther from below a tied frame than a level frame would reach: seen by one frame alone, say,
     but not extrapolated far."""
     circles = []
@@ -183,7 +183,7 @@ def _flown_over(scene: Scene, looks: Looks) -> Bools:
     return over.cells(scene.grid, whole_of(scene.grid), cell_px_of(scene))
 
 
-def _looked_at(of: Ownership, scene: Scene, looks: Looks) -> tuple[Floats, Floats, int]:
+def _looked_at(of: Ownership, scene: Scene, looks: ViewingGeometry) -> tuple[Floats, Floats, int]:
     """As `looked_at`, of cells as much larger as the third, one of whose owners stands for all."""
     step, (down, across) = int(np.ceil(np.sqrt(of.owner.size / _MOST_PLACES))), of.owner.shape
     whole = np.pad(of.owner, [(0, -down % step), (0, -across % step)])
@@ -198,14 +198,14 @@ def _at_all(values: Floats, step: int, of: Ownership) -> Floats:
     return values.repeat(step, axis=0).repeat(step, axis=1)[:down, :across]
 
 
-def _why(seen: Ownership, scene: Scene, looks: Looks) -> Bytes:
+def _why(seen: Ownership, scene: Scene, looks: ViewingGeometry) -> Bytes:
     """Of cells that frames see badly, why, 0 where none sees anything."""
     _, tangent, step = _looked_at(seen, scene, looks)
     aslant = _at_all(tangent, step, seen) > looks.limits.tangent
     return np.where(seen.owner > 0, np.where(aslant, _Why.ASLANT, _Why.COARSE), 0).astype(np.uint8)
 
 
-def _off_px(well: Ownership, scene: Scene, looks: Looks) -> Floats:
+def _off_px(well: Ownership, scene: Scene, looks: ViewingGeometry) -> Floats:
     """By how much the ground's stated deviation, one sigma, moves cells, NaN where it isn't known."""
     at_m, tangent, step = _looked_at(well, scene, looks)
     at = at_m[..., 0], at_m[..., 1]
@@ -225,7 +225,7 @@ def _outer(lost: Bools, unseen: Bools) -> Bools:
     return np.asarray(lost & (part == part[0, 0])[1:-1, 1:-1])
 
 
-def _beyond(scene: Scene, looks: Looks) -> dict[_Why, shapely.Geometry]:
+def _beyond(scene: Scene, looks: ViewingGeometry) -> dict[_Why, shapely.Geometry]:
     """What frames see outside the scene's grid, by reason."""
     grid = scene.grid
     inner = shapely.box(grid.west_m, grid.south_m, grid.east_m, grid.north_m)

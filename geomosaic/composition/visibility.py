@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.composition.cells import Cells
+from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frames import decode, may_be_masked
 from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
-from geomosaic.projection.warp import GroundWindow, Sight, frame_from_map
+from geomosaic.projection.warp import GroundWindow, ProjectionEquations, frame_from_map
 from geomosaic.survey.model import Frame
 
 Floats32 = NDArray[np.float32]
@@ -32,9 +32,9 @@ class VisibleCells:
     everywhere: Bools
 
     @property
-    def cells(self) -> Cells:
+    def cells(self) -> MosaicCells:
         """Those in which it may show something."""
-        return Cells(self.row, self.col, self.somewhere)
+        return MosaicCells(self.row, self.col, self.somewhere)
 
     def put(self, window: Window, to: Bools) -> None:
         """Both into those of a window's cells that they have in common, (2, h, w)."""
@@ -122,7 +122,7 @@ def _of_cells(
     v = v[:, None]
     relief_m = None if scene.ground.kind == "flat" else blocks.relief_on(scene.ground, _BLOCK * cell_m, u, v)
     cols, rows = np.empty((2, _BLOCK, _BLOCK, len(i)), dtype=np.float32)
-    sight = Sight(view.pose, view.camera)
+    sight = ProjectionEquations(view.pose, view.camera)
     sight.image(*sight.axes(blocks, u, v, relief_m), cols, rows)
     margin = margin_px(cols, rows, view.camera, None)
     slack = _change_within(cols, rows, cell_m / view.gsd_m).max(axis=(0, 1))

@@ -46,7 +46,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Shown:
+class SourcePixels:
     """Part of a window as one source shows it.
 
     pixels (h, w, bands): finite anywhere. margin_px (h, w): how far inside the source's valid pixels each one
@@ -71,12 +71,12 @@ class Source(Protocol):
         """How far pixels of part of a window belong to it, broadcasting to (h, w): the largest share gives a
         pixel, of those that are valid there."""
 
-    def shown(self, window: Window, rows: slice, cols: slice, material: Any) -> Shown:
+    def shown(self, window: Window, rows: slice, cols: slice, material: Any) -> SourcePixels:
         """Part of a window."""
 
 
 @dataclass(frozen=True)
-class Part:
+class SourcePart:
     """The part of a step's surroundings that a source is asked for."""
 
     source: Source
@@ -85,14 +85,14 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Step:
+class CompositionStep:
     """A window, it in whole steps and as much around it as its seams need, how wide their transition is, and
     the sources' parts in that."""
 
     window: Window
     around: Window
     reach_px: float
-    parts: tuple[Part, ...]
+    parts: tuple[SourcePart, ...]
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class Composed:
         return self.source(at=at), None if self.wanted is None else self.wanted[at]
 
 
-def compose_window(manner: Manner, step: Step, materials: Mapping[int, Any]) -> Composed:
+def compose_window(manner: Manner, step: CompositionStep, materials: Mapping[int, Any]) -> Composed:
     """All the window's pixels; those no source shows are 0 and not valid."""
     window, around = step.window, step.around
     numbers = tuple(p.source.number for p in step.parts)
@@ -191,7 +191,7 @@ def compose_window(manner: Manner, step: Step, materials: Mapping[int, Any]) -> 
     return Composed(window, pixels, label >= 0, label, numbers, tuple(sorted(gave)))
 
 
-def _label(step: Step, shown: Sequence[Shown]) -> NDArray[np.int16]:
+def _label(step: CompositionStep, shown: Sequence[SourcePixels]) -> NDArray[np.int16]:
     """The part that gives each pixel of the surroundings, -1 where none does."""
     shape = step.around.height, step.around.width
     label, best = np.full(shape, -1, np.int16), np.full(shape, -np.inf, np.float32)
@@ -206,7 +206,7 @@ def _label(step: Step, shown: Sequence[Shown]) -> NDArray[np.int16]:
     return label
 
 
-def _overlap(part: Part, inner: tuple[slice, slice]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _overlap(part: SourcePart, inner: tuple[slice, slice]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """What of a part lies in the window: counted from the part's first pixel, and from the window's."""
     here, there = [], []
     for own, all_ in zip((part.rows, part.cols), inner, strict=True):
@@ -217,7 +217,11 @@ def _overlap(part: Part, inner: tuple[slice, slice]) -> tuple[tuple[slice, slice
 
 
 def _blend(
-    manner: Manner, step: Step, shown: Sequence[Shown], label: NDArray[np.int16], pixels: NDArray[Any]
+    manner: Manner,
+    step: CompositionStep,
+    shown: Sequence[SourcePixels],
+    label: NDArray[np.int16],
+    pixels: NDArray[Any],
 ) -> None:
     """Blends what lies near seams: a box about the steps in whose reach more than one source gives pixels."""
     mixed = _mixed(label, len(shown), manner.blend.halo_px(step.reach_px))
@@ -250,7 +254,7 @@ def _blend(
     )
 
 
-def _inside(what: Shown, here: tuple[slice, slice], half_px: np.float32) -> Floats32:
+def _inside(what: SourcePixels, here: tuple[slice, slice], half_px: np.float32) -> Floats32:
     if what.margin_px is None:
         return np.ones([s.stop - s.start for s in here], dtype=np.float32)
     return np.asarray(np.clip(what.margin_px[here] / half_px, 0.0, 1.0))

@@ -26,7 +26,7 @@ _FORMATS: Final = "give a GeoPackage, GeoJSON, Shapefile, FlatGeobuf or KML"
 
 
 @dataclass(frozen=True)
-class Kind:
+class GeometryKind:
     """What is looked for in a file: its name, OGR's type of one, and those of layers that may hold some."""
 
     name: str
@@ -40,12 +40,12 @@ class Kind:
 
 
 _ANY: Final = (ogr.wkbUnknown, ogr.wkbGeometryCollection)
-POLYGON: Final = Kind(
+POLYGON: Final = GeometryKind(
     "polygon",
     ogr.wkbPolygon,
     (*_ANY, ogr.wkbPolygon, ogr.wkbMultiPolygon, ogr.wkbCurvePolygon, ogr.wkbMultiSurface, ogr.wkbSurface),
 )
-LINE: Final = Kind(
+LINE: Final = GeometryKind(
     "line",
     ogr.wkbLineString,
     (*_ANY, ogr.wkbLineString, ogr.wkbMultiLineString, ogr.wkbCompoundCurve, ogr.wkbMultiCurve, ogr.wkbCurve),
@@ -63,7 +63,7 @@ class Shapes:
     crs: str
 
 
-def read_shapes(path: Path, kind: Kind = POLYGON) -> Shapes:
+def read_shapes(path: Path, kind: GeometryKind = POLYGON) -> Shapes:
     """All polygons, or lines, of a file, those within collections too; other geometries are ignored.
 
     Raises: `FileError` for what is no regular local file or of none of `DRIVERS`, has none of that kind or
@@ -94,7 +94,7 @@ def read_shapes(path: Path, kind: Kind = POLYGON) -> Shapes:
 
 
 @contextmanager
-def _said(path: Path, kind: Kind) -> Iterator[None]:
+def _said(path: Path, kind: GeometryKind) -> Iterator[None]:
     """Puts `FileError` in the place of what GDAL says, and keeps its warnings off the screen."""
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
@@ -105,7 +105,7 @@ def _said(path: Path, kind: Kind) -> Iterator[None]:
         gdal.PopErrorHandler()
 
 
-def open_vector(path: Path, kind: Kind = POLYGON) -> Any:
+def open_vector(path: Path, kind: GeometryKind = POLYGON) -> Any:
     """Polygons or lines, or a run's own layers, as osgeo's dataset; `FileError` for none of `DRIVERS`."""
     driver = gdal.IdentifyDriverEx(str(path), gdal.OF_VECTOR, list(DRIVERS))
     if driver is None:
@@ -121,7 +121,7 @@ def open_vector(path: Path, kind: Kind = POLYGON) -> Any:
     return gdal.OpenEx(str(path), gdal.OF_VECTOR, allowed_drivers=[driver.ShortName], open_options=options)
 
 
-def _of_kind(layer: Any, path: Path, kind: Kind) -> list[Any]:
+def _of_kind(layer: Any, path: Path, kind: GeometryKind) -> list[Any]:
     if ogr.GT_Flatten(layer.GetGeomType()) not in kind.layers:
         return []
     found: list[Any] = []
@@ -138,7 +138,7 @@ def _of_kind(layer: Any, path: Path, kind: Kind) -> list[Any]:
     return found
 
 
-def _parts(geometry: Any, kind: Kind) -> Iterator[Any]:
+def _parts(geometry: Any, kind: GeometryKind) -> Iterator[Any]:
     """The polygons, or lines, in a geometry, however deep."""
     found = ogr.GT_Flatten(geometry.GetGeometryType())
     if found == kind.single:

@@ -22,7 +22,7 @@ _EPOCH: Final = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
-class Shown:
+class ProjectLayer:
     """A layer of the project.
 
     name: of its own in the project. source: relative to the project. vector: by OGR, else a raster by GDAL.
@@ -41,16 +41,16 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Group:
+class LayerGroup:
     """Layers under one title, the first on top."""
 
     title: str
-    layers: tuple[Shown, ...]
+    layers: tuple[ProjectLayer, ...]
     expanded: bool = True
 
 
 def write_project(
-    path: Path, title: str, crs: str, extent: tuple[float, float, float, float], groups: Sequence[Group]
+    path: Path, title: str, crs: str, extent: tuple[float, float, float, float], groups: Sequence[LayerGroup]
 ) -> None:
     """Writes `path` as .qgz.
 
@@ -92,7 +92,7 @@ def write_project(
         archive.writestr(entry, text.encode())
 
 
-def _map_layer(layer: Shown) -> Element:
+def _map_layer(layer: ProjectLayer) -> Element:
     element = Element(
         "maplayer", type="vector" if layer.vector else "raster", labelsEnabled=_flag(layer.labelled),
         hasScaleBasedVisibilityFlag="0", autoRefreshEnabled="0", refreshOnNotifyEnabled="0",
@@ -110,12 +110,12 @@ def _map_layer(layer: Shown) -> Element:
     return element
 
 
-def _id(layer: Shown) -> str:
+def _id(layer: ProjectLayer) -> str:
     """QGIS gives layers new ones where they have no more than ten letters, and its tree then finds none."""
     return f"geomosaic_{layer.name}"
 
 
-def _provider(layer: Shown) -> str:
+def _provider(layer: ProjectLayer) -> str:
     return "ogr" if layer.vector else "gdal"
 
 

@@ -10,7 +10,7 @@ from defusedxml.ElementTree import fromstring
 
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.looks import contours
-from geomosaic.export.project import Group, Shown
+from geomosaic.export.project import LayerGroup, ProjectLayer
 from geomosaic.export.project_rasters import (
     accuracy_layers,
     image_layer,
@@ -49,7 +49,9 @@ CONTOURS: Final = "terrain_contours.gpkg"
 _SOURCES: Final = "sources.tif"
 
 
-def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, float, float], list[Group]]:
+def project_of(
+    package: Path, mosaic: Path
+) -> tuple[str, tuple[float, float, float, float], list[LayerGroup]]:
     """A run's project: its CRS, what of it is seen at first, and its groups.
 
     package: the run's layers.gpkg; rasters are those beside it. A scene of strips is shown by its
@@ -63,18 +65,22 @@ def project_of(package: Path, mosaic: Path) -> tuple[str, tuple[float, float, fl
         if (sources := mosaic.with_name(_SOURCES)).is_file():
             rasters.insert(0, source_layer(sources))
     groups = [
-        Group(title, tuple(shown[name] for name in names if name in shown), expanded=title != "Residuals")
+        LayerGroup(
+            title, tuple(shown[name] for name in names if name in shown), expanded=title != "Residuals"
+        )
         for title, names in _GROUPS.items()
     ]
-    groups.append(Group("Accuracy", tuple(accuracy_layers(package.parent))))
-    groups.append(Group("Surface", (*contour_layers(package.parent), *surface_layers(package.parent))))
-    groups.append(Group("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + rasters)))
+    groups.append(LayerGroup("Accuracy", tuple(accuracy_layers(package.parent))))
+    groups.append(LayerGroup("Surface", (*contour_layers(package.parent), *surface_layers(package.parent))))
+    groups.append(
+        LayerGroup("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + rasters))
+    )
     if bounds is not None:
         crs = _crs(mosaic)
     return crs, bounds or bounds_of_layers(package, list(shown)), groups
 
 
-def vector_layers(package: Path) -> tuple[str, dict[str, Shown]]:
+def vector_layers(package: Path) -> tuple[str, dict[str, ProjectLayer]]:
     """A GeoPackage of ours: its CRS, and its layers that hold anything, by name."""
     from pyogrio import list_layers, read_info
     from pyogrio.raw import read
@@ -92,14 +98,14 @@ def vector_layers(package: Path) -> tuple[str, dict[str, Shown]]:
         if info["features"]:
             document, text = styles[name]
             title, checked = _TITLES.get(name, (name, True))
-            shown[name] = Shown(
+            shown[name] = ProjectLayer(
                 name, title, f"./{package.name}|layername={name}", True, crs, tuple(document), checked,
                 document.get("labelsEnabled") == "1", text,
             )  # fmt: skip
     return crs, shown
 
 
-def contour_layers(folder: Path) -> list[Shown]:
+def contour_layers(folder: Path) -> list[ProjectLayer]:
     """A run's contours, if they were written, with their heights."""
     from pyogrio import read_info
 
@@ -109,7 +115,7 @@ def contour_layers(folder: Path) -> list[Shown]:
     crs = read_info(str(file), layer="contours")["crs"]
     content = tuple(parts(contours()))
     return [
-        Shown(
+        ProjectLayer(
             "terrain_contours", "Contours of the ground", f"./{CONTOURS}|layername=contours", True, crs,
             content, checked=False, labelled=True,
         )

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from geomosaic.composition.palette import frame_colour
 from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.export.project import Shown
+from geomosaic.export.project import ProjectLayer
 
 HILLSHADE: Final = "surface_hillshade.tif"
 _RGB: Final = ("red", "green", "blue")
@@ -31,7 +31,7 @@ _MULTIPLY: Final = "6"
 """QGIS' number of the way of blending that shades what lies below."""
 
 
-def image_layer(path: Path, title: str) -> Shown:
+def image_layer(path: Path, title: str) -> ProjectLayer:
     """A raster on the map in its colours, stretched where it has more than 8 bits."""
     with open_raster(path, OWN) as tiff:
         names = [(name or "").lower() for name in tiff.descriptions]
@@ -71,7 +71,7 @@ def _stretch(tags: dict[str, str]) -> tuple[float, float] | None:
     return max(least, mean - _SPREAD * sd), min(most, mean + _SPREAD * sd)
 
 
-def source_layer(path: Path) -> Shown:
+def source_layer(path: Path) -> ProjectLayer:
     """Which frame gave each pixel: a colour and the frame's name for each number."""
     with open_raster(path, OWN) as tiff:
         tags, crs = tiff.tags(), tiff.crs.to_wkt()
@@ -91,7 +91,7 @@ def source_layer(path: Path) -> Shown:
     return _raster(path, "Which frame gives each pixel", crs, renderer, checked=False)
 
 
-def accuracy_layers(folder: Path) -> list[Shown]:
+def accuracy_layers(folder: Path) -> list[ProjectLayer]:
     """Those of a run's accuracy.tif, if it has one: both deviations, and where heights come from."""
     path = folder / "accuracy.tif"
     if not path.is_file():
@@ -109,7 +109,7 @@ def accuracy_layers(folder: Path) -> list[Shown]:
     return [*shown, _raster(path, title, crs, renderer, checked=False, id="accuracy_sources")]
 
 
-def surface_layers(folder: Path) -> list[Shown]:
+def surface_layers(folder: Path) -> list[ProjectLayer]:
     """Those of a run's surface, if it has one, the shading on top, the file's where it was written, else
     made by QGIS of the heights themselves; none is seen at first, as they would hide the mosaic."""
     surface, terrain, confidence = (
@@ -126,7 +126,7 @@ def surface_layers(folder: Path) -> list[Shown]:
     return shown
 
 
-def _shading(surface: Path) -> Shown:
+def _shading(surface: Path) -> ProjectLayer:
     """Light and shadow over whatever is seen below it."""
     written = surface.with_name(HILLSHADE)
     if written.is_file():
@@ -141,7 +141,7 @@ def _shading(surface: Path) -> Shown:
     return _raster(surface, "Shading", crs, renderer, checked=False, id="surface_shading", beside=(blend,))
 
 
-def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str = "") -> Shown:
+def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str = "") -> ProjectLayer:
     """A band's values in colours, from two deviations below the mean to two above."""
     with open_raster(path, OWN) as tiff:
         low, high = _stretch(tiff.tags(band)) or (0.0, 1.0)
@@ -179,8 +179,10 @@ def _raster(
     id: str = "",
     beside: tuple[Element, ...] = (),
     **more: Any,
-) -> Shown:
+) -> ProjectLayer:
     pipe = Element("pipe")
     pipe.append(renderer)
     SubElement(pipe, "rasterresampler", maxOversampling="2", zoomedOutResampler="bilinear")
-    return Shown(id or path.stem, title, f"./{path.name}", False, crs, (pipe, *beside), checked, **more)
+    return ProjectLayer(
+        id or path.stem, title, f"./{path.name}", False, crs, (pipe, *beside), checked, **more
+    )

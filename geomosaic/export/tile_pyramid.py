@@ -37,7 +37,7 @@ Place = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Pyramid:
+class TilePyramid:
     """What is to be written. zooms: the coarsest and the finest. finer: whether the finest tiles' pixels are
     finer than the mosaic's, or else means of many."""
 
@@ -110,7 +110,7 @@ class Pyramid:
         return np.dstack([*colours[::-1], seen.astype(np.uint8) * np.uint8(255)])
 
 
-def write_pyramid(pyramid: Pyramid, threads: int, progress: Progress | None) -> None:
+def write_pyramid(pyramid: TilePyramid, threads: int, progress: Progress | None) -> None:
     """Writes all tiles that show anything. Raises: what `progress` raises; `OSError` of a tile."""
     blocks, zoom = list(pyramid.blocks()), pyramid.zooms[1]
     tops: dict[Place, Pixels] = {}

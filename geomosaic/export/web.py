@@ -15,7 +15,7 @@ from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
 from geomosaic.export.shown_bands import shown_bands
 from geomosaic.export.tile_page import write_tile_page
-from geomosaic.export.tile_pyramid import EQUATOR_M, TILE_PX, Pyramid, write_pyramid
+from geomosaic.export.tile_pyramid import EQUATOR_M, TILE_PX, TilePyramid, write_pyramid
 from geomosaic.geodesy.antimeridian import geographic_bounds, within_the_map, wrapped
 from geomosaic.geodesy.mapcrs import check_on_earth
 
@@ -65,7 +65,9 @@ def write_tiles(
     folder.mkdir(parents=True)
     finer = max_zoom is None or max_zoom >= _zooms(mosaic_file, None, None)[0][1]
     write_pyramid(
-        Pyramid(mosaic_file, shown_bands(mosaic_file), folder, zooms, tile_format, finer), threads, progress
+        TilePyramid(mosaic_file, shown_bands(mosaic_file), folder, zooms, tile_format, finer),
+        threads,
+        progress,
     )
     index = {
         "tilejson": "3.0.0",

@@ -23,7 +23,7 @@ _NEIGHBOURS = tuned(12, "pairs", "of a frame: fewer leave lines untied; more tak
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FrameComparison:
     """One frame against some others."""
 
     frame: Features
@@ -49,7 +49,7 @@ def to_compare(n: int, frames: Collection[int], most: int = MOST_COMPARED) -> li
     ]
 
 
-def alike(job: Comparison) -> list[int]:
+def alike(job: FrameComparison) -> list[int]:
     """How many keypoints of the frame lie by one homography in each of the others; 0 where too few."""
     left, px = root_sift(job.frame.descriptors), job.frame.image_px
     tolerance_px = _TOLERANCE * float(np.ptp(px, axis=0).max()) if len(px) else 0.0

@@ -112,7 +112,7 @@ def _smoothed(image: Image) -> Image:
 
 
 @dataclass(frozen=True)
-class _Level:
+class _MatchLevel:
     image: Image
     reference: Image
     image_valid: Mask
@@ -126,9 +126,9 @@ def _pyramid(
     reference_valid: Mask,
     patch_px: int,
     search_px: int,
-) -> list[_Level]:
+) -> list[_MatchLevel]:
     """Halvings until the search is a quarter of a patch, while two patches still fit."""
-    levels = [_Level(image, reference, image_valid, reference_valid)]
+    levels = [_MatchLevel(image, reference, image_valid, reference_valid)]
     while (
         search_px / 2 ** (len(levels) - 1) > patch_px / 4
         and min(levels[-1].image.shape) >= 3 * patch_px
@@ -137,7 +137,7 @@ def _pyramid(
         last = levels[-1]
         a, a_valid = _halved(last.image, last.image_valid)
         b, b_valid = _halved(last.reference, last.reference_valid)
-        levels.append(_Level(a, b, a_valid, b_valid))
+        levels.append(_MatchLevel(a, b, a_valid, b_valid))
     return levels
 
 
@@ -161,7 +161,7 @@ def _valid_share(valid: Mask, corners: NDArray[np.int64], patch_px: int) -> Floa
     return np.where(inside, s / patch_px**2, 0.0)
 
 
-def _asked(level: _Level, corners: NDArray[np.int64], shifts: NDArray[np.int64], patch_px: int) -> Mask:
+def _asked(level: _MatchLevel, corners: NDArray[np.int64], shifts: NDArray[np.int64], patch_px: int) -> Mask:
     """Patches that could have been measured: valid in the image where they are or where they went."""
     at_home = _valid_share(level.image_valid, corners, patch_px)
     moved = _valid_share(level.image_valid, corners + shifts, patch_px)
@@ -185,7 +185,7 @@ def _guesses(centres: Floats, found_at: Floats, found: Floats, scale: int) -> li
 
 
 def _search(
-    level: _Level,
+    level: _MatchLevel,
     corners: NDArray[np.int64],
     guesses: list[NDArray[np.int64]],
     patch_px: int,

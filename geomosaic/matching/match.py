@@ -66,7 +66,7 @@ class PairMatch:
 
 
 @dataclass(frozen=True)
-class Looks:
+class MatchKeypoints:
     """A frame's keypoints as pairs compare them: image_px (n, 2) in the full frame, root (n, 128) as
     `root_sift` gives them, numbers of the coarsest few."""
 
@@ -75,7 +75,7 @@ class Looks:
     few: Ints
 
     @classmethod
-    def of(cls, features: Features) -> Looks:
+    def of(cls, features: Features) -> MatchKeypoints:
         """Of keypoints as SIFT gives them."""
         return cls(features.image_px, root_sift(features.descriptors), coarsest(features, _FEW))
 
@@ -85,7 +85,9 @@ class Looks:
         return self.image_px.nbytes + self.root.nbytes + self.few.nbytes
 
 
-def match_pair(how: Matching, left: Looks, right: Looks, guess: Guess, pixel_px: float) -> PairMatch:
+def match_pair(
+    how: Matching, left: MatchKeypoints, right: MatchKeypoints, guess: Guess, pixel_px: float
+) -> PairMatch:
     """Tie points of a pair: search, one-to-one, geometric check, at least `least` of them.
 
     A free search, which nothing but the image supports, must bring half as many again.
@@ -109,7 +111,9 @@ def match_pair(how: Matching, left: Looks, right: Looks, guess: Guess, pixel_px:
 class _Pair:
     """Two frames' keypoints and what they look like."""
 
-    def __init__(self, how: Matching, left: Looks, right: Looks, tolerance_px: float) -> None:
+    def __init__(
+        self, how: Matching, left: MatchKeypoints, right: MatchKeypoints, tolerance_px: float
+    ) -> None:
         self.how, self.tolerance_px = how, tolerance_px
         self.left_px, self.right_px = left.image_px, right.image_px
         self.left, self.right = left.root, right.root

@@ -35,7 +35,7 @@ _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (
 
 
 @dataclass(frozen=True)
-class Seen:
+class PairOnMap:
     """A tied pair: the frames, and the (k, 2) east and north where each places its tie points."""
 
     left: int
@@ -50,7 +50,7 @@ def seen_pairs(
     cameras: Sequence[Camera],
     ground: GroundSurface,
     located: Sequence[bool],
-) -> list[Seen]:
+) -> list[PairOnMap]:
     """Where both frames of each pair place their tie points, if both have a position and see ground; of a
     pair as many as a median asks for."""
     known = [t for t in pairs if located[t.left] and located[t.right]]
@@ -65,12 +65,12 @@ def seen_pairs(
         here, there = np.split(both, 2)
         hit = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
         if hit.any():
-            out.append(Seen(t.left, t.right, here[hit], there[hit]))
+            out.append(PairOnMap(t.left, t.right, here[hit], there[hit]))
     return out
 
 
 def found_turned(
-    seen: Sequence[Seen],
+    seen: Sequence[PairOnMap],
     poses: Poses,
     sizes_px: Sequence[tuple[int, int]],
     cap_m: float,
@@ -103,7 +103,7 @@ def found_turned(
     return {i: int(causes[i] % 4) for i in turns if causes[i] % 4}, headings
 
 
-def lying(n: int, seen: Sequence[Seen], nadir_m: Floats, turns: dict[int, int]) -> Complexes:
+def lying(n: int, seen: Sequence[PairOnMap], nadir_m: Floats, turns: dict[int, int]) -> Complexes:
     """By what each frame's image (n,), as its tag places it, has to be turned about its nadir point, as a
     number of length 1, to lie as its neighbours' images. Most frames of a connected part lie as their tags
     say, once those of `turns` are turned by so many quarters.
@@ -125,7 +125,7 @@ def _turned_about(at_m: Floats, nadir_m: Floats, turn: complex) -> Floats:
     return np.asarray(nadir_m + _plane(away))
 
 
-def _costs_m(seen: Sequence[Seen], nadir_m: Floats) -> list[tuple[int, int, Floats]]:
+def _costs_m(seen: Sequence[PairOnMap], nadir_m: Floats) -> list[tuple[int, int, Floats]]:
     """See `turn_costs_m`, of each pair."""
     return [
         (s.left, s.right, turn_costs_m(s.left_m, s.right_m, nadir_m[s.left], nadir_m[s.right])) for s in seen
@@ -133,7 +133,7 @@ def _costs_m(seen: Sequence[Seen], nadir_m: Floats) -> list[tuple[int, int, Floa
 
 
 def flown_courses_rad(
-    nadir_m: Floats, costs_m: Sequence[tuple[int, int, Floats]], seen: Sequence[Seen] = ()
+    nadir_m: Floats, costs_m: Sequence[tuple[int, int, Floats]], seen: Sequence[PairOnMap] = ()
 ) -> Floats:
     """Courses over ground (n,) by positions that go with the images; frames whose don't lie where their
     neighbours' images have them, and have no course (NaN) where no good neighbour sees them.

@@ -21,7 +21,7 @@ from geomosaic.pipeline.artefacts import (
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.params import output_values
-from geomosaic.pipeline.recipe import Step
+from geomosaic.pipeline.recipe import RecipeStep
 from geomosaic.pipeline.replayed_stage import ReplayedStage
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
@@ -100,7 +100,7 @@ def lineage_of(manifest: Manifest, inputs: Iterable[ArtefactHandle] = ()) -> Lin
 
 
 def stage_key(
-    step: Step, inputs: Mapping[str, ArtefactHandle], seed: int, lineage: Lineage, code: str
+    step: RecipeStep, inputs: Mapping[str, ArtefactHandle], seed: int, lineage: Lineage, code: str
 ) -> str:
     """The fingerprint of a stage's work: whatever it depends on, and nothing else. code: `plugin.code_of`."""
     return fingerprint_of_json(

@@ -8,6 +8,7 @@ from typing import Final
 _ROOMS: Final = {"mosaic": "composition"}
 """Present name of a room by its former name."""
 _FORMER: Final = {
+    "geomosaic.survey.model:LeftOut": "geomosaic.survey.model:UnusedImage",
     "geomosaic.surface.terrain:TerrainModel": "geomosaic.surface.dtm:TerrainModel",
 }
 """Present name of a class by its former name, in the room's present name."""

@@ -17,7 +17,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.pipeline.recipe import Recipe, Step
+from geomosaic.pipeline.recipe import Recipe, RecipeStep
 from geomosaic.pipeline.replayed_stage import ReplayedStage, files_of
 from geomosaic.placement.model import Placement
 from geomosaic.recording.mcapfile import BROKEN
@@ -132,9 +132,11 @@ def with_thumbnails(
     return dataclasses.replace(recipe, steps=tuple(steps)), made, out
 
 
-def _without_pixels(steps: Sequence[Step], given: Collection[int]) -> tuple[list[Step], list[str]]:
+def _without_pixels(
+    steps: Sequence[RecipeStep], given: Collection[int]
+) -> tuple[list[RecipeStep], list[str]]:
     """The steps that need no frames, nor what only such steps give; and a line for each other one."""
-    kept: list[Step] = []
+    kept: list[RecipeStep] = []
     out: list[str] = []
     there: set[str] = set()
     for i, step in enumerate(steps):

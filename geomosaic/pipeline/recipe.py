@@ -37,7 +37,7 @@ _KEYS = ("name", "description", "seed", "stages")
 
 
 @dataclass(frozen=True)
-class Step:
+class RecipeStep:
     """A stage with its parameters."""
 
     stage: type[Stage]
@@ -51,7 +51,7 @@ class Recipe:
     name: str
     description: str
     seed: int
-    steps: tuple[Step, ...]
+    steps: tuple[RecipeStep, ...]
     file: str | None = None
 
     def plain(self) -> dict[str, Any]:
@@ -163,7 +163,7 @@ def recipe_from(
     for override in overrides:
         _override(override, stages, values)
     steps = tuple(
-        Step(stage, check_params(stage.Params, v, stage=stage.id, file=file))
+        RecipeStep(stage, check_params(stage.Params, v, stage=stage.id, file=file))
         for stage, v in zip(stages, values, strict=True)
     )
     check_wiring(stages, given or {}, file)

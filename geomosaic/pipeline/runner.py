@@ -28,7 +28,7 @@ from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.memory_release import release_memory
 from geomosaic.pipeline.plugin import blamed, code_of
 from geomosaic.pipeline.provenance import commit, sizes, surroundings
-from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe, Step
+from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe, RecipeStep
 from geomosaic.pipeline.replayed_stage import ReplayedStage, bring_files
 from geomosaic.pipeline.reporter import Reporter, Silent, Source, warning_lines
 from geomosaic.pipeline.run_folder import WORK, RunFolder
@@ -181,7 +181,7 @@ class _Run:
             self._record_failure(stage, f"{type(error).__name__}: {error}")
             raise
 
-    def _release(self, then: Sequence[Step]) -> None:
+    def _release(self, then: Sequence[RecipeStep]) -> None:
         """What the next step doesn't take stays on the disk alone, until a later one does."""
         taken = {name for step in then for name in (*step.stage.inputs, *step.stage.optional_inputs)}
         for name in self._held.keys() - taken:

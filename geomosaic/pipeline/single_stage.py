@@ -12,7 +12,7 @@ from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.params import StageParams
 from geomosaic.pipeline.plugin import blamed
-from geomosaic.pipeline.recipe import Recipe, Step
+from geomosaic.pipeline.recipe import Recipe, RecipeStep
 from geomosaic.pipeline.reporter import Reporter, Silent, warning_lines
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.stage import Stage
@@ -47,7 +47,7 @@ def run_stage(
     `work_folder` is the caller's to delete.
     """
     reporter = reporter or Silent()
-    Recipe("", "", seed, (Step(stage, params),)).check_files()
+    Recipe("", "", seed, (RecipeStep(stage, params),)).check_files()
     reporter.stage_started(0, 1, stage.display_name)
     started = time.monotonic()
     with Workers(workers) as team:

@@ -16,7 +16,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.pipeline.cache import ArtefactHandle
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.plugin import blamed
-from geomosaic.pipeline.recipe import Step
+from geomosaic.pipeline.recipe import RecipeStep
 from geomosaic.pipeline.reporter import Reporter
 from geomosaic.pipeline.single_stage import check_outputs
 from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
@@ -91,7 +91,7 @@ class StageTask:
 
     def __init__(
         self,
-        step: Step,
+        step: RecipeStep,
         inputs: Mapping[str, ArtefactHandle],
         context: Context,
         log: StageLog,
@@ -155,7 +155,7 @@ class StageTask:
         self.seconds = time.monotonic() - started
 
 
-def concurrent_steps(steps: Sequence[Step], i: int) -> list[int]:
+def concurrent_steps(steps: Sequence[RecipeStep], i: int) -> list[int]:
     """The steps after step i that may be begun with it: nothing from i on gives what they take, and none has
     their name or writes their files.
 

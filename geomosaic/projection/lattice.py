@@ -20,7 +20,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.projection.warp import Sight, bare_window
+from geomosaic.projection.warp import ProjectionEquations, bare_window
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -30,7 +30,7 @@ _CELLS_AT_ONCE = tuned(256, "cells", "computed together: more do not fit the cac
 
 
 @dataclass(frozen=True)
-class Seen:
+class WindowInFrame:
     """Where a frame saw part of a window: col and row (h, w) of its pixels, NaN where not seen; and at the
     nodes, (h / 8 + 2, w / 8 + 2), one beyond on every side."""
 
@@ -65,9 +65,9 @@ class MapLattice:
         self._nodes_m = self._relief(self._u.nodes, self._v.nodes[:, None])
         self._corners_m = self._relief(self._u.corners, self._v.corners[:, None])
 
-    def seen(self, pose: Pose, camera: Camera, rows: slice, cols: slice) -> Seen:
+    def seen(self, pose: Pose, camera: Camera, rows: slice, cols: slice) -> WindowInFrame:
         """Where a frame saw part of the window. rows, cols: in whole steps, but at the window's end."""
-        sight = Sight(pose, camera)
+        sight = ProjectionEquations(pose, camera)
         height, width = _length(rows, self._window.height_px), _length(cols, self._window.width_px)
         top, left = rows.start // STEP_PX, cols.start // STEP_PX
         down, across = -(-height // STEP_PX), -(-width // STEP_PX)
@@ -98,7 +98,7 @@ class MapLattice:
                 axis[i, j] = values
         half = STEP_PX // 2
         inner = slice(half, half + height), slice(half, half + width)
-        return Seen(spread[0][inner], spread[1][inner], *image)
+        return WindowInFrame(spread[0][inner], spread[1][inner], *image)
 
     def _relief(self, u: Floats, v: Floats) -> Floats32 | None:
         if self._ground.kind == "flat":
@@ -106,7 +106,7 @@ class MapLattice:
         return self._window.relief_on(self._ground, self._gsd_m, u, v)
 
     def _exact(
-        self, sight: Sight, i: NDArray[np.intp], j: NDArray[np.intp], row: Floats32
+        self, sight: ProjectionEquations, i: NDArray[np.intp], j: NDArray[np.intp], row: Floats32
     ) -> tuple[Floats32, Floats32]:
         """All pixels of cells (n, 8, 8), of which row is all but known, or NaN."""
         u, v = self._u.pixels[j][:, None, :], self._v.pixels[i][:, :, None]

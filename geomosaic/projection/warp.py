@@ -120,7 +120,7 @@ def bare_window(
     return GroundWindow(width_px, height_px, polynomial, vertical[middle, middle], None)
 
 
-class Sight:
+class ProjectionEquations:
     """A frame's equations in single precision: camera axes at its middle row, then col and row.
 
     The equations of `Pose.image_from_ground`. Coordinates are taken from the projection centre, which keeps
@@ -207,11 +207,11 @@ def frame_from_map(
 ) -> tuple[Floats32, Floats32]:
     """Col and row in a frame of the window's pixel centres: two float32 arrays, NaN where not seen.
 
-    By `Sight`, a band of rows at a time so that it stays in the processor's cache.
+    By `ProjectionEquations`, a band of rows at a time so that it stays in the processor's cache.
 
     Args: rows, cols: contiguous part of the window, in its pixels.
     """
-    sight = Sight(pose, camera)
+    sight = ProjectionEquations(pose, camera)
     u, v = middles(window.width_px)[cols], middles(window.height_px)[rows, None]
     relief = None if window.relief_m is None else window.relief_m[rows, cols]
     col = np.empty((v.size, u.size), dtype=np.float32)

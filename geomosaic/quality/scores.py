@@ -15,7 +15,7 @@ from geomosaic.errors import FileError
 
 
 @dataclass(frozen=True)
-class Level:
+class ScoreLevel:
     """One level: the words for quality and for how far the defects hinder viewing."""
 
     score: int
@@ -24,7 +24,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Criterion:
+class ScoreQuestion:
     """Something a viewer scores on the mosaic: a key for the file, a question for the page."""
 
     key: str
@@ -33,11 +33,11 @@ class Criterion:
 
 CCIR_500_1 = sourced(
     (
-        Level(5, "Excellent", "no loss of quality to be seen"),
-        Level(4, "Good", "a loss can be seen but does not hinder viewing"),
-        Level(3, "Fair", "a clear loss that hinders viewing slightly"),
-        Level(2, "Poor", "hinders viewing"),
-        Level(1, "Bad", "hinders viewing very seriously"),
+        ScoreLevel(5, "Excellent", "no loss of quality to be seen"),
+        ScoreLevel(4, "Good", "a loss can be seen but does not hinder viewing"),
+        ScoreLevel(3, "Fair", "a clear loss that hinders viewing slightly"),
+        ScoreLevel(2, "Poor", "hinders viewing"),
+        ScoreLevel(1, "Bad", "hinders viewing very seriously"),
     ),
     "scores",
     "levels of people's scores, as in the paper",
@@ -45,11 +45,11 @@ CCIR_500_1 = sourced(
 )
 
 CRITERIA = (
-    Criterion("geometry", "Lines that cross seams (roads, roofs, field edges) run on unbroken"),
-    Criterion("seams", "Seams cannot be seen as lines"),
-    Criterion("tone", "Brightness and colour run evenly from frame to frame"),
-    Criterion("detail", "Detail is sharp, without ghosts or smear"),
-    Criterion("overall", "The mosaic as a whole"),
+    ScoreQuestion("geometry", "Lines that cross seams (roads, roofs, field edges) run on unbroken"),
+    ScoreQuestion("seams", "Seams cannot be seen as lines"),
+    ScoreQuestion("tone", "Brightness and colour run evenly from frame to frame"),
+    ScoreQuestion("detail", "Detail is sharp, without ghosts or smear"),
+    ScoreQuestion("overall", "The mosaic as a whole"),
 )
 
 _MOST_BYTES = tuned(64_000, "bytes", "of a scores file: the form saves some 500")

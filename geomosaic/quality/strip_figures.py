@@ -61,7 +61,7 @@ class SceneErrors:
         return self.figures.misplaced
 
 
-class Judged(Protocol):
+class AssessedScene(Protocol):
     """A scene that was judged: `SceneErrors` or `StripQuality`."""
 
     @property
@@ -151,7 +151,7 @@ def label_shares(label: np.ndarray) -> tuple[float, float, float]:
     return float(count[0]), float(count[1]), float(count[2])
 
 
-def misplacement_rate(scenes: Sequence[Judged]) -> MisplacementRate:
+def misplacement_rate(scenes: Sequence[AssessedScene]) -> MisplacementRate:
     """The share of misplaced scenes among those of which it is known, as in the paper's table 1."""
     known = [s.misplaced for s in scenes if s.misplaced is not None]
     n, k, unknown = len(known), sum(known), len(scenes) - len(known)

@@ -70,7 +70,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Seen:
+class VerdictInputs:
     """What is known of a mosaic without its truth. parts: frames that hang together by tie points; land:
     the share of the mosaic's land that each frame gives, by frame; doubt: of the ground and of what was
     matched; warned: codes of the run's warnings; names of the frames; pixel_m: the mosaic's."""
@@ -85,7 +85,7 @@ class Seen:
     pixel_m: float = float("nan")
 
 
-def verdict_of(adjusted: Adjusted, seen: Seen, accuracy: Accuracy, required: Requirement) -> Verdict:
+def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, required: Requirement) -> Verdict:
     """Grades a mosaic: whether a fault was found, and whether it is as accurate as is required."""
     figures = _agreement(adjusted, seen.patterns) | _seams(seen.seams)
     figures |= _held_together(adjusted, seen.parts, seen.land)
@@ -118,7 +118,7 @@ def _cause(worst: Evidence) -> str:
     return f"{worst.cause} ({said})" if worst.unit and worst.cause else worst.cause
 
 
-def _effect(of: Evidence, adjusted: Adjusted, seen: Seen) -> str:
+def _effect(of: Evidence, adjusted: Adjusted, seen: VerdictInputs) -> str:
     """What a figure that is not good does to the map, and where."""
     said = [f"{metres(of.value * seen.pixel_m)} on the ground"] * (of.unit == "px" and seen.pixel_m > 0.0)
     if of.name in ("seams", "worst tenth of the seams"):

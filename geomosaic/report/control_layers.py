@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.report.control import MappedPoints
-from geomosaic.report.layers import Layer, arrows, flat
+from geomosaic.report.layers import MapLayer, arrows, flat
 from geomosaic.report.numbers import cm, whole
 
 Floats = NDArray[np.float64]
@@ -59,7 +59,7 @@ def arrow_scale(kinds: Sequence[MappedPoints], side_m: float) -> ArrowScale:
     return ArrowScale(factor, _LONGEST * _SHARE * side_m / factor, _HEAD * side_m)
 
 
-def control_layers(kinds: Sequence[MappedPoints], scale: ArrowScale, origin: Floats) -> list[Layer]:
+def control_layers(kinds: Sequence[MappedPoints], scale: ArrowScale, origin: Floats) -> list[MapLayer]:
     """Of each kind a layer, control points below; of many points the farthest off."""
     layers = []
     for kind in reversed(kinds):
@@ -67,7 +67,7 @@ def control_layers(kinds: Sequence[MappedPoints], scale: ArrowScale, origin: Flo
         shown = len(kind.names)
         few = f", the {shown} farthest of {whole(kind.number)}" if kind.number > shown else ""
         layers.append(
-            Layer(
+            MapLayer(
                 kind.layer, kind.title, colour, shown=True, weight=2.4, mark=mark, factor=scale.factor,
                 lines=arrows(kind.at_m, scale.drawn(kind.residual_m), scale.factor, origin, scale.head_m),
                 points=[flat(at, origin) for at in kind.at_m], labels=list(kind.labels),

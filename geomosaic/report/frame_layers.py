@@ -21,7 +21,7 @@ from geomosaic.projection.footprint import footprint, ground_from_images
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.seam_check import SeamCheck
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
-from geomosaic.report.layers import Layer, arrows, flat, labels_of, outlines, thinned, told_thinned
+from geomosaic.report.layers import MapLayer, arrows, flat, labels_of, outlines, thinned, told_thinned
 from geomosaic.report.numbers import short, whole
 from geomosaic.survey.model import Survey
 
@@ -64,7 +64,7 @@ class FrameLayers:
     origin: Floats
     pixel_m: float
 
-    def all(self, mosaic: Mosaic, seams: SeamCheck | None, comparison: Comparison | None) -> list[Layer]:
+    def all(self, mosaic: Mosaic, seams: SeamCheck | None, comparison: Comparison | None) -> list[MapLayer]:
         """From below to above, empty ones too."""
         return [
             self._footprints(),
@@ -88,33 +88,33 @@ class FrameLayers:
     def _odd(self) -> list[int]:
         return [i for i, status in enumerate(self.adjusted.status) if status != "tied"]
 
-    def _footprints(self) -> Layer:
-        return Layer(
+    def _footprints(self) -> MapLayer:
+        return MapLayer(
             "footprints", "Footprints", "#00b4d8", areas=outlines(self.footprints_m, self.origin),
             rows=list(range(len(self.survey.frames))), odd=self._odd, weight=1.2,
             shown=not self.adjusted.control,
         )  # fmt: skip
 
-    def _frames(self) -> Layer:
+    def _frames(self) -> MapLayer:
         status = ["" if s == "tied" else s for s in self.adjusted.status]
         known = np.atleast_1d(np.isfinite(self._at_m).all(axis=1))
-        return Layer(
+        return MapLayer(
             "frames", "Frames", "#ffffff",
             points=[flat(p, self.origin) if k else [] for p, k in zip(self._at_m, known, strict=True)],
             rows=list(range(len(known))), odd=self._odd, shown=not self.adjusted.control,
             labels=labels_of([f.name for f in self.survey.frames], status), note="orange: not tied",
         )  # fmt: skip
 
-    def _lines(self) -> Layer:
+    def _lines(self) -> MapLayer:
         lines = []
         for line in sorted(set(self.placement.lines)):
             part = self._at_m[[i for i in self.placement.sequence if self.placement.lines[i] == line]]
             part = part[np.isfinite(part).all(axis=1)]
             if len(part) > 1:
                 lines.append(flat(part, self.origin))
-        return Layer("flight", "Flight lines", "#ffffff", lines=lines, weight=1.0, dash="6 5")
+        return MapLayer("flight", "Flight lines", "#ffffff", lines=lines, weight=1.0, dash="6 5")
 
-    def _ties(self) -> list[Layer]:
+    def _ties(self) -> list[MapLayer]:
         by_number = sorted(self.ties.pairs, key=len, reverse=True)[:_MOST_TIES]
         note = "; ".join(
             f"{short(float(np.quantile([len(p) for p in self.ties.pairs], q)))} tie points {words}"
@@ -124,19 +124,19 @@ class FrameLayers:
         drawn = [flat(self._at_m[[p.left, p.right]], self.origin) for p in by_number]
         vain = [flat(self._at_m[list(p)], self.origin) for p in self.ties.untied[:_MOST_TIES]]
         return [
-            Layer("ties", "Tied pairs", "#7ae582", lines=drawn, weight=1.2, note=note),
-            Layer("untied", "Pairs tried in vain", "#ff7043", lines=vain, weight=1.0, dash="3 5"),
+            MapLayer("ties", "Tied pairs", "#7ae582", lines=drawn, weight=1.2, note=note),
+            MapLayer("untied", "Pairs tried in vain", "#ff7043", lines=vain, weight=1.0, dash="3 5"),
         ]
 
-    def _moves(self) -> Layer:
+    def _moves(self) -> MapLayer:
         before = map_from_work(self.survey, self.placement.poses.positions_m)
         vectors = map_from_work(self.survey, self.adjusted.poses.positions_m) - before
         factor = exaggeration(np.linalg.norm(vectors, axis=1), before)
         note = f"from the given position to the adjusted one, {_larger(factor)}"
         lines = arrows(before, vectors, factor, self.origin)
-        return Layer("moves", "POS to adjusted", "#e0218a", lines=lines, weight=2.2, note=note)
+        return MapLayer("moves", "POS to adjusted", "#e0218a", lines=lines, weight=2.2, note=note)
 
-    def _residuals(self) -> Layer:
+    def _residuals(self) -> MapLayer:
         """Where the left frame of a tie point puts it, to where the right one does."""
         nothing = np.zeros((0, 2))
         left = np.repeat([p.left for p in self.ties.pairs], [len(p) for p in self.ties.pairs]).astype(np.intp)
@@ -158,9 +158,9 @@ class FrameLayers:
         cut = f", cut at {short(longest, 'm')}" if np.nanmax(length, initial=0.0) > longest else ""
         note = f"of tie points that count, left to right frame, {_larger(factor)}{cut}{thin}"
         lines = arrows(start, vectors, factor, self.origin)
-        return Layer("residuals", "Residuals", "#ff6b6b", lines=lines, weight=1.1, note=note)
+        return MapLayer("residuals", "Residuals", "#ff6b6b", lines=lines, weight=1.1, note=note)
 
-    def _seams(self, mosaic: Mosaic) -> Layer:
+    def _seams(self, mosaic: Mosaic) -> MapLayer:
         rings = [np.asarray(ring) for line in mosaic.seamlines for p in line.polygons for ring in p]
         finest = self.pixel_m
         while rings:
@@ -169,15 +169,15 @@ class FrameLayers:
                 break
             finest *= 2.0
         drawn = [flat(r, self.origin, 1) for r in simple] if rings else []
-        return Layer("seams", "Seams", "#ffe100", lines=drawn, weight=1.4)
+        return MapLayer("seams", "Seams", "#ffe100", lines=drawn, weight=1.4)
 
-    def _jumps(self, seams: SeamCheck | None) -> Layer:
+    def _jumps(self, seams: SeamCheck | None) -> MapLayer:
         """Places on the seams where the ground was compared in the pixels."""
         if seams is None:
-            return Layer("jumps", "", "")
+            return MapLayer("jumps", "", "")
         known = np.flatnonzero(np.isfinite(seams.length_px))
         names = [f.name for f in self.survey.frames]
-        return Layer(
+        return MapLayer(
             "jumps", "Checked places on seams", "#38b000",
             points=[flat(seams.at_m[i], self.origin) for i in known],
             odd=[k for k, i in enumerate(known) if seams.length_px[i] > _JUMPS_PX],
@@ -188,20 +188,20 @@ class FrameLayers:
             note=f"orange: the ground jumps by more than {_JUMPS_PX:g} px",
         )  # fmt: skip
 
-    def _ellipses(self) -> Layer:
+    def _ellipses(self) -> MapLayer:
         if self.adjusted.pose_covariance is None:
-            return Layer("ellipses", "", "")
+            return MapLayer("ellipses", "", "")
         ellipses = error_ellipses(self.orientation.covariance_m2[:, :2, :2])
         factor = exaggeration(ellipses.semi_major_m, self._at_m)
         rings = ellipses.outlines_m(self._at_m, factor)[:, ::2]
         usual = short(float(np.nanmedian(ellipses.semi_major_m)), "m")
         note = f"of 1 σ, {_larger(factor)}; median semi-axis {usual}"
-        return Layer(
+        return MapLayer(
             "ellipses", "Error ellipses", "#b388ff", areas=outlines(rings, self.origin),
             rows=list(range(len(rings))), weight=1.4, fill=0.18, odd=self._odd, note=note,
         )  # fmt: skip
 
-    def _displacements(self, comparison: Comparison | None) -> list[Layer]:
+    def _displacements(self, comparison: Comparison | None) -> list[MapLayer]:
         """The mosaic against the reference, as measured, and as the best similarity leaves it."""
         if comparison is None or not len(comparison.vectors_m):
             return []
@@ -216,12 +216,12 @@ class FrameLayers:
             factor = exaggeration(np.linalg.norm(left, axis=1), self._at_m, 2.0 * _ARROWS_OF_SPACING)
             note = f"mosaic minus reference, {_larger(factor)}{told_thinned(len(taken), len(at))}"
             lines = arrows(at[taken], left[taken], factor, self.origin)
-            out.append(Layer(name, title, "#ff6b6b", lines=lines, weight=1.3, note=note))
+            out.append(MapLayer(name, title, "#ff6b6b", lines=lines, weight=1.3, note=note))
         return out
 
-    def _holes(self, mosaic: Mosaic) -> Layer:
+    def _holes(self, mosaic: Mosaic) -> MapLayer:
         holes = mosaic.holes.largest
-        return Layer(
+        return MapLayer(
             "holes", "Holes", "#ff1744",
             points=[flat(np.array([h.easting_m, h.northing_m]), self.origin) for h in holes],
             labels=[f"no frame shows {short(h.area_m2, 'm²')} here" for h in holes], shown=True,

@@ -30,7 +30,7 @@ from geomosaic.report.glance import Glance, glance
 from geomosaic.report.layers import MapImage, MapView, box_of
 from geomosaic.report.map_images import overlap_image
 from geomosaic.report.numbers import length, plural, short, whole
-from geomosaic.report.page import Fact, Shown, markup, part, render
+from geomosaic.report.page import Fact, PageHead, markup, part, render
 from geomosaic.report.plate import plate
 from geomosaic.report.solved import solved_section
 from geomosaic.report.solved_figures import ground_reason
@@ -92,7 +92,7 @@ def render_report(
     pixel_m = mosaic.grid.gsd_m * mosaic.grid.width_px / image.width_px
     scale = arrow_scale(mapped, mosaic.grid.gsd_m * max(mosaic.grid.width_px, mosaic.grid.height_px))
     drawn = FrameLayers(survey, placement, ties, adjusted, orientation, footprints_m, origin, pixel_m)
-    begin = Shown(
+    begin = PageHead(
         title="Mosaic of " + plural(len(survey.frames), "frame"),
         run=name,
         judged=judged.judged,

@@ -27,7 +27,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.report.glance import Glance, glance, stretched
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
-from geomosaic.survey.small import Spare, Unseen
+from geomosaic.survey.small import FrameToDecode, Spare
 
 _REDUCTIONS: Final = (8, 4, 2)
 
@@ -68,7 +68,7 @@ def given_image(
     views = frame_views(*lies, limits) or frame_views(*lies)
     try:
         grid = output_grid(survey.map_crs, without_flung(views, own_m)[0], own_m, names)
-        unseen = [Unseen(frame, spares(frame)) for frame in survey.frames]
+        unseen = [FrameToDecode(frame, spares(frame)) for frame in survey.frames]
         return _composed(survey, unseen, placement, ground, used, coarser(grid, longest_px), spooled)
     except CancelledError:
         raise
@@ -78,7 +78,7 @@ def given_image(
 
 def _composed(
     survey: Survey,
-    unseen: Sequence[Unseen],
+    unseen: Sequence[FrameToDecode],
     placement: Placement,
     ground: GroundSurface,
     used: list[bool],
@@ -110,14 +110,14 @@ def _composed(
 
 
 @dataclass(frozen=True)
-class Small:
+class ReducedFrame:
     """A frame at reduced size, 8 bits: pixels (rows, cols, 1 or 3), and where they are valid if not all."""
 
     pixels: NDArray[np.uint8]
     valid: NDArray[np.bool_] | None
 
 
-def small_frame(reduction: int, unseen: Unseen) -> Small:
+def small_frame(reduction: int, unseen: FrameToDecode) -> ReducedFrame:
     """A frame whose pixels are means of so many a side."""
     pixels, valid = read_pixels(unseen.frame, reduction, spare=unseen.spare)
     pixels = pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1]
@@ -125,10 +125,10 @@ def small_frame(reduction: int, unseen: Unseen) -> Small:
     if pixels.dtype != np.uint8:
         whole = np.ones(pixels.shape[:2], bool) if known is None else known
         pixels = np.moveaxis(stretched(np.moveaxis(pixels, -1, 0), whole), 0, -1)
-    return Small(np.ascontiguousarray(pixels), known)
+    return ReducedFrame(np.ascontiguousarray(pixels), known)
 
 
-def _written(small: Small, frame: Frame, path: Path) -> Frame:
+def _written(small: ReducedFrame, frame: Frame, path: Path) -> Frame:
     rows, cols, bands = small.pixels.shape
     with gdal_failures(path):
         tiff = gdal.GetDriverByName("GTiff").Create(str(path), cols, rows, bands, gdal.GDT_Byte)

@@ -33,7 +33,7 @@ class MapImage:
 
 
 @dataclass(frozen=True)
-class Layer:
+class MapLayer:
     """What can be switched: areas (outer rings), lines, points; flat lists x, y, x, y from the map's origin.
 
     rows: for each area, or for each point where there are no areas, the table's row that it belongs to, or
@@ -74,7 +74,7 @@ class MapView:
     metres: bool
     box: tuple[float, float, float, float]
     images: list[MapImage]
-    layers: list[Layer]
+    layers: list[MapLayer]
 
     def plain(self) -> dict[str, Any]:
         """As JSON takes it; layers with nothing in them are left out."""

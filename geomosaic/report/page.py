@@ -17,7 +17,7 @@ from geomosaic.report import numbers
 from geomosaic.report.accuracy_table import AccuracyTable
 from geomosaic.report.glance import Glance
 from geomosaic.report.layers import MapView
-from geomosaic.report.table import Table
+from geomosaic.report.table import ReportTable
 from geomosaic.report.warnings import warnings_of
 
 _TEMPLATES: Final = Path(__file__).parent / "templates"
@@ -27,7 +27,7 @@ Fact = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
-class Judged:
+class PageVerdict:
     """The first words. grade: `good`, `doubtful`, `bad`, or empty where nothing was judged; why: sentences;
     fix: the fix; accuracy: the answers to what people ask of a map; points: of check and of control points
     their kind, number, RMSE in plan and in height, and blunders; standard: the sentence that the ASPRS
@@ -47,22 +47,22 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Shown:
+class PageHead:
     """What every page begins with. run: its name; image: the mosaic, and its caption; plate: the map as
     paper shows it, SVG."""
 
     title: str
     run: str
-    judged: Judged
+    judged: PageVerdict
     image: Glance
     caption: str
     facts: list[Fact]
     map_view: MapView
-    table: Table
+    table: ReportTable
     plate: str = ""
 
 
-def render(name: str, summary: Mapping[str, Any], begin: Shown, **shown: Any) -> str:
+def render(name: str, summary: Mapping[str, Any], begin: PageHead, **shown: Any) -> str:
     """A page by its template, which escapes all that isn't markup.
 
     Args: summary: what run.json holds so far, of which every page shows warnings, times, recipe and versions;

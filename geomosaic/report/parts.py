@@ -19,7 +19,7 @@ from geomosaic.quality.misalignment import PairMisalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.report.numbers import percent, short
 from geomosaic.report.plots import Axis, Series, histogram, line_plot
-from geomosaic.report.table import Cell, Table, TableRow, count, number
+from geomosaic.report.table import Cell, ReportTable, TableRow, count, number
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ def frame_table(
     adjusted: Adjusted,
     orientation: Orientations,
     warned: Mapping[str, int],
-) -> Table:
+) -> ReportTable:
     """Frames in order of the survey: how far each was moved (3D) and turned from its POS, what is left at its
     tie points, how sure its place is. warned: how often each is named in a warning."""
     n = len(orientation.names)
@@ -72,7 +72,7 @@ def frame_table(
         )
         for i, name in enumerate(orientation.names[:_MOST_ROWS])
     ]
-    return Table(
+    return ReportTable(
         "frame",
         (
             ("frame", False), ("status", False), ("residual", True), ("moved", True), ("turned", True),

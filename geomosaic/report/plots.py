@@ -99,7 +99,7 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Frame:
+class PlotFrame:
     """A plot's box: grid, ticks and names of its axes."""
 
     x: Scale
@@ -156,7 +156,7 @@ def line_plot(
     ys = np.concatenate([np.asarray(s.y, dtype=np.float64) for s in series] or [np.zeros(0)])
     seen = ys[np.isfinite(ys)]
     near_zero = seen.size > 0 and 0.0 <= seen.min() < 0.5 * seen.max()
-    frame = Frame(
+    frame = PlotFrame(
         Scale(_ticks(xs, x), LEFT, width - RIGHT, x.powers),
         Scale(_ticks(ys, y, from_zero=near_zero), height - _BOTTOM, TOP, y.powers),
     )
@@ -166,7 +166,7 @@ def line_plot(
     return document(width, height, [*out, *_legend(series, width)], label)
 
 
-def _drawn(frame: Frame, series: Series) -> list[str]:
+def _drawn(frame: PlotFrame, series: Series) -> list[str]:
     at = frame.at(series.x, series.y)
     good = np.isfinite(at).all(axis=1)
     out = []
@@ -216,7 +216,7 @@ def histogram(
     ticks = nice_ticks(low, top if top > low else low + 1.0)
     count, edges = np.histogram(np.minimum(seen, ticks[-1]), bins=bins, range=(ticks[0], ticks[-1]))
     upwards = nice_ticks(0.0, float(max(count.max(), 1)), least_step=1.0)
-    frame = Frame(Scale(ticks, LEFT, width - RIGHT), Scale(upwards, height - _BOTTOM, TOP))
+    frame = PlotFrame(Scale(ticks, LEFT, width - RIGHT), Scale(upwards, height - _BOTTOM, TOP))
     out = [*frame.x_grid(axis.label, height - 8), *frame.y_grid("number"), frame.box()]
     at = frame.at(edges[1:], count).tolist()
     for n, x0, (x1, y) in zip(count, frame.x.at(edges[:-1]).tolist(), at, strict=True):

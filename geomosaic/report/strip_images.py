@@ -16,7 +16,7 @@ from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES, common_lines
 from geomosaic.quality.strips import BLOCK_LINES, PairQuality, StripQuality
 from geomosaic.report.glance import Glance, glance, stretched, webp
-from geomosaic.report.layers import Layer
+from geomosaic.report.layers import MapLayer
 from geomosaic.report.numbers import short
 from geomosaic.report.svg import COLOURS, number, tag
 from geomosaic.survey.strips import StripGeometry
@@ -55,7 +55,7 @@ def seam_col(geometry: StripGeometry, pair: int) -> float:
 
 def scene_layers(
     geometry: StripGeometry, quality: StripQuality, high_px: int, first_line: float
-) -> list[Layer]:
+) -> list[MapLayer]:
     """The map's layers: overlaps by pair, seams, segments above the limit, and the CCDs' numbers.
 
     Places are in cols and, upwards, minus rows of the scene. high_px: its lines.
@@ -77,17 +77,17 @@ def scene_layers(
     middles = [k * step + geometry.width_px / 2 for k in range(len(geometry.lines))]
     dead = [k for k, lines in enumerate(geometry.lines) if not lines]
     return [
-        Layer(
+        MapLayer(
             "overlaps", "Overlaps", "#00b4d8", areas=overlaps, rows=list(range(len(overlaps))), weight=1.0,
             fill=0.08,
         ),
-        Layer("seams", "Seams", "#ffe100", lines=seams, weight=1.2, dash="6 5", shown=True),
-        Layer(
+        MapLayer("seams", "Seams", "#ffe100", lines=seams, weight=1.2, dash="6 5", shown=True),
+        MapLayer(
             "misplaced", "Misplaced segments", "#ff7a1a", areas=odd, rows=of, labels=told, fill=0.5,
             shown=True,
             note=f"off by more than {LIMIT_PX:g} px",
         ),
-        Layer(
+        MapLayer(
             "ccds", "CCDs", "#ffffff", points=[[x, -0.02 * high_px] for x in middles], odd=dead,
             permanent=True,
             labels=[str(k + 1) for k in range(len(middles))], shown=True, note="orange: dead",

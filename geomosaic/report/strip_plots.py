@@ -11,7 +11,7 @@ from geomosaic.ccd.model import MEASURED, UNRELIABLE, Floats, PairOffsets
 from geomosaic.quality.jitter import Spectrum
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
 from geomosaic.quality.strips import StripQuality
-from geomosaic.report.plots import LEFT, RIGHT, Axis, Frame, Scale, Series, line_plot
+from geomosaic.report.plots import LEFT, RIGHT, Axis, PlotFrame, Scale, Series, line_plot
 from geomosaic.report.svg import COLOURS, DASHES, document, nice_ticks, points, tag, text
 
 _MOST_POINTS = 2000
@@ -30,7 +30,7 @@ def offsets_plot(pair: PairOffsets, *, label: str, width: float = 720) -> str:
     ticks = nice_ticks(0.0, float(max(len(pair.label), 1)))
     x = Scale(ticks, LEFT, width - RIGHT)
     foot = _TOP + 2 * _PANEL + _GAP
-    out = Frame(x, Scale([0.0, 1.0], foot, _TOP)).x_grid("line of the left strip", height - 8, below=34.0)
+    out = PlotFrame(x, Scale([0.0, 1.0], foot, _TOP)).x_grid("line of the left strip", height - 8, below=34.0)
     for k, name in enumerate(("across (dcol) [px]", "along (dline) [px]")):
         out += _panel(x, _TOP + k * (_PANEL + _GAP), line, values[:, k], reach[:, k], COLOURS[2 * k], name)
     out += _label_bar(x, foot + 6, line, worst)
@@ -50,7 +50,7 @@ def _panel(
     low = max(float((value - reach).min()), float(value.min()) - spread)
     high = min(float((value + reach).max()), float(value.max()) + spread)
     ticks = nice_ticks(low, high, about=4)
-    frame = Frame(x, Scale(ticks, top + _PANEL, top))
+    frame = PlotFrame(x, Scale(ticks, top + _PANEL, top))
     out = frame.y_grid(name, font_size=12)
     ends = [np.clip(value + sign * reach, ticks[0], ticks[-1]) for sign in (1.0, -1.0)]
     upper, lower = (frame.at(line, end) for end in ends)

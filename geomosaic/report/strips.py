@@ -17,10 +17,10 @@ from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
 from geomosaic.quality.strips import PairQuality, StripQuality
 from geomosaic.report.layers import MapView
 from geomosaic.report.numbers import length, percent, plural, short, signed, whole
-from geomosaic.report.page import Fact, Judged, Shown, markup, render
+from geomosaic.report.page import Fact, PageHead, PageVerdict, markup, render
 from geomosaic.report.strip_images import Place, scene_glance, scene_layers, seam_crops, seam_places
 from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
-from geomosaic.report.table import Cell, Table, TableRow, number
+from geomosaic.report.table import Cell, ReportTable, TableRow, number
 from geomosaic.survey.strips import StripGeometry
 
 _FIXES = {
@@ -62,10 +62,10 @@ def render_strips_report(
     return render(
         "strips.html",
         summary,
-        Shown(
+        PageHead(
             title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
             run=name,
-            judged=Judged(grade := _grade(quality), strips_verdict(quality), _FIXES.get(grade, "")),
+            judged=PageVerdict(grade := _grade(quality), strips_verdict(quality), _FIXES.get(grade, "")),
             image=image,
             caption="Lines run downwards in the order they were taken. The full image is mosaic.tif.",
             facts=_facts(geometry, offsets, quality, mosaic),
@@ -208,9 +208,11 @@ def _gaps(geometry: StripGeometry, mosaic: StripMosaic) -> list[str]:
     return out
 
 
-def _pair_table(geometry: StripGeometry, quality: StripQuality, offsets: Mapping[int, PairOffsets]) -> Table:
+def _pair_table(
+    geometry: StripGeometry, quality: StripQuality, offsets: Mapping[int, PairOffsets]
+) -> ReportTable:
     """Neighbouring CCDs: how their offsets were found, and what is left."""
-    return Table(
+    return ReportTable(
         "seam",
         (
             ("CCDs", False), ("state", False), ("left, RMS", True), ("worst segment", True),

@@ -27,7 +27,7 @@ class TableRow:
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """noun: of a row. columns: title, and whether it holds numbers. kinds: of the rows, with what each means.
     left_out: rows that are not on the page."""
 

@@ -14,7 +14,7 @@ from geomosaic.quality.verdict import Evidence, Verdict
 from geomosaic.report.accuracy_table import accuracy_table
 from geomosaic.report.control import PointFigures
 from geomosaic.report.numbers import map_metres, short
-from geomosaic.report.page import Judged, markup
+from geomosaic.report.page import PageVerdict, markup
 from geomosaic.report.solved_plots import image_vectors
 from geomosaic.survey.model import Survey
 
@@ -28,7 +28,7 @@ class VerdictSection:
     """What the template shows. evidence: (name, figure, grade, cause, fix); seams: (left, right, how far the
     ground jumps, easting, northing), worst first; patterns: images with their captions."""
 
-    judged: Judged
+    judged: PageVerdict
     evidence: list[tuple[str, str, str, str, str]]
     seams: list[tuple[str, str, str, str, str]]
     measured: str
@@ -41,13 +41,13 @@ def verdict_section(
     """Of a run without a verdict it says that there is none. points: those of control and check points."""
     rows = [f.row for f in points]
     if verdict is None:
-        return VerdictSection(Judged("", _NOT_JUDGED, points=rows), [], [], "", [])
+        return VerdictSection(PageVerdict("", _NOT_JUDGED, points=rows), [], [], "", [])
     seams, length = verdict.seams, verdict.seams.length_px
     worst = [i for i in np.argsort(-np.nan_to_num(length)) if np.isfinite(length[i])][:_WORST_SEAMS]
     names = [f.name for f in survey.frames]
     cause = f"{_sentence(verdict.cause)} " if verdict.cause else _GOOD * (verdict.grade == "good") + " "
     return VerdictSection(
-        judged=Judged(
+        judged=PageVerdict(
             verdict.grade,
             f"{cause}{_sentence(verdict.text)}",
             _sentence(verdict.fix),

@@ -10,13 +10,13 @@ import numpy as np
 from geomosaic.ccd.gaps import gaps
 from geomosaic.ccd.joint import far_from_nominal
 from geomosaic.ccd.methods import METHODS
-from geomosaic.ccd.model import UNRELIABLE, PairOffsets, Settings, StripOffsets
+from geomosaic.ccd.model import UNRELIABLE, CcdSettings, PairOffsets, StripOffsets
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.quality.strip_figures import common_lines
 from geomosaic.stages.strip_input import opened_strips
 from geomosaic.survey.strips import StripGeometry
 
-_SETTINGS = Settings()
+_SETTINGS = CcdSettings()
 _RECORDED_LINES = 8
 
 
@@ -68,7 +68,7 @@ class CcdOffsets(Stage):
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """By the method asked for."""
         geometry: StripGeometry = inputs["strips"]
-        settings = Settings(**params.model_dump(exclude={"method"}))
+        settings = CcdSettings(**params.model_dump(exclude={"method"}))
         with opened_strips(geometry) as strips:
             pairs = METHODS[params.method](
                 strips, settings, lambda done, total: context.progress(done, total, "offsets")

@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
 from geomosaic.matching.contrast import raised
 from geomosaic.matching.features import Bytes, Features, reduction_for, shrunk, sift_features, stretched
-from geomosaic.matching.match import Looks, Matching, PairMatch, match_pair
+from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.stage import Context
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
-from geomosaic.survey.small import Small, Unseen
+from geomosaic.survey.small import FrameToDecode, Small
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Sight:
+class FrameReduction:
     """How frames are looked at: halved until no side is longer than longest_px, in one band or in luma;
     keypoints are sought in images shrunk to keypoints_px."""
 
@@ -55,7 +55,7 @@ class Brightness:
     faint: float = 0.0
 
 
-def frame_brightness(sight: Sight, unseen: Unseen) -> Brightness:
+def frame_brightness(sight: FrameReduction, unseen: FrameToDecode) -> Brightness:
     """Decodes a frame."""
     reduction, luma = sight.reduction(unseen.frame), sight.band is None
     pixels, valid = read_pixels(unseen.frame, reduction, luma=luma, spare=unseen.spare)
@@ -74,10 +74,10 @@ class Picture:
 
 
 @contextmanager
-def pictured(context: Context, sight: Sight, frames: Sequence[Frame]) -> Iterator[list[Picture]]:
+def pictured(context: Context, sight: FrameReduction, frames: Sequence[Frame]) -> Iterator[list[Picture]]:
     """Frames decoded once for all that is done in the block. Then they go: a few MB each, and decoded again
     sooner than so much is kept; if the block fails, the next run finds them."""
-    unseen = [Unseen(frame, context.optional_cache(Small, frame.path)) for frame in frames]
+    unseen = [FrameToDecode(frame, context.optional_cache(Small, frame.path)) for frame in frames]
     decoded = context.stored("brightness", partial(frame_brightness, sight), unseen)
     yield [Picture(kept, sight.reduction(frame)) for kept, frame in zip(decoded, frames, strict=True)]
     for kept in decoded:
@@ -108,12 +108,12 @@ class PairItem:
 
 def pair_match(how: Matching, pair: PairItem) -> PairMatch:
     """Tie points of a pair."""
-    left, right = (features.recall_as(Looks.of) for features in (pair.left, pair.right))
+    left, right = (features.recall_as(MatchKeypoints.of) for features in (pair.left, pair.right))
     return match_pair(how, left, right, pair.guess, pair.pixel_px)
 
 
 @dataclass(frozen=True)
-class Shown:
+class PlacesAsked:
     """A frame, and places (n, 2) that it is to show to others."""
 
     picture: Picture
@@ -127,7 +127,7 @@ class Windows:
     values: Bytes
 
 
-def frame_windows(shown: Shown) -> Windows:
+def frame_windows(shown: PlacesAsked) -> Windows:
     """What a frame shows at places."""
     return Windows(templates(shown.picture.brightness.load().grey, shown.image_px / shown.picture.reduction))
 
@@ -153,14 +153,14 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Places:
+class PlacesFound:
     """image_px (n, 2) where a frame shows what was sought in it, in that order; sure (n,) whether it does."""
 
     image_px: Floats
     sure: NDArray[np.bool_]
 
 
-def frame_places(search: Search) -> Places:
+def frame_places(search: Search) -> PlacesFound:
     """Where a frame shows windows of others."""
     reduction = search.picture.reduction
     values = [s.windows.recall().values[s.rows] for s in search.sought]
@@ -170,4 +170,4 @@ def frame_places(search: Search) -> Places:
         np.concatenate([s.near_px for s in search.sought]) / reduction,
         np.concatenate([s.shapes * (s.reduction / reduction) for s in search.sought]),
     )
-    return Places(found.image_px * reduction, found.sure)
+    return PlacesFound(found.image_px * reduction, found.sure)

@@ -12,7 +12,7 @@ from geomosaic.matching.features import reduction_for
 from geomosaic.matching.flying_height import flying_height_m
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.placement.heights import FlyingHeight, height_is_unknown, neighbours
-from geomosaic.stages.keypoints import Sight, frame_features, pictured
+from geomosaic.stages.keypoints import FrameReduction, frame_features, pictured
 from geomosaic.survey.model import Survey
 
 _PAIRS = 16
@@ -36,7 +36,9 @@ class MatchingFlyingHeight(Stage):
         frames = survey.frames
         pairs = neighbours(frames, _PAIRS) if height_is_unknown(survey) else []
         used = sorted({i for pair in pairs for i in pair[:2]})
-        with pictured(context, Sight(_LONGEST_PX, _LONGEST_PX), [frames[i] for i in used]) as pictures:
+        with pictured(
+            context, FrameReduction(_LONGEST_PX, _LONGEST_PX), [frames[i] for i in used]
+        ) as pictures:
             take = partial(frame_features, _LONGEST_PX, 3000)
             found = context.map("keypoints for the flying height", take, pictures)
         features = dict(zip(used, found, strict=True))

@@ -15,7 +15,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.believed import Believed
-from geomosaic.matching.candidates import Comparison, alike, coarse, likely_pairs, to_compare
+from geomosaic.matching.candidates import FrameComparison, alike, coarse, likely_pairs, to_compare
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching
 from geomosaic.matching.model import TiePairs, TiePoints
@@ -28,7 +28,7 @@ from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.keypoints import Sight, frame_features, pictured
+from geomosaic.stages.keypoints import FrameReduction, frame_features, pictured
 from geomosaic.stages.tie_points import Pairing, record_tried, refined
 from geomosaic.survey.model import Survey
 
@@ -133,7 +133,7 @@ class MatchingSift(Stage):
         context: Context,
     ) -> tuple[TiePairs, Pairing]:
         """The pairs that hold together, and how all were tried."""
-        sight = Sight(params.longest_px, params.keypoints_px, params.band)
+        sight = FrameReduction(params.longest_px, params.keypoints_px, params.band)
         sizes = [(f.width_px, f.height_px) for f in survey.frames]
         with pictured(context, sight, survey.frames) as pictures:
             features = context.stored(
@@ -182,7 +182,7 @@ class MatchingSift(Stage):
             return []
         few = [coarse(f.load()) for f in features]
         compared = to_compare(len(features), frames)
-        jobs = [Comparison(few[i], tuple(few[j] for j in others)) for i, others in compared]
+        jobs = [FrameComparison(few[i], tuple(few[j] for j in others)) for i, others in compared]
         found = context.map("frames without position", alike, jobs, keys=[i for i, _ in compared])
         context.metric("matching.pairs_compared", sum(len(others) for _, others in compared))
         return likely_pairs(compared, found)

@@ -25,7 +25,7 @@ from geomosaic.composition.seam_cut import NEAREST_NADIR, SEAMS, Seam
 from geomosaic.composition.seam_figures import seam_figures
 from geomosaic.composition.seam_parts import Glimpse, bands, giving, glimpsed
 from geomosaic.composition.tones import Tones
-from geomosaic.composition.trim import HORIZON, Edges, Looks, filled, mosaic_edges
+from geomosaic.composition.trim import HORIZON, Edges, ViewingGeometry, filled, mosaic_edges
 from geomosaic.composition.untied import needless
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.model import Placement
@@ -222,7 +222,7 @@ class MosaicSeams(Stage):
             seeing = seeing if area is None else area.seen_by(seeing)
             adjusted: Adjusted = inputs["adjusted"]
             tied = [status == "tied" for status in adjusted.status]
-            looks = Looks(frames.poses, tied, seeing, limits, adjusted.ground, area)
+            looks = ViewingGeometry(frames.poses, tied, seeing, limits, adjusted.ground, area)
             edges = mosaic_edges(scene, looks)
             if edges.kept.is_empty:
                 return None

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.composition.tones import Places, Sampling, Tones, lattice, sampled, solve_tones
+from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled, solve_tones
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
@@ -78,7 +78,7 @@ class MosaicTones(Stage):
         return {"tones": tones}
 
     @staticmethod
-    def _values(survey: Survey, places: Places, bands: int, context: Context) -> np.ndarray[Any, Any]:
+    def _values(survey: Survey, places: ToneSightings, bands: int, context: Context) -> np.ndarray[Any, Any]:
         """Of all sightings, (m, b)."""
         seen = np.unique(places.frame).tolist()
         mine = [np.flatnonzero(places.frame == i) for i in seen]

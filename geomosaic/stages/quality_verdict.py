@@ -22,7 +22,7 @@ from geomosaic.quality import statement
 from geomosaic.quality.accuracy import Requirement, accuracy_of, usual_requirement
 from geomosaic.quality.ground_doubt import Land, land_doubt
 from geomosaic.quality.seam_check import check_seams
-from geomosaic.quality.verdict import Seen, Verdict, verdict_of
+from geomosaic.quality.verdict import Verdict, VerdictInputs, verdict_of
 from geomosaic.stages.chips import Chips
 from geomosaic.survey.model import Survey
 
@@ -102,7 +102,7 @@ class QualityVerdict(Stage):
         image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
         land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, ground, adjusted.ground)
         required = _required(params, survey, adjusted, pixel_m)
-        seen = Seen(
+        seen = VerdictInputs(
             seams,
             () if image is None else residual_patterns(image, adjusted.cameras),
             connected_parts(len(survey.frames), inputs["ties"].frames),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.camera.exterior import Poses
-from geomosaic.composition.estimate import Estimate, room
+from geomosaic.composition.estimate import SizeEstimate, room
 from geomosaic.composition.model import Trimmed
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
@@ -203,7 +203,7 @@ def params_of(context: Context, stage: type[Stage]) -> Any:
     return stage.Params.model_validate(given)
 
 
-def report_estimate(context: Context, estimate: Estimate) -> None:
+def report_estimate(context: Context, estimate: SizeEstimate) -> None:
     """One line and `metrics.estimate`; `OutputError` where the disk hasn't the room for the least of it.
 
     What an earlier run left there counts as free. Memory and time depend on the workers, which equal bytes

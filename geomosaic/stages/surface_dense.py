@@ -104,7 +104,7 @@ class SurfaceDense(Stage):
             for level in both
         ]
         looks = [
-            _Look(
+            _LevelReductions(
                 survey.frames[i],
                 int(coarse.reduction),
                 int(fine.reduction),
@@ -166,7 +166,7 @@ def _matched(
 
 
 @dataclass(frozen=True)
-class _Look:
+class _LevelReductions:
     """A frame, by how much its pixels are reduced for the coarse level and for the fine one, how it is
     turned, and where it may lie small."""
 
@@ -185,7 +185,7 @@ class Pictures:
     fine: CensusImage
 
 
-def _pictures(look: _Look) -> Pictures:
+def _pictures(look: _LevelReductions) -> Pictures:
     pixels, valid = read_pixels(look.frame, look.fine, luma=True, spare=look.spare)
     shown = grey(pixels, valid)
     by = look.coarse // look.fine

@@ -21,8 +21,8 @@ from geomosaic.placement.graph import connected_parts, flown_beside
 from geomosaic.stages.keypoints import (
     PairItem,
     Picture,
+    PlacesAsked,
     Search,
-    Shown,
     Sought,
     frame_places,
     frame_windows,
@@ -178,7 +178,9 @@ def refined(
         return pairs
     todo = Refinement.of(pairs, sizes_px)
     px = todo.joined.image_px
-    shown = [Shown(picture, px[keypoints]) for picture, keypoints in zip(pictures, todo.shown, strict=True)]
+    shown = [
+        PlacesAsked(picture, px[keypoints]) for picture, keypoints in zip(pictures, todo.shown, strict=True)
+    ]
     windows = context.stored("surroundings of tie points", frame_windows, shown)
     searches = {}
     for i, sought in enumerate(todo.sought):

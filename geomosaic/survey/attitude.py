@@ -12,7 +12,7 @@ from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.model import Warn
 from geomosaic.survey.onboard import body_from_gimbal
-from geomosaic.survey.table import Table
+from geomosaic.survey.table import ParsedTable
 
 Floats = NDArray[np.float64]
 CONVENTIONS: Final = {
@@ -27,7 +27,7 @@ CONVENTIONS: Final = {
 
 
 def read_angles(
-    table: Table, convention: str, projection: MapProjection | None, lonlat: Floats
+    table: ParsedTable, convention: str, projection: MapProjection | None, lonlat: Floats
 ) -> tuple[Floats, str, list[Warn]]:
     """Body angles (n, 3) from true north of a table's rows, where they come from, and what was assumed.
 
@@ -60,7 +60,7 @@ def read_angles(
     return angles, "pos-yaw-pitch-roll", notes
 
 
-def _lacks(table: Table, convention: str, columns: str) -> InputError:
+def _lacks(table: ParsedTable, convention: str, columns: str) -> InputError:
     return InputError(
         f"has no columns {columns} for the attitude convention '{convention}'",
         file=table.path,
@@ -68,7 +68,7 @@ def _lacks(table: Table, convention: str, columns: str) -> InputError:
     )
 
 
-def _convention(table: Table, pitches_deg: Floats) -> tuple[str, list[Warn]]:
+def _convention(table: ParsedTable, pitches_deg: Floats) -> tuple[str, list[Warn]]:
     if "gimbal_pitch" in table.factors:
         return "gimbal", []
     if {"moved", "turned"} <= table.factors.keys():
@@ -81,7 +81,9 @@ def _convention(table: Table, pitches_deg: Floats) -> tuple[str, list[Warn]]:
     return convention, [Warn("pos-attitude-convention", "", text)]
 
 
-def _from_opk(table: Table, convention: str, projection: MapProjection | None, lonlat: Floats) -> Floats:
+def _from_opk(
+    table: ParsedTable, convention: str, projection: MapProjection | None, lonlat: Floats
+) -> Floats:
     o, p, k = np.radians([table.numbers(c) for c in ("omega", "phi", "kappa")])
     if convention == "phi-omega-kappa":
         rotation = Rotation.from_phi_omega_kappa(p, o, k)

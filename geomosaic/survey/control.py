@@ -22,7 +22,7 @@ from geomosaic.survey.names import FrameNames, some
 from geomosaic.survey.places import NOWHERE, heights_of, places_of
 from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
-from geomosaic.survey.table import Table
+from geomosaic.survey.table import ParsedTable
 
 Floats = NDArray[np.float64]
 _MOST_POINTS = tuned(20_000, "points", "each adds to the solve: more is another kind of file")
@@ -103,7 +103,7 @@ def read_control(path: Path, frames: FrameNames, near: Floats = NOWHERE) -> Cont
     )
 
 
-def _stated_deviations_m(table: Table) -> Floats:
+def _stated_deviations_m(table: ParsedTable) -> Floats:
     """Deviations (n, 2) in plan and in height that a table states, NaN where it doesn't."""
     both = deviation(table, "sd")
     stated = (deviation(table, "sd_horizontal", "sd_e", "sd_n"), deviation(table, "sd_vertical"))
@@ -111,7 +111,7 @@ def _stated_deviations_m(table: Table) -> Floats:
 
 
 def _one_place(
-    name: str, places: Floats, table: Table, rows: Sequence[int]
+    name: str, places: Floats, table: ParsedTable, rows: Sequence[int]
 ) -> tuple[tuple[float, float, float], tuple[float, float]]:
     """Mean longitude, latitude and height of a point's lines (n, 3), and their spread in plan and height (m).
 
@@ -164,7 +164,7 @@ def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]
 
 
 def _measurements(
-    table: Table, of: Mapping[str, Sequence[int]], frames: FrameNames
+    table: ParsedTable, of: Mapping[str, Sequence[int]], frames: FrameNames
 ) -> tuple[dict[str, list[tuple[str, float, float]]], list[tuple[str, str]]]:
     """Where each point was measured, by its name and lines, and those in images that are not here."""
     names = {i: name for name, rows in of.items() for i in rows}

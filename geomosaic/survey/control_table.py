@@ -14,7 +14,7 @@ from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.names import FrameNames
 from geomosaic.survey.places import check_columns, given_crs
 from geomosaic.survey.pos import ALIASES as POS_ALIASES
-from geomosaic.survey.table import Aliases, Line, Table, is_number, read_lines, read_table, split
+from geomosaic.survey.table import Aliases, Line, ParsedTable, is_number, read_lines, read_table, split
 
 ALIASES: Final[Aliases] = {
     "name": ("name", "point", "point_name", "gcp", "gcp_name", "label", "id"),
@@ -40,7 +40,7 @@ _MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(
 """Of a line of gcp_list.txt what stands before the image, and the image up to its extension."""
 
 
-def control_table(path: Path, frames: FrameNames) -> tuple[Table, StatedCrs | None]:
+def control_table(path: Path, frames: FrameNames) -> tuple[ParsedTable, StatedCrs | None]:
     """A table with a line per measurement or point, and the CRS of x and y.
 
     Raises: `InputError` naming the file, the line and the fix.
@@ -58,7 +58,7 @@ def control_table(path: Path, frames: FrameNames) -> tuple[Table, StatedCrs | No
     return _gcp_list(path, lines), stated
 
 
-def _gcp_list(path: Path, lines: list[Line]) -> Table:
+def _gcp_list(path: Path, lines: list[Line]) -> ParsedTable:
     """A table without names of columns: a measurement a line, or a point that is measured in no image."""
     first = next((line.text for line in lines if not line.comment), "")
     fields = split(first, first)

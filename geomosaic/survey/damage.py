@@ -44,7 +44,7 @@ _TAIL = tuned(
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameAppearance:
     """What a frame looks like: 24 x 32 grey pixels, and the logarithm of how much fine detail it has against
     its coarse one."""
 
@@ -62,7 +62,7 @@ class Wholeness:
 
     damage: str
     whole_rows: int
-    look: Look | None = None
+    look: FrameAppearance | None = None
 
 
 def wholeness(path: str) -> Wholeness:
@@ -98,7 +98,7 @@ def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Pixels |
     return Wholeness("", structure.height_px, _look(pixels)), pixels
 
 
-def _look(pixels: Pixels) -> Look | None:
+def _look(pixels: Pixels) -> FrameAppearance | None:
     """Of a JPEG, decoded at half its size."""
     if min(pixels.shape[:2]) < _LEAST_LOOKED_AT_PX:
         return None
@@ -107,7 +107,7 @@ def _look(pixels: Pixels) -> Look | None:
     enough = coarse if min(coarse.shape) >= _LEAST_LOOKED_AT_PX else grey
     small = np.asarray(cv2.resize(enough, (32, 24), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     fine, rough = (float(cv2.meanStdDev(cv2.Laplacian(g, cv2.CV_16S))[1][0, 0]) for g in (grey, coarse))
-    return Look(small, 2.0 * float(np.log(fine / rough))) if min(fine, rough) > 0.0 else None
+    return FrameAppearance(small, 2.0 * float(np.log(fine / rough))) if min(fine, rough) > 0.0 else None
 
 
 def coarsened(pixels: Pixels, side: int) -> Pixels:

@@ -100,7 +100,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnusedImage:
     """An image of the folder that isn't used, and why."""
 
     name: str
@@ -177,7 +177,7 @@ class Survey:
     elevation: ElevationModel | None = None
     control: tuple[ControlPoint, ...] = ()
     warnings: tuple[Warn, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[UnusedImage, ...] = ()
     band: str = ""
     other_bands: tuple[Band, ...] = ()
 

@@ -22,7 +22,7 @@ UNKNOWN_ATTITUDE = Attitude(None, None, None, _NONE.sd_yaw_deg, _NONE.sd_tilt_de
 
 
 @dataclass(frozen=True)
-class Heights:
+class OnboardHeights:
     """A position's heights with what is doubtful about them."""
 
     height_m: float | None
@@ -31,7 +31,7 @@ class Heights:
     above_take_off: bool
 
 
-def onboard_heights(exif: Exif, xmp: Xmp) -> Heights:
+def onboard_heights(exif: Exif, xmp: Xmp) -> OnboardHeights:
     """Absolute height (datum as the drone has it) and height above ground or take-off."""
     by_rtk = xmp.get("drone-dji:AltitudeType", "").lower() == "rtkalt"
     rtk = by_rtk or number(xmp, "drone-dji:RtkFlag") == 50.0
@@ -50,7 +50,7 @@ def onboard_heights(exif: Exif, xmp: Xmp) -> Heights:
     above = ground if ground is not None else take_off
     if above is not None and above <= 1.0:  # written as 0 by receivers that don't know
         above = None
-    return Heights(height, above, height is not None and not rtk, above is not None and ground is None)
+    return OnboardHeights(height, above, height is not None and not rtk, above is not None and ground is None)
 
 
 def platform_of(header: FrameHeader) -> str:

@@ -20,7 +20,7 @@ from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection, outside_area_m
 from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.model import Warn
-from geomosaic.survey.table import Aliases, Table
+from geomosaic.survey.table import Aliases, ParsedTable
 
 Floats = NDArray[np.float64]
 _PRJ_BYTES = tuned(64 << 10, "bytes", "of a .prj file: a CRS takes some thousand")
@@ -32,7 +32,7 @@ NOWHERE: Floats = np.column_stack([[], []])
 
 
 @dataclass(frozen=True)
-class Places:
+class TablePlaces:
     """Longitudes and latitudes (n, 2) of a table, the CRS they were given in (None where it has those), the
     projection of x and y, and what was assumed."""
 
@@ -76,7 +76,7 @@ def check_area(crs: CRS, lon_deg: float, lat_deg: float, what: str, file: Path |
     return [Warn("crs-outside-area", "", f"{problem}; distances on the map may be wrong")]
 
 
-def check_columns(table: Table, aliases: Aliases, item: str, what: str) -> None:
+def check_columns(table: ParsedTable, aliases: Aliases, item: str, what: str) -> None:
     """A table names its items and has longitude and latitude, or x and y; `InputError` if it doesn't."""
     has = table.factors.keys()
     wanted = [(item, what)]
@@ -95,7 +95,7 @@ def check_columns(table: Table, aliases: Aliases, item: str, what: str) -> None:
             )
 
 
-def places_of(table: Table, stated: StatedCrs | None, near: Floats, fix: str) -> Places:
+def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: str) -> TablePlaces:
     """Where the items of a table lie, by longitude and latitude, or by x and y in the CRS that is stated.
 
     Of several systems that a name may mean, and of both orders of x and y, the first that puts the items
@@ -108,7 +108,7 @@ def places_of(table: Table, stated: StatedCrs | None, near: Floats, fix: str) ->
     if {"lon", "lat"} <= table.factors.keys():
         lonlat = np.column_stack([table.required("lon"), table.required("lat")])
         _check_range(table, lonlat)
-        return Places(lonlat, None, None, [])
+        return TablePlaces(lonlat, None, None, [])
     xy = np.column_stack([table.required("x"), table.required("y")])
     if stated is None:
         raise InputError("x and y have no coordinate reference system", file=table.path, fix=fix)
@@ -133,7 +133,7 @@ def places_of(table: Table, stated: StatedCrs | None, near: Floats, fix: str) ->
     _check_range(table, lonlat)
     lon, lat = np.median(lonlat, axis=0)
     notes += check_area(crs, lon, lat, "the positions", table.path)
-    return Places(lonlat, crs, None if crs.is_geographic else horizontal, notes)
+    return TablePlaces(lonlat, crs, None if crs.is_geographic else horizontal, notes)
 
 
 def _chosen(stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> tuple[CRS, bool]:
@@ -196,7 +196,7 @@ def away_from(near: Floats, lonlat: Floats) -> tuple[Floats, float]:
     return away_m, float(np.linalg.norm(mid_latitude_offset_m(*near.T, *around.T), axis=1).max()) + _FAR_M
 
 
-def _check_range(table: Table, lonlat: Floats) -> None:
+def _check_range(table: ParsedTable, lonlat: Floats) -> None:
     if not np.isfinite(lonlat).all():
         line = table.lines[int(np.argmin(np.isfinite(lonlat).all(axis=1)))]
         raise InputError(
@@ -229,7 +229,7 @@ def _check_range(table: Table, lonlat: Floats) -> None:
             )
 
 
-def heights_of(table: Table, crs: CRS | None, lonlat: Floats) -> tuple[Floats, list[Warn]]:
+def heights_of(table: ParsedTable, crs: CRS | None, lonlat: Floats) -> tuple[Floats, list[Warn]]:
     """Ellipsoidal heights (n,), NaN where unknown, and what was assumed; an unstated datum counts as theirs.
 
     Raises: `InputError` when orthometric heights need a geoid grid that isn't installed.

@@ -18,7 +18,7 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.names import NO_NAMES, FrameNames, some
 from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
 from geomosaic.survey.pos_row import PosFile, PosRow
-from geomosaic.survey.table import Aliases, Table, read_lines, read_table, split
+from geomosaic.survey.table import Aliases, ParsedTable, read_lines, read_table, split
 from geomosaic.survey.timestamp_mrk import is_timestamp_mrk, read_timestamp_mrk
 
 ALIASES: Final[Aliases] = {
@@ -143,7 +143,7 @@ def read_pos(
 
 def _table(
     path: Path, given: str | None, frames: FrameNames, notes: list[Warn]
-) -> tuple[Table, StatedCrs | None]:
+) -> tuple[ParsedTable, StatedCrs | None]:
     lines = read_lines(path, _MOST_LINES, "lines of frames")
     if not lines:
         raise InputError("the POS file is empty", file=path, fix="give a header line and a line per frame")
@@ -172,7 +172,7 @@ def _table(
     return read_table(path, data, ALIASES, columns[:count]), file_crs
 
 
-def _without_empty_angles(table: Table, notes: list[Warn]) -> Table:
+def _without_empty_angles(table: ParsedTable, notes: list[Warn]) -> ParsedTable:
     """geo.txt writes unknown angles as zeros."""
     drop = ("yaw", "pitch", "roll")
     angles = np.stack([table.numbers(column) for column in drop])
@@ -182,7 +182,7 @@ def _without_empty_angles(table: Table, notes: list[Warn]) -> Table:
     return replace(table, cells={c: cells for c, cells in table.cells.items() if c not in drop})
 
 
-def deviation(table: Table, whole: str, *parts: str) -> Floats:
+def deviation(table: ParsedTable, whole: str, *parts: str) -> Floats:
     """A standard deviation, or the root mean square of its parts; 0 stands for unknown."""
     columns = parts if parts and whole not in table.factors else (whole,)
     values = np.stack([table.numbers(c) for c in columns])

@@ -32,7 +32,7 @@ from geomosaic.survey.onboard import platform_of
 from geomosaic.survey.places import NOWHERE, check_area
 from geomosaic.survey.pos import read_pos
 from geomosaic.survey.pos_row import PosFile
-from geomosaic.survey.rig import Captures, captures, incomplete_captures
+from geomosaic.survey.rig import CaptureGroups, captures, incomplete_captures
 from geomosaic.survey.strays import (
     Stray,
     blurred,
@@ -247,7 +247,7 @@ def _inner_words(inner: Sequence[str]) -> str:
 
 
 def _bands(
-    rig: Captures,
+    rig: CaptureGroups,
     frames: Sequence[Frame],
     lenses: Callable[[Sequence[FrameHeader], Sequence[str | None]], CameraChoice],
 ) -> tuple[str, tuple[Band, ...]]:

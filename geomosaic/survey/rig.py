@@ -42,7 +42,7 @@ class BandHeader:
 
 
 @dataclass(frozen=True)
-class Captures:
+class CaptureGroups:
     """A rig's files, grouped.
 
     own: one file of each capture, all of the same band, which stands for the capture. others: of each other
@@ -54,7 +54,7 @@ class Captures:
     incomplete: tuple[FrameHeader, ...]
 
 
-def captures(headers: Sequence[FrameHeader]) -> Captures | None:
+def captures(headers: Sequence[FrameHeader]) -> CaptureGroups | None:
     """The captures of a rig, None where the files are not a rig's.
 
     Tags decide (`CaptureUUID` or `CaptureId` with `BandName`); without them names that end alike in all
@@ -78,10 +78,10 @@ def captures(headers: Sequence[FrameHeader]) -> Captures | None:
         if file.band != own_band and file.capture in own:
             others.setdefault(file.band, {})[own[file.capture].header.name] = file
     lost = tuple(f.header for f in files if f.capture not in own)
-    return Captures(tuple(own.values()), others, lost)
+    return CaptureGroups(tuple(own.values()), others, lost)
 
 
-def incomplete_captures(rig: Captures, used: Sequence[str]) -> list[Warn]:
+def incomplete_captures(rig: CaptureGroups, used: Sequence[str]) -> list[Warn]:
     """Captures that lack a file. Args: used: names of the captures' own files that the survey has."""
     out = []
     if lost := rig.incomplete:

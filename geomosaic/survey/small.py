@@ -42,7 +42,7 @@ class Spare(Protocol):
 
 
 @dataclass(frozen=True)
-class Unseen:
+class FrameToDecode:
     """A frame to be decoded, and where what it shows small may lie."""
 
     frame: Frame

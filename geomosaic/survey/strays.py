@@ -20,10 +20,10 @@ from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.cameras import unreported
-from geomosaic.survey.damage import Look
+from geomosaic.survey.damage import FrameAppearance
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
-from geomosaic.survey.model import LeftOut, Position, Warn
+from geomosaic.survey.model import Position, UnusedImage, Warn
 from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.observations import TOO_FAR_M, away_m
 from geomosaic.survey.plausible import Limit
@@ -55,7 +55,7 @@ _WORDS: Final = {
 }
 
 
-Stray = tuple[str, LeftOut]
+Stray = tuple[str, UnusedImage]
 """The code of its warning, and the frame."""
 
 
@@ -127,7 +127,7 @@ def camera_kind(header: FrameHeader) -> str:
     return "thermal" if source.startswith("infra") else source
 
 
-def copies(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> list[Stray]:
+def copies(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | None]) -> list[Stray]:
     """Files of equal bytes; and the same capture under another name or in another size, of which the largest
     is kept: by camera, time and place, and by what they look like."""
     same: dict[object, list[int]] = {}
@@ -172,7 +172,7 @@ def _of_equal_bytes(headers: Sequence[FrameHeader], alike: Sequence[int]) -> lis
     return [g for g in found.values() if len(g) > 1]
 
 
-def _alike(one: Look | None, other: Look | None) -> bool:
+def _alike(one: FrameAppearance | None, other: FrameAppearance | None) -> bool:
     if one is None or other is None:
         return False
     a, b = one.small.astype(np.float64), other.small.astype(np.float64)
@@ -263,7 +263,7 @@ def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
     return out
 
 
-def blurred(headers: Sequence[FrameHeader], looks: Sequence[Look | None]) -> list[Stray]:
+def blurred(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | None]) -> list[Stray]:
     """Frames with far less fine detail, against their coarse, than those before and after, which are sharp;
     in order of capture. Each is covered by its neighbours: of two in a row none is left out."""
     detail = np.array([np.nan if look is None else look.detail for look in looks])
@@ -288,4 +288,4 @@ def _kind(bands: int, dtype: str) -> str:
 
 
 def _out(code: str, header: FrameHeader, reason: str) -> Stray:
-    return code, LeftOut(header.name, reason)
+    return code, UnusedImage(header.name, reason)

@@ -53,7 +53,7 @@ _NUMBER: Final = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII
 
 
 @dataclass(frozen=True)
-class Table:
+class ParsedTable:
     """Columns that were known (with the factor to degrees or metres), those that weren't, and rows.
 
     lines: each row's line in the file. cells: each known column's texts, None where unknown.
@@ -92,7 +92,7 @@ class Table:
             values.append(value)
         return np.array(values) * self.factors[column]
 
-    def without(self, column: str, text: str) -> Table:
+    def without(self, column: str, text: str) -> ParsedTable:
         """The table without the rows whose column holds this text."""
         kept = [i for i, value in enumerate(self.texts(column)) if value != text]
         cells = {name: [texts[i] for i in kept] for name, texts in self.cells.items()}
@@ -200,7 +200,7 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
 
 def read_table(
     path: Path, lines: list[Line], aliases: Aliases, columns: tuple[str, ...] | None = None
-) -> Table:
+) -> ParsedTable:
     """A table from a file's lines.
 
     The first line is the header, also behind a comment sign, unless `columns` gives the columns' names.
@@ -251,7 +251,7 @@ def read_table(
         for i, column in enumerate(known)
         if column is not None
     }
-    return Table(path, factors, tuple(unknown), tuple(numbers), cells)
+    return ParsedTable(path, factors, tuple(unknown), tuple(numbers), cells)
 
 
 def _plain(name: str) -> str:

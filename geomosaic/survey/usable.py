@@ -10,10 +10,10 @@ from typing import Final
 from geomosaic.constants import tuned
 from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError, InputError
-from geomosaic.survey.damage import Look, Wholeness, wholeness
+from geomosaic.survey.damage import FrameAppearance, Wholeness, wholeness
 from geomosaic.survey.folder import masks
 from geomosaic.survey.header import FrameHeader, read_header
-from geomosaic.survey.model import LeftOut, Warn
+from geomosaic.survey.model import UnusedImage, Warn
 
 Inspect = Callable[[list[str]], list[Wholeness]]
 DAMAGED: Final = ("leave_out", "mask")
@@ -27,9 +27,9 @@ class Usable:
 
     headers: list[FrameHeader]
     whole_rows: dict[str, int]
-    looks: dict[str, Look | None]
+    looks: dict[str, FrameAppearance | None]
     masks: dict[str, str]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[UnusedImage, ...]
     warnings: tuple[Warn, ...]
 
 
@@ -85,7 +85,7 @@ def usable(
     lost = [name for name in files.values() if name in unreadable]
     if lost and (strict or not used):
         raise unreadable[lost[0]]
-    left_out = tuple(LeftOut(name, _reason(unreadable[name], spoiled.get(name))) for name in lost)
+    left_out = tuple(UnusedImage(name, _reason(unreadable[name], spoiled.get(name))) for name in lost)
     warnings = [*(Warn("frame-damaged", o.name, f"left out: {o.reason}") for o in left_out), *warnings]
     return Usable(used, whole_rows, looks, beside, left_out, tuple(warnings))
 

@@ -12,7 +12,7 @@ from geomosaic.adjustment.procedure.blunder_detection import wrong_tags
 from geomosaic.adjustment.procedure.reported_corrections import height_drift
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_z, exp_turn
-from geomosaic.matching.turned import Seen, flown_courses_rad, reheaded, turn_costs_m
+from geomosaic.matching.turned import PairOnMap, flown_courses_rad, reheaded, turn_costs_m
 
 
 def test_another_heading_takes_the_tilt_along_and_is_known_as_a_course_is() -> None:
@@ -89,7 +89,7 @@ def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(off_deg:
         return told[i] + place + rng.normal(0.0, 0.5, place.shape)
 
     seen = [
-        Seen(a, b, *(sees(i, (at[a] + at[b]) / 2.0 + spots) for i in (a, b)))
+        PairOnMap(a, b, *(sees(i, (at[a] + at[b]) / 2.0 + spots) for i in (a, b)))
         for a in range(7)
         for b in range(a + 1, min(a + 3, 7))
     ]

@@ -9,8 +9,8 @@ from scipy.ndimage import gaussian_filter
 
 from geomosaic.ccd.expected import expected
 from geomosaic.ccd.joint import far_from_nominal, joint
-from geomosaic.ccd.lost_lines import Step, lasting
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, Settings
+from geomosaic.ccd.lost_lines import LineStep, lasting
+from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, CcdSettings
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic_simulate.strip_overlaps import simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
@@ -27,7 +27,7 @@ def scene(plan):
 
 def solved_anew(plan, window_lines=20000):
     geometry, simulated, _ = scene(plan)
-    return joint(strips_in_memory(geometry, simulated), Settings(), lambda done, of: None, window_lines)
+    return joint(strips_in_memory(geometry, simulated), CcdSettings(), lambda done, of: None, window_lines)
 
 
 solved = cache(solved_anew)
@@ -87,7 +87,7 @@ def test_signs_and_sides():
             np.clip(np.arange(first, first + 4000), 0, 6199), 20 + margin - dcol : 130 + margin - dcol
         ]
         edges.append(tuple(np.rint(x + rng.normal(0, 2, x.shape)).astype(np.uint16) for x in (left, right)))
-    for found in joint(strips_in_memory(geometry, edges), Settings(), lambda done, of: None):
+    for found in joint(strips_in_memory(geometry, edges), CcdSettings(), lambda done, of: None):
         sure = found.label == MEASURED
         assert sure.sum() > 2500
         inside = np.flatnonzero(sure)[100:-100]
@@ -230,8 +230,8 @@ def test_expected_pixels_are_the_cameras_own():
 
 
 def test_steps_that_come_and_go_are_no_lost_lines():
-    away, back, lost = Step(0, 900, 3), Step(0, 1500, -3), Step(1, 2000, 2)
-    shared = Step(0, 2010, 2)
+    away, back, lost = LineStep(0, 900, 3), LineStep(0, 1500, -3), LineStep(1, 2000, 2)
+    shared = LineStep(0, 2010, 2)
     assert lasting([away, back, lost]) == [lost]
     assert lasting([away, lost, shared]) == [away, lost, shared]
 
@@ -254,12 +254,14 @@ def test_far_mounted_ccds_are_within_the_search():
 def test_missing_ccd_and_shorter_strip():
     geometry, edges, _ = scene(PLAN)
     lines = (6000, 6000, 0, 5000)
-    found = joint(strips_in_memory(replace(geometry, lines=lines), edges), Settings(), lambda done, of: None)
+    found = joint(
+        strips_in_memory(replace(geometry, lines=lines), edges), CcdSettings(), lambda done, of: None
+    )
     assert [part.pair for part in found] == [0]
     assert rms(errors(PLAN, found)[0][0]) < 0.03
     lines = (6000, 6000, 6000, 5000)
     cut = [*edges[:2], (edges[2][0], edges[2][1][:5000])]
-    found = joint(strips_in_memory(replace(geometry, lines=lines), cut), Settings(), lambda done, of: None)
+    found = joint(strips_in_memory(replace(geometry, lines=lines), cut), CcdSettings(), lambda done, of: None)
     assert [len(part.label) for part in found] == [6000, 6000, 6000]
     assert (found[2].label[5000 - SEPARATION + 20 :] == UNRELIABLE).all()
     assert (found[2].label[: 5000 - SEPARATION - 40] == MEASURED).mean() > 0.95
@@ -281,7 +283,7 @@ def test_saturated_parts_and_nodata():
     edges = [(left.copy(), right.copy()) for left, right in edges]
     edges[1][0][2500:3300] = 0
     strips = strips_in_memory(replace(geometry, nodata=0.0), edges)
-    found = joint(strips, Settings(), lambda done, of: None)
+    found = joint(strips, CcdSettings(), lambda done, of: None)
     for off, _, label in errors(plan, found):
         assert np.hypot(*off[label == MEASURED].T).max() < 0.3
     assert (found[1].label[2550:3250] != MEASURED).all()
@@ -292,7 +294,7 @@ def test_heights_known_beforehand_are_given_back():
     strips = strips_in_memory(geometry, edges)
     bump = 9.0 * np.sin(np.arange(6000) / 700.0)
     strips.relief_px = {0: bump}
-    with_relief = joint(strips, Settings(), lambda done, of: None)
+    with_relief = joint(strips, CcdSettings(), lambda done, of: None)
     off, _, label = errors(PLAN, with_relief)[0]
     # What was taken out wrongly is measured, and so put right.
     assert rms(off[label == MEASURED]) < 0.1
@@ -317,7 +319,9 @@ def test_second_run_is_byte_identical():
 def test_nothing_to_match():
     geometry = replace(PLAN.geometry(), lines=(2300,) * 4)
     empty = np.full((2300, 110), 300, dtype=np.uint16)
-    for found in joint(strips_in_memory(geometry, [(empty, empty)] * 3), Settings(), lambda done, of: None):
+    for found in joint(
+        strips_in_memory(geometry, [(empty, empty)] * 3), CcdSettings(), lambda done, of: None
+    ):
         assert len(found.label) == 2300 and (found.label == UNRELIABLE).all()
 
 
@@ -327,4 +331,4 @@ def test_progress_may_stop_it():
 
     geometry, edges, _ = scene(PLAN)
     with pytest.raises(KeyboardInterrupt):
-        joint(strips_in_memory(geometry, edges), Settings(), stop)
+        joint(strips_in_memory(geometry, edges), CcdSettings(), stop)

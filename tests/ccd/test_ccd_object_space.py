@@ -15,7 +15,7 @@ from osgeo import gdal
 
 from geomosaic.camera.rpc import parse_rpc
 from geomosaic.ccd.layout import SceneLayout, image_space_layout
-from geomosaic.ccd.model import Settings, StripOffsets
+from geomosaic.ccd.model import CcdSettings, StripOffsets
 from geomosaic.ccd.object_space import ObjectSpace, level_ground, read_object_space
 from geomosaic.ccd.outlines import outlines
 from geomosaic.ccd.overlaps import strips_in_memory
@@ -293,7 +293,7 @@ def test_gdal_lands_on_the_targets_by_the_scenes_rpc(
     else:
         strips = strips_in_memory(made.geometry, [])
         strips.object_space = made.space
-        pairs = virtual_line(strips, Settings(), lambda _done, _total: None)
+        pairs = virtual_line(strips, CcdSettings(), lambda _done, _total: None)
         layout = image_space_layout(made.geometry, StripOffsets("virtual_line", pairs))
     found = scene_rpc(made.geometry, layout, made.space)
     assert found is not None

@@ -11,7 +11,7 @@ from rasterio.env import get_gdal_config
 
 from geomosaic.ccd.image_registration import image_registration
 from geomosaic.ccd.methods import Method
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, Settings, StripOffsets
+from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, CcdSettings, PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
 from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import (
@@ -53,7 +53,7 @@ def simulated(plan: StripPlan) -> tuple[Strips, tuple[SimulatedPair, ...]]:
 
 @cache
 def found_by(method: Method, plan: StripPlan) -> tuple[PairOffsets, ...]:
-    return method(simulated(plan)[0], Settings(), silent)
+    return method(simulated(plan)[0], CcdSettings(), silent)
 
 
 def silent(done: int, total: int) -> None:
@@ -101,7 +101,7 @@ def test_a_fraction_of_a_line_in_the_row_separation_is_no_offset():
     """Rows 2100.4 lines apart: the strips are set against each other by whole lines, the offsets are not."""
     strips, pairs = simulated(replace(STILL, row_separation_lines=2100.4, lines=3200, ccds=2))
     for method in (whole_scene, piecewise_linear, image_registration):
-        for found in method(strips, Settings(), silent):
+        for found in method(strips, CcdSettings(), silent):
             assert abs(errors(strips, pairs, found)[1].mean()) < 0.12
 
 
@@ -130,7 +130,7 @@ def test_enhancement_finds_more_points_in_low_contrast_and_as_many_elsewhere():
     for contrast, least in ((0.012, 12), (0.12, 200)):
         strips, pairs = simulated(replace(STILL, contrast=contrast, lines=3400, ccds=2))
         overlap = strips.overlap(0, 200, 1224)
-        plain, enhanced = (matched_points(overlap, strips.geometry, Settings(), e) for e in (False, True))
+        plain, enhanced = (matched_points(overlap, strips.geometry, CcdSettings(), e) for e in (False, True))
         assert len(enhanced) >= least
         truth = pairs[0].truth
         shift, inside = consensus(enhanced.moved_px)
@@ -145,17 +145,17 @@ def test_enhancement_finds_more_points_in_low_contrast_and_as_many_elsewhere():
 def test_low_contrast_segments_need_the_enhancement():
     strips, pairs = simulated(replace(STILL, contrast=0.012, lines=4200, ccds=2))
     with_it, without = (
-        segments(strips, replace(Settings(), enhance=enhance), silent)[0] for enhance in (True, False)
+        segments(strips, replace(CcdSettings(), enhance=enhance), silent)[0] for enhance in (True, False)
     )
     assert with_it.kept.sum() >= 3 > without.kept.sum()
-    (found,) = piecewise_linear(strips, Settings(), silent)
+    (found,) = piecewise_linear(strips, CcdSettings(), silent)
     assert rms(errors(strips, pairs, found)) < 0.5
 
 
 def test_matched_points_are_given_in_the_strips_own_lines_and_read_columns():
     strips, pairs = simulated(STILL)
     overlap = strips.overlap(1, 2300, 2812)
-    points = matched_points(overlap, strips.geometry, Settings(), True)
+    points = matched_points(overlap, strips.geometry, CcdSettings(), True)
     assert 2300 < points.left_px[:, 1].min() < 2400 and 2700 < points.left_px[:, 1].max() < 2812
     assert points.left_px[:, 0].min() > 0 and points.left_px[:, 0].max() < 110
     line = points.left_px[:, 1].astype(int)
@@ -183,12 +183,12 @@ def test_the_line_is_bridged_over_a_segment_without_texture():
     left = pair.left.copy()
     left[1024:2048] = 300
     strips = strips_in_memory(geometry, [(left, pair.right)])
-    (found,) = piecewise_linear(strips, Settings(), silent)
+    (found,) = piecewise_linear(strips, CcdSettings(), silent)
     assert (found.label[1100:2000] == BRIDGED).all() and (found.label[2700:3500] == MEASURED).all()
     assert rms(errors(strips, (pair,), found)) < 0.15
     nothing = strips_in_memory(geometry, [(np.full_like(left, 300), pair.right)])
     for method in (whole_scene, piecewise_linear, image_registration):
-        (none,) = method(nothing, Settings(), silent)
+        (none,) = method(nothing, CcdSettings(), silent)
         assert (none.label != MEASURED).all() and (none.sd_line_px >= 10.0).all()
         assert np.isfinite(none.dline_px).all()
 
@@ -220,7 +220,7 @@ def test_methods_hold_no_more_than_a_piece_of_the_strips():
     watched = Watched(strips.geometry, strips._columns)
     for method, most in ((whole_scene, 768), (piecewise_linear, 768), (image_registration, 1700)):
         watched.most = 0
-        method(watched, Settings(), silent)
+        method(watched, CcdSettings(), silent)
         assert 0 < watched.most <= most
 
 
@@ -240,7 +240,7 @@ def test_files_are_read_once_for_both_their_edges(tmp_path, monkeypatch):
         read.clear()
         with StripFiles(geometry) as strips:
             assert get_gdal_config("GDAL_CACHEMAX") >= 1 << 20, "in bytes, or blocks are decoded twice"
-            offsets = method(strips, Settings(), silent)
+            offsets = method(strips, CcdSettings(), silent)
         for found, true in zip(offsets, truth, strict=True):
             lines = shared(strips, found.pair)
             assert abs(np.median((found.dcol_px - true.dcol_px)[lines])) < 0.1
@@ -258,7 +258,7 @@ def test_a_dead_ccd_and_a_short_strip_leave_the_others_alone():
     plan = replace(STILL, ccds=5, lines=3300, dead="2", short="5:3000")
     strips, pairs = simulated(plan)
     for method in (whole_scene, piecewise_linear, image_registration):
-        found = method(strips, Settings(), silent)
+        found = method(strips, CcdSettings(), silent)
         assert [f.pair for f in found] == [2, 3] == list(strips.pairs)
         for one in found:
             assert len(one.dcol_px) == 3300

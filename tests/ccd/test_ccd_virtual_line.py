@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomosaic.ccd.line_poses import LinePoses, on_height
-from geomosaic.ccd.model import BRIDGED, UNRELIABLE, Settings
+from geomosaic.ccd.model import BRIDGED, UNRELIABLE, CcdSettings
 from geomosaic.ccd.object_space import ObjectSpace, level_ground, read_object_space
 from geomosaic.ccd.overlaps import StripFiles, strips_in_memory
 from geomosaic.ccd.virtual_line import relief_px, virtual_line
@@ -46,7 +46,7 @@ def space_of(scene: Scene) -> ObjectSpace:
 def found(plan: StripPlan, space: ObjectSpace | None = None):
     strips = strips_in_memory(plan.geometry(), [])
     strips.object_space = space_of(Scene(plan)) if space is None else space
-    return virtual_line(strips, Settings(), quiet)
+    return virtual_line(strips, CcdSettings(), quiet)
 
 
 def test_model_and_dem_out_of_their_files_give_the_true_offsets(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_model_and_dem_out_of_their_files_give_the_true_offsets(tmp_path: Path) 
     told: list[tuple[int, int]] = []
     with StripFiles(geometry) as strips:
         strips.object_space = read_object_space(geometry)
-        pairs = virtual_line(strips, Settings(), lambda done, total: told.append((done, total)))
+        pairs = virtual_line(strips, CcdSettings(), lambda done, total: told.append((done, total)))
     assert told[-1] == (6000, 6000)
     truth = np.genfromtxt(made.true_offsets, delimiter=",", names=True)
     for offsets in pairs:
@@ -98,7 +98,7 @@ def test_higher_ground_has_one_sign() -> None:
 def test_without_a_model_the_error_says_what_to_give() -> None:
     strips = strips_in_memory(StripPlan(ccds=2, lines=2200).geometry(), [])
     with pytest.raises(InputError, match=r"virtual_line needs a rigorous model; give 'model' in GEOMETRY"):
-        virtual_line(strips, Settings(), quiet)
+        virtual_line(strips, CcdSettings(), quiet)
 
 
 @pytest.mark.parametrize(("noise_urad", "label"), [(1.0, BRIDGED), (3.0, UNRELIABLE)])

@@ -14,7 +14,9 @@ def test_blunders_do_not_move_a_line() -> None:
     observed = 2.0 + 3.0 * x
     observed[:8] += 40.0
     design = np.column_stack([np.ones(50), x])
-    found, weight = irls(design, observed, lambda left: redescending_weight(np.abs(left) / 0.1), np.array([2.1, 2.9]))
+    found, weight = irls(
+        design, observed, lambda left: redescending_weight(np.abs(left) / 0.1), np.array([2.1, 2.9])
+    )
     assert found == pytest.approx([2.0, 3.0], abs=1e-4)
     assert weight[:8].max() < 1e-5 and weight[8:].min() == 1.0
 

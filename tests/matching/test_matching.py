@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.features import Features, grey, reduction_for, shrunk, sift_features
-from geomosaic.matching.match import Looks, Matching, PairMatch, match_pair
+from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
 from geomosaic.matching.planes import Guess, nothing_believed
 from geomosaic.matching.search import CHECKS, mutual_nearest, root_sift, search
 from geomosaic.matching.turned import righted, turn_costs_m, turned_frames
@@ -189,7 +189,11 @@ def test_the_papers_coarse_misplacement_is_within_the_search(
     land = country(6)
     left, right = features(land[:700, :800]), features(land[140:840, 300:1100])
     found = match_pair(
-        replace(AUTO, search=search), Looks.of(left), Looks.of(right), believed(off_px, 300.0), 1.0
+        replace(AUTO, search=search),
+        MatchKeypoints.of(left),
+        MatchKeypoints.of(right),
+        believed(off_px, 300.0),
+        1.0,
     )
     assert not found.free and len(found.left) > 300
     assert np.abs(tied(found, left, right) - [300.0, 140.0]).max() < 3.0
@@ -199,7 +203,7 @@ def test_beyond_the_radius_only_the_free_search_finds_the_overlap() -> None:
     land = country(6)
     left, right = features(land[:700, :800]), features(land[140:840, 300:1100])
     guess = believed((700.0, 0.0), 300.0)
-    looks = Looks.of(left), Looks.of(right)
+    looks = MatchKeypoints.of(left), MatchKeypoints.of(right)
     assert not len(match_pair(replace(AUTO, search="near"), *looks, guess, 1.0).left)
     found = match_pair(AUTO, *looks, guess, 1.0)
     assert found.free and len(found.left) > 300
@@ -220,7 +224,7 @@ def test_a_guided_search_pairs_nothing_outside_its_radius() -> None:
 
 def test_different_ground_is_never_tied() -> None:
     """10 pairs of images that share nothing, searched near and freely, by every check."""
-    lands = [Looks.of(features(country(100 + k, 400, 500), most=1200)) for k in range(5)]
+    lands = [MatchKeypoints.of(features(country(100 + k, 400, 500), most=1200)) for k in range(5)]
     pairs = list(itertools.combinations(range(5), 2))
     for check in CHECKS:
         for a, b in pairs:

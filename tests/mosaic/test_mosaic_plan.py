@@ -13,7 +13,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.cells import Cells
+from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.grid import output_grid
@@ -23,7 +23,7 @@ from geomosaic.composition.plan import Planned, Planning, windows
 from geomosaic.composition.scene import CELL_PX, Scene, ground_of, margin_px
 from geomosaic.composition.views import FrameView, frame_views
 from geomosaic.composition.visibility import FrameOnMap, cells_in_view
-from geomosaic.composition.window import Manner, Part, Step, Window, compose_window
+from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import frame_from_map
@@ -71,8 +71,8 @@ def test_a_window_of_the_asked_cells_alone_is_that_of_all_frames_whole(tmp_path:
         found = compose_window(manner, step, gives)
         around = window.grown(halo_px)
         every = slice(0, around.height), slice(0, around.width)
-        parts = tuple(Part(source, *every) for source in sources.values())
-        of_all = compose_window(manner, Step(window, around, REACH_PX, parts), whole)
+        parts = tuple(SourcePart(source, *every) for source in sources.values())
+        of_all = compose_window(manner, CompositionStep(window, around, REACH_PX, parts), whole)
         np.testing.assert_array_equal(found.source(), of_all.source())
         off = np.abs(found.pixels.astype(int) - of_all.pixels)
         assert off.max() <= 1 and np.count_nonzero(off) < 1e-5 * off.size, "halves, in another order of sums"
@@ -87,7 +87,7 @@ def test_boxes_hold_all_cells_once_and_leave_out_most_others() -> None:
     away = np.hypot(down - 8, across - 30)
     flags = (away < 44) & (away > 36)
     flags[95, 105] = True
-    cells = Cells(-40, -20, flags)
+    cells = MosaicCells(-40, -20, flags)
     found = np.zeros(flags.shape, dtype=int)
     boxes = list(cells.boxes(TILE_PX))
     for box in boxes:
@@ -102,7 +102,7 @@ def test_boxes_hold_all_cells_once_and_leave_out_most_others() -> None:
         some = np.argwhere(flags[max(top - 24, 0) : top + 8, max(left - 12, 0) : left + 20])
         one_a_tile += int(np.prod(np.ptp(some, axis=0) + 1)) if len(some) else 0
     assert flags.sum() < found.sum() < 0.75 * one_a_tile
-    assert len(boxes) < 30 and not list(Cells(0, 0, np.zeros((3, 3), dtype=bool)).boxes(TILE_PX))
+    assert len(boxes) < 30 and not list(MosaicCells(0, 0, np.zeros((3, 3), dtype=bool)).boxes(TILE_PX))
 
 
 @pytest.mark.parametrize("cell_px", [8, 16, 64])

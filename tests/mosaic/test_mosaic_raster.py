@@ -19,7 +19,7 @@ from geomosaic.composition import cog_layout
 from geomosaic.composition.blended import Blended, BlendedBlock, place_over
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.plan import windows as along_the_curve
-from geomosaic.composition.pyramid import TILE_PX, Pyramid, TileKind, halved
+from geomosaic.composition.pyramid import TILE_PX, RasterPyramid, TileKind, halved
 from geomosaic.composition.raster import index_kind, writing_mosaic, writing_scene
 from geomosaic.composition.window import Composed, Window
 from geomosaic.export.cog import write_cog
@@ -177,7 +177,7 @@ def test_what_is_left_out_or_never_comes_is_empty(tmp_path: Path) -> None:
     """Tiles that wait for nothing more are not kept in memory: the file of tiles grows before the end."""
     pixels, valid = image(1, "uint8")
     with TemporaryFile(dir=tmp_path) as tiles:
-        pyramid = Pyramid(WIDTH, HEIGHT, TileKind(1, np.dtype("uint8")), tiles, overviews=True)
+        pyramid = RasterPyramid(WIDTH, HEIGHT, TileKind(1, np.dtype("uint8")), tiles, overviews=True)
         pyramid.add_nothing(0, 0, 1024, 512)
         pyramid.add_nothing(0, 512, 1024, 100)
         before = tiles.tell()
@@ -191,7 +191,7 @@ def test_what_is_left_out_or_never_comes_is_empty(tmp_path: Path) -> None:
 def test_along_the_curve_no_more_than_a_tile_a_level_is_in_hand(tmp_path: Path) -> None:
     grid = OutputGrid("EPSG:32615", 0.0, 0.0, 1.0, 13 * TILE_PX - 5, 11 * TILE_PX)
     with TemporaryFile(dir=tmp_path) as tiles:
-        pyramid = Pyramid(
+        pyramid = RasterPyramid(
             grid.width_px, grid.height_px, TileKind(1, np.dtype("uint8")), tiles, overviews=True
         )
         most = 0

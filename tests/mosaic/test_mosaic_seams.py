@@ -28,7 +28,7 @@ from geomosaic.composition.plugins import BLENDS_GROUP, Named
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.seam_cut import Shared, cut_pair, cut_seams
 from geomosaic.composition.seam_figures import seam_figures
-from geomosaic.composition.seam_parts import Glimpse, Part, bands, giving, glimpsed
+from geomosaic.composition.seam_parts import Glimpse, SeamPart, bands, giving, glimpsed
 from geomosaic.composition.views import frame_views
 from geomosaic.composition.window import Window
 from geomosaic.errors import PluginError
@@ -148,7 +148,7 @@ def test_windows_anywhere_see_the_same_owners() -> None:
     assert around[-1].tolist() == [5, 6, 7] and around[0].tolist() == [1, 2, 3]
 
 
-def glimpses(survey: Survey, scene: Scene) -> tuple[Ownership, list[Part]]:
+def glimpses(survey: Survey, scene: Scene) -> tuple[Ownership, list[SeamPart]]:
     """The nearest frames' cells, and what each frame may give of them."""
     nearest, distance_m = nearest_nadir(scene, [True] * len(survey.frames), 8)
     jobs = [Glimpse(survey.frames[b.view.frame], 1, b)

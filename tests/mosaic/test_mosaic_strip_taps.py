@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from geomosaic.ccd.layout import Places
-from geomosaic.composition.strip_lines import Lines
+from geomosaic.ccd.layout import StripLookup
+from geomosaic.composition.strip_lines import LineBlock
 from geomosaic.composition.strip_taps import between
 from geomosaic.composition.strip_window import part_of_strip
 from geomosaic.projection.resample import RESAMPLING
@@ -63,12 +63,12 @@ def sloping(knots, rows):
     wave = np.sin(np.arange(rows) / 9.0)[:, None]
     col = knots - 10.0 + 0.02 * (knots - 60.0) + wave
     line = np.arange(rows)[:, None] + 10.5 + 2.0 * np.sin(knots / 50.0) - wave
-    return Places(knots, np.stack([col, line]))
+    return StripLookup(knots, np.stack([col, line]))
 
 
 def test_a_pixel_is_the_same_in_whatever_part():
     places = sloping(np.array([10.0, 30.0, 140.0, 160.0]), 40)
-    lines = Lines(0, IMAGE, None)
+    lines = LineBlock(0, IMAGE, None)
     whole = part_of_strip(lines, 60, places, (0, 0, 40), (10, 160), "lanczos")
     assert whole.valid.any()
     assert not whole.valid.all()
@@ -88,7 +88,7 @@ def test_sloping_places_are_within_half_of_a_32nd_of_a_pixel():
     truth = [np.stack([np.interp(col, places.knots_px, row) for row in axis]) for axis in places.image_px]
     for axis, size in ((0, 150), (1, 60)):
         ramp = np.arange(size, dtype=np.float32) if axis == 0 else np.arange(size, dtype=np.float32)[:, None]
-        lines = Lines(0, np.broadcast_to(ramp, (60, 150)), None)
+        lines = LineBlock(0, np.broadcast_to(ramp, (60, 150)), None)
         part = part_of_strip(lines, 60, places, (0, 0, 40), (12, 158), "lanczos")
         inside = part.valid & (truth[0] > 6) & (truth[0] < 144) & (truth[1] > 6) & (truth[1] < 54)
         assert np.abs(part.pixels + 0.5 - truth[axis])[inside].max() < 1.0 / 64.0 + 0.004

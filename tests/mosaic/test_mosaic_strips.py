@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from geomosaic.ccd.layout import Places, image_space_layout
+from geomosaic.ccd.layout import StripLookup, image_space_layout
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.composition.blends import BLENDS
@@ -314,7 +314,7 @@ def test_layouts_with_many_knots(tmp_path):
             t = self.first_line + np.arange(top, bottom)[:, None] + 0.5
             bend = 0.0004 * (knots - 100.0) ** 2  # scene col x, line t show what nominally is at t + bend
             line = t + bend + (-50.0 if ccd == 0 else 50.0)
-            return Places(knots, np.stack([np.broadcast_to(knots - first, line.shape), line]))
+            return StripLookup(knots, np.stack([np.broadcast_to(knots - first, line.shape), line]))
 
     _, pixels, valid = composed(g, tmp_path / "m.tif", Curved())
     cols = np.arange(base.width_px) + 0.5
@@ -350,7 +350,7 @@ def test_places_that_are_none(tmp_path, nodata):
             line += -50.0 if ccd == 0 else 50.0
             if ccd == 0:
                 line[:, [5, 13]] = np.nan  # cols 40 and 104
-            return Places(knots, np.stack([np.broadcast_to(knots - first, line.shape), line]))
+            return StripLookup(knots, np.stack([np.broadcast_to(knots - first, line.shape), line]))
 
     mosaic, pixels, valid = composed(g, tmp_path / "m.tif", Holed())
     assert mosaic.lines_read == (900, 900)

@@ -15,7 +15,7 @@ from rasterio.warp import reproject
 from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
-from geomosaic.composition.tones import Places, Sampling, Tones, evened, lattice, sampled, solve_tones
+from geomosaic.composition.tones import Sampling, Tones, ToneSightings, evened, lattice, sampled, solve_tones
 from geomosaic.composition.views import frame_views
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context
@@ -29,7 +29,7 @@ CAMERA = Camera("c", 400, 300, 350.0, 200.0, 150.0)
 
 def sightings(
     seed: int, frames: int = 12, noise: float = 0.03, slope_sd: float = 0.0
-) -> tuple[Places, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[ToneSightings, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A line of frames, each seeing the next two's places too; with true gains (n, 3), vignette (2,) and
     slopes (n, 2)."""
     rng = np.random.default_rng(seed)
@@ -49,7 +49,7 @@ def sightings(
             values.append(ground[i + k] * light * np.exp(rng.normal(0.0, noise, (60, 3))))
     flat = np.concatenate(place), np.concatenate(frame), np.concatenate(offset)
     return (
-        Places(*flat, np.zeros((len(flat[0]), 2))),
+        ToneSightings(*flat, np.zeros((len(flat[0]), 2))),
         np.concatenate(values).astype(np.float32),
         gains,
         vignette,

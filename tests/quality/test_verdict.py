@@ -25,7 +25,7 @@ from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccur
 from geomosaic.quality.criteria import CRITERIA
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck, check_seams, seam_places
-from geomosaic.quality.verdict import Seen, Verdict, verdict_of
+from geomosaic.quality.verdict import Verdict, VerdictInputs, verdict_of
 from geomosaic.spread import AtOnce
 from geomosaic.survey.model import Warn
 
@@ -151,7 +151,7 @@ def judged(
     parts: tuple[range, ...] = (range(5),),
     doubt: LandDoubt = NO_DOUBT,
 ) -> Verdict:
-    return verdict_of(adjusted, Seen(seams, (), parts, FIFTHS, doubt), NOT_STATED, NOTHING_ASKED)
+    return verdict_of(adjusted, VerdictInputs(seams, (), parts, FIFTHS, doubt), NOT_STATED, NOTHING_ASKED)
 
 
 def grade(
@@ -200,7 +200,7 @@ def test_inner_figures_are_noted_and_colour_nothing() -> None:
 def test_a_requirement_that_is_missed_makes_a_map_doubtful() -> None:
     absolute = replace(UNSTATED, rmse_h_m=0.5, rmse_v_m=0.8, how="estimated")
     stated = Accuracy(absolute, RelativeAccuracy(1.0, 0.1, 0.3, 300.0))
-    seen = Seen(NO_SEAMS, (), (range(5),), FIFTHS, NO_DOUBT)
+    seen = VerdictInputs(NO_SEAMS, (), (range(5),), FIFTHS, NO_DOUBT)
 
     def asked(rmse_h_m: float = NAN, rmse_v_m: float = NAN, permille: float = NAN) -> Verdict:
         return verdict_of(
@@ -296,7 +296,7 @@ def test_evidence_says_what_it_does_to_the_map_and_where() -> None:
         np.array([[0.1, 0.0]] * 2 + [[4.9, 0.0]]),
     )
     names = tuple("abcde")
-    seen = Seen(seams, (), (range(5),), FIFTHS, NO_DOUBT, (), names, 0.02)
+    seen = VerdictInputs(seams, (), (range(5),), FIFTHS, NO_DOUBT, (), names, 0.02)
     worst, allowed = (
         next(e for e in verdict.evidence if e.name == "worst tenth of the seams")
         for local_m in (0.06, 0.3)
@@ -315,7 +315,7 @@ def test_frames_count_by_the_land_that_they_give() -> None:
 
     def judged_by(land: float) -> str:
         shares = dict.fromkeys(range(4), (1.0 - land) / 4.0) | {4: land}
-        seen = Seen(NO_SEAMS, (), (range(4),), shares, NO_DOUBT)
+        seen = VerdictInputs(NO_SEAMS, (), (range(4),), shares, NO_DOUBT)
         return verdict_of(lost, seen, NOT_STATED, NOTHING_ASKED).grade
 
     assert [judged_by(land) for land in (0.005, 0.05, 0.4)] == ["good", "doubtful", "bad"]

@@ -31,7 +31,7 @@ import cv2
 import numpy as np
 
 from geomosaic.ccd.methods import METHODS
-from geomosaic.ccd.model import Settings, StripOffsets
+from geomosaic.ccd.model import CcdSettings, StripOffsets
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.quality.strip_figures import scene_errors
 from geomosaic_simulate.strip_overlaps import simulate_overlaps
@@ -143,7 +143,7 @@ def measured(job: tuple[str, int, tuple[str, ...]]) -> list[dict[str, Any]]:
     rows = []
     for method in methods:
         worked = time.process_time()
-        found = StripOffsets(method, METHODS[method](strips, Settings(), lambda done, total: None))
+        found = StripOffsets(method, METHODS[method](strips, CcdSettings(), lambda done, total: None))
         seconds = time.process_time() - worked
         errors = scene_errors(found, truth, geometry)
         rows.append(

@@ -25,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.ccd.model import Settings
+from geomosaic.ccd.model import CcdSettings
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.virtual_line import virtual_line
@@ -77,7 +77,9 @@ def errors_px(plan: StripPlan, truth: list[PairTruth]) -> Floats:
     strips = strips_in_memory(g, [])
     strips.object_space = space_of(Scene(plan))
     out = []
-    for found, true in zip(virtual_line(strips, Settings(), lambda _done, _total: None), truth, strict=True):
+    for found, true in zip(
+        virtual_line(strips, CcdSettings(), lambda _done, _total: None), truth, strict=True
+    ):
         right = np.arange(plan.lines) + 0.5 + g.side(found.pair) * g.row_separation_lines + true.dline_px
         both = (right >= 0.0) & (right <= plan.lines)
         away = np.hypot(found.dcol_px - true.dcol_px, found.dline_px - true.dline_px)

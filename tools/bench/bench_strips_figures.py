@@ -23,7 +23,7 @@ import numpy as np
 
 from geomosaic.ccd.layout import image_space_layout
 from geomosaic.ccd.methods import METHODS
-from geomosaic.ccd.model import Settings, StripOffsets
+from geomosaic.ccd.model import CcdSettings, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
 from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import matched_points, segments
@@ -47,7 +47,7 @@ def quiet(done: int, total: int) -> None:
 
 def parameters(strips: Strips, truth: Any, pair: int) -> str:
     """Figure 8: dline of each segment's own points, and the truth."""
-    settings = Settings(segment_lines=SEGMENT_LINES)
+    settings = CcdSettings(segment_lines=SEGMENT_LINES)
     x = np.arange(SEGMENTS) + 1.0
     drawn = []
     for name, enhance in (("without enhancement", False), ("with enhancement", True)):
@@ -60,7 +60,7 @@ def parameters(strips: Strips, truth: Any, pair: int) -> str:
 
 def points(strips: Strips, pair: int) -> np.ndarray:
     """Figure 7: the piece of the overlap where enhancement helps most; its points joined by lines."""
-    settings, best, found = Settings(), 0.0, strips.overlap(pair, 0, SEGMENT_LINES)
+    settings, best, found = CcdSettings(), 0.0, strips.overlap(pair, 0, SEGMENT_LINES)
     for top in range(0, SEGMENTS * SEGMENT_LINES, SEGMENT_LINES):
         piece = strips.overlap(pair, top, top + SEGMENT_LINES)
         before, after = (len(matched_points(piece, strips.geometry, settings, on)) for on in (False, True))
@@ -70,7 +70,7 @@ def points(strips: Strips, pair: int) -> np.ndarray:
     return np.hstack([drawn_points(piece, strips, settings, enhance) for enhance in (False, True)])
 
 
-def drawn_points(piece: Any, strips: Strips, settings: Settings, enhance: bool) -> np.ndarray:
+def drawn_points(piece: Any, strips: Strips, settings: CcdSettings, enhance: bool) -> np.ndarray:
     """Both sides of an overlap, and lines between the points found."""
     found = matched_points(piece, strips.geometry, settings, enhance)
     sides = []
@@ -104,7 +104,7 @@ def seams(folder: Path) -> np.ndarray:
     at = 0
     for method in ("whole_scene", "piecewise_linear", "joint"):
         with StripFiles(geometry) as strips:
-            offsets = StripOffsets(method, METHODS[method](strips, Settings(), quiet))
+            offsets = StripOffsets(method, METHODS[method](strips, CcdSettings(), quiet))
             greys = radiometry(strips, offsets, quiet)
             left = strips.overlap(0).left.astype(float)
         layout = image_space_layout(geometry, offsets)

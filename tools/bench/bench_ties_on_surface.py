@@ -48,10 +48,10 @@ from geomosaic.projection.footprint import ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.horizon import hidden_m
 from geomosaic.stages.adjustment_solve import block_of
-from geomosaic.stages.keypoints import Sight, frame_brightness
+from geomosaic.stages.keypoints import FrameReduction, frame_brightness
 from geomosaic.surface.model import DenseSurface
 from geomosaic.survey.model import Survey
-from geomosaic.survey.small import Unseen
+from geomosaic.survey.small import FrameToDecode
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -141,9 +141,9 @@ def surface_ties(run: Run) -> Tracks:
     """Places on the surface, sought in all frames that see them; what was asked for is printed."""
     poses, cameras = run.adjusted.poses, run.adjusted.cameras
     used = [i for i, status in enumerate(run.adjusted.status) if status != "rejected"]
-    sight, cell_m = Sight(LONGEST_PX), run.surface.cells.cell_m
+    sight, cell_m = FrameReduction(LONGEST_PX), run.surface.cells.cell_m
     shrunk = np.array([sight.reduction(f) for f in run.survey.frames])
-    greys = {i: frame_brightness(sight, Unseen(run.survey.frames[i])).grey for i in used}
+    greys = {i: frame_brightness(sight, FrameToDecode(run.survey.frames[i])).grey for i in used}
     points, slope = sure_cells(run.surface)
     looks = {i: seen(run, i, points, float(TEMPLATE_PX * shrunk[i])) for i in used}
     slant, first = np.full(len(points), np.inf), np.full(len(points), -1)
