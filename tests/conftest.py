@@ -5,12 +5,17 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 
 import pytest
 
 # threads of the linear algebra would wait for each other on the cores that the tests share
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+# modules are compiled once, not by each worker and each process that a test starts
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # a script's background job ignores Ctrl-C, and so would all its children
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -68,6 +69,30 @@ def render(name: str, summary: Mapping[str, Any], begin: PageHead, **shown: Any)
     Args: summary: what run.json holds so far, of which every page shows warnings, times, recipe and versions;
     begin: the first screen, the map and the table; shown: the rest, by the template's names.
     """
+    return (
+        _environment()
+        .get_template(name)
+        .render(
+            css=part("style.css"),
+            leaflet_css=leaflet("leaflet.css"),
+            leaflet_js=leaflet("leaflet.js"),
+            script=part("report.js"),
+            begin=begin,
+            facts=[*begin.facts, *_time_taken(summary)],
+            map_data=inline_json(begin.map_view.plain()),
+            warnings=warnings_of(summary),
+            stages=_stages(summary),
+            memory_mb=summary.get("peak_memory_mb"),
+            recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
+            versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
+            **shown,
+        )
+    )
+
+
+@cache
+def _environment() -> Environment:
+    """Of the templates, which it keeps compiled."""
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -77,21 +102,7 @@ def render(name: str, summary: Mapping[str, Any], begin: PageHead, **shown: Any)
         "svg": markup,
         "options": options,
     }
-    return environment.get_template(name).render(
-        css=part("style.css"),
-        leaflet_css=leaflet("leaflet.css"),
-        leaflet_js=leaflet("leaflet.js"),
-        script=part("report.js"),
-        begin=begin,
-        facts=[*begin.facts, *_time_taken(summary)],
-        map_data=inline_json(begin.map_view.plain()),
-        warnings=warnings_of(summary),
-        stages=_stages(summary),
-        memory_mb=summary.get("peak_memory_mb"),
-        recipe=yaml.safe_dump(summary.get("recipe", {}), sort_keys=False),
-        versions=yaml.safe_dump(summary.get("versions", {}), sort_keys=False),
-        **shown,
-    )
+    return environment
 
 
 def part(name: str) -> Markup:

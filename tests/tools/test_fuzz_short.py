@@ -24,8 +24,9 @@ def test_spoiled_files_are_refused_or_read_and_nothing_else_happens(tmp_path: Pa
     """A case of each kind or two, each in a process of its own, through the real commands."""
     words = ["--cases", str(CASES), "--seed", "8", "--out", str(tmp_path / "fuzz")]
     done = subprocess.run(
-        [sys.executable, "-m", "tools.fuzz", *words], cwd=ROOT, capture_output=True, text=True, timeout=300
-    )
+        [sys.executable, "-m", "tools.fuzz", *words],
+        cwd=ROOT, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
     told = json.loads((tmp_path / "fuzz" / "fuzz.json").read_text())
     assert done.returncode == 0, done.stdout + done.stderr
     assert told["cases"] >= CASES - 3

@@ -23,6 +23,7 @@ from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
+sys.dont_write_bytecode = True  # a case may write nothing but its results
 
 from tools.fuzz.fuzz_kinds import KINDS
 from tools.fuzz.fuzz_trials import Case, Trials
