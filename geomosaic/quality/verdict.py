@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.procedure.control_agreement import control_blunders
@@ -225,7 +225,7 @@ def _control(points: Sequence[ControlResidual]) -> dict[str, float]:
     known = np.concatenate([np.abs(p.residual_m / p.sd_m) for p in good]) if good else np.zeros(0)
     known = known[np.isfinite(known)]
     if known.size:
-        found["control points"] = float(known.max() / norm.isf(norm.sf(_ONE_POINT) / known.size))
+        found["control points"] = float(known.max() / -ndtri(ndtr(-_ONE_POINT) / known.size))
     if figures is not None and figures.count >= LEAST_POINTS:
         sd_m = np.median([p.sd_m for p in points if p.check], axis=0)
         found["check points"] = float(np.abs(figures.mean_shift_m / sd_m)[:2].max())

@@ -49,10 +49,30 @@ def _solved_beside(folder: Path, workers: int) -> Adjusted:
     return adjusted
 
 
+class Counted(AtOnce):
+    """The names of what is solved and tested."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tested: list[str] = []
+        self.solved: list[str] = []
+
+    def map(self, name, function, items, keys=None):  # type: ignore[no-untyped-def]
+        if name.startswith("models"):
+            (self.tested if name.endswith("tested") else self.solved).extend(keys)
+        return super().map(name, function, items, keys)
+
+
 @pytest.fixture(scope="module")
-def turning(tmp_path_factory: pytest.TempPathFactory) -> Adjusted:
+def counted() -> Counted:
+    """What is solved and tested for `turning`."""
+    return Counted()
+
+
+@pytest.fixture(scope="module")
+def turning(counted: Counted) -> Adjusted:
     """In one process."""
-    return _solved_beside(tmp_path_factory.mktemp("one"), 1)
+    return METHODS["bundle"](fly(3, 2, 4, **TURNING).block, Settings(), counted)
 
 
 def test_a_block_that_is_told_all_is_solved_as_given() -> None:
@@ -312,27 +332,11 @@ def test_the_model_with_most_unknowns_is_begun_first() -> None:
     assert begun == ["given", "auto"]
 
 
-class Counted(AtOnce):
-    """The names of what is solved and tested."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tested: list[str] = []
-        self.solved: list[str] = []
-
-    def map(self, name, function, items, keys=None):  # type: ignore[no-untyped-def]
-        if name.startswith("models"):
-            (self.tested if name.endswith("tested") else self.solved).extend(keys)
-        return super().map(name, function, items, keys)
-
-
-def test_a_model_that_cannot_win_is_not_solved() -> None:
+def test_a_model_that_cannot_win_is_not_solved(turning: Adjusted, counted: Counted) -> None:
     """Frames turn by 20 px: a readout alone and a fisheye gain nothing in the test."""
-    spread = Counted()
-    adjusted = METHODS["bundle"](fly(3, 2, 4, **TURNING).block, Settings(), spread)
-    assert adjusted.model is not None and adjusted.model.taken == ("turning",)
-    assert {"readout", "fisheye", "turning"} <= set(spread.tested)
-    assert spread.solved == ["given", "turning"]
+    assert turning.model is not None and turning.model.taken == ("turning",)
+    assert {"readout", "fisheye", "turning"} <= set(counted.tested)
+    assert counted.solved == ["given", "turning"]
 
 
 def test_a_large_block_is_compared_on_some_neighbouring_frames(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,8 @@ from geomosaic_simulate.strip_plan import StripPlan
 
 SEPARATION = 2114
 PLAN = StripPlan(width_px=512, lines=6000, ccds=4, seed=71)
+THREE = replace(PLAN, ccds=3)
+"""A pair to either side."""
 
 
 @cache
@@ -96,7 +98,7 @@ def test_signs_and_sides():
 
 
 def test_low_contrast():
-    off, _, label = pooled(replace(PLAN, low_contrast_share=0.4))
+    off, _, label = pooled(replace(THREE, low_contrast_share=0.4))
     assert rms(off) < 0.06
     assert np.hypot(*off[label == MEASURED].T).max() < 0.3
 
@@ -130,7 +132,7 @@ def test_clouds_are_no_ground(seed, wind_m_per_s, wind_deg, height_m):
 
 
 def test_stated_deviations_hold_where_lines_are_bridged():
-    parts = [pooled(replace(PLAN, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)]
+    parts = [pooled(replace(THREE, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)]
     off, sd, label = (np.concatenate(part) for part in zip(*parts, strict=True))
     assert 0.82 < honest(off, sd) < 0.98
     bridged = label == BRIDGED
@@ -237,7 +239,7 @@ def test_steps_that_come_and_go_are_no_lost_lines():
 
 
 def test_most_of_the_ground_hidden():
-    plan = replace(PLAN, cloud_cover=0.8, cloud_height_m=2500.0, wind_m_per_s=10.0, seed=78)
+    plan = replace(THREE, cloud_cover=0.8, cloud_height_m=2500.0, wind_m_per_s=10.0, seed=78)
     off, sd, label = pooled(plan)
     assert honest(off, sd) > 0.8
     away = np.hypot(*off.T)
@@ -270,7 +272,7 @@ def test_missing_ccd_and_shorter_strip():
 
 @pytest.mark.parametrize("fault", [{"lost": "1:3200:5"}, {"repeated": "2:3500:7"}, {"lost": "3:2800:1"}])
 def test_lost_and_repeated_lines(fault):
-    plan = replace(PLAN, **fault)
+    plan = replace(THREE, **fault)
     for off, _, label in errors(plan, solved(plan)):
         assert np.hypot(*off[label == MEASURED].T).max() < 0.7
         assert rms(off[label != UNRELIABLE]) < 0.05
@@ -278,7 +280,7 @@ def test_lost_and_repeated_lines(fault):
 
 
 def test_saturated_parts_and_nodata():
-    plan = replace(PLAN, saturated_share=0.2)
+    plan = replace(THREE, saturated_share=0.2)
     geometry, edges, _ = scene(plan)
     edges = [(left.copy(), right.copy()) for left, right in edges]
     edges[1][0][2500:3300] = 0
@@ -310,7 +312,7 @@ def test_windows_agree_with_one_piece():
 
 
 def test_second_run_is_byte_identical():
-    plan = replace(PLAN, low_contrast_share=0.4)
+    plan = replace(THREE, low_contrast_share=0.4)
     for first, second in zip(solved(plan), solved_anew(plan), strict=True):
         for name in ("dcol_px", "dline_px", "sd_col_px", "sd_line_px", "label"):
             assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
