@@ -14,7 +14,7 @@ PAGES = sorted([*DOCS.glob("*.md"), *(DOCS / "methods").glob("*.md"), *ROOT.glob
 OTHERS = {"CHANGELOG.md", "recording.md", "plan.md"}
 READ = [page for page in PAGES if page.name not in OTHERS]
 LONGEST = 30
-FIRST_SCREEN = 60
+FIRST_SCREEN = 25
 """Lines of the README that show what it is and where to begin."""
 OLD_WORDS = re.compile(r"\b(held|told|laid|believed|beside|unrest|doubts|swings?|calmed)\b", re.I)
 

@@ -35,7 +35,7 @@ def index(stages: dict[str, dict[str, Any]]) -> str:
 
 
 def page(stage: dict[str, Any], stages: dict[str, dict[str, Any]]) -> str:
-    """What a stage takes, gives and can be told, and who takes what it gives."""
+    """Inputs, outputs and parameters of a stage, and the stages that they come from or go to."""
     lines = [
         f"# {stage['display_name']}",
         "",

@@ -180,7 +180,11 @@ def of_dirty(data: Any, command: str, date: str) -> Iterator[Row]:
         ("distances over the map within the stated 90 %", "over_whole_m", "rmse_m_whole", "relative", LE90),
         ("scale within the stated 90 %", "scale_off_permille", "scale_permille", "relative", LE90),
     ):  # fmt: skip
-        pairs = [(r.get(off), ((r.get("accuracy") or {}).get(part) or {}).get(key)) for r in rows]
+        pairs = [
+            (r.get(off), ((r.get("accuracy") or {}).get(part) or {}).get(key))
+            for r in rows
+            if r["kind"] == "dirty"
+        ]
         within = [abs(o) <= times * sd for o, sd in pairs if o is not None and sd is not None]
         if within:
             found = sum(within)
@@ -191,7 +195,7 @@ def of_dirty(data: Any, command: str, date: str) -> Iterator[Row]:
 
 def of_halves(data: Any, command: str, date: str) -> Iterator[Row]:
     for name, half in data["flights"].items():
-        shares = [half[key] for key in ("within", "within_100_m", "within_whole")]
+        shares = [half.get(key) or 0.0 for key in ("within", "within_100_m", "within_whole")]
         what = f"split halves of {name}: places, 100 m, whole map within the stated 90 %"
         values = ", ".join(f"{100 * share:.0f} %" for share in shares)
         yield Row(STATED, what, "90 % each", values, min(shares) >= 0.9, command, date)
@@ -253,7 +257,7 @@ def _but(part: int, whole: int, names: Iterable[str]) -> str:
 
 
 def _measured_by(stem: Path, data: Any) -> tuple[str, str]:
-    """Command and date: those of the JSON, else those in the head of the Markdown beside it."""
+    """Command and date of the JSON, else the first ones in the head of its Markdown."""
     if isinstance(data, dict):
         return data["command"].partition(" --results")[0], data.get("date", "")
     head = (
