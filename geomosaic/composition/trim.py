@@ -35,6 +35,7 @@ Floats32 = NDArray[np.float32]
 OFF_PX = tuned(3.0, "px", "shift that makes land wrong: less trims roof rims, unsure by 1 or 2")
 _MOST_PLACES = tuned(1_000_000, "places", "where angles and deviations are computed: more take time and room")
 _WIDE_CELLS = tuned(1000, "cells", "along the seen area, to measure it: fewer are coarse; more take time")
+_SLIVER = tuned(1e-3, "of a neighbour's area", "left alone by trimming; less keeps specks")
 _HORIZON_DEG = tuned(85.0, "degrees", "of the horizon, which is no land: more makes any trimmed share 100 %")
 HORIZON: Final = Limits(float(np.tan(np.radians(_HORIZON_DEG))), np.inf)
 
@@ -125,6 +126,7 @@ def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
     inside = ~_outer(why > 0, outside)
     filling = np.unique(seen.owner[inside & (why > 0) & (well.owner == 0)]) - 1
     why[inside] = 0
+    why[slivers(~outside & (why == 0), why > 0)] = _Why.GUESSED
     kept, cell_m2 = ~outside & (why == 0), (cell_px * grid.gsd_m) ** 2
     about = (cv2.dilate(kept.view(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (why == 0)
     parts = {code: _polygons(grid, cell_px, why == code) for code in REASONS}
@@ -223,6 +225,23 @@ def _outer(lost: Bools, unseen: Bools) -> Bools:
     open_ = np.pad(lost | unseen, 1, constant_values=True).view(np.uint8)
     _, part = cv2.connectedComponents(open_, connectivity=4)
     return np.asarray(lost & (part == part[0, 0])[1:-1, 1:-1])
+
+
+def slivers(kept: Bools, lost: Bools) -> Bools:
+    """Kept cells that lost ones part from a piece a thousand times as large."""
+
+    def pieces(cells: Bools) -> NDArray[np.int32]:
+        return np.asarray(cv2.connectedComponents(cells.view(np.uint8), connectivity=8)[1])
+
+    piece, together = pieces(kept), pieces(kept | lost)
+    size = np.bincount(piece.ravel())
+    whole = np.zeros(len(size), dtype=np.intp)
+    whole[piece] = together  # each piece lies in one of what is seen
+    largest = np.zeros(int(together.max()) + 1, dtype=np.intp)
+    np.maximum.at(largest, whole[1:], size[1:])
+    small = size < _SLIVER * largest[whole]
+    small[0] = False
+    return np.asarray(small[piece])
 
 
 def _beyond(scene: Scene, looks: ViewingGeometry) -> dict[_Why, shapely.Geometry]:

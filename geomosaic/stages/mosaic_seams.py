@@ -58,7 +58,7 @@ class MosaicSeams(Stage):
     id = "mosaic.seams"
     display_name = "Lay the seams"
     group = "Mosaic"
-    version = 13
+    version = 14
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey,
         "ground": GroundSurface,

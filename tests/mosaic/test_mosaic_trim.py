@@ -19,7 +19,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.composition.compose import compose
 from geomosaic.composition.limits import Limits
-from geomosaic.composition.trim import REASONS, looked_at, whole_of
+from geomosaic.composition.trim import REASONS, looked_at, slivers, whole_of
 from geomosaic.composition.views import frame_views
 from geomosaic.projection.footprint import sightings, survey_pixel_m
 from geomosaic.projection.ground import flat_ground
@@ -219,3 +219,16 @@ def test_a_frame_that_matches_no_other_and_looks_at_the_horizon_gives_no_pixels(
     assert not owned.used[1]
     (told,) = [w["text"] for w in notes.warnings if w["code"] == "untied-left-out"]
     assert "horizon" in told and "frame 01" in told
+
+
+def test_specks_that_trimming_leaves_alone_go_and_other_land_stays() -> None:
+    kept = np.zeros((120, 200), dtype=bool)
+    kept[10:110, 10:110] = True
+    lost = np.zeros_like(kept)
+    lost[10:110, 110:130] = True
+    kept[50:53, 130:132] = True  # beyond what was lost: a speck
+    kept[90:110, 130:150] = True  # and land of some size
+    kept[2:4, 190:192] = True  # a frame far away, which nothing was cut from
+    found = slivers(kept, lost)
+    assert found[50:53, 130:132].all() and found.sum() == 6
+    assert not slivers(kept, np.zeros_like(lost)).any()
