@@ -23,6 +23,7 @@ from geomosaic.errors import (
 )
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
@@ -84,4 +85,5 @@ __all__ = [
     "ground_sampling_distance_m",
     "param",
     "read_pixels",
+    "stage",
 ]

@@ -1,15 +1,75 @@
-"""Which stages distributions announce, by their entry points alone: nothing of them is imported."""
+"""Which stages there are: geomosaic's own, and those that distributions announce by entry points.
+
+Nothing of them is imported.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Final
 
 GROUP: Final = "geomosaic.stages"
+OWN: Final = {
+    "survey.read": "survey_read:SurveyRead",
+    "projection.ground": "projection_ground:ProjectionGround",
+    "placement.pos": "placement_pos:PlacementPos",
+    "matching.flying_height": "matching_flying_height:MatchingFlyingHeight",
+    "matching.sift": "matching_sift:MatchingSift",
+    "adjustment.solve": "adjustment_solve:AdjustmentSolve",
+    "survey.strips": "survey_strips:SurveyStrips",
+    "ccd.offsets": "ccd_offsets:CcdOffsets",
+    "ccd.radiometry": "ccd_radiometry:CcdRadiometry",
+    "mosaic.strips": "mosaic_strips:MosaicStrips",
+    "quality.strips": "quality_strips:QualityStrips",
+    "mosaic.estimate": "mosaic_estimate:MosaicEstimate",
+    "mosaic.estimate_strips": "mosaic_estimate_strips:MosaicEstimateStrips",
+    "adjustment.rig": "adjustment_rig:AdjustmentRig",
+    "quality.verdict": "quality_verdict:QualityVerdict",
+    "quality.accuracy": "quality_accuracy:QualityAccuracy",
+    "surface.dense": "surface_dense:SurfaceDense",
+    "surface.terrain": "surface_terrain:SurfaceTerrain",
+    "mosaic.given": "mosaic_given:MosaicGiven",
+    "mosaic.ground": "mosaic_ground:MosaicGround",
+    "mosaic.tones": "mosaic_tones:MosaicTones",
+    "mosaic.seams": "mosaic_seams:MosaicSeams",
+    "mosaic.compose": "mosaic_compose:MosaicCompose",
+    "export.cog": "export_cog:ExportCog",
+    "export.surface": "export_surface:ExportSurface",
+    "export.layers": "exports_for_gis:export_layers",
+    "export.report": "export_report:ExportReport",
+    "export.offsets": "exports_of_strips:export_offsets",
+    "export.strip_layers": "exports_of_strips:export_strip_layers",
+    "export.strip_report": "exports_of_strips:export_strip_report",
+    "export.stac": "exports_for_web:export_stac",
+    "export.tiles": "exports_for_web:export_tiles",
+    "export.vrt": "exports_for_web:export_vrt",
+    "export.project": "exports_for_gis:export_project",
+    "export.colmap": "exports_of_block:export_colmap",
+    "export.metashape": "exports_of_block:export_metashape",
+    "export.odm": "exports_of_block:export_odm",
+    "export.opensfm": "exports_of_block:export_opensfm",
+    "export.pix4d": "exports_of_block:export_pix4d",
+    "export.footprints": "exports_for_gis:export_footprints",
+    "export.kmz": "exports_for_web:export_kmz",
+    "export.mbtiles": "exports_for_web:export_mbtiles",
+    "export.pmtiles": "exports_for_web:export_pmtiles",
+    "export.map": "exports_of_strips:export_map",
+    "export.orthos": "export_orthos:ExportOrthos",
+    "quality.compare": "quality_compare:QualityCompare",
+    "quality.surface": "quality_surface:QualitySurface",
+}
+"""By id the module in geomosaic.stages and the stage in it."""
+
+
+def announced() -> list[EntryPoint]:
+    """Every stage, by id. An installation of geomosaic may announce its own by names of earlier versions."""
+    own = [EntryPoint(id, f"geomosaic.stages.{where}", GROUP) for id, where in OWN.items()]
+    others = entry_points(group=GROUP)
+    return own + [e for e in others if not (e.name in OWN and e.value.startswith("geomosaic.stages."))]
 
 
 def modules_of(ids: Iterable[str]) -> list[str]:
     """The modules of stages, where any are announced under these ids."""
-    announced = entry_points(group=GROUP)
-    return sorted({entry.module for id in ids for entry in announced.select(name=id)})
+    wanted = set(ids)
+    return sorted({entry.module for entry in announced() if entry.name in wanted})

@@ -1,4 +1,4 @@
-"""Which stages there are. Built-ins and third parties come in by the same door, `geomosaic.stages`."""
+"""Which stages there are, and whether their declarations are whole."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import inspect
 import re
 from collections.abc import Iterable
 from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
 from geomosaic.errors import BindingsError, PluginError, UnknownNameError
 from geomosaic.pipeline.artefacts import dataclasses_in
-from geomosaic.pipeline.entry_points import GROUP
+from geomosaic.pipeline.entry_points import announced
 from geomosaic.pipeline.params import StageParams, describe_params
 from geomosaic.pipeline.stage import Stage
 
@@ -111,7 +111,7 @@ class Registry:
             raise PluginError(f"stage id '{id}' is claimed by {both}; uninstall one of them")
         try:
             stage = entries[0].load()
-        except BindingsError:
+        except (BindingsError, PluginError):
             raise
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
@@ -132,5 +132,5 @@ class Registry:
 
 @lru_cache(maxsize=1)
 def installed() -> Registry:
-    """The stages of every distribution installed here."""
-    return Registry(entry_points(group=GROUP))
+    """geomosaic's own stages, and those of every distribution installed here."""
+    return Registry(announced())

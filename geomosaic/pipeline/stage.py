@@ -1,24 +1,20 @@
 """The contract of a stage: what it declares, what it gets, what it gives.
 
-A stage is a class that adapts between the rooms and the runner and holds no maths:
+A stage is a function that adapts between the rooms and the runner and holds no maths:
 
-    class Enhance(Stage):
-        id = "matching.enhance"
-        display_name = "Enhance contrast"
-        group = "Matching"
-        version = 1
-        inputs: ClassVar = {"survey": Survey}
-        outputs: ClassVar = {"enhanced": Enhanced}
+    class EnhanceParams(StageParams):
+        clip: float = param(2.0, help="contrast limit", ge=0.5, le=8.0)
 
-        class Params(StageParams):
-            clip: float = param(2.0, help="contrast limit", ge=0.5, le=8.0)
+    @stage("matching.enhance", "Enhance contrast", group="Matching", version=1, outputs="enhanced")
+    def enhance(survey: Survey, params: EnhanceParams, context: Context) -> Enhanced:
+        '''Raises the contrast of each frame.'''
 
-        def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-            ...
+`geomosaic.pipeline.function_stage` makes a subclass of `Stage` of it; one with more to say may be written as
+such a subclass. It enters by the entry-point group `geomosaic.stages`.
 
-It enters by the entry-point group `geomosaic.stages`. Its outputs are kept under a fingerprint of id,
-version, parameters that affect the output, the seed, its inputs' fingerprints, and the contents of all
-files that it or any stage before it read: whoever changes what a stage computes raises its `version`.
+Its outputs are kept under a fingerprint of id, version, parameters that affect the output, the seed, its
+inputs' fingerprints, and the contents of all files that it or any stage before it read: whoever changes what
+a stage computes raises its `version`.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from geomosaic.composition.estimate import estimate_scene
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage
-from geomosaic.stages.export_map import ExportMap
+from geomosaic.stages.exports_of_strips import export_map
 from geomosaic.stages.mosaic_strips import MosaicStrips
 from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
 from geomosaic.survey.strips import StripGeometry
@@ -42,7 +42,7 @@ class MosaicEstimateStrips(Stage):
         """From the strips' sizes."""
         geometry: StripGeometry = inputs["strips"]
         width, height = geometry.scene_width_px, geometry.scene_lines
-        laid = in_recipe(context, ExportMap)
+        laid = in_recipe(context, export_map)
         if laid and geometry.model is None and geometry.rpc is None:
             problem = "the scene can't be laid on the map: the geometry file names neither a model nor an RPC"
             raise InputError(problem, fix="give 'model' or 'rpc' there, or leave --map away")

@@ -15,10 +15,13 @@ from solved_block import ALONE, solved_block
 
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import run_stage
-from geomosaic.stages.export_colmap import ExportColmap
-from geomosaic.stages.export_odm import ExportOdm
-from geomosaic.stages.export_opensfm import ExportOpensfm
-from geomosaic.stages.export_references import ExportMetashape, ExportPix4d
+from geomosaic.stages.exports_of_block import (
+    export_colmap,
+    export_metashape,
+    export_odm,
+    export_opensfm,
+    export_pix4d,
+)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +32,7 @@ def solved():
 @pytest.fixture(scope="module")
 def run(solved, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sfm")
-    for stage in (ExportColmap, ExportOpensfm, ExportMetashape, ExportPix4d, ExportOdm):
+    for stage in (export_colmap, export_opensfm, export_metashape, export_pix4d, export_odm):
         inputs = {name: getattr(solved, name) for name in stage.inputs}
         run_stage(stage, stage.Params(), RunFolder(folder / "RUN"), inputs, work_folder=folder / "work")
     return folder / "RUN"

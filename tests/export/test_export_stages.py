@@ -20,10 +20,8 @@ from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.single_stage import run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.stages.export_cog import ExportCog
-from geomosaic.stages.export_layers import ExportLayers
-from geomosaic.stages.export_stac import ExportStac
-from geomosaic.stages.export_tiles import ExportTiles
-from geomosaic.stages.export_vrt import ExportVrt
+from geomosaic.stages.exports_for_gis import export_layers
+from geomosaic.stages.exports_for_web import export_stac, export_tiles, export_vrt
 from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_seams import MosaicSeams
 
@@ -41,7 +39,15 @@ def run(tmp_path_factory):
         "adjusted": Adjusted(poses, (CAMERA,) * 3, status, (), (), ground),
     }
     notes = {}
-    for stage in (MosaicSeams, MosaicCompose, ExportCog, ExportLayers, ExportVrt, ExportTiles, ExportStac):
+    for stage in (
+        MosaicSeams,
+        MosaicCompose,
+        ExportCog,
+        export_layers,
+        export_vrt,
+        export_tiles,
+        export_stac,
+    ):
         params = stage.Params(**({"gsd_m": 0.25} if stage is MosaicSeams else {}))
         taken = stage.inputs.keys() | stage.optional_inputs.keys()
         inputs = {name: given[name] for name in taken if name in given}

@@ -22,7 +22,7 @@ def discovered(monkeypatch: pytest.MonkeyPatch, *folders: Path) -> Registry:
         monkeypatch.syspath_prepend(str(folder))
     importlib.invalidate_caches()
     found = entry_points(group=GROUP)
-    return Registry(e for e in found if e.dist is not None and not e.value.startswith("geomosaic."))
+    return Registry(e for e in found if e.dist is not None and not e.value.startswith("geomosaic"))
 
 
 def test_a_distribution_brings_its_stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

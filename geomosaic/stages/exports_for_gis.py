@@ -1,0 +1,84 @@
+"""Layers, positions, footprints and a project for geographic information systems."""
+
+from __future__ import annotations
+
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.model import Mosaic
+from geomosaic.export.footprints import write_footprints
+from geomosaic.export.layers import write_layers
+from geomosaic.export.orientation import orientations
+from geomosaic.export.positions import write_positions
+from geomosaic.export.project import write_project
+from geomosaic.export.project_layers import project_of
+from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, RunFile
+from geomosaic.placement.model import Placement
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.quality.statement import answers, asprs_statement
+from geomosaic.quality.verdict import Verdict
+from geomosaic.survey.model import Survey
+
+LAYERS, POSITIONS = "layers.gpkg", "positions.csv"
+FOOTPRINTS, PROJECT = "footprints.geojson", "project.qgz"
+TITLE = "Mosaic"
+"""Not the folder's name: equal runs give equal bytes wherever they lie."""
+
+
+@stage(
+    "export.layers", "Write layers and positions", group="Export", version=9,
+    outputs=("layers_file", "positions_file"), results=(POSITIONS, LAYERS), beside=True,
+)  # fmt: skip
+def export_layers(
+    survey: Survey,
+    ground: GroundSurface,
+    placement: Placement,
+    ties: TiePoints,
+    adjusted: Adjusted,
+    mosaic: Mosaic,
+    context: Context,
+    verdict: Verdict | None = None,
+) -> tuple[RunFile, RunFile]:
+    """Writes where every frame, tie point and seam lies."""
+    with context.writing(POSITIONS) as path:
+        poses = orientations(survey, placement.poses, adjusted)
+        write_positions(path, poses, [out.name for out in survey.left_out])
+    context.check_cancelled()
+    with context.writing(LAYERS) as path:
+        stated = None if verdict is None else _stated(verdict, mosaic.grid.gsd_m)
+        write_layers(path, survey, placement, ties, adjusted, mosaic, stated)
+    return context.run_file(LAYERS), context.run_file(POSITIONS)
+
+
+def _stated(verdict: Verdict, pixel_m: float) -> dict[str, str]:
+    """Verdict, accuracy and the standard's sentence."""
+    said = {"verdict": f"{verdict.grade}: {verdict.text}"}
+    said |= dict(answers(verdict.accuracy, verdict.required, verdict.seams, pixel_m))
+    said["ASPRS"] = asprs_statement(verdict.accuracy.absolute)
+    return {name: text for name, text in said.items() if text}
+
+
+@stage(
+    "export.footprints", "Write footprints as GeoJSON", group="Export", version=1, outputs="footprints_file",
+    results=(FOOTPRINTS,),
+)  # fmt: skip
+def export_footprints(layers_file: RunFile, context: Context) -> RunFile:
+    """Writes footprints.geojson: what each frame, or each CCD's strip, sees of the ground, in WGS 84."""
+    with context.writing(FOOTPRINTS) as path:
+        write_footprints(context.path_of(layers_file), path)
+    return context.run_file(FOOTPRINTS)
+
+
+@stage(
+    "export.project", "Write a QGIS project", group="Export", version=2, outputs="project_file",
+    results=(PROJECT,), cached=False,
+)  # fmt: skip
+def export_project(layers_file: RunFile, mosaic_file: RunFile, context: Context) -> RunFile:
+    """Writes project.qgz: the mosaic, the surface where there is one, and all layers, in groups and styled.
+
+    Paths in it are relative: the run's folder can be moved.
+    """
+    crs, extent, groups = project_of(context.path_of(layers_file), context.path_of(mosaic_file))
+    with context.writing(PROJECT) as path:
+        write_project(path, TITLE, crs, extent, groups)
+    return context.run_file(PROJECT)
