@@ -73,7 +73,7 @@ bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, 
 	$(PY) -m tools.bench.bench_start --out out/bench-start
 
 bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (about 2 hours); SEEDS=n SEED=n WORKERS=n
-	$(PY) -m tools.bench.bench_dirty --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty
+	$(PY) -m tools.bench.bench_dirty --seeds $(SEEDS) --seed $(SEED) --workers $(WORKERS) --out out/bench-dirty --results docs/results/dirty
 
 bench-fixes: setup ## whether each fix that a verdict names changes the outcome, on simulated surveys (about 15 minutes)
 	$(PY) -m tools.bench.bench_fixes --seed $(SEED) --results docs/results/fixes --out out/bench-fixes

@@ -1,7 +1,7 @@
 """From pixels to mosaic on surveys as people deliver them, drawn at random, and judged against their truth.
 
     python -m tools.bench.bench_dirty [--out DIR] [--seed FIRST] [--seeds N] [--plain N] [--workers N]
-                                          [--again] [-- OPTION ...]
+                                          [--again] [--results docs/results/dirty] [-- OPTION ...]
 
 Each survey comes from `geomosaic simulate frames --dirty SEED` and goes through `geomosaic mosaic` with
 nothing but its frames. Right: after the best similarity 1 px, jumps (99 %) 1.5 px, positions within three
@@ -16,8 +16,10 @@ verdict saying so, or fewer than 95 % are right.
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -30,6 +32,7 @@ from typing import Any
 
 from geomosaic.quality.accuracy import CE90, LE90
 from tools.bench.bench_dirty_judge import of_map, of_positions
+from tools.bench.bench_flights import commit
 
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 PLAIN = ["--lines", "3", "--frames-per-line", "8", "--k1", "0", "--k2", "0", "--width-px", "640",
@@ -232,6 +235,22 @@ def report(rows: list[Row], out: Path) -> bool:
     return good
 
 
+def keep(rows: list[Row], args: argparse.Namespace) -> None:
+    """Writes RESULTS.json and RESULTS.md with command, date, machine and commit."""
+    whole = {
+        "title": "Unseen surveys with faults",
+        "command": f"make bench-dirty SEED={args.seed} SEEDS={args.seeds}",
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
+        "commit": commit(),
+        "rows": rows,
+    }
+    args.results.with_suffix(".json").write_text(json.dumps(whole, indent=1) + "\n")
+    measured = ", ".join(str(whole[key]) for key in ("date", "machine", "commit"))
+    head = f"# {whole['title']}\n\n`{whole['command']}`, {measured}.\n\n"
+    args.results.with_suffix(".md").write_text(head + (args.out / "dirty.md").read_text())
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -242,6 +261,7 @@ def main() -> int:
     parser.add_argument("--plain", type=int, default=30, help="how many plain ones")
     parser.add_argument("--workers", type=int, default=1, help="surveys side by side")
     parser.add_argument("--again", action="store_true", help="mosaic again what was mosaicked before")
+    parser.add_argument("--results", type=Path, help="without suffix, such as docs/results/dirty")
     parser.add_argument("instead", nargs="*", help="options of the simulation, after --")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -257,6 +277,8 @@ def main() -> int:
             rows.append(row)
             print(line(row), flush=True)
             good = report(rows, args.out)
+            if args.results:
+                keep(rows, args)
     print((args.out / "dirty.md").read_text())
     return 0 if good else 1
 
