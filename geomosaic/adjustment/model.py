@@ -166,10 +166,6 @@ class ModelChoice:
     contradicted: tuple[str, ...] = ()
     shown: bool = False
 
-    def contradicted_at_last(self) -> ModelChoice:
-        """Nothing is taken: the model that was can't be, once all is solved with it."""
-        return replace(self, taken=(), contradicted=(*self.contradicted, "+".join(self.taken)))
-
 
 @dataclass(frozen=True)
 class ImageResiduals:

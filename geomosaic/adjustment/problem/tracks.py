@@ -67,11 +67,6 @@ def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:
         yield int(frame[mine[0]]), mine
 
 
-def part_of(tracks: Tracks, which: Ints) -> Tracks:
-    """Some of the observations, with their points' numbers."""
-    return Tracks(tracks.frame[which], tracks.point[which], tracks.image_px[which])
-
-
 def chosen_tracks(tracks: Tracks, chosen: Bools) -> Tracks:
     """Some of the tracks: chosen (p,)."""
     keep = chosen[tracks.point]

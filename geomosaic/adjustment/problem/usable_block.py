@@ -106,7 +106,8 @@ def usable(block: Block) -> tuple[Block, tuple[Warn, ...]]:
     ties, lost = _usable_ties(block.ties)
     if lost:
         warnings.append(Warn("tie-points-not-finite", "", f"{lost} tie points are no numbers; left out"))
-    control = tuple(_with_sound_deviations(c) for c in block.control if _finite(c))
+    most_m = POSITION["none"].sd_vertical_m
+    control = tuple(replace(c, sd_m=_sound(c.sd_m, _LEAST_SD_M, most_m)) for c in block.control if _finite(c))
     gone = [c.name for c in block.control if not _finite(c)]
     if gone:
         text = f"control or check points whose coordinates are no numbers are left out ({some(gone)})"
@@ -172,7 +173,3 @@ def _are_rotations(matrices: Floats) -> Bools:
 def _finite(control: GroundControl) -> bool:
     at = np.array([[col, row] for _, col, row in control.observations])
     return bool(np.isfinite(control.enu_m).all() and np.isfinite(at).all())
-
-
-def _with_sound_deviations(control: GroundControl) -> GroundControl:
-    return replace(control, sd_m=_sound(control.sd_m, _LEAST_SD_M, POSITION["none"].sd_vertical_m))

@@ -58,6 +58,12 @@ def part_of_block(block: Block, frames: Ints) -> Block:
     )
 
 
+def read_at_once(block: Block) -> Block:
+    """The block without rolling shutters."""
+    cameras = tuple(replace(c, readout_s=0.0, readout_sd_s=0.0) for c in block.cameras)
+    return replace(block, cameras=cameras, poses=replace(block.poses, velocities_m_per_s=None, turns=None))
+
+
 def part_of_poses(poses: Poses, frames: Ints) -> Poses:
     """Those of some frames."""
     turns, velocities = poses.turns, poses.velocities_m_per_s

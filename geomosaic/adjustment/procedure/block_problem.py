@@ -65,9 +65,9 @@ def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Fl
         local=np.ones(len(points_m)),
     )
     tilt_sd_rad = float(np.median(reported.rotations_sd_rad[:, :2]))
-    points = PointCoordinates(
-        points_m, _tie_point_sd_m(block, points_m), free, np.ones_like(points_m), tilt_sd_rad
-    )
+    # tie points are free; all together, no further from the start than a flying height
+    sd_m = np.full((len(points_m), 3), flying_height_m(block) * np.sqrt(len(points_m)))
+    points = PointCoordinates(points_m, sd_m, free, np.ones_like(points_m), tilt_sd_rad)
     parts, one = _frames_of_parts(block), np.ones((len(assumed), 3))
     frames = [
         GnssPositions(reported, assumed, parts, one, settings.lever_arm, settings.gps_lag),
@@ -121,21 +121,25 @@ def with_offset(problem: BlockProblem, sd_m: Floats) -> BlockProblem:
 
 
 def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutterRotation | None:
-    swing_sd_rad, drift_sd = _swing_sd_rad(block, settings), _drift_sd(block, settings)
-    if swing_sd_rad is None or drift_sd is None:
+    """Rotation and drift of the frames while rows are read; None where all rows are read at once.
+
+    Drifts stand for errors of velocities along the view, where no rotation does; across it they differ too
+    little from a rate about an image axis where frames do rotate.
+    """
+    if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
+    readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
+    gust_per_s = GUST_M_PER_S / flying_height_m(block)
+    drift_sd = gust_per_s * np.abs(readouts_s)[:, None] * (ALONG_VIEW if settings.turning else np.ones(3))
     most = MOST_SWING if settings.turning else MOST_GUSTS
     common = settings.turning and _zero_unknown(block, settings)
-    return RollingShutterRotation(swing_sd_rad, drift_sd, common, most)
+    return RollingShutterRotation(_swing_sd_rad(block, settings, readouts_s), drift_sd, common, most)
 
 
-def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
-    """First deviations of the swings, (f, t, 3); None where all rows are read at once. Without `turning` a
-    constant rate about the image's axes stands for errors of the velocities; with a gyroscope whose zero is
-    unknown, one about all axes stands for that."""
-    readouts_s = _readouts_s(block, settings)
-    if readouts_s is None:
-        return None
+def _swing_sd_rad(block: Block, settings: Settings, readouts_s: Floats) -> Floats:
+    """First deviations of the swings, (f, t, 3). Without `turning` a constant rate about the image's axes
+    stands for errors of the velocities; with a gyroscope whose zero is unknown, one about all axes for
+    that."""
     recorded = recorded_share(block.poses.turns, np.arange(len(readouts_s)), readouts_s)
     known = np.isfinite(recorded)
     most = VIBRATION_TERMS if settings.vibrating else TERMS
@@ -150,31 +154,8 @@ def _swing_sd_rad(block: Block, settings: Settings) -> Floats | None:
     return sd[:, :, None] * (np.ones(3) if settings.turning else IMAGE_AXES)
 
 
-def _drift_sd(block: Block, settings: Settings) -> Floats | None:
-    """First deviations of the drifts over the flying height, (f, 3). No rotation stands for errors of
-    velocities along the view; across it a drift differs too little from a rate about an image axis where
-    frames do rotate."""
-    readouts_s = _readouts_s(block, settings)
-    if readouts_s is None:
-        return None
-    gust_per_s = GUST_M_PER_S / flying_height_m(block)
-    return gust_per_s * np.abs(readouts_s)[:, None] * (ALONG_VIEW if settings.turning else np.ones(3))
-
-
-def _readouts_s(block: Block, settings: Settings) -> Floats | None:
-    """Of each frame, (f,); None where all rows are read at once."""
-    if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
-        return None
-    return np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
-
-
 def _zero_unknown(block: Block, settings: Settings) -> bool:
     return block.poses.turns is not None and settings.rate_sd_rad_per_s is None
-
-
-def _tie_point_sd_m(block: Block, points_m: Floats) -> Floats:
-    """Tie points are free; all together, no further from the start than a flying height."""
-    return np.full((len(points_m), 3), flying_height_m(block) * np.sqrt(len(points_m)))
 
 
 def terrain_of(block: Block, image: ImageObservations) -> Terrain:

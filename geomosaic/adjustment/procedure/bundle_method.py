@@ -12,6 +12,7 @@ from geomosaic.adjustment.model import Adjusted, Block, ModelChoice, Round, Sett
 from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.adjustment.problem.tracks import FEW_CELLS, FEW_PER_FRAME, Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.problem.usable_block import as_filed, as_taken, usable
+from geomosaic.adjustment.procedure.block_part import read_at_once
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import (
     BlockSolution,
@@ -131,14 +132,9 @@ def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses
     points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
     if not len(points):
         return start
-    still = replace(
-        block,
-        cameras=tuple(replace(c, readout_s=0.0, readout_sd_s=0.0) for c in block.cameras),
-        poses=replace(block.poses, velocities_m_per_s=None, turns=None),
-    )
     settings = replace(settings, rolling_shutter=False, turning=False)
     options = SolveOptions(rough=True, self_calibration=False)
-    solved = solve(block_problem(still, settings, kept, points), start, options=options)
+    solved = solve(block_problem(read_at_once(block), settings, kept, points), start, options=options)
     return replace(solved.poses, velocities_m_per_s=start.velocities_m_per_s, turns=start.turns)
 
 
@@ -184,7 +180,8 @@ def _model_chosen(work: Work) -> Work:
         return replace(work, choice=choice)
     chosen = _heights_freed(replace(again(work, block, settings, begun), choice=choice))
     if contradicts(chosen.found.solution, found.solution):
-        return replace(work, choice=choice.contradicted_at_last())
+        contradicted = (*choice.contradicted, "+".join(choice.taken))
+        return replace(work, choice=replace(choice, taken=(), contradicted=contradicted))
     return chosen
 
 

@@ -147,7 +147,7 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class _Test:
+class LeftOutTest:
     """Tracks to solve by, tracks that judge, and the place of each of these, (t,)."""
 
     solving: Tracks
@@ -171,30 +171,26 @@ class LeftOut:
         out = np.random.default_rng(0).permutation(len(few)) % LEFT_OUT == 0
         solving = np.isin(np.arange(tracks.points), few[~out])
         self.begun = part_of_solution(first, self._frames, points_m[solving])
-        self._test = _Test(
+        self._test = LeftOutTest(
             chosen_tracks(tracks, solving),
             chosen_tracks(tracks, ~solving),
             places(points_m[~solving], flying_height_m(block)),
         )
 
-    def judged(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
-        """What each model leaves. The last has most unknowns and takes longest: it is begun first."""
-        return self._of_each(name, partial(_judged, self._test, solved), models)
-
-    def expected(self, name: str, models: dict[str, Model]) -> dict[str, Judged]:
-        """What each model leaves after some steps from where it begins, see `tested`."""
-        return self._of_each(name, partial(_judged, self._test, tested), models)
-
     def of_whole(self, found: Start) -> Start:
         """What the whole block's solve begins from."""
         return solution_of_whole(found, self._whole, self._frames)
 
-    def _of_each(
-        self, name: str, function: Callable[[Model], Judged], models: dict[str, Model]
+    def judged(
+        self, name: str, models: dict[str, Model], solve: Callable[[Tracks, Model], Start] = solved
     ) -> dict[str, Judged]:
+        """What each model leaves, also after some steps (`tested`). The last takes longest: it begins
+        first."""
         names = list(models)[::-1]
         sent = [replace(models[n], block=self._part(models[n].block)) for n in names]
-        found = dict(zip(names, self._spread.map(name, function, sent, names), strict=True))
+        found = dict(
+            zip(names, self._spread.map(name, partial(_judged, self._test, solve), sent, names), strict=True)
+        )
         return {n: found[n] for n in models}
 
     def _part(self, block: Block) -> Block:
@@ -219,7 +215,7 @@ def places(points_m: Floats, height_m: float) -> Ints:
     return np.unique(square, axis=0, return_inverse=True)[1].astype(np.intp).ravel()
 
 
-def _judged(test: _Test, solve: Callable[[Tracks, Model], Start], model: Model) -> Judged:
+def _judged(test: LeftOutTest, solve: Callable[[Tracks, Model], Start], model: Model) -> Judged:
     """A solution by points of its own and no control, and what it leaves."""
     try:
         solved = solve(test.solving, model)

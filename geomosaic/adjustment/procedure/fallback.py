@@ -9,6 +9,7 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted, Block, Round, Settings
 from geomosaic.adjustment.paper.misalignment import offset_net
+from geomosaic.adjustment.procedure.block_part import read_at_once
 from geomosaic.adjustment.procedure.initialisation import start_poses
 from geomosaic.adjustment.procedure.outcome import outcome
 from geomosaic.camera.exterior import Poses
@@ -48,7 +49,7 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
             "given: the map is as true as they are; give a calibrated lens with --camera",
         ),
         (
-            lambda block, settings: solve(*_read_at_once(block, settings)),
+            lambda block, settings: solve(read_at_once(block), _poses_alone(settings)),
             "self-calibration-failed",
             "poses cannot be solved for with the shutter as given ({why}): all rows are taken as read at "
             "once; ground may be displaced by what the camera moved meanwhile; give the lens with --camera",
@@ -68,22 +69,10 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
     )
 
 
-def _read_at_once(block: Block, settings: Settings) -> tuple[Block, Settings]:
-    """The block without rolling shutters, and settings that solve for poses alone."""
-    cameras = tuple(replace(c, readout_s=0.0, readout_sd_s=0.0) for c in block.cameras)
-    poses = replace(block.poses, velocities_m_per_s=None, turns=None)
-    alone = replace(
-        settings,
-        model="given",
-        self_calibration=False,
-        rolling_shutter=False,
-        turning=False,
-        vibrating=False,
-        boresight=False,
-        lever_arm=False,
-        gps_lag=False,
-    )
-    return replace(block, cameras=cameras, poses=poses), alone
+def _poses_alone(settings: Settings) -> Settings:
+    """Settings that solve for poses alone."""
+    unknowns = "rolling_shutter", "turning", "vibrating", "boresight", "lever_arm", "gps_lag"
+    return replace(settings, model="given", self_calibration=False, **dict.fromkeys(unknowns, False))
 
 
 def _by_similarities(block: Block, settings: Settings) -> Adjusted:

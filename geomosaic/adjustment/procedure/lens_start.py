@@ -14,7 +14,6 @@ from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.adjustment.problem.tracks import (
     FEW_CELLS,
     FEW_PER_FRAME,
-    Tracks,
     chosen_tracks,
     join_tracks,
     thin_tracks,
@@ -26,6 +25,7 @@ from geomosaic.adjustment.procedure.cross_validation import (
     BETTER,
     LEFT_OUT,
     Judged,
+    LeftOutTest,
     left_out_px,
     left_out_residuals,
     places,
@@ -34,7 +34,6 @@ from geomosaic.adjustment.procedure.initialisation import placed_by_images, star
 from geomosaic.adjustment.procedure.model_selection import contradicts
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
-from geomosaic.arrays import Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
@@ -54,14 +53,11 @@ _FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
 
 @dataclass(frozen=True)
 class _Trial:
-    """A lens to try: the block of a few frames that have it, tracks to solve by and others to judge by, each
-    in a place."""
+    """A lens to try: the block of a few frames that have it."""
 
     block: Block
     settings: Settings
-    solving: Tracks
-    judges: Tracks
-    place: Ints
+    test: LeftOutTest
 
 
 def unsure(camera: Camera) -> bool:
@@ -125,7 +121,8 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     judges = chosen_tracks(tracks, out)
     at_m, judges = points_on_ground(part.poses, part.cameras, part.ground, judges)
     still = replace(settings, rolling_shutter=False, turning=False)
-    trial = _Trial(part, still, chosen_tracks(tracks, ~out), judges, places(at_m, flying_height_m(part)))
+    place = places(at_m, flying_height_m(part))
+    trial = _Trial(part, still, LeftOutTest(chosen_tracks(tracks, ~out), judges, place))
     if not unsure(camera):
         if camera.readout_s and position_assumed(part.poses).all():
             return camera  # rows read at unknown velocities stretch images as another focal length does
@@ -168,19 +165,20 @@ def _judged(name: str, trial: _Trial, lenses: Sequence[Camera], spread: Spread) 
 
 def _tried(trial: _Trial) -> Judged:
     """A lens's own solve, begun as a block is, and what it leaves at the other tracks."""
-    nothing = Judged(None, np.full(trial.judges.points, np.inf), trial.place)
+    test = trial.test
+    nothing = Judged(None, np.full(test.judges.points, np.inf), test.place)
     try:
         start = start_poses(trial.block, offset_net(trial.block))
         block = placed_by_images(trial.block, start)
-        points, kept = points_on_ground(start, block.cameras, block.ground, trial.solving)
-        if 2 * len(points) < trial.solving.points:
+        points, kept = points_on_ground(start, block.cameras, block.ground, test.solving)
+        if 2 * len(points) < test.solving.points:
             return nothing
         problem = block_problem(block, trial.settings, kept, points)
         solved = solve(problem, start, options=SolveOptions(rough=True))
-        left_px = left_out_px(trial.judges, left_out_residuals(trial.judges, block, solved))
+        left_px = left_out_px(test.judges, left_out_residuals(test.judges, block, solved))
     except (NotSolvableError, np.linalg.LinAlgError):
         return nothing
-    return Judged(solved.of_points(solved.points_m), left_px, trial.place)
+    return Judged(solved.of_points(solved.points_m), left_px, test.place)
 
 
 def _part(block: Block, camera: Camera) -> Block:

@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.problem.tracks import Tracks
-from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model
+from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model, tested
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
@@ -116,7 +116,7 @@ def _compared(
 ) -> _Compared:
     """Candidates some steps from the solution so far. Solved are the simplest that none is better than by
     these steps, and a simpler one if it may do as well; then others as long as these are rejected."""
-    judged = left_out.expected(f"{name}-tested", candidates) if candidates else {}
+    judged = left_out.judged(f"{name}-tested", candidates, tested) if candidates else {}
     share = {n: test.compared_to(its)[0] for n, test in judged.items()}
     may_win = [n for n in candidates if share[n] < _MAY_WIN]
     out = _Compared(judged, [], [], set())

@@ -139,9 +139,7 @@ def few_steps(problem: BlockProblem, start: Start) -> Start:
     progress = with_components(Progress(problem.reweighted(at, components), at, components))
     progress = first_steps(progress)
     at = progress.at
-    poses = replace(problem.image.reported, positions_m=at.positions_m, rotations=at.rotations)
-    poses = _with_rows_read(poses, problem, at)
-    return Start(poses, _cameras(problem, at), at, progress.components, fixed, None)
+    return Start(_poses(problem, at), _cameras(problem, at), at, progress.components, fixed, None)
 
 
 def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) -> tuple[Estimate, Bools]:
@@ -172,11 +170,10 @@ def _finished(progress: Progress) -> Solution:
     image, stated = problem.image, stated_accuracy(problem, at, components)
     standardised = image.standardised(at, components)
     weight = np.nan_to_num(student_weight(standardised) / student_weight(np.zeros(1)))
-    poses = replace(image.reported, positions_m=at.positions_m, rotations=at.rotations)
     # what a frame's points share is no noise of each of them
     points_m2 = np.diagonal(stated.reduced.points_inverse, axis1=1, axis2=2) / image.design_effect
     return Solution(
-        poses=stated.of(_with_rows_read(poses, problem, at)),
+        poses=stated.of(_poses(problem, at)),
         cameras=_cameras(problem, at),
         estimate=at,
         components=components,
@@ -198,8 +195,9 @@ def _cameras(problem: BlockProblem, at: Estimate) -> tuple[Camera, ...]:
     return tuple(with_interior(c, row) for c, row in zip(problem.cameras, at.interior, strict=True))
 
 
-def _with_rows_read(poses: Poses, problem: BlockProblem, at: Estimate) -> Poses:
-    """Poses whose turns and velocities include the swing and the drift."""
+def _poses(problem: BlockProblem, at: Estimate) -> Poses:
+    """The estimated poses, whose turns and velocities include the swing and the drift."""
+    poses = replace(problem.image.reported, positions_m=at.positions_m, rotations=at.rotations)
     if not at.swing_rad.shape[1]:
         return poses
     readouts_s = at.interior[problem.image.camera_of, READOUT]

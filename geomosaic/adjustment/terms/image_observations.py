@@ -22,7 +22,7 @@ from geomosaic.adjustment.kernels.normal_equations import Linearised, Normals, b
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.tracks import Tracks, part_of
+from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
@@ -56,7 +56,8 @@ class ImageObservations:
 
     def of(self, which: Ints) -> Self:
         """Some of the observations, of the same points."""
-        return replace(self, tracks=part_of(self.tracks, which))
+        its = self.tracks
+        return replace(self, tracks=Tracks(its.frame[which], its.point[which], its.image_px[which]))
 
     @cached_property
     def by_hand(self) -> Bools:
