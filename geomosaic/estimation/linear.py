@@ -95,8 +95,8 @@ def _regular(matrices: Floats, finite: Bools) -> Bools:
 
 
 def eigen_each(matrices: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (..., n), rising, and eigenvectors (..., n, n) in columns, of many symmetric matrices;
-    NaN for those that are not finite."""
+    """Eigenvalues (..., n), rising, and eigenvectors in columns of many symmetric matrices; NaN if not
+    finite."""
     good = np.isfinite(matrices).all(axis=(-2, -1))
     values = np.full(matrices.shape[:-1], np.nan)
     vectors = np.full(matrices.shape, np.nan)

@@ -81,8 +81,7 @@ def student_cost(standardised: Floats) -> Floats:
 
 
 def student_bend(standardised: Floats) -> Floats:
-    """The share by which the curvature of `student_cost` along an error is below that across it; above 1 the
-    curvature along it is negative."""
+    """By how much the curvature of `student_cost` along an error is below that across it, as a share."""
     square = standardised**2
     return np.asarray(2.0 * square / (INFORMATION * _FREEDOM + square))
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import ControlResidual
-from geomosaic.adjustment.procedure.control_agreement import control_blunders, known_residuals_m, means
+from geomosaic.adjustment.procedure.control_points import control_blunders, known_residuals_m, means
 
 Floats = NDArray[np.float64]
 

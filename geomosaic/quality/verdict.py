@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.adjustment.procedure.control_agreement import control_blunders
+from geomosaic.adjustment.procedure.control_points import control_blunders
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import sourced, tuned
 from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.adjustment.procedure.control_agreement import control_blunders, known_residuals_m
+from geomosaic.adjustment.procedure.control_points import control_blunders, known_residuals_m
 from geomosaic.export.on_map import map_from_work
 from geomosaic.quality.control import control_figures
 from geomosaic.quality.statement import metres

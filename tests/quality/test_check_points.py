@@ -10,8 +10,11 @@ import pytest
 from adjustment_blocks import fly
 
 from geomosaic.adjustment.model import ControlResidual, GroundControl
-from geomosaic.adjustment.procedure.control_agreement import control_blunders, control_warnings
-from geomosaic.adjustment.procedure.control_points import control_residuals
+from geomosaic.adjustment.procedure.control_points import (
+    control_blunders,
+    control_residuals,
+    control_warnings,
+)
 from geomosaic.estimation.robust import blunders
 from geomosaic.quality.check_points import check_points
 from geomosaic.survey.accuracy import POSITION

@@ -127,8 +127,7 @@ def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution
 def surface_of(
     block: Block, flat: GroundSurface, bundle: Solution, *, rough: bool = False, spread: Spread | None = None
 ) -> GroundSurface:
-    """The surface of the points over all points and frames; flat: their level; rough, spread: see
-    `tie_surface`."""
+    """The surface of the points over all points and frames; flat: their level; others: see `tie_surface`."""
     outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
     at = np.concatenate([bundle.points_m[:, :2], *outlines])
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)

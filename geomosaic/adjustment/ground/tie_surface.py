@@ -83,8 +83,7 @@ class _Trials:
 
     @cached_property
     def without_each_side(self) -> dict[int, tuple[Bools, Heights]]:
-        """The points of each long enough side (p,), and the other points; by eighths of a turn from the east,
-        odd ones are corners."""
+        """Points of each long enough side (p,), and the others; by eighths of a turn from the east."""
         others, heights = {}, self.heights
         for eighth in range(8):
             angle = eighth * np.pi / 4.0

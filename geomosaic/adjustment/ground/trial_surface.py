@@ -45,8 +45,8 @@ class SmoothedGrid:
         self._share = np.stack([(1 - dx) * (1 - dy), dx * (1 - dy), (1 - dx) * dy, dx * dy])
 
     def fitted(self, up: Floats, weight: Floats, height: float) -> Floats:
-        """Heights of the nodes from those of the points (p,) and weights (p,); height: the flying height, in
-        the unit of both."""
+        """Heights of the nodes from those of the points (p,) and weights (p,); height: of flying, all in
+        m."""
         n = self._rows * self._cols
         band = np.zeros((3 * self._cols + 1, n), order="F")
         for below, entries in self._stiff.items():

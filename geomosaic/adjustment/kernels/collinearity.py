@@ -171,8 +171,7 @@ def project(of: Projections) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def project_by_levers(of: Projections) -> tuple[Floats, Levers, Floats, Floats]:
-    """As `project`, one column an observation, (..., m), and without derivatives by the poses: these follow
-    from the points' by `Levers`."""
+    """As `project`, one column an observation, with `Levers` instead of derivatives by poses."""
     turned, numbers, read = by_component(of.rotations), by_component(of.interior), of.read
     directions = _directions(of, turned, numbers)
     d, u, v, z = directions

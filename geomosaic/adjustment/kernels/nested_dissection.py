@@ -193,8 +193,7 @@ class Dissected:
         return x
 
     def inverse_blocks(self) -> Floats:
-        """The inverse's diagonal blocks (f, b, b), by the recursion of Takahashi et al. (1973), from the last
-        front to the first."""
+        """The inverse's diagonal blocks (f, b, b), by the recursion of Takahashi et al. (1973)."""
         b = self._block
         out = np.empty((sum(len(front.own) for front in self._fronts), b, b))
         beyond: dict[int, Floats] = {}

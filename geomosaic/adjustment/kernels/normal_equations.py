@@ -25,38 +25,32 @@ SQUARE: Ints = sourced(
 @dataclass(frozen=True)
 class Normals:
     """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3, and the
-    shared ground level and q unknowns of the mounting, which meet the poses alone. Blocks of point by pose
-    follow from `point_point` and `levers`, in the order of the m sightings."""
+    shared ground level and q unknowns of the mounting, which meet the poses alone.
+
+    pose (f, d, d), interior (c, k, k), points (p, 3, 3), mounting (q, q); sides alike. pose_interior (f, d,
+    k): each frame with its own camera; pose_mounting (f, d, q); interior_point (c, p, k, 3); level_point (p,
+    3): minus weight times the surface's normal. point_point (6, m): what each sighting adds to its point's
+    block, its lower triangle row by row; blocks of point by pose follow from that and the sightings' levers.
+    """
 
     sightings: Sightings
     camera_of: Ints
     pose: Floats
-    """(f, d, d)"""
     interior: Floats
-    """(c, k, k)"""
     points: Floats
-    """(p, 3, 3)"""
     pose_interior: Floats
-    """(f, d, k), each frame with its own camera"""
     point_point: Floats
-    """(6, m), what each sighting adds to its point's block: its lower triangle, row by row"""
     levers: Levers
-    """(m) of the sightings"""
     interior_point: Floats
-    """(c, p, k, 3)"""
     pose_side: Floats
     interior_side: Floats
     point_side: Floats
     level_point: Floats
-    """(p, 3), the ground's level by point: minus weight times the surface's normal"""
     level: float
     level_side: float
     pose_mounting: Floats
-    """(f, d, q)"""
     mounting: Floats
-    """(q, q)"""
     mounting_side: Floats
-    """(q,)"""
 
     def point_pose(self, sighting: int) -> Floats:
         """Its block, (3, d)."""

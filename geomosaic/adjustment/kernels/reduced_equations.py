@@ -23,14 +23,13 @@ _LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at 
 
 @dataclass(frozen=True)
 class Reduced:
-    """The reduced system: poses (sparse), bordered by what frames share (dense), in this order: the numbers
-    of each camera (c of k), the ground's level (1), the mounting (q); s = c k + 1 + q in all."""
+    """The reduced system: poses (sparse), bordered by what frames share, border (d f, s) and shared (s, s),
+    in this order: the numbers of each camera (c of k), the ground's level (1), the mounting (q); s = c k + 1
+    + q in all."""
 
     poses: bsr_matrix
     border: Floats
-    """(d f, s)"""
     shared: Floats
-    """(s, s)"""
     pose_side: Floats
     shared_side: Floats
     points_inverse: Floats
@@ -46,8 +45,7 @@ class Reduced:
         return Dissected(self.poses, self.normals.sightings.dissection)
 
     def solve(self) -> tuple[Floats, Floats, Floats, float, Floats]:
-        """Corrections of poses (f, d), interiors (c, k), points (p, 3), the ground's level and the
-        mounting (q,)."""
+        """Corrections of poses (f, d), interiors (c, k), points (p, 3), ground level, mounting (q,)."""
         alone = self._factors.solve(self.pose_side)
         corner = self.shared - self.border.T @ self._by_border
         shared = solve_scaled(corner, (self.shared_side - self.border.T @ alone)[:, None])[:, 0]
@@ -59,8 +57,7 @@ class Reduced:
         return dp, dk.reshape(n.interior_side.shape), points, float(level[0]), mounting
 
     def points_moved(self, pose: Floats, shared: Floats, side: Floats) -> Floats:
-        """Corrections of points (p, 3) with their right-hand side, for those of poses (f, d) and of what
-        frames share (s,)."""
+        """Corrections of points (p, 3) by their right-hand side, those of poses (f, d) and shared (s,)."""
         n = self.normals
         interior = shared[: self.level].reshape(n.interior_side.shape)
         side = side - np.einsum("cpij,ci->pj", n.interior_point, interior)
@@ -84,8 +81,7 @@ class Reduced:
         return other
 
     def covariance(self) -> tuple[Floats, Floats]:
-        """Covariances for unit weight, with all correlations: each frame's own (f, d, d), and the full matrix
-        of what frames share (s, s)."""
+        """Covariances for unit weight: each frame's own (f, d, d), and of all that is shared (s, s)."""
         shared = self.shared_covariance()
         by_shared = self._by_border.reshape(len(self.normals.pose), -1, len(shared))
         return self._factors.inverse_blocks() + by_shared @ shared @ np.swapaxes(by_shared, 1, 2), shared

@@ -89,8 +89,7 @@ class OffsetNet:
 def ties_on_ground(
     block: Block, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
 ) -> Iterator[tuple[Floats, Floats]]:
-    """East and north (k, 2) of each pair's tie points by its left and its right frame, NaN where a ray misses
-    the ground."""
+    """East and north (k, 2) of each pair's tie points by its left and its right frame, NaN where missing."""
     ties = TiePairs.of(block.ties.pairs)
     plan_m = ground_from_images(ties.frame.astype(np.intp), ties.image_px, poses, cameras, ground)[:, :2]
     plan_m = plan_m.copy()

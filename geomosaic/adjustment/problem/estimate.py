@@ -188,8 +188,7 @@ class Estimate:
 
 
 def _turn_and_scale(away: Floats, move: Floats) -> tuple[Floats, float]:
-    """The turn (3,) in rad and the scale that movements (n, 3) of points have in common, by least squares in
-    which distant points count little."""
+    """Turn (3,) in rad and scale that movements (n, 3) of points have in common; far points count little."""
     square = (away**2).sum(axis=1)
     weight = 1.0 / np.maximum(square + np.median(square), 1e-300)
     weighted = away * weight[:, None]

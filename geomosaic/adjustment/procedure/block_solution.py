@@ -129,8 +129,7 @@ def _at_last(found: BlockSolution) -> BlockSolution:
 def by_all_points(
     block: Block, settings: Settings, tracks: Tracks, few: BlockSolution, design_effect: float
 ) -> BlockSolution:
-    """The solution by all tie points, from that by few of them, on the same kind of ground; a surface stays
-    that of the few."""
+    """The solution by all tie points, from that by few, on the same kind of ground; a surface stays."""
     lenses, poses = [few.solution.cameras[k] for k in block.lens_of], few.solution.poses
     points, ties = points_on_ground(poses, lenses, few.ground, tracks)
     surface = few.ground.kind == "tie_surface"

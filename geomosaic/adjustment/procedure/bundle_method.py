@@ -21,6 +21,7 @@ from geomosaic.adjustment.procedure.block_solution import (
     by_all_points,
     points_on_ground,
 )
+from geomosaic.adjustment.procedure.blunder_detection import LEAST_COUNTED, counted_shares, resected
 from geomosaic.adjustment.procedure.bundle_outcome import Work, bundle_outcome, places_of, shape_figures
 from geomosaic.adjustment.procedure.control_reference import placed_by_control, with_marks_of_whole_images
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
@@ -40,7 +41,6 @@ from geomosaic.adjustment.procedure.reported_corrections import (
     with_common_rate,
     with_solved_velocities,
 )
-from geomosaic.adjustment.procedure.resection import LEAST_COUNTED, counted_shares, resected
 from geomosaic.adjustment.solver.place_uncertainty import design_effect, with_design_effect
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, solve
@@ -105,8 +105,8 @@ def _begun(
     spread: Spread,
     start: Poses | None = None,
 ) -> Work:
-    """Similarities, unless initial poses are known, then a bundle; with a rolling shutter first one as if all
-    rows were read at once."""
+    """Similarities, or initial poses, then a bundle; with a rolling shutter first with all rows read at
+    once."""
     tracks, few = all_and_few
     net = offset_net(given)
     start = start or start_poses(given, net)
@@ -139,8 +139,7 @@ def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses
 
 
 def again(work: Work, block: Block, settings: Settings, start: BlockSolution | Start | None = None) -> Work:
-    """The block solved anew with another block or other settings, from the poses found so far, or what a
-    solver's solution found."""
+    """The block solved anew with another block or settings, from the present poses or a solver's solution."""
     poses = start.poses if isinstance(start, Start) else work.found.solution.poses
     found = block_solution(BlockTask(block, settings, work.few, work.rough), poses, start)
     return replace(work.then(found), block=block, settings=settings)
@@ -214,11 +213,8 @@ def _leaves_open(its: Work, now: Work) -> bool:
 
 def _zero_of_the_gyroscope(work: Work) -> Work:
     solution = work.found.solution
-    if (
-        not work.settings.turning
-        or not solution.estimate.swing_rad.shape[1]
-        or work.block.poses.turns is None
-    ):
+    swinging = work.settings.turning and solution.estimate.swing_rad.shape[1]
+    if not swinging or work.block.poses.turns is None:
         return work
     return again(work, *with_common_rate(work.block, work.settings, solution))
 
@@ -238,8 +234,7 @@ def _by_all(work: Work) -> Work:
 
 
 def _readout_shown(work: Work) -> Work:
-    """With rows read one after the other, where the solution by all points with all rows read at once shows
-    it."""
+    """With a rolling shutter, where the solution by all points with all rows read at once shows it."""
     before = work.found.solution
     if work.settings.model != "auto" or not readout_shown(before):
         return work

@@ -21,6 +21,7 @@ from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_solution import BlockSolution
 from geomosaic.adjustment.procedure.blunder_detection import (
     contradicted_frames,
+    counted_shares,
     implausible_lenses,
     shift_and_scale,
     undetermined_unknowns,
@@ -32,7 +33,6 @@ from geomosaic.adjustment.procedure.control_points import spread_of
 from geomosaic.adjustment.procedure.model_selection import model_warnings
 from geomosaic.adjustment.procedure.outcome import Findings, outcome
 from geomosaic.adjustment.procedure.reported_corrections import height_drift
-from geomosaic.adjustment.procedure.resection import counted_shares
 from geomosaic.adjustment.solver.place_uncertainty import ground_places
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.attitudes import TILT, YAW

@@ -184,8 +184,7 @@ class LeftOut:
     def judged(
         self, name: str, models: dict[str, Model], solve: Callable[[Tracks, Model], Start] = solved
     ) -> dict[str, Judged]:
-        """What each model leaves, also after some steps (`tested`). The last takes longest: it begins
-        first."""
+        """What each model leaves, solved or `tested`. The last takes longest: it is begun first."""
         names = list(models)[::-1]
         sent = [replace(models[n], block=self._part(models[n].block)) for n in names]
         found = dict(

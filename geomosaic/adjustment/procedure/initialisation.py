@@ -33,8 +33,8 @@ _ANYWHERE = tuned(100.0, "flying heights; of the scale the share", "deviation wi
 
 @dataclass(frozen=True)
 class _Ties:
-    """Thinned tie points of a part: frames a and b (m,), east + i north (m,) from either nadir point, and
-    their deviations (m,)."""
+    """Tie points of a part: frames a and b (m,), east + i north (m,) from either nadir point, deviations
+    (m,)."""
 
     a: Ints
     b: Ints

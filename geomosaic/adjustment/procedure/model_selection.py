@@ -149,8 +149,7 @@ def contradicts(its: Start | None, now: Start | None) -> bool:
 
 
 def _in_vain(block: Block, its: Judged) -> bool:
-    """Whether none of the readouts that a model asks for is determined by the block: what it gains is
-    chance."""
+    """Whether the block determines none of the readouts that a model asks for: its gain is chance."""
     if its.solved is None:
         return False
     number = {c.name: k for k, c in enumerate(its.solved.cameras)}
@@ -183,11 +182,13 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     by the images alone or not determined; not where a gyroscope's record leaves only its last rows to
     them."""
     out: list[Warn] = []
-    judged = () if choice is None else choice.taken[: len(choice.taken) - choice.shown]
-    if choice is not None and choice.shown:
+    if choice is None:
+        return out
+    judged = choice.taken[: len(choice.taken) - choice.shown]
+    if choice.shown:
         name = choice.taken[-1]
         out.append(Warn("model-chosen", "", f"{_TEXTS[name]}: {_SHOWN_BY[name]}"))
-    if choice is not None and judged:
+    if judged:
         its = [name for name in judged if name != "turning" or "vibrating" not in judged]
         before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(judged)))
         text = (
@@ -197,11 +198,11 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
         out.append(Warn("model-chosen", "", text))
     turns = block.poses.turns
     incomplete = turns is not None and bool(np.isfinite(turns.recorded_until_s).any())
-    if choice is not None and {"turning", "vibrating"} & set(choice.taken) and not incomplete:
+    if {"turning", "vibrating"} & set(choice.taken) and not incomplete:
         why = "no gyroscope reports how" if block.poses.turns is None else "not as the gyroscope reports"
         text = f"frames turn while their rows are read, and {why}: their shapes are estimated"
         out.append(Warn("shutter-doubtful", "", text))
-    elif choice is not None and choice.contradicted:
+    elif choice.contradicted:
         what = _TEXTS[choice.contradicted[0].split("+")[-1]]
         text = f"tie points would fit better with {what}, but the positions speak against it; not taken"
         out.append(Warn("shutter-doubtful", "", text))

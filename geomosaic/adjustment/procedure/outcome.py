@@ -9,8 +9,13 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted, Block, Round
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
-from geomosaic.adjustment.procedure.control_agreement import control_warnings
-from geomosaic.adjustment.procedure.control_points import Solved, Spread, control_residuals, spread_of_poses
+from geomosaic.adjustment.procedure.control_points import (
+    Solved,
+    Spread,
+    control_residuals,
+    control_warnings,
+    spread_of_poses,
+)
 from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses

@@ -150,8 +150,7 @@ def height_drift(block: Block, poses: Poses, frames: Ints) -> HeightDrift:
 def _with_one_more(
     off_m: Floats, parts: tuple[int, ...], least_m: float
 ) -> tuple[tuple[int, ...], Floats] | None:
-    """The parts with the best one added, or a line and the best jump, and all rises (k,) in m; None where
-    none is large and significant."""
+    """The parts with the best one, or a line and the best jump, added, and all rises (k,) in m; else None."""
     for line in ((), (0,)):
         others = (*parts, *line)
         if len(set(others)) < len(others) or len(others) >= min(_MOST_PARTS, len(off_m) - 3):

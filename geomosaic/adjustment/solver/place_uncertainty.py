@@ -78,8 +78,7 @@ def _spread_out(plan: Floats) -> Ints:
 
 @dataclass(frozen=True)
 class DesignEffect:
-    """How many image observations count as one, at least 1, by a solve with `by_frame` in each frame; sd:
-    uncertainty by the scatter of frames."""
+    """How many image observations count as one, by a solve with `by_frame` a frame; sd: its uncertainty."""
 
     value: float
     sd: float

@@ -90,8 +90,7 @@ class BlockProblem:
         return np.asarray((layout.sd == 0.0) if self.fixed is None else (layout.sd == 0.0) | self.fixed)
 
     def shared_sd(self, layout: UnknownLayout) -> Floats:
-        """Prior deviations of the shared unknowns, (s,): next to nothing for those that are known or
-        fixed."""
+        """Prior deviations of the shared unknowns, (s,): next to nothing for known or fixed ones."""
         sd = layout.sd
         return np.where(self.known(layout), KNOWN * np.where(sd == 0.0, 1.0, sd), sd)
 

@@ -113,8 +113,8 @@ def _newton_step(side: Floats, bend: Floats) -> tuple[Floats, Floats]:
 
 
 class _Own:
-    """Some points' own share of the cost; which (n,): the points, by number, rising; seen (m,): all
-    observations of them."""
+    """Some points' own share of the cost; which (n,): their numbers, rising; seen (m,): their
+    observations."""
 
     def __init__(
         self, problem: BlockProblem, at: Estimate, components: Components, which: Ints, seen: Ints

@@ -11,10 +11,16 @@ from geomosaic.adjustment.kernels.interior import READOUT, with_interior
 from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.problem.tracks import frame_by_frame
-from geomosaic.adjustment.solver.determinability import undetermined, with_unreported_readouts
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import clearances_m
-from geomosaic.adjustment.solver.solution import Solution, Start, deviations, stated_accuracy
+from geomosaic.adjustment.solver.solution import (
+    Solution,
+    Start,
+    deviations,
+    stated_accuracy,
+    undetermined,
+    with_unreported_readouts,
+)
 from geomosaic.adjustment.solver.steps import (
     Progress,
     converged,
@@ -121,8 +127,7 @@ def _at_last(progress: Progress) -> Solution:
 
 
 def last_steps(begun: Solution) -> Solution:
-    """The fully converged solution from one of a solve that was not the `last`. Raises: NotSolvableError
-    where the equations have no solution."""
+    """The fully converged solution from one of a solve that was not the `last`. Raises: NotSolvableError."""
     solved = _at_last(Progress(begun.problem, begun.estimate, begun.components))
     return replace(solved, implausible=begun.implausible, fixed=begun.fixed)
 

@@ -50,8 +50,7 @@ _SHARES = tuned((1.0, 0.5, 0.25, 0.1), "of a step", "tried before damping where 
 
 @dataclass(frozen=True)
 class Progress:
-    """A solve on its way: the problem with its present robust weights, the estimate, the components, and the
-    steps that led here."""
+    """A solve on its way: the problem with its present robust weights, estimate, components, past steps."""
 
     problem: BlockProblem
     at: Estimate
@@ -168,8 +167,7 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
 
 
 def _step_of(problem: BlockProblem, at: Estimate, reduced: Reduced) -> tuple[Reduced, Step]:
-    """The equations with all that depends on the step, and their solution, in which known and fixed numbers
-    do not move."""
+    """The equations with all that depends on the step, and their solution; known and fixed numbers stay."""
     known = problem.known(at.layout)
 
     def solution(equations: Reduced) -> Step:

@@ -47,8 +47,7 @@ def robust_fit(
 
 
 def common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
-    """The part of residuals in plan (k, 2) that a similarity of all positions explains; all of them for two
-    frames or fewer."""
+    """Residuals in plan (k, 2) that a similarity of positions explains; all for two frames or fewer."""
     k = len(at_m)
     if k < 3 or not np.isfinite(sd_m).all():
         return np.where(np.isfinite(sd_m), miss_m, 0.0)

@@ -123,8 +123,7 @@ class ImageObservations:
         return float(cost[self.used].sum())
 
     def linearised(self, at: Estimate, components: Components) -> Linearised:
-        """Of some of the observations: what `build_normals` asks for, weighted with their expected
-        information (Fisher's scoring)."""
+        """What `build_normals` asks for, weighted with the expected information (Fisher's scoring)."""
         sd_px, computed = self.sd_px(components), self.computed_px(at)
 
         def of(which: Ints) -> tuple[Floats, Floats, Levers, Floats, Floats]:

@@ -50,8 +50,8 @@ def part_of_camera(name: str) -> str:
 
 
 def interior_unknowns(camera: Camera, *, readout: bool = False, free_lens: bool = False) -> Unknowns:
-    """A camera's numbers as unknowns; readout: solved for where nothing reports it; free_lens: the maker's
-    distortion is only the start."""
+    """A camera's numbers; readout: solved for if not reported; free_lens: maker's distortion is but the
+    start."""
     known = replace(camera, distortion_sd=0.0) if free_lens else camera
     sd = interior_deviations(known, readout=readout)
     return Unknowns(

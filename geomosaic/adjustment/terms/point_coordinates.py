@@ -159,8 +159,7 @@ def _height_known(sd_m: Floats) -> Bools:
 def intersection_residuals(
     image: ImageObservations, surveyed: PointCoordinates, at: Estimate
 ) -> ControlResiduals | None:
-    """Residuals of control points, intersected from two frames or more by the present poses; None for fewer
-    than LEAST_POINTS."""
+    """Of control points intersected by the present poses from two frames or more; None for too few."""
     some = image.of(np.flatnonzero(image.by_hand & image.used))
     if len(np.unique(some.tracks.point)) < LEAST_POINTS:
         return None

@@ -23,8 +23,7 @@ LEAST_REDUNDANCY = tuned(3.0, "redundant observations", "fewer: a variance compo
 
 @dataclass(frozen=True)
 class Components:
-    """Variance components by name: the image deviations in px, and the factors of all other stated
-    deviations, 1 where none is estimated."""
+    """Variance components by name: image deviations in px, and factors of all other stated deviations."""
 
     values: Mapping[str, float] = field(default_factory=dict)
 
