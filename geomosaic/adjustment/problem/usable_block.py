@@ -10,10 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomosaic.adjustment.model import Adjusted, Block, GroundControl, ImageResiduals
+from geomosaic.adjustment.model import Adjusted, Block, GroundControl
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
 from geomosaic.matching.model import TiePairs, TiePoints
@@ -74,28 +73,18 @@ def as_taken(block: Block) -> Block:
 
 def as_filed(adjusted: Adjusted, block: Block) -> Adjusted:
     """The outcome of `as_taken(block)` for the images as they lie in the files."""
-    frames = _half_turned(block)
+    frames, residuals = _half_turned(block), adjusted.image_residuals
     cameras = tuple(c.turned(2) if i in frames else c for i, c in enumerate(adjusted.cameras))
-    return replace(
-        adjusted,
-        cameras=cameras,
-        poses=_turned_poses(adjusted.poses, frames),
-        image_residuals=_turned_residuals(adjusted.image_residuals, cameras, frames),
-    )
-
-
-def _turned_residuals(
-    residuals: ImageResiduals | None, cameras: tuple[Camera, ...], frames: list[int]
-) -> ImageResiduals | None:
-    if residuals is None:
-        return None
-    turned = np.isin(residuals.frame, frames)[:, None]
-    size = np.array([[c.width_px, c.height_px] for c in cameras], dtype=np.float64)
-    return replace(
-        residuals,
-        image_px=np.where(turned, size[residuals.frame] - residuals.image_px, residuals.image_px),
-        residual_px=np.where(turned, -residuals.residual_px, residuals.residual_px),
-    )
+    if residuals is not None:
+        turned = np.isin(residuals.frame, frames)[:, None]
+        size = np.array([[c.width_px, c.height_px] for c in cameras], dtype=np.float64)
+        residuals = replace(
+            residuals,
+            image_px=np.where(turned, size[residuals.frame] - residuals.image_px, residuals.image_px),
+            residual_px=np.where(turned, -residuals.residual_px, residuals.residual_px),
+        )
+    poses = _turned_poses(adjusted.poses, frames)
+    return replace(adjusted, cameras=cameras, poses=poses, image_residuals=residuals)
 
 
 def usable(block: Block) -> tuple[Block, tuple[Warn, ...]]:

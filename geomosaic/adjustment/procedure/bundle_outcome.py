@@ -7,16 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
-from geomosaic.adjustment.model import (
-    Adjusted,
-    Block,
-    GroundPlaces,
-    ImageResiduals,
-    ModelChoice,
-    Round,
-    Settings,
-    SolveStep,
-)
+from geomosaic.adjustment.model import Adjusted, Block, GroundPlaces, ModelChoice, Round, Settings, SolveStep
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_solution import BlockSolution
 from geomosaic.adjustment.procedure.blunder_detection import (
@@ -30,7 +21,7 @@ from geomosaic.adjustment.procedure.blunder_detection import (
 )
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
 from geomosaic.adjustment.procedure.control_points import spread_of
-from geomosaic.adjustment.procedure.model_selection import model_warnings
+from geomosaic.adjustment.procedure.model_selection import image_residuals, model_warnings
 from geomosaic.adjustment.procedure.outcome import Findings, outcome
 from geomosaic.adjustment.procedure.reported_corrections import height_drift
 from geomosaic.adjustment.solver.place_uncertainty import ground_places
@@ -116,11 +107,9 @@ def bundle_outcome(work: Work) -> Adjusted:
     control = with_precision(block.control, components)
     rounds = (Round(work.misalignments_m, moves),)
     adjusted = outcome(replace(block, poses=given.poses, control=control), solution.poses, rounds, findings)
-    ties = found.ties
-    residuals = ImageResiduals(ties.frame, ties.image_px, solution.residual_px, solution.weight)
     places = None if places is None else places.with_common_error(common_m2)
-    adjusted = replace(adjusted, places=places, model=work.choice)
-    return replace(adjusted, shared=shared, image_residuals=residuals)
+    residuals = image_residuals(found.ties, solution)
+    return replace(adjusted, places=places, model=work.choice, shared=shared, image_residuals=residuals)
 
 
 def places_of(found: BlockSolution) -> GroundPlaces | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,8 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
 def _poses_alone(settings: Settings) -> Settings:
     """Settings that solve for poses alone."""
     unknowns = "rolling_shutter", "turning", "vibrating", "boresight", "lever_arm", "gps_lag"
-    return replace(settings, model="given", self_calibration=False, **dict.fromkeys(unknowns, False))
+    none: dict[str, Any] = dict.fromkeys(unknowns, False)
+    return replace(settings, model="given", self_calibration=False, **none)
 
 
 def _by_similarities(block: Block, settings: Settings) -> Adjusted:

@@ -75,7 +75,7 @@ def chosen_model(
     left_px, contradicted = {_GIVEN: now_px}, []
     taken: tuple[str, ...] = ()
     in_vain: set[str] = set()
-    vibrating = left_by_vibration(_image_residuals(tracks, first), block.cameras) < BETTER
+    vibrating = left_by_vibration(image_residuals(tracks, first), block.cameras) < BETTER
     while now_px > _LEAST_PX:
         candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in in_vain}
         found = _compared(left_out, f"models-{len(taken)}", now.block, candidates, its)
@@ -249,9 +249,10 @@ def _as_fisheye(camera: Camera) -> Camera:
 
 def _pattern_px(block: Block, tracks: Tracks, solved: Solution) -> float:
     """What residuals have in common by their place in the image, of the worst camera."""
-    patterns = residual_patterns(_image_residuals(tracks, solved), block.cameras)
+    patterns = residual_patterns(image_residuals(tracks, solved), block.cameras)
     return max((p.systematic_px for p in patterns), default=0.0)
 
 
-def _image_residuals(tracks: Tracks, solved: Solution) -> ImageResiduals:
+def image_residuals(tracks: Tracks, solved: Solution) -> ImageResiduals:
+    """Those of a solution's tie points."""
     return ImageResiduals(tracks.frame, tracks.image_px, solved.residual_px, solved.weight)
