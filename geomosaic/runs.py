@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
     from geomosaic.pipeline.reporter import Reporter
-    from geomosaic.recording.model import Recording
+    from geomosaic.recording.file.model import Recording
 
 Name = str | Path
 _TEXTS = ("frame", "status")

@@ -15,8 +15,8 @@ from geomosaic.cli.options import AsJson
 from geomosaic.errors import FileError, OutputError
 
 if TYPE_CHECKING:
-    from geomosaic.recording.inspection import Inspection
-    from geomosaic.recording.model import Recording
+    from geomosaic.recording.file.model import Recording
+    from geomosaic.recording.inspect.inspection import Inspection
 
 RecordingFile = Annotated[
     Path, typer.Argument(metavar="RUN.mcap", help="the recording of a run, or its folder")
@@ -59,10 +59,10 @@ def inspect(
     complete, and where a killed run ended. --png draws the plan; with --frame or --pair that frame or pair.
     """
     from geomosaic.pipeline import files
-    from geomosaic.recording import inspection_tables as show
     from geomosaic.recording import read_recording, summary
-    from geomosaic.recording.inspection import SHOWN
-    from geomosaic.recording.tables import show_summary
+    from geomosaic.recording.inspect import inspection_tables as show
+    from geomosaic.recording.inspect.inspection import SHOWN
+    from geomosaic.recording.inspect.tables import show_summary
 
     path = recording_file(recording)
     recorded = read_recording(path)
@@ -103,8 +103,8 @@ def inspect(
 
 def _answers(recorded: Recording) -> Inspection:
     """Of a damaged survey at least what else there is."""
-    from geomosaic.pipeline.recorded_solve import solved_of
-    from geomosaic.recording.inspection import Inspection
+    from geomosaic.recording.inspect.inspection import Inspection
+    from geomosaic.recording.replay.recorded_solve import solved_of
 
     try:
         return Inspection(recorded, solved_of(recorded))
@@ -114,7 +114,7 @@ def _answers(recorded: Recording) -> Inspection:
 
 def _repair(recorded: Recording, out: Path) -> None:
     from geomosaic.pipeline import files
-    from geomosaic.recording.repair import repaired
+    from geomosaic.recording.file.repair import repaired
 
     if out.exists():
         raise OutputError("is there already", file=out, fix="give another name with --repair")
@@ -126,7 +126,7 @@ def _repair(recorded: Recording, out: Path) -> None:
 
 
 def _picture(answers: Inspection, frame: str, pair: tuple[str, str] | None) -> bytes:
-    from geomosaic.recording import pictures
+    from geomosaic.recording.inspect import pictures
 
     recorded, solved = answers.recording, answers.readable()
     if pair is not None:
@@ -149,8 +149,9 @@ def diff(
     draws arrows from where A places the frames to where B does. Exit code 0 if they are equal, else 1.
     """
     from geomosaic.pipeline import files
-    from geomosaic.recording import compare, pictures, read_recording
-    from geomosaic.recording.difference_tables import show_difference
+    from geomosaic.recording import compare, read_recording
+    from geomosaic.recording.inspect import pictures
+    from geomosaic.recording.inspect.difference_tables import show_difference
 
     of_a, of_b = (_answers(read_recording(recording_file(path))) for path in (a, b))
     difference = compare(of_a.recording, of_b.recording, of_a.solved, of_b.solved)

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from geomosaic.pipeline.reporter import Reporter, Silent, Source
-from geomosaic.recording.reader import printable
+from geomosaic.recording.file.reader import printable
 
 _SECONDS_BETWEEN_LINES = 10.0
 

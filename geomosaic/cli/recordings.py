@@ -25,7 +25,7 @@ def view(
     Shown are the map, the images, the offsets of each round and the log.
     """
     from geomosaic.recording import read_recording
-    from geomosaic.recording import view as rerun_view
+    from geomosaic.recording.rerun import view as rerun_view
 
     recorded = read_recording(recording_file(recording))
     with tempfile.TemporaryDirectory(prefix="geomosaic-view-") as folder:

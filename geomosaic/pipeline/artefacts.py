@@ -30,7 +30,7 @@ import numpy as np
 
 from geomosaic.errors import FileError
 from geomosaic.pipeline.former_names import present_name
-from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
+from geomosaic.recording.file.fingerprints import fingerprint_of_bytes, fingerprint_of_json
 
 T = TypeVar("T")
 

@@ -25,7 +25,7 @@ from geomosaic.pipeline.recipe import RecipeStep
 from geomosaic.pipeline.replayed_stage import ReplayedStage
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
-from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_json
+from geomosaic.recording.file.fingerprints import artefact_fingerprint, fingerprint_of_json
 
 _KEY = re.compile(r"(given-)?[0-9a-f]{40}")
 _ITEM = (re.compile(r"[0-9a-f]{2}"), re.compile(r"[0-9a-f]{38}"))

@@ -19,7 +19,7 @@ from geomosaic.pipeline.items import Items, Progress
 from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage_recorder import StageRecorder
 from geomosaic.pipeline.stored_result import OptionalCache, StoredResult, without_bytes
-from geomosaic.recording.fingerprints import fingerprint_of_bytes, fingerprint_of_json
+from geomosaic.recording.file.fingerprints import fingerprint_of_bytes, fingerprint_of_json
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -9,6 +9,8 @@ _ROOMS: Final = {"mosaic": "composition"}
 """Present name of a room by its former name."""
 _FORMER: Final = {
     "geomosaic.survey.model:LeftOut": "geomosaic.survey.model:UnusedImage",
+    "geomosaic.recording.chips:Chip": "geomosaic.recording.file.chips:Chip",
+    "geomosaic.recording.thumbnail:Seen": "geomosaic.recording.file.thumbnail:Seen",
     "geomosaic.surface.terrain:TerrainModel": "geomosaic.surface.dtm:TerrainModel",
 }
 """Present name of a class by its former name, in the room's present name."""

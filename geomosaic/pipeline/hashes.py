@@ -14,7 +14,7 @@ from typing import Any
 from geomosaic.doors.references import sources_of
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
-from geomosaic.recording.fingerprints import fingerprint_of_json
+from geomosaic.recording.file.fingerprints import fingerprint_of_json
 
 _CHUNK_BYTES = 1 << 20
 _MOST_MEMORY_BYTES = 64 << 20

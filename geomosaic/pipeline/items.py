@@ -19,7 +19,7 @@ from geomosaic.pipeline.artefacts import content_of
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.stored_result import EncodedFunction, SharedFunction, SpoolingFunction, StoredResult
-from geomosaic.recording.fingerprints import fingerprint_of_json
+from geomosaic.recording.file.fingerprints import fingerprint_of_json
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -13,7 +13,7 @@ from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import fingerprint_of_file
 from geomosaic.pipeline.entry_points import GROUP
 from geomosaic.pipeline.stage import Stage
-from geomosaic.recording.fingerprints import fingerprint_of_json
+from geomosaic.recording.file.fingerprints import fingerprint_of_json
 
 _OWN = ("geomosaic", "geomosaic_simulate")
 _CODE = (".py", ".so", ".pyd")

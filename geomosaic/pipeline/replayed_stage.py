@@ -21,9 +21,9 @@ from geomosaic.pipeline.context import Notes, RunFile
 from geomosaic.pipeline.files import path_within
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
-from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
-from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
-from geomosaic.recording.reader import artefact_data, stage_messages
+from geomosaic.recording.file.fingerprints import artefact_fingerprint, fingerprint_of_bytes
+from geomosaic.recording.file.model import ArtefactEntry, Recording, StageRecord
+from geomosaic.recording.file.reader import artefact_data, stage_messages
 from geomosaic.survey.model import Survey
 
 

@@ -11,7 +11,7 @@ from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import decode, type_name
 from geomosaic.pipeline.former_names import present_name
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
-from geomosaic.recording.reader import artefact_data, read_recording
+from geomosaic.recording.file.reader import artefact_data, read_recording
 
 _MAX_BYTES = 64 << 20  # names and hashes of 400,000 frames
 

@@ -35,11 +35,11 @@ from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage import Stage
 from geomosaic.pipeline.stage_recorder import replay_calls
 from geomosaic.pipeline.stage_task import StageLog, StageTask, concurrent_steps, may_be_forged_data
-from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
-from geomosaic.recording.levels import RecordOptions
-from geomosaic.recording.live import watched
-from geomosaic.recording.privacy import Privacy
-from geomosaic.recording.writer import Recorder
+from geomosaic.recording.file.fingerprints import artefact_fingerprint, fingerprint_of_bytes
+from geomosaic.recording.file.levels import RecordOptions
+from geomosaic.recording.file.privacy import Privacy
+from geomosaic.recording.file.writer import Recorder
+from geomosaic.recording.rerun.live import watched
 
 
 def run(

@@ -12,8 +12,8 @@ from typing import Any
 
 from geomosaic.errors import FileError
 from geomosaic.pipeline.artefacts import dataclasses_in, decode, encode
-from geomosaic.recording.kinds import CALLS
-from geomosaic.recording.writer import STAGE_CALLS, Recorder
+from geomosaic.recording.file.kinds import CALLS
+from geomosaic.recording.file.writer import STAGE_CALLS, Recorder
 
 _LENGTH_BYTES = 8
 

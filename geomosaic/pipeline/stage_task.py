@@ -20,7 +20,7 @@ from geomosaic.pipeline.recipe import RecipeStep
 from geomosaic.pipeline.reporter import Reporter
 from geomosaic.pipeline.single_stage import check_outputs
 from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
-from geomosaic.recording.writer import Recorder
+from geomosaic.recording.file.writer import Recorder
 
 
 class StageLog:

@@ -24,7 +24,7 @@ from geomosaic.constants import tuned
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import Reference, decode, encode, write
-from geomosaic.recording.fingerprints import fingerprint_of_bytes
+from geomosaic.recording.file.fingerprints import fingerprint_of_bytes
 
 Result = TypeVar("Result")
 Item = TypeVar("Item")

@@ -1,11 +1,11 @@
-"""MCAP writer and reader, replay, diff, the Rerun view: beside the staircase, not on it."""
+"""The recording of a run: its file, what it says and how two differ, the view in Rerun, the replay."""
 
-from geomosaic.recording.compare import compare
-from geomosaic.recording.model import ArtefactEntry, Recording, StageRecord
-from geomosaic.recording.reader import artefact_data, messages, printable, read_recording, stage_messages
-from geomosaic.recording.summary import summary
-from geomosaic.recording.thumbnail import thumbnail
-from geomosaic.recording.writer import STAGE_CALLS, Recorder
+from geomosaic.recording.file.model import ArtefactEntry, Recording, StageRecord
+from geomosaic.recording.file.reader import artefact_data, messages, printable, read_recording, stage_messages
+from geomosaic.recording.file.thumbnail import thumbnail
+from geomosaic.recording.file.writer import STAGE_CALLS, Recorder
+from geomosaic.recording.inspect.compare import compare
+from geomosaic.recording.inspect.summary import summary
 
 __all__ = [
     "STAGE_CALLS",

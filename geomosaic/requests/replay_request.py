@@ -14,7 +14,7 @@ from geomosaic.requests.run_request import DASK, Job, RunRequest
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
     from geomosaic.pipeline.replayed_stage import ReplayedStage
-    from geomosaic.recording.model import Recording
+    from geomosaic.recording.file.model import Recording
 
 _GSD: Final = "mosaic.seams.gsd_m"
 
@@ -54,9 +54,9 @@ class ReplayRequest(RunRequest):
 
     def job(self) -> Job:
         """The rest of the recorded run. Raises: `InputError` for what cannot be used."""
-        from geomosaic.pipeline.moved_frames import at_places, found_frames
         from geomosaic.pipeline.replayed_stage import replayed_stages
         from geomosaic.recording import read_recording
+        from geomosaic.recording.replay.moved_frames import at_places, found_frames
 
         path = self.recording / "run.mcap" if self.recording.is_dir() else self.recording
         recorded = read_recording(path)
@@ -90,7 +90,7 @@ def _on_thumbnails(
 ) -> tuple[Recipe, Mapping[int, ReplayedStage], tuple[str, ...]]:
     """The replay with thumbnails for frames where these are gone and something reads them, and what is left
     out."""
-    from geomosaic.pipeline.moved_frames import (
+    from geomosaic.recording.replay.moved_frames import (
         first_with_thumbnails,
         frames_gone,
         thumbnail_pixel_m,

@@ -25,7 +25,7 @@ from geomosaic.requests.option import (
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
     from geomosaic.pipeline.replayed_stage import ReplayedStage
-    from geomosaic.recording.levels import RecordOptions
+    from geomosaic.recording.file.levels import RecordOptions
 
 Parameters = dict[str, dict[str, Any]]
 DASK: Final = Option("compute on this Dask cluster instead of this machine", "tcp://HOST:PORT", RARE)
@@ -193,7 +193,7 @@ def record_options(
 ) -> RecordOptions:
     """How a run is recorded. Raises: `UnknownNameError` for another level, `InputError` if nothing is to be
     recorded and shown."""
-    from geomosaic.recording.levels import LEVELS, RecordOptions
+    from geomosaic.recording.file.levels import LEVELS, RecordOptions
 
     if record not in LEVELS:
         raise UnknownNameError("level of --record", record, LEVELS)

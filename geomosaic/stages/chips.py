@@ -16,7 +16,7 @@ from geomosaic.pipeline.stage import Context
 from geomosaic.quality.ranking import WORST_PAIRS, worst_pairs
 from geomosaic.quality.seam_check import SeamGround, Sighting, Sights, seen_in
 from geomosaic.quality.solved_tables import pair_columns, tie_weights
-from geomosaic.recording.chips import Cut, chip, cuts, shown
+from geomosaic.recording.file.chips import Cut, chip, cuts, shown
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
 

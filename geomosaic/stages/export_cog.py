@@ -12,7 +12,7 @@ from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import FileError
 from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, write_cog
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
-from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.report.glance import Glance, glance
 
 MOSAIC = "mosaic.tif"

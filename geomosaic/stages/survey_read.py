@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
-from geomosaic.recording.thumbnail import Looking, Seen, seen, thumbnail
+from geomosaic.recording.file.thumbnail import Looking, Seen, seen, thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.damage import Wholeness
 from geomosaic.survey.folder import frame_folders, project_files

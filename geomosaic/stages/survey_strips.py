@@ -11,7 +11,7 @@ from rasterio import Env
 from geomosaic.ccd.parallel import each
 from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, reading, unreferenced_is_fine
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
-from geomosaic.recording.thumbnail import thumbnail
+from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
 from geomosaic.survey.strips import StripGeometry, read_geometry
 

@@ -25,7 +25,7 @@ from pipeline_toy import distribution, recipe_file
 from geomosaic.cli.main import main
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.run_folder import MARKER
-from geomosaic.recording.reader import read_recording
+from geomosaic.recording.file.reader import read_recording
 
 TESTS = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-m", "geomosaic.cli.main"]

@@ -22,7 +22,7 @@ from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.pipeline.runner import run
-from geomosaic.recording.reader import read_recording
+from geomosaic.recording.file.reader import read_recording
 
 RECIPE = """name: tiny
 stages:

@@ -12,7 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.heights import height_is_unknown, neighbours, with_heights_above_ground
-from geomosaic.recording.reader import read_recording
+from geomosaic.recording.file.reader import read_recording
 from geomosaic.stages.matching_flying_height import MatchingFlyingHeight
 from geomosaic.stages.projection_ground import ProjectionGround
 from geomosaic.survey.model import Attitude, Frame, Position, Survey

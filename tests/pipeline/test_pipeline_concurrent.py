@@ -20,7 +20,7 @@ from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.pipeline.stage_task import concurrent_steps
-from geomosaic.recording.reader import read_recording
+from geomosaic.recording.file.reader import read_recording
 
 PATIENCE_S = 20.0
 RECIPE = """

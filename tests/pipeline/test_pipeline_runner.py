@@ -37,8 +37,8 @@ from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.pipeline.runner import run
-from geomosaic.recording.compare import compare
-from geomosaic.recording.reader import read_recording
+from geomosaic.recording.file.reader import read_recording
+from geomosaic.recording.inspect.compare import compare
 
 ALL = ["read", "power", "item 1", "item 2", "item 3", "item 4", "sum", "write", "tell"]
 

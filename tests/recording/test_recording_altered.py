@@ -24,7 +24,7 @@ from geomosaic.errors import FileError
 from geomosaic.pipeline import replayed_stage
 from geomosaic.pipeline.artefacts import decode, encode
 from geomosaic.recording import compare, read_recording, summary
-from geomosaic.recording.run_kinds import Artefact, StageEvent
+from geomosaic.recording.file.run_kinds import Artefact, StageEvent
 
 __all__ = ["recorded"]
 

@@ -16,12 +16,13 @@ from recorded_survey import bad_survey, planted
 from recording_scene import written
 
 from geomosaic.cli.main import main
-from geomosaic.pipeline.recorded_solve import solved_of
 from geomosaic.quality.ranking import worst_pairs
-from geomosaic.recording import Recorder, list_view, read_recording
-from geomosaic.recording.canvas import RED, Canvas
-from geomosaic.recording.inspection import Inspection
-from geomosaic.recording.worst import worst_frames
+from geomosaic.recording import Recorder, read_recording
+from geomosaic.recording.inspect.canvas import RED, Canvas
+from geomosaic.recording.inspect.inspection import Inspection
+from geomosaic.recording.inspect.worst import worst_frames
+from geomosaic.recording.replay.recorded_solve import solved_of
+from geomosaic.recording.rerun import list_view
 
 
 @pytest.fixture(autouse=True)

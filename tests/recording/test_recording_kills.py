@@ -21,10 +21,10 @@ from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
 from geomosaic.recording import Recorder, read_recording
-from geomosaic.recording.heartbeat import EVERY_S
-from geomosaic.recording.inspection import Inspection
-from geomosaic.recording.repair import repaired
-from geomosaic.recording.worst import faults
+from geomosaic.recording.file.heartbeat import EVERY_S
+from geomosaic.recording.file.repair import repaired
+from geomosaic.recording.inspect.inspection import Inspection
+from geomosaic.recording.inspect.worst import faults
 
 KILLED = (("Place frames by POS", "matching.sift"), ("Match frames with SIFT", "adjustment.solve"))
 """Behind which line of progress, in which stage."""

@@ -18,12 +18,13 @@ import pytest
 from recording_scene import FRAMES, RECIPE, written
 
 from geomosaic.errors import FileError, GeomosaicError, OutputError
-from geomosaic.recording import Recorder, Recording, read_recording, viewer
-from geomosaic.recording.chips import Chip
-from geomosaic.recording.limits import RESIDUAL, badness
-from geomosaic.recording.list_view import frame_text, worst_frames
-from geomosaic.recording.plan_view import by_badness, frame_colours, frame_labels, names_apart
-from geomosaic.recording.thumbnail import decoded, thumbnail
+from geomosaic.quality.ranking import RESIDUAL, badness
+from geomosaic.recording import Recorder, Recording, read_recording
+from geomosaic.recording.file.chips import Chip
+from geomosaic.recording.file.thumbnail import decoded, thumbnail
+from geomosaic.recording.rerun import viewer
+from geomosaic.recording.rerun.list_view import frame_text, worst_frames
+from geomosaic.recording.rerun.plan_view import by_badness, frame_colours, frame_labels, names_apart
 
 _SCRIPT = Path(__file__).parents[1] / "node" / "read_mcap.mjs"
 
@@ -135,7 +136,7 @@ def test_the_view_is_a_sound_rrd_that_shows_what_was_told_on_any_timeline(
     pytest.importorskip("rerun", reason="Rerun isn't installed")
     from rerun.chunk import RrdReader
 
-    from geomosaic.recording.view import write_rrd
+    from geomosaic.recording.rerun.view import write_rrd
 
     path = tmp_path / "out.rrd"
     write_rrd(read_recording(scene), path)
@@ -248,7 +249,7 @@ def test_of_many_frames_the_worst_have_large_thumbnails_and_the_others_small_one
     pytest.importorskip("rerun", reason="Rerun isn't installed")
     from rerun.chunk import RrdReader
 
-    from geomosaic.recording.view import write_rrd
+    from geomosaic.recording.rerun.view import write_rrd
 
     names = [f"{k}.jpg" for k in range(300)]
     rng = np.random.default_rng(2)

@@ -26,10 +26,10 @@ from geomosaic.pipeline.artefacts import texts_in
 from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.runner import run
 from geomosaic.recording import Recorder, artefact_data, messages, read_recording
-from geomosaic.recording.fingerprints import altered_artefacts
-from geomosaic.recording.levels import LEVELS, RecordOptions
-from geomosaic.recording.privacy import Privacy
-from geomosaic.recording.run_kinds import Metric, Progress
+from geomosaic.recording.file.fingerprints import altered_artefacts
+from geomosaic.recording.file.levels import LEVELS, RecordOptions
+from geomosaic.recording.file.privacy import Privacy
+from geomosaic.recording.file.run_kinds import Metric, Progress
 from geomosaic.requests.option import option_of
 from geomosaic.requests.run_request import RunRequest
 
@@ -192,7 +192,7 @@ class _Canvas:
 
 def test_a_view_follows_a_recording_as_it_grows_and_ends_with_its_run(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="Rerun isn't installed")
-    from geomosaic.recording.live_run import follow
+    from geomosaic.recording.rerun.live_run import follow
 
     recorder, canvas = Recorder(tmp_path / "run.mcap"), _Canvas()
     recorder.begin_run(RECIPE, {}, {})
@@ -229,7 +229,7 @@ def test_a_viewer_that_is_not_there_makes_no_difference(
 def test_a_program_that_ends_before_its_viewer_says_nothing_of_it(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="Rerun isn't installed")
     script = (
-        "from pathlib import Path; from geomosaic.recording.live import watched\n"
+        "from pathlib import Path; from geomosaic.recording.rerun.live import watched\n"
         f"with watched(Path({str(tmp_path / 'run.mcap')!r}), live=True): pass"
     )
     environment = {**os.environ, "GEOMOSAIC_LIVE": "rerun+http://127.0.0.1:1/proxy"}

@@ -14,9 +14,9 @@ from rich.console import Console
 
 from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
 from geomosaic.recording import Recorder, compare, read_recording, summary
-from geomosaic.recording.difference_tables import show_difference
-from geomosaic.recording.reader import stage_messages
-from geomosaic.recording.tables import show_summary
+from geomosaic.recording.file.reader import stage_messages
+from geomosaic.recording.inspect.difference_tables import show_difference
+from geomosaic.recording.inspect.tables import show_summary
 
 LINE = np.arange(0, 4000, 8)
 DCOL = 0.5 + 0.25 * np.sin(LINE / 300.0)
@@ -113,7 +113,7 @@ def test_the_view_draws_them_over_the_lines(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="Rerun isn't installed")
     from rerun.chunk import RrdReader
 
-    from geomosaic.recording.view import write_rrd
+    from geomosaic.recording.rerun.view import write_rrd
 
     path = tmp_path / "out.rrd"
     write_rrd(read_recording(write(tmp_path / "run.mcap")), path)
@@ -247,8 +247,8 @@ def test_the_view_draws_what_is_left_under_the_offsets(tmp_path: Path) -> None:
     import rerun.blueprint as rrb
     from rerun.chunk import RrdReader
 
-    from geomosaic.recording.strip_view import strip_views
-    from geomosaic.recording.view import write_rrd
+    from geomosaic.recording.rerun.strip_view import strip_views
+    from geomosaic.recording.rerun.view import write_rrd
 
     recording = read_recording(write_left(tmp_path / "run.mcap"))
     first, second = strip_views(recording)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from geomosaic.recording.thumbnail import decoded, thumbnail
+from geomosaic.recording.file.thumbnail import decoded, thumbnail
 
 
 def claiming(width_px: int, height_px: int) -> bytes:

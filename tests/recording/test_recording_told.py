@@ -19,8 +19,8 @@ from geomosaic.pipeline.stage_recorder import StageRecorder
 from geomosaic.quality.ranking import worst_pairs
 from geomosaic.quality.solved_tables import pair_columns, tie_weights
 from geomosaic.recording import Recorder, messages
-from geomosaic.recording.chips import SIDE_PX, Cut, chip, cuts, shown
-from geomosaic.recording.run_kinds import Iteration
+from geomosaic.recording.file.chips import SIDE_PX, Cut, chip, cuts, shown
+from geomosaic.recording.file.run_kinds import Iteration
 from geomosaic.stages.reporting import record_steps
 
 

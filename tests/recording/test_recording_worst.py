@@ -14,8 +14,8 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.placement.model import Placement
-from geomosaic.recording.solved import Solved
-from geomosaic.recording.worst import _against_their_lines
+from geomosaic.recording.inspect.solved import Solved
+from geomosaic.recording.inspect.worst import _against_their_lines
 
 
 def _headed(poses: Poses, by_deg: dict[int, float]) -> Poses:

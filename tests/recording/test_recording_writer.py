@@ -43,7 +43,7 @@ from geomosaic.recording import (
     stage_messages,
     thumbnail,
 )
-from geomosaic.recording.run_kinds import Progress
+from geomosaic.recording.file.run_kinds import Progress
 
 
 @pytest.fixture(scope="module")

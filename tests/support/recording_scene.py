@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.recording import Recorder, thumbnail
-from geomosaic.recording.chips import SIDE_PX, chip, cuts
+from geomosaic.recording.file.chips import SIDE_PX, chip, cuts
 
 FRAMES = ("DJI_0001.JPG", "DJI_0002.JPG", "DJI_0003.JPG")
 CAMERA = Camera(

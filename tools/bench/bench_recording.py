@@ -24,7 +24,7 @@ from pathlib import Path
 
 from mcap.records import Message
 
-from geomosaic.recording.mcapfile import items, opened
+from geomosaic.recording.file.mcapfile import items, opened
 
 MOST_SHARE = 0.05
 MOST_MB_A_FRAME = 1.0
@@ -55,7 +55,7 @@ def within_s(arguments: list[str]) -> tuple[float, float]:
 def counted(arguments: list[str]) -> None:
     """Runs a command, and prints both. A call within a call counts once."""
     from geomosaic.cli.main import main as command
-    from geomosaic.recording.writer import STAGE_CALLS, Recorder
+    from geomosaic.recording.file.writer import STAGE_CALLS, Recorder
     from geomosaic.stages import chips
 
     here = threading.local()

@@ -74,19 +74,23 @@ def warm() -> None:
     names = [
         *("geomosaic.pipeline.runner", "geomosaic.pipeline.run_results", "geomosaic.pipeline.replayed_stage"),
         *(
-            "geomosaic.pipeline.recorded_solve",
-            "geomosaic.pipeline.moved_frames",
-            "geomosaic.recording.repair",
+            "geomosaic.recording.replay.recorded_solve",
+            "geomosaic.recording.replay.moved_frames",
+            "geomosaic.recording.file.repair",
         ),
-        *("geomosaic.recording.inspection_tables", "geomosaic.recording.difference_tables"),
-        *("geomosaic.recording.compare", "geomosaic.recording.pictures", "geomosaic.recording.worst"),
+        *("geomosaic.recording.inspect.inspection_tables", "geomosaic.recording.inspect.difference_tables"),
+        *(
+            "geomosaic.recording.inspect.compare",
+            "geomosaic.recording.inspect.pictures",
+            "geomosaic.recording.inspect.worst",
+        ),
         *("geomosaic.cli.main", "geomosaic.cli.app", "geomosaic.cli.plan", "geomosaic.cli.progress"),
         *("typer._adapters", "typer._click._textwrap", "typer._click.decorators"),
         *("scipy.ndimage", "scipy.optimize", "scipy.sparse.linalg", "scipy.spatial"),
         *("exifread", "defusedxml.ElementTree", "pydantic.type_adapter"),
         *("shellingham", "rich._emoji_codes", "encodings.cp437"),
         *(
-            ("rerun", "rerun.blueprint", "geomosaic.recording.view")
+            ("rerun", "rerun.blueprint", "geomosaic.recording.rerun.view")
             if importlib.util.find_spec("rerun")
             else ()
         ),

@@ -11,8 +11,8 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from geomosaic.recording.fingerprints import artefact_fingerprint, fingerprint_of_bytes
-from geomosaic.recording.run_kinds import Artefact, StageEvent
+from geomosaic.recording.file.fingerprints import artefact_fingerprint, fingerprint_of_bytes
+from geomosaic.recording.file.run_kinds import Artefact, StageEvent
 from tools.fuzz.fuzz_formats import artefact_parts, mcap_messages
 from tools.fuzz.fuzz_mutations import Nasty
 

@@ -30,8 +30,8 @@ from random import Random
 from mcap.records import Attachment, Message
 
 from geomosaic.recording import read_recording
-from geomosaic.recording.inspection import Inspection
-from geomosaic.recording.mcapfile import items, opened
+from geomosaic.recording.file.mcapfile import items, opened
+from geomosaic.recording.inspect.inspection import Inspection
 from tools.trials.chaos_changes import CHANGES, change, put_back
 from tools.trials.chaos_world import PROGRAM, Ended, Running, Trial, World, items_of, result_of
 from tools.trials.trial_box import changes, snapshot

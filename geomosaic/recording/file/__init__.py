@@ -1,0 +1,1 @@
+"""The MCAP file: kinds of messages, writer, reader, what is kept private."""

@@ -1,0 +1,1 @@
+"""A recorded run again: its artefacts, and frames that lie moved_frames or are gone."""

@@ -1,0 +1,1 @@
+"""A recording in Rerun, afterwards or while it grows."""
