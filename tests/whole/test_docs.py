@@ -270,6 +270,8 @@ def test_the_commands_of_the_other_pages_run(surveyed: Path, capsys: pytest.Capt
             more = [more[0], f"out{number}", *more[2:], *small.split()]
         if name in ("mosaic", "run", "replay"):
             more += ["--workers", "1"]
+        if name == "mosaic" and "--adjust" not in more:  # the guides run the bundle
+            more += ["--adjust", "least_squares"]
         commands[name, *more] = None
     assert {c[0] for c in commands} >= {"mosaic", "strips", "run", "replay", "inspect", "export", "simulate"}
     for argv in commands:
