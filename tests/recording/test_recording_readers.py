@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recording_scene import FRAMES, RECIPE, written
+from recording_scene import FRAMES, POSITIONS_M, RECIPE, written
 
 from geomosaic.errors import FileError, GeomosaicError, OutputError
 from geomosaic.quality.ranking import RESIDUAL, badness
@@ -23,6 +23,7 @@ from geomosaic.recording import Recorder, Recording, read_recording
 from geomosaic.recording.file.chips import Chip
 from geomosaic.recording.file.thumbnail import decoded, thumbnail
 from geomosaic.recording.rerun import viewer
+from geomosaic.recording.rerun.block_view import camera_lines
 from geomosaic.recording.rerun.list_view import frame_text, worst_frames
 from geomosaic.recording.rerun.plan_view import by_badness, frame_colours, frame_labels, names_apart
 
@@ -149,11 +150,27 @@ def test_the_view_is_a_sound_rrd_that_shows_what_was_told_on_any_timeline(
         else:
             assert "pick" in chunk.timeline_names
             picked[chunk.entity_path] += chunk.num_rows
-    for entity in ("/plan/footprints_adjusted", "/lists/pairs", "/lists/said", "/stages_drawn/bars"):
+    for entity in (
+        "/block/cameras",
+        "/block/ties",
+        "/plan/footprints_adjusted",
+        "/lists/pairs",
+        "/lists/said",
+        "/stages_drawn/bars",
+    ):
         assert still[entity] == 1, entity
     assert {"/steps_drawn/cost", "/steps_drawn/axes"} <= still.keys()
     assert picked["/worst_pair/image"] == 1 and picked["/worst_pair/kept"] == 1 and picked["/log"] == 2
     assert not [e for e in (*still, *picked) if "Geo" in e or e.startswith("/map")], "no map, so no network"
+
+
+def test_a_camera_is_drawn_where_it_is_and_looks_down(scene: Path) -> None:
+    shown = read_recording(scene)
+    lines = camera_lines(shown)
+    assert [line[2].tolist() for line in lines] == POSITIONS_M.tolist()
+    corners = lines[0][[0, 1, 3, 4]]
+    assert (corners[:, 2] < 100.0).all() and np.ptp(corners[:, 2]) < 1e-9, "a nadir image is level"
+    assert shown.clouds["ties"].shape == (3, 3)
 
 
 def test_a_view_takes_no_more_than_a_recording_can_hold(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from geomosaic.quality.ranking import worst_pairs
 from geomosaic.quality.solved_tables import pair_columns, tie_weights
 from geomosaic.recording import Recorder, messages
 from geomosaic.recording.file.chips import SIDE_PX, Cut, chip, cuts, shown
-from geomosaic.recording.file.run_kinds import Iteration
+from geomosaic.recording.file.pair_kinds import Iteration
 from geomosaic.stages.reporting import record_steps
 
 

@@ -162,6 +162,30 @@ def points(
     yield f"/points/{topic_part(what)}", stamped(cloud, captured_s)
 
 
+def _take_transform(recording: Recording, message: Any, at: At) -> None:
+    t, q = message.translation, message.rotation
+    place, turn = np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w])
+    if not np.isfinite(place).all() or not abs(np.linalg.norm(turn) - 1.0) < 1e-6:
+        raise ValueError("no transform")
+    recording.transforms[message.child_frame_id] = place, turn
+
+
+def _take_calibration(recording: Recording, message: Any, at: At) -> None:
+    f, _, col, _, _, row = list(message.K)[:6]
+    ends = np.array([[0, 0], [message.width, 0], [message.width, message.height], [0, message.height]]) - 0.5
+    if not np.isfinite([f, col, row]).all() or f == 0.0:
+        raise ValueError("no camera")
+    recording.corners[message.frame_id] = np.column_stack([(ends - [col, row]) / f, np.ones(4)])
+
+
+def _take_points(recording: Recording, message: Any, at: At) -> None:
+    stride, fields = message.point_stride, [f.name for f in message.fields]
+    if fields[:3] != list("xyz") or stride < 12 or stride % 4:
+        raise ValueError("no points")
+    values = np.frombuffer(message.data, "<f4").reshape(-1, stride // 4)
+    recording.clouds[at.name] = values[:, :3].astype(np.float64)
+
+
 def geojson(topic: str, features: Iterable[Mapping[str, Any]]) -> Topics:
     """GeoJSON features (dicts, lon and lat in degrees), e.g. of topic `/map/footprints`."""
     collection = {"type": "FeatureCollection", "features": list(features)}
@@ -189,8 +213,8 @@ FRAME_KINDS = (
     Kind(
         LocationFix, "/location/STATUS", calls=(location,), captured=True, parse=_location_of,
     ),
-    Kind(FrameTransform, "/tf", calls=(pose,), captured=True),
-    Kind(CameraCalibration, "/cameras/NAME", captured=True),
-    Kind(PointCloud, "/points/NAME", level="normal", calls=(points,), captured=True),
+    Kind(FrameTransform, "/tf", "block", calls=(pose,), take=_take_transform, captured=True),
+    Kind(CameraCalibration, "/cameras/NAME", "block", take=_take_calibration, captured=True),
+    Kind(PointCloud, "/points/NAME", "block", "normal", calls=(points,), take=_take_points, captured=True),
     Kind(GeoJSON, "/footprints/NAME, /map/strips", "plan of strips", calls=(geojson,), take=_take_geojson),
 )  # fmt: skip

@@ -189,8 +189,9 @@ class Recording:
 
     `problem` is empty for a whole file, else it says where the file ends or what is damaged. with_images:
     whether the other images are kept: JPEGs by topic and name, and chips with their `ChipTies`, worst first.
-    metrics, outlines: the latest of each name. strips_lonlat: outlines of CCD strips on the map. last_ns: of
-    the recording's clock.
+    metrics, outlines, clouds (points (n, 3)): the latest of each name. transforms, corners: of each frame the
+    projection centre (3,) and quaternion x, y, z, w from map, and rays (4, 3) to the image's corners.
+    strips_lonlat: outlines of CCD strips on the map. last_ns: of the recording's clock.
     """
 
     path: Path
@@ -210,6 +211,9 @@ class Recording:
     metrics: dict[str, Any] = field(default_factory=dict)
     outlines: dict[str, list[tuple[str, Floats]]] = field(default_factory=dict)
     strips_lonlat: list[tuple[str, Floats]] = field(default_factory=list)
+    clouds: dict[str, Floats] = field(default_factory=dict)
+    transforms: dict[str, tuple[Floats, Floats]] = field(default_factory=dict)
+    corners: dict[str, Floats] = field(default_factory=dict)
     images: dict[str, dict[str, bytes]] = field(default_factory=dict)
     chips: list[tuple[bytes, Any]] = field(default_factory=list)
     progress: StageProgress | None = None

@@ -1,7 +1,8 @@
-"""Kinds of messages of pairs of frames: misalignments, tie points, chips."""
+"""Kinds of messages of a solve and of pairs of frames: steps, misalignments, tie points, chips."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,58 @@ from geomosaic.recording.file.frame_kinds import image
 from geomosaic.recording.file.messages import At, Kind, Topics, own
 from geomosaic.recording.file.model import Recording, RoundOffsets
 from geomosaic.recording.file.plain import as_text, single, topic_part
+
+Iteration = own(
+    "Iteration",
+    # One step of a solve; `iteration` counts through all solves of a stage. `cost` is what is minimised,
+    # in cost_unit ("" for a sum of weighted squares), `sigma_px` the deviation of image coordinates,
+    # `step_m` the largest move of a frame. NaN where a method has no such thing.
+    "string stage",
+    "uint32 stage_index",
+    "uint32 iteration",
+    "string solve",
+    "double cost",
+    "string cost_unit",
+    "double sigma_px",
+    "double damping",
+    "double step_m",
+    "double share_down_weighted",
+)
+
+
+def iteration(
+    stage: str,
+    solve: str,
+    cost: float,
+    cost_unit: str = "",
+    sigma_px: float = np.nan,
+    damping: float = np.nan,
+    step_m: float = np.nan,
+    share_down_weighted: float = np.nan,
+) -> Topics:
+    """One step of a solve."""
+    message = Iteration(
+        stage=stage,
+        solve=solve,
+        cost=cost,
+        cost_unit=cost_unit,
+        sigma_px=sigma_px,
+        damping=damping,
+        step_m=step_m,
+        share_down_weighted=share_down_weighted,
+    )
+    yield f"/iterations/{topic_part(stage)}", message
+
+
+def _take_iteration(recording: Recording, message: Any, at: At) -> None:
+    """By the message's own names; None for what isn't finite."""
+    names = ("stage_index", "iteration", "solve", "cost_unit")
+    out: dict[str, Any] = {name: getattr(message, name) for name in names}
+    for name in ("cost", "sigma_px", "damping", "step_m", "share_down_weighted"):
+        value = getattr(message, name)
+        out[name] = value if math.isfinite(value) else None
+    recording.iterations.append(out)
+
 
 PairOffsets = own(
     "PairOffsets",
@@ -184,6 +237,7 @@ def _take_chip(recording: Recording, message: Any, at: At) -> None:
 
 
 PAIR_KINDS = (
+    Kind(Iteration, "/iterations/STAGE", "steps", calls=(iteration,), take=_take_iteration),
     Kind(PairOffsets, "/offsets/STAGE", calls=(offsets,), take=_take_offsets),
     Kind(TiePoints, "/tie_points", level="full", calls=(tie_points,)),
     Kind(ChipTies, "/chips/ties", "worst pairs", level="normal", calls=(chip,), take=_take_chip),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -251,65 +250,12 @@ def _take_outlines(recording: Recording, message: Any, at: At) -> None:
     recording.outlines[at.name] = list(zip(message.name, parts, strict=True))
 
 
-Iteration = own(
-    "Iteration",
-    # One step of a solve; `iteration` counts through all solves of a stage. `cost` is what is minimised,
-    # in cost_unit ("" for a sum of weighted squares), `sigma_px` the deviation of image coordinates,
-    # `step_m` the largest move of a frame. NaN where a method has no such thing.
-    "string stage",
-    "uint32 stage_index",
-    "uint32 iteration",
-    "string solve",
-    "double cost",
-    "string cost_unit",
-    "double sigma_px",
-    "double damping",
-    "double step_m",
-    "double share_down_weighted",
-)
-
-
-def iteration(
-    stage: str,
-    solve: str,
-    cost: float,
-    cost_unit: str = "",
-    sigma_px: float = np.nan,
-    damping: float = np.nan,
-    step_m: float = np.nan,
-    share_down_weighted: float = np.nan,
-) -> Topics:
-    """One step of a solve."""
-    message = Iteration(
-        stage=stage,
-        solve=solve,
-        cost=cost,
-        cost_unit=cost_unit,
-        sigma_px=sigma_px,
-        damping=damping,
-        step_m=step_m,
-        share_down_weighted=share_down_weighted,
-    )
-    yield f"/iterations/{topic_part(stage)}", message
-
-
-def _take_iteration(recording: Recording, message: Any, at: At) -> None:
-    """By the message's own names; None for what isn't finite."""
-    names = ("stage_index", "iteration", "solve", "cost_unit")
-    out: dict[str, Any] = {name: getattr(message, name) for name in names}
-    for name in ("cost", "sigma_px", "damping", "step_m", "share_down_weighted"):
-        value = getattr(message, name)
-        out[name] = value if math.isfinite(value) else None
-    recording.iterations.append(out)
-
-
 RUN_KINDS = (
     Kind(StageEvent, "/stages", "stages", take=_take_stage),
     Kind(Progress, "/progress", "verdict and warnings", take=_take_progress),
     Kind(Metric, "/metrics", "verdict and warnings", calls=(metric,), take=_take_metric),
     Kind(Table, "/tables/NAME", "plan, lists", calls=(table, camera), take=_take_table),
     Kind(Outlines, "/outlines/NAME", "plan", calls=(outlines,), take=_take_outlines),
-    Kind(Iteration, "/iterations/STAGE", "steps", calls=(iteration,), take=_take_iteration),
     Kind(Artefact, "/artefacts", level="normal", take=_take_artefact),
     Kind(Log, "/log", "log", calls=(log,), take=_take_log),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from geomosaic.recording.file.model import Recording
+from geomosaic.recording.rerun.block_view import BLOCK
 from geomosaic.recording.rerun.image_view import CHIP, FRAME, FRAME_TEXT, MOSAIC, STRIPS
 from geomosaic.recording.rerun.list_view import LISTS, PICK
 from geomosaic.recording.rerun.plan_view import NAME, PLAN
@@ -32,7 +33,10 @@ def _of_frames() -> Any:
 
     return rrb.Vertical(
         rrb.Horizontal(
-            rrb.Spatial2DView(origin=PLAN, name=NAME),
+            rrb.Tabs(
+                rrb.Spatial2DView(origin=PLAN, name=NAME),
+                rrb.Spatial3DView(origin=BLOCK, name="block: cameras, tie points, surface"),
+            ),
             rrb.Vertical(
                 rrb.Horizontal(
                     rrb.TextDocumentView(origin=f"{LISTS}/pairs", name="worst pairs"),

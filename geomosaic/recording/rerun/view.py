@@ -12,6 +12,7 @@ from typing import Any
 from geomosaic.errors import FileError, OutputError
 from geomosaic.recording.file.model import Recording
 from geomosaic.recording.file.reader import printable, read_recording
+from geomosaic.recording.rerun.block_view import draw_block
 from geomosaic.recording.rerun.image_view import draw_chips, draw_images, draw_picks, draw_thumbnails
 from geomosaic.recording.rerun.layout import layout
 from geomosaic.recording.rerun.list_view import PICK, draw_lists
@@ -25,7 +26,7 @@ LOG = "/log"
 _STAGE_WIDTH = 22
 
 _PARTS = (
-    *(draw_plan, draw_lists, draw_stages, draw_steps, draw_spectra),
+    *(draw_plan, draw_block, draw_lists, draw_stages, draw_steps, draw_spectra),
     *(draw_images, draw_chips, draw_picks, draw_strip_plan),
 )
 
