@@ -2,48 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
-
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.rig import Captures, RigPoses, register_bands
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.survey.model import Survey
 
 _DOUBTFUL_PX = 1.0
 
 
-class AdjustmentRig(Stage):
+class RigParams(StageParams):
+    """See each parameter's help."""
+
+    threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+
+@stage(
+    "adjustment.rig", "Register a rig's bands", group="Adjustment", version=2, outputs="rig",
+    wants_frames=True,
+)  # fmt: skip
+def adjustment_rig(survey: Survey, adjusted: Adjusted, params: RigParams, context: Context) -> RigPoses:
     """Finds each other band's turn against the frames' camera from all captures at once."""
-
-    id = "adjustment.rig"
-    display_name = "Register a rig's bands"
-    group = "Adjustment"
-    version = 2
-    wants_frames: ClassVar[bool] = True
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted}
-    outputs: ClassVar[dict[str, type]] = {"rig": RigPoses}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Registers, and reports how far apart the bands were and are."""
-        adjusted: Adjusted = inputs["adjusted"]
-        used = [status != "rejected" for status in adjusted.status]
-        captures = Captures(inputs["survey"], adjusted.poses, adjusted.cameras, used, adjusted.ground)
-        rig = register_bands(captures, params.threads, context.progress)
-        for band in rig.bands:
-            figures = {"places": band.places, "before_px": band.before_px, "after_px": band.after_px}
-            context.metric(f"bands.{band.name.replace('.', '_')}", figures)
-            if not np.isfinite(band.after_px):
-                text = f"band {band.name}: too little is alike in it to be registered; laid as its tags say"
-                context.warn("band-not-registered", "", text)
-            elif band.after_px > _DOUBTFUL_PX:
-                text = f"band {band.name}: its places are left {band.after_px:.1f} px apart in the median"
-                context.warn("band-doubtful", "", text)
-        return {"rig": rig}
+    used = [status != "rejected" for status in adjusted.status]
+    captures = Captures(survey, adjusted.poses, adjusted.cameras, used, adjusted.ground)
+    rig = register_bands(captures, params.threads, context.progress)
+    for band in rig.bands:
+        figures = {"places": band.places, "before_px": band.before_px, "after_px": band.after_px}
+        context.metric(f"bands.{band.name.replace('.', '_')}", figures)
+        if not np.isfinite(band.after_px):
+            text = f"band {band.name}: too little is alike in it to be registered; laid as its tags say"
+            context.warn("band-not-registered", "", text)
+        elif band.after_px > _DOUBTFUL_PX:
+            text = f"band {band.name}: its places are left {band.after_px:.1f} px apart in the median"
+            context.warn("band-doubtful", "", text)
+    return rig

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +10,8 @@ from geomosaic.ccd.gaps import gaps
 from geomosaic.ccd.joint import far_from_nominal
 from geomosaic.ccd.methods import METHODS
 from geomosaic.ccd.model import UNRELIABLE, CcdSettings, PairOffsets, StripOffsets
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.quality.strip_figures import common_lines
 from geomosaic.stages.strip_input import opened_strips
 from geomosaic.survey.strips import StripGeometry
@@ -20,116 +20,103 @@ _SETTINGS = CcdSettings()
 _RECORDED_LINES = 8
 
 
-class CcdOffsets(Stage):
+class OffsetsParams(StageParams):
+    """See each parameter's help."""
+
+    method: str = param("joint", help="how the offsets are found", choices=METHODS)
+    search_cols_px: int = param(
+        _SETTINGS.search_cols_px,
+        help="how far across they may be from the nominal ones",
+        unit="px",
+        ge=2,
+        le=64,
+    )
+    search_lines_px: int = param(
+        _SETTINGS.search_lines_px,
+        help="how far along they may be from the nominal ones",
+        unit="px",
+        ge=2,
+        le=200,
+    )
+    knot_lines: int = param(
+        _SETTINGS.knot_lines,
+        help="joint: lines between the knots of its curves, even; 0: every 5 ms",
+        unit="px",
+        ge=0,
+        le=256,
+    )
+    segment_lines: int = param(
+        _SETTINGS.segment_lines, help="piecewise_linear: lines of a segment", unit="px", ge=64, le=20000
+    )
+    enhance: bool = param(
+        _SETTINGS.enhance, help="piecewise_linear: stretch each segment's greys for matching"
+    )
+    ratio: float = param(_SETTINGS.ratio, help="SIFT: nearest distance to second, at most", ge=0.1, le=1.0)
+
+
+@stage("ccd.offsets", "Offsets between the strips", group="CCD strips", version=4, outputs="offsets")
+def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) -> StripOffsets:
     """Where the right strip of each pair sees what the left one sees."""
+    settings = CcdSettings(**params.model_dump(exclude={"method"}))
+    with opened_strips(strips) as opened:
+        pairs = METHODS[params.method](
+            opened, settings, lambda done, total: context.progress(done, total, "offsets")
+        )
+    if params.method == "virtual_line" and strips.dem is None:
+        text = "has no DEM: heights are unknown, and so are offsets by the model alone"
+        context.warn("dem-missing", "geometry", text)
+    for offsets in pairs:
+        _report(context, strips, offsets)
+    _record_gaps(context, strips, pairs)
+    far = far_from_nominal(strips, pairs)
+    if far is not None:
+        text = (
+            f"all that is seen lies {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal "
+            "geometry: clouds alone, or a wrong row_separation_lines"
+        )
+        context.warn("far-from-nominal", "", text)
+    context.metric("offsets.method", params.method)
+    return StripOffsets(params.method, pairs)
 
-    id = "ccd.offsets"
-    display_name = "Offsets between the strips"
-    group = "CCD strips"
-    version = 4
-    inputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
-    outputs: ClassVar[dict[str, type]] = {"offsets": StripOffsets}
 
-    class Params(StageParams):
-        """See each parameter's help."""
+def _record_gaps(context: Context, geometry: StripGeometry, pairs: Sequence[PairOffsets]) -> None:
+    found = [(offsets.pair, gap) for offsets in pairs for gap in gaps(offsets)]
+    names = ["" if ccd.path is None else ccd.path.name for ccd in geometry.ccds]
+    context.recorder.table(
+        "strips.bridged",
+        [names[pair] for pair, _ in found],
+        {
+            "pair": [pair for pair, _ in found],
+            "first_line": [gap.first_line for _, gap in found],
+            "last_line": [gap.last_line for _, gap in found],
+            "label": [gap.label for _, gap in found],
+            "largest_sd_px": [gap.largest_sd_px for _, gap in found],
+        },
+        others=[names[pair + 1] for pair, _ in found],
+        notes=[gap.why for _, gap in found],
+    )
 
-        method: str = param("joint", help="how the offsets are found", choices=METHODS)
-        search_cols_px: int = param(
-            _SETTINGS.search_cols_px,
-            help="how far across they may be from the nominal ones",
-            unit="px",
-            ge=2,
-            le=64,
-        )
-        search_lines_px: int = param(
-            _SETTINGS.search_lines_px,
-            help="how far along they may be from the nominal ones",
-            unit="px",
-            ge=2,
-            le=200,
-        )
-        knot_lines: int = param(
-            _SETTINGS.knot_lines,
-            help="joint: lines between the knots of its curves, even; 0: every 5 ms",
-            unit="px",
-            ge=0,
-            le=256,
-        )
-        segment_lines: int = param(
-            _SETTINGS.segment_lines, help="piecewise_linear: lines of a segment", unit="px", ge=64, le=20000
-        )
-        enhance: bool = param(
-            _SETTINGS.enhance, help="piecewise_linear: stretch each segment's greys for matching"
-        )
-        ratio: float = param(
-            _SETTINGS.ratio, help="SIFT: nearest distance to second, at most", ge=0.1, le=1.0
-        )
 
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """By the method asked for."""
-        geometry: StripGeometry = inputs["strips"]
-        settings = CcdSettings(**params.model_dump(exclude={"method"}))
-        with opened_strips(geometry) as strips:
-            pairs = METHODS[params.method](
-                strips, settings, lambda done, total: context.progress(done, total, "offsets")
-            )
-        if params.method == "virtual_line" and geometry.dem is None:
-            text = "has no DEM: heights are unknown, and so are offsets by the model alone"
-            context.warn("dem-missing", "geometry", text)
-        for offsets in pairs:
-            self._report(context, geometry, offsets)
-        self._record_gaps(context, geometry, pairs)
-        far = far_from_nominal(geometry, pairs)
-        if far is not None:
-            text = (
-                f"all that is seen lies {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal "
-                "geometry: clouds alone, or a wrong row_separation_lines"
-            )
-            context.warn("far-from-nominal", "", text)
-        context.metric("offsets.method", params.method)
-        return {"offsets": StripOffsets(params.method, pairs)}
-
-    @staticmethod
-    def _record_gaps(context: Context, geometry: StripGeometry, pairs: Sequence[PairOffsets]) -> None:
-        found = [(offsets.pair, gap) for offsets in pairs for gap in gaps(offsets)]
-        names = ["" if ccd.path is None else ccd.path.name for ccd in geometry.ccds]
-        context.recorder.table(
-            "strips.bridged",
-            [names[pair] for pair, _ in found],
-            {
-                "pair": [pair for pair, _ in found],
-                "first_line": [gap.first_line for _, gap in found],
-                "last_line": [gap.last_line for _, gap in found],
-                "label": [gap.label for _, gap in found],
-                "largest_sd_px": [gap.largest_sd_px for _, gap in found],
-            },
-            others=[names[pair + 1] for pair, _ in found],
-            notes=[gap.why for _, gap in found],
-        )
-
-    @staticmethod
-    def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> None:
-        left, right = (geometry.ccds[k].path for k in (offsets.pair, offsets.pair + 1))
-        assert left is not None
-        assert right is not None
-        unreliable = (offsets.label == UNRELIABLE)[common_lines(geometry, offsets.pair, offsets.dline_px)]
-        if not unreliable.size or unreliable.all():
-            text = f"its offsets to {right.name} are unknown: joined by a guess and the geometry"
-            context.warn("overlap-unmeasured", left.name, text)
-        elif unreliable.mean() > 0.1:
-            text = (
-                f"its offsets to {right.name} are unreliable on {100 * unreliable.mean():.0f} % of the lines"
-            )
-            context.warn("offsets-unreliable", left.name, text)
-        line = np.arange(0, len(offsets.label), _RECORDED_LINES)
-        context.recorder.strip_offsets(
-            pair=offsets.pair,
-            left=left.name,
-            right=right.name,
-            line=line,
-            dcol_px=offsets.dcol_px[line],
-            dline_px=offsets.dline_px[line],
-            sd_col_px=offsets.sd_col_px[line],
-            sd_line_px=offsets.sd_line_px[line],
-            label=offsets.label[line],
-        )
+def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> None:
+    left, right = (geometry.ccds[k].path for k in (offsets.pair, offsets.pair + 1))
+    assert left is not None
+    assert right is not None
+    unreliable = (offsets.label == UNRELIABLE)[common_lines(geometry, offsets.pair, offsets.dline_px)]
+    if not unreliable.size or unreliable.all():
+        text = f"its offsets to {right.name} are unknown: joined by a guess and the geometry"
+        context.warn("overlap-unmeasured", left.name, text)
+    elif unreliable.mean() > 0.1:
+        text = f"its offsets to {right.name} are unreliable on {100 * unreliable.mean():.0f} % of the lines"
+        context.warn("offsets-unreliable", left.name, text)
+    line = np.arange(0, len(offsets.label), _RECORDED_LINES)
+    context.recorder.strip_offsets(
+        pair=offsets.pair,
+        left=left.name,
+        right=right.name,
+        line=line,
+        dcol_px=offsets.dcol_px[line],
+        dline_px=offsets.dline_px[line],
+        sd_col_px=offsets.sd_col_px[line],
+        sd_line_px=offsets.sd_line_px[line],
+        label=offsets.label[line],
+    )

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import FileError
 from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, write_cog
-from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.report.glance import Glance, glance
 
@@ -19,56 +19,49 @@ MOSAIC = "mosaic.tif"
 _THUMBNAIL_PX = 1024
 
 
-class ExportCog(Stage):
+class CogParams(StageParams):
+    """See each parameter's help."""
+
+    compression: str = param(
+        "deflate",
+        help="deflate, zstd and lzw lose nothing, lerc no more than most_off; webp and jpeg are smaller",
+        choices=COMPRESSIONS,
+    )
+    quality: int = param(90, help="of webp and jpeg", unit="%", ge=1, le=100)
+    most_off: float = param(
+        0.0, help="by how much lerc may change a value", unit="grey levels", ge=0.0, le=65535.0
+    )
+    overviews: str = param("average", help="how overviews are resampled", choices=OVERVIEWS)
+    threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
+
+
+@stage(
+    "export.cog", "Write the mosaic as COG", group="Export", version=4, outputs="mosaic_file",
+    results=(MOSAIC,),
+)  # fmt: skip
+def export_cog(raster_file: RunFile, params: CogParams, context: Context) -> RunFile:
     """Writes mosaic.tif."""
-
-    id = "export.cog"
-    display_name = "Write the mosaic as COG"
-    group = "Export"
-    version = 4
-    inputs: ClassVar[dict[str, type]] = {"raster_file": RunFile}
-    outputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
-    results: ClassVar[tuple[str, ...]] = (MOSAIC,)
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        compression: str = param(
-            "deflate",
-            help="deflate, zstd and lzw lose nothing, lerc no more than most_off; webp and jpeg are smaller",
-            choices=COMPRESSIONS,
+    raster = _raster(raster_file, context)
+    with context.writing(MOSAIC) as path:
+        copied = write_cog(
+            raster,
+            path,
+            compression=params.compression,
+            quality=params.quality,
+            most_off=params.most_off,
+            overviews=params.overviews,
+            threads=params.threads,
+            progress=lambda done, total: context.progress(done, total, MOSAIC),
         )
-        quality: int = param(90, help="of webp and jpeg", unit="%", ge=1, le=100)
-        most_off: float = param(
-            0.0, help="by how much lerc may change a value", unit="grey levels", ge=0.0, le=65535.0
-        )
-        overviews: str = param("average", help="how overviews are resampled", choices=OVERVIEWS)
-        threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """From the raster in RUN/work, which is a COG already: as it is, or kept in another way."""
-        composed: RunFile = inputs["raster_file"]
-        raster = _raster(composed, context)
-        with context.writing(MOSAIC) as path:
-            copied = write_cog(
-                raster,
-                path,
-                compression=params.compression,
-                quality=params.quality,
-                most_off=params.most_off,
-                overviews=params.overviews,
-                threads=params.threads,
-                progress=lambda done, total: context.progress(done, total, MOSAIC),
-            )
-        path = context.run_folder / MOSAIC
-        small, on_map = _small(path)
-        context.recorder.image("/images/mosaic", "mosaic", thumbnail(small))
-        known = copied and raster == context.run_folder / composed.name
-        file = context.copied_file(MOSAIC, composed) if known else context.run_file(MOSAIC)
-        spare = context.optional_cache(Glance, str(path))
-        if on_map and spare.path is not None:  # for the report, while others judge
-            spare.leave(glance(path))
-        return {"mosaic_file": file}
+    path = context.run_folder / MOSAIC
+    small, on_map = _small(path)
+    context.recorder.image("/images/mosaic", "mosaic", thumbnail(small))
+    known = copied and raster == context.run_folder / raster_file.name
+    file = context.copied_file(MOSAIC, raster_file) if known else context.run_file(MOSAIC)
+    spare = context.optional_cache(Glance, str(path))
+    if on_map and spare.path is not None:  # for the report, while others judge
+        spare.leave(glance(path))
+    return file
 
 
 def _raster(composed: RunFile, context: Context) -> Path:

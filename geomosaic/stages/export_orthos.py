@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
-from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,7 +16,8 @@ from geomosaic.composition.tones import Tones
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS
 from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt
-from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import RESAMPLING
 from geomosaic.survey.model import Survey
@@ -27,82 +26,74 @@ ORTHOS = "orthos"
 VRT = "orthos.vrt"
 
 
-class ExportOrthos(Stage):
+class OrthosParams(StageParams):
+    """See each parameter's help."""
+
+    resampling: str = param(
+        AUTO,
+        help="how frames are resampled; auto: as for the mosaic, cubic without one",
+        choices=(AUTO, *RESAMPLING),
+    )
+    compression: str = param(
+        "deflate", help="as export.cog's; webp and jpeg are smaller", choices=COMPRESSIONS
+    )
+    quality: int = param(90, help="of webp and jpeg", unit="%", ge=1, le=100)
+    threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
+
+
+@stage(
+    "export.orthos", "Write the frames' orthos", group="Export", version=5, outputs="orthos_folder",
+    results=(ORTHOS,), wants_frames=True,
+)  # fmt: skip
+def export_orthos(
+    survey: Survey,
+    ground: GroundSurface,
+    adjusted: Adjusted,
+    ownership: Ownership,
+    params: OrthosParams,
+    context: Context,
+    rig: RigPoses | None = None,
+    tones: Tones | None = None,
+    mosaic: Mosaic | None = None,
+) -> RunFile:
     """Writes orthos/FRAME.tif, a COG with a mask of each frame in use, and orthos/orthos.vrt over them.
 
     On the mosaic's grid and in its tones, cut to its area; of a rig with all its bands. In the VRT the frames
     that give most of the mosaic lie on top.
     """
-
-    id = "export.orthos"
-    display_name = "Write the frames' orthos"
-    group = "Export"
-    version = 5
-    wants_frames: ClassVar[bool] = True
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey,
-        "ground": GroundSurface,
-        "adjusted": Adjusted,
-        "ownership": Ownership,
-    }
-    optional_inputs: ClassVar[dict[str, type]] = {"rig": RigPoses, "tones": Tones, "mosaic": Mosaic}
-    outputs: ClassVar[dict[str, type]] = {"orthos_folder": RunFile}
-    results: ClassVar[tuple[str, ...]] = (ORTHOS,)
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        resampling: str = param(
-            AUTO,
-            help="how frames are resampled; auto: as for the mosaic, cubic without one",
-            choices=(AUTO, *RESAMPLING),
-        )
-        compression: str = param(
-            "deflate", help="as export.cog's; webp and jpeg are smaller", choices=COMPRESSIONS
-        )
-        quality: int = param(90, help="of webp and jpeg", unit="%", ge=1, le=100)
-        threads: int = param(2, help="threads at work", ge=1, le=256, affects_output=False)
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Frame by frame, each by whoever is free."""
-        survey: Survey = inputs["survey"]
-        ownership: Ownership = inputs["ownership"]
-        mosaic: Mosaic | None = inputs.get("mosaic")
-        resampling = params.resampling
-        if resampling == AUTO:
-            resampling = "cubic" if mosaic is None else mosaic.resampling
-        names = ortho_names([f.name for f in survey.frames])
-        rig = inputs.get("rig", RigPoses())
-        if survey.other_bands and not rig.bands:
-            text = (
-                f"orthos show only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
-            )
-            context.warn("bands-left-out", "", text)
-        plan = plan_orthos(
-            survey, inputs["adjusted"], inputs["ground"], ownership,
-            rig=rig, resampling=resampling, tones=inputs.get("tones"),
-        )  # fmt: skip
-        style = OrthoStyle(
-            plan.warping, plan.area, plan.names, params.compression, params.quality, params.threads,
-            context.work_folder,
-        )  # fmt: skip
-        cells = np.bincount(ownership.owner.ravel(), minlength=len(survey.frames) + 1)[1:]
-        written = []
-        make, frames = partial(ortho_file, style), list(plan.frames.values())
-        with (
-            context.spooled("orthos", make, frames, list(plan.frames)) as made,
-            context.writing(ORTHOS) as folder,
-        ):
-            folder.mkdir()
-            for number, one in zip(plan.frames, made, strict=True):
-                context.check_cancelled()
-                if cog := one.load().cog:
-                    (folder / names[number]).write_bytes(cog)
-                    written.append((int(cells[number]), -number))
-            if not written:
-                problem = "no frame shows anything of the mosaic's area"
-                raise InputError(problem, fix="run the recipe again")
-            lowest_first = [folder / names[-number] for _, number in sorted(written)]
-            write_orthos_vrt(lowest_first, folder / VRT)
-        context.metric("orthos.frames", len(written))
-        return {"orthos_folder": context.run_file(ORTHOS)}
+    resampling = params.resampling
+    if resampling == AUTO:
+        resampling = "cubic" if mosaic is None else mosaic.resampling
+    names = ortho_names([f.name for f in survey.frames])
+    rig = rig or RigPoses()
+    if survey.other_bands and not rig.bands:
+        text = f"orthos show only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
+        context.warn("bands-left-out", "", text)
+    plan = plan_orthos(
+        survey, adjusted, ground, ownership,
+        rig=rig, resampling=resampling, tones=tones,
+    )  # fmt: skip
+    style = OrthoStyle(
+        plan.warping, plan.area, plan.names, params.compression, params.quality, params.threads,
+        context.work_folder,
+    )  # fmt: skip
+    cells = np.bincount(ownership.owner.ravel(), minlength=len(survey.frames) + 1)[1:]
+    written = []
+    make, frames = partial(ortho_file, style), list(plan.frames.values())
+    with (
+        context.spooled("orthos", make, frames, list(plan.frames)) as made,
+        context.writing(ORTHOS) as folder,
+    ):
+        folder.mkdir()
+        for number, one in zip(plan.frames, made, strict=True):
+            context.check_cancelled()
+            if cog := one.load().cog:
+                (folder / names[number]).write_bytes(cog)
+                written.append((int(cells[number]), -number))
+        if not written:
+            problem = "no frame shows anything of the mosaic's area"
+            raise InputError(problem, fix="run the recipe again")
+        lowest_first = [folder / names[-number] for _, number in sorted(written)]
+        write_orthos_vrt(lowest_first, folder / VRT)
+    context.metric("orthos.frames", len(written))
+    return context.run_file(ORTHOS)

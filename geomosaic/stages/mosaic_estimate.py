@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
-
 import numpy as np
 import shapely
 
@@ -12,7 +9,8 @@ from geomosaic.composition.estimate import before_composing, estimate
 from geomosaic.composition.frames import decoded_bytes
 from geomosaic.composition.grid import output_grid, stretching
 from geomosaic.composition.views import seen_part
-from geomosaic.pipeline.stage import Context, Stage
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
@@ -23,74 +21,59 @@ from geomosaic.stages.surface_dense import SurfaceDense
 from geomosaic.survey.model import Survey
 
 
-class MosaicEstimate(Stage):
+@stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=2, cached=False, looks_ahead=True)
+def mosaic_estimate(
+    survey: Survey, prior_ground: GroundSurface, prior_placement: Placement, context: Context
+) -> None:
     """Refuses a mosaic that is too large, or that the disk has no room for, and names who stretches it.
 
     The pixel and the limit are mosaic.seams', the memory mosaic.compose's. It runs every time: the disk's
     room is of today.
     """
-
-    id = "mosaic.estimate"
-    display_name = "Estimate the mosaic"
-    group = "Mosaic"
-    version = 2
-    cached = False
-    looks_ahead = True
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
-    }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {}
-
-    def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
-        """From where the frames lie by their positions."""
-        survey: Survey = inputs["survey"]
-        placement: Placement = inputs["prior_placement"]
-        compose, seams = params_of(context, MosaicCompose), params_of(context, MosaicSeams)
-        names = [f.name for f in survey.frames]
-        cameras = [survey.camera_of(i) for i in range(len(names))]
-        ground = inputs["prior_ground"]
-        if not any(survey.located):
-            context.inform("no frame has a position: how large the mosaic will be only the images can show")
-            return {}
-        own_m = placement.ground_pixel_m
-        gsd_m, origin_m = laid_pixel(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
-        seeing = Seeing(survey, placement.poses, cameras, survey.located, ground)
-        limits = seeing.limits(seams.edges, max(gsd_m, own_m))
-        extent = laid_extent(seams.aoi, survey.map_crs, seeing.views())
-        views = extent.views
-        if limits is not None:
-            well = seeing.views(limits)
-            views = (well if extent.area is None else extent.area.seen_by(well)) or views
-        grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels, origin_m)
-        outlines = [seen_part(v.pose, v.camera, ground, limits).points_m[:, :2] for v in views]
-        seen = shapely.union_all([shapely.convex_hull(shapely.MultiPoint(o)) for o in outlines])
-        seen_m2 = float(seen.area)
-        if extent.area is not None:
-            seen_m2 = min(seen_m2, float(extent.area.geometry.area))
-        first = survey.frames[views[0].frame]
-        pixel_bytes = first.bands * np.dtype(first.dtype).itemsize
-        memory = float(context.workers * max(map(decoded_bytes, survey.frames)))
-        sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
-        before = before_composing(sizes_px, len(placement.pairs), context.workers, memory)
-        dense = in_recipe(context, SurfaceDense)
-        expected = estimate(
-            grid.width_px,
-            grid.height_px,
-            gsd_m,
-            filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
-            pixel_bytes=pixel_bytes,
-            sources=compose.sources,
-            surface_cell_px=params_of(context, SurfaceDense).cell_px if dense else None,
-            before=before,
-            threads=context.workers,
+    compose, seams = params_of(context, MosaicCompose), params_of(context, MosaicSeams)
+    names = [f.name for f in survey.frames]
+    cameras = [survey.camera_of(i) for i in range(len(names))]
+    if not any(survey.located):
+        context.inform("no frame has a position: how large the mosaic will be only the images can show")
+        return
+    own_m = prior_placement.ground_pixel_m
+    gsd_m, origin_m = laid_pixel(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
+    seeing = Seeing(survey, prior_placement.poses, cameras, survey.located, prior_ground)
+    limits = seeing.limits(seams.edges, max(gsd_m, own_m))
+    extent = laid_extent(seams.aoi, survey.map_crs, seeing.views())
+    views = extent.views
+    if limits is not None:
+        well = seeing.views(limits)
+        views = (well if extent.area is None else extent.area.seen_by(well)) or views
+    grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels, origin_m)
+    outlines = [seen_part(v.pose, v.camera, prior_ground, limits).points_m[:, :2] for v in views]
+    seen = shapely.union_all([shapely.convex_hull(shapely.MultiPoint(o)) for o in outlines])
+    seen_m2 = float(seen.area)
+    if extent.area is not None:
+        seen_m2 = min(seen_m2, float(extent.area.geometry.area))
+    first = survey.frames[views[0].frame]
+    pixel_bytes = first.bands * np.dtype(first.dtype).itemsize
+    memory = float(context.workers * max(map(decoded_bytes, survey.frames)))
+    sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
+    before = before_composing(sizes_px, len(prior_placement.pairs), context.workers, memory)
+    dense = in_recipe(context, SurfaceDense)
+    expected = estimate(
+        grid.width_px,
+        grid.height_px,
+        gsd_m,
+        filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
+        pixel_bytes=pixel_bytes,
+        sources=compose.sources,
+        surface_cell_px=params_of(context, SurfaceDense).cell_px if dense else None,
+        before=before,
+        threads=context.workers,
+    )
+    if (far := stretching(views, gsd_m)) is not None:
+        view, share = far
+        context.warn(
+            "mosaic-stretched",
+            names[view.frame],
+            f"lies so far out that without it the mosaic would have {100.0 * share:.2g} % of its size; "
+            "check its position and height",
         )
-        if (far := stretching(views, gsd_m)) is not None:
-            view, share = far
-            context.warn(
-                "mosaic-stretched",
-                names[view.frame],
-                f"lies so far out that without it the mosaic would have {100.0 * share:.2g} % of its size; "
-                "check its position and height",
-            )
-        report_estimate(context, expected)
-        return {}
+    report_estimate(context, expected)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled, solve_tones
 from geomosaic.errors import InputError
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_grid import TRIM, Seeing
 from geomosaic.survey.model import Survey
@@ -20,76 +20,64 @@ from geomosaic.survey.small import Small
 _EVEN = ("auto", "always", "never")
 
 
-class MosaicTones(Stage):
+class TonesParams(StageParams):
+    """See each parameter's help."""
+
+    even: str = param(
+        "auto",
+        help="exposure, white balance and vignetting evened out; auto: of images of 8 bits, not of a "
+        "rig's bands or of measured values",
+        choices=_EVEN,
+    )
+
+
+@stage("mosaic.tones", "Even the tones", group="Mosaic", version=8, outputs="tones")
+def mosaic_tones(
+    survey: Survey, ground: GroundSurface, adjusted: Adjusted, params: TonesParams, context: Context
+) -> Tones:
     """Solves for each frame's exposure, white balance and fall of light, and each camera's vignette."""
-
-    id = "mosaic.tones"
-    display_name = "Even the tones"
-    group = "Mosaic"
-    version = 8
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "ground": GroundSurface, "adjusted": Adjusted}
-    outputs: ClassVar[dict[str, type]] = {"tones": Tones}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        even: str = param(
-            "auto",
-            help="exposure, white balance and vignetting evened out; auto: of images of 8 bits, not of a "
-            "rig's bands or of measured values",
-            choices=_EVEN,
+    frames = survey.frames
+    n, bands = len(frames), max((f.bands for f in frames), default=1)
+    none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)), np.zeros((n, bands, 2)))
+    if survey.other_bands and params.even == "always":
+        raise InputError(
+            "a rig's bands are measured values, and each would need tones of its own",
+            fix="leave mosaic.tones.even at auto or never",
         )
+    alike = all(f.bands == bands for f in frames)
+    images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands
+    if not alike or params.even == "never" or (params.even == "auto" and not images):
+        return none
+    used = [s != "rejected" for s in adjusted.status]
+    frames_on_map = Seeing(survey, adjusted.poses, adjusted.cameras, used, ground)
+    views = frames_on_map.views(frames_on_map.limits(TRIM, frames_on_map.pixel_m))
+    if len(views) < 2:
+        return none
+    places = lattice(views, survey.map_crs, survey.work_frame, ground)
+    values = _values(survey, places, bands, context)
+    number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
+    tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images)
+    columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
+    slopes = {
+        f"slope_log_{axis}_{k + 1}": tones.slope[:, k, i] for k in range(bands) for i, axis in enumerate("xy")
+    }
+    context.recorder.table("tones", [f.name for f in frames], columns | slopes)
+    context.metric("tones.difference_grey", asdict(evenness))
+    context.metric("tones.bend_towards_white", bool(np.isfinite(tones.white)))
+    context.metric("tones.gain_sd", float(tones.gain.std()))
+    return tones
 
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Samples the frames where they overlap, solves, and reports how far they differ."""
-        survey: Survey = inputs["survey"]
-        adjusted: Adjusted = inputs["adjusted"]
-        frames, ground = survey.frames, inputs["ground"]
-        n, bands = len(frames), max((f.bands for f in frames), default=1)
-        none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)), np.zeros((n, bands, 2)))
-        if survey.other_bands and params.even == "always":
-            raise InputError(
-                "a rig's bands are measured values, and each would need tones of its own",
-                fix="leave mosaic.tones.even at auto or never",
-            )
-        alike = all(f.bands == bands for f in frames)
-        images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands
-        if not alike or params.even == "never" or (params.even == "auto" and not images):
-            return {"tones": none}
-        used = [s != "rejected" for s in adjusted.status]
-        frames_on_map = Seeing(survey, adjusted.poses, adjusted.cameras, used, ground)
-        views = frames_on_map.views(frames_on_map.limits(TRIM, frames_on_map.pixel_m))
-        if len(views) < 2:
-            return {"tones": none}
-        places = lattice(views, survey.map_crs, survey.work_frame, ground)
-        values = self._values(survey, places, bands, context)
-        number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
-        tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images)
-        columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
-        slopes = {
-            f"slope_log_{axis}_{k + 1}": tones.slope[:, k, i]
-            for k in range(bands)
-            for i, axis in enumerate("xy")
-        }
-        context.recorder.table("tones", [f.name for f in frames], columns | slopes)
-        context.metric("tones.difference_grey", asdict(evenness))
-        context.metric("tones.bend_towards_white", bool(np.isfinite(tones.white)))
-        context.metric("tones.gain_sd", float(tones.gain.std()))
-        return {"tones": tones}
 
-    @staticmethod
-    def _values(survey: Survey, places: ToneSightings, bands: int, context: Context) -> np.ndarray[Any, Any]:
-        """Of all sightings, (m, b)."""
-        seen = np.unique(places.frame).tolist()
-        mine = [np.flatnonzero(places.frame == i) for i in seen]
-        jobs = [
-            Sampling(
-                survey.frames[i], places.image_px[m], context.optional_cache(Small, survey.frames[i].path)
-            )
-            for i, m in zip(seen, mine, strict=True)
-        ]
-        found = context.map("tones", sampled, jobs, keys=seen)
-        values = np.full((len(places.frame), bands), np.nan, dtype=np.float32)
-        for m, samples in zip(mine, found, strict=True):
-            values[m] = samples.values
-        return values
+def _values(survey: Survey, places: ToneSightings, bands: int, context: Context) -> np.ndarray[Any, Any]:
+    """Of all sightings, (m, b)."""
+    seen = np.unique(places.frame).tolist()
+    mine = [np.flatnonzero(places.frame == i) for i in seen]
+    jobs = [
+        Sampling(survey.frames[i], places.image_px[m], context.optional_cache(Small, survey.frames[i].path))
+        for i, m in zip(seen, mine, strict=True)
+    ]
+    found = context.map("tones", sampled, jobs, keys=seen)
+    values = np.full((len(places.frame), bands), np.nan, dtype=np.float32)
+    for m, samples in zip(mine, found, strict=True):
+        values[m] = samples.values
+    return values

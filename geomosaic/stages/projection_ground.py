@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.heights import (
     FlyingHeight,
     frame_heights_m,
@@ -30,99 +30,94 @@ _MOST_FLAT_REACH = 3.0
 _NODE_PX = 4.0  # ground pixels between the nodes of a surface: edges of walls are no sharper in a mosaic
 
 
-class ProjectionGround(Stage):
+class GroundParams(StageParams):
+    """See each parameter's help."""
+
+    height_m: float | Literal["auto"] = param(
+        "auto",
+        help="ellipsoidal height of flat ground; auto: from the frames' heights",
+        unit="m",
+        ge=-500,
+        le=9000,
+    )
+
+
+@stage(
+    "projection.ground", "Make the ground surface", group="Projection", version=6,
+    outputs=("prior_ground", "levelled_survey"),
+    formerly={"prior_ground": "ground", "levelled_survey": "survey"},
+)  # fmt: skip
+def projection_ground(
+    survey: Survey, params: GroundParams, context: Context, flying_height: FlyingHeight | None = None
+) -> tuple[GroundSurface, Survey]:
     """Makes the surface that all rays are projected on."""
+    height = params.height_m if params.height_m != "auto" else ground_height_m(survey.frames)
+    if not any(survey.located):
+        survey, level = with_any_height(survey)
+        height = level if params.height_m == "auto" else height
+    elif survey.elevation is None and height is None:
+        survey, height = _as_measured(survey, flying_height, context)
+    positions = _places(survey)
+    enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]
+    if survey.elevation is not None:
+        ground = _dem(survey, enu, context)
+        context.recorder.log("info", f"ground from {survey.elevation.path}, {survey.elevation.vertical}")
+    else:
+        level = float(height or 0.0)
+        top = frame_heights_m(survey.frames, np.full(len(survey.frames), level))
+        reach = _reach_m(survey, top - level)
+        ground = flat_ground(survey.work_frame, level, float(np.abs(enu).max()) + reach)
+        context.recorder.log("info", f"flat ground at {level:.2f} m above the ellipsoid")
+    context.metric("ground.kind", ground.kind)
+    return ground, survey
 
-    id = "projection.ground"
-    display_name = "Make the ground surface"
-    group = "Projection"
-    version = 6
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey}
-    optional_inputs: ClassVar[dict[str, type]] = {"flying_height": FlyingHeight}
-    outputs: ClassVar[dict[str, type]] = {"prior_ground": GroundSurface, "levelled_survey": Survey}
-    formerly: ClassVar[dict[str, str]] = {"prior_ground": "ground", "levelled_survey": "survey"}
 
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        height_m: float | Literal["auto"] = param(
-            "auto",
-            help="ellipsoidal height of flat ground; auto: from the frames' heights",
-            unit="m",
-            ge=-500,
-            le=9000,
+def _as_measured(survey: Survey, flown: FlyingHeight | None, context: Context) -> tuple[Survey, float]:
+    """The survey at the height that its images say, and the ground's, where nothing else says it."""
+    if flown is None or not np.isfinite(flown.above_ground_m):
+        unasked = "nothing measured it" if flown is None else "their images don't say"
+        stage = ", or put matching.flying_height before projection.ground" if flown is None else ""
+        raise InputError(
+            f"how high the frames flew above the ground is unknown, and {unasked}",
+            file=survey.frames[0].path,
+            fix=f"give --dem, or the ground's height with --ground-height METRES{stage}",
         )
+    above = flown.above_ground_m
+    context.warn(
+        "height-estimated", "", f"flying height taken from the images: {above:.0f} m above the ground"
+    )
+    return with_heights_above_ground(survey, above)
 
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """A DEM's relief around the frames, or the surface of one height; and the survey, whose frames have
-        heights that go with it where nothing gave them."""
-        survey: Survey = inputs["survey"]
-        height = params.height_m if params.height_m != "auto" else ground_height_m(survey.frames)
-        if not any(survey.located):
-            survey, level = with_any_height(survey)
-            height = level if params.height_m == "auto" else height
-        elif survey.elevation is None and height is None:
-            survey, height = self._as_measured(survey, inputs.get("flying_height"), context)
-        positions = _places(survey)
-        enu = survey.work_frame.enu_from_geodetic(positions[:, 0], positions[:, 1], 0.0)[:, :2]
-        if survey.elevation is not None:
-            ground = self._dem(survey, enu, context)
-            context.recorder.log("info", f"ground from {survey.elevation.path}, {survey.elevation.vertical}")
-        else:
-            level = float(height or 0.0)
-            top = frame_heights_m(survey.frames, np.full(len(survey.frames), level))
-            reach = self._reach_m(survey, top - level)
-            ground = flat_ground(survey.work_frame, level, float(np.abs(enu).max()) + reach)
-            context.recorder.log("info", f"flat ground at {level:.2f} m above the ellipsoid")
-        context.metric("ground.kind", ground.kind)
-        return {"prior_ground": ground, "levelled_survey": survey}
 
-    @staticmethod
-    def _as_measured(survey: Survey, flown: FlyingHeight | None, context: Context) -> tuple[Survey, float]:
-        """The survey at the height that its images say, and the ground's, where nothing else says it."""
-        if flown is None or not np.isfinite(flown.above_ground_m):
-            unasked = "nothing measured it" if flown is None else "their images don't say"
-            stage = ", or put matching.flying_height before projection.ground" if flown is None else ""
-            raise InputError(
-                f"how high the frames flew above the ground is unknown, and {unasked}",
-                file=survey.frames[0].path,
-                fix=f"give --dem, or the ground's height with --ground-height METRES{stage}",
-            )
-        above = flown.above_ground_m
-        context.warn(
-            "height-estimated", "", f"flying height taken from the images: {above:.0f} m above the ground"
-        )
-        return with_heights_above_ground(survey, above)
+def _reach_m(survey: Survey, heights_above_m: Floats) -> float:
+    """How far from the nadir points a survey looks: three times a level frame's half extent."""
+    known = heights_above_m[np.isfinite(heights_above_m)]
+    height = float(known.max()) if known.size else 100.0
+    return _MOST_FLAT_REACH * max(half_extent_m(c, max(height, 1.0)) for c in survey.cameras)
 
-    @staticmethod
-    def _reach_m(survey: Survey, heights_above_m: Floats) -> float:
-        """How far from the nadir points a survey looks: three times a level frame's half extent."""
-        known = heights_above_m[np.isfinite(heights_above_m)]
-        height = float(known.max()) if known.size else 100.0
-        return _MOST_FLAT_REACH * max(half_extent_m(c, max(height, 1.0)) for c in survey.cameras)
 
-    def _dem(self, survey: Survey, enu: Floats, context: Context) -> GroundSurface:
-        assert survey.elevation is not None
-        projection = MapProjection(dem_crs(survey.elevation))
-        at = _places(survey)
-        xy = projection.map_from_geodetic(at[:, 0], at[:, 1])
-        near = read_heights(survey.elevation, (*xy.min(axis=0), *xy.max(axis=0)))
-        below = near.at(xy[:, 0], xy[:, 1])
-        low = float(np.nanmin(near.height_ellipsoidal_m, initial=np.nanmin(below)))
-        above = frame_heights_m(survey.frames, below[: len(survey.frames)]) - low
-        reach = self._reach_m(survey, above)
-        corners = np.array([[e, n] for e in (enu[:, 0].min() - reach, enu[:, 0].max() + reach)
-                            for n in (enu[:, 1].min() - reach, enu[:, 1].max() + reach)])  # fmt: skip
-        lonlat = survey.work_frame.geodetic_from_enu(np.column_stack([corners, np.zeros(4)]))
-        box = projection.map_from_geodetic(lonlat[:, 0], lonlat[:, 1])
-        metres = float(np.linalg.norm(corners[3] - corners[0]) / np.linalg.norm(box[3] - box[0]))
-        finest_m = _NODE_PX * ground_pixel_m(survey.cameras, above)
-        raster = read_heights(survey.elevation, (*box.min(axis=0), *box.max(axis=0)), finest_m / metres)
-        if raster.outliers:
-            warning = outliers_warning(raster.outliers, Path(survey.elevation.path))
-            context.warn(warning.code, warning.frame, warning.text)
-        spacing = max(finest_m, float(raster.pixel_y * metres))
-        return relief(survey.work_frame, raster, corners[0], corners[3], spacing)
+def _dem(survey: Survey, enu: Floats, context: Context) -> GroundSurface:
+    assert survey.elevation is not None
+    projection = MapProjection(dem_crs(survey.elevation))
+    at = _places(survey)
+    xy = projection.map_from_geodetic(at[:, 0], at[:, 1])
+    near = read_heights(survey.elevation, (*xy.min(axis=0), *xy.max(axis=0)))
+    below = near.at(xy[:, 0], xy[:, 1])
+    low = float(np.nanmin(near.height_ellipsoidal_m, initial=np.nanmin(below)))
+    above = frame_heights_m(survey.frames, below[: len(survey.frames)]) - low
+    reach = _reach_m(survey, above)
+    corners = np.array([[e, n] for e in (enu[:, 0].min() - reach, enu[:, 0].max() + reach)
+                        for n in (enu[:, 1].min() - reach, enu[:, 1].max() + reach)])  # fmt: skip
+    lonlat = survey.work_frame.geodetic_from_enu(np.column_stack([corners, np.zeros(4)]))
+    box = projection.map_from_geodetic(lonlat[:, 0], lonlat[:, 1])
+    metres = float(np.linalg.norm(corners[3] - corners[0]) / np.linalg.norm(box[3] - box[0]))
+    finest_m = _NODE_PX * ground_pixel_m(survey.cameras, above)
+    raster = read_heights(survey.elevation, (*box.min(axis=0), *box.max(axis=0)), finest_m / metres)
+    if raster.outliers:
+        warning = outliers_warning(raster.outliers, Path(survey.elevation.path))
+        context.warn(warning.code, warning.frame, warning.text)
+    spacing = max(finest_m, float(raster.pixel_y * metres))
+    return relief(survey.work_frame, raster, corners[0], corners[3], spacing)
 
 
 def _places(survey: Survey) -> Floats:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, ClassVar
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.ownership import Ownership
 from geomosaic.export.accuracy import write_accuracy
 from geomosaic.export.cog import write_cog
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.accuracy_grid import (
     AccuracyBlock,
@@ -31,67 +31,65 @@ from geomosaic.survey.model import Survey
 ACCURACY = "accuracy.tif"
 
 
-class QualityAccuracy(Stage):
+class AccuracyParams(StageParams):
+    """See each parameter's help."""
+
+    cell_px: int = param(16, help="side of a cell of the raster", unit="mosaic pixels", ge=1, le=4096)
+    threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
+
+
+@stage(
+    "quality.accuracy", "Write the accuracy raster", group="Quality", version=2, outputs="accuracy_file",
+    results=(ACCURACY,),
+)  # fmt: skip
+def quality_accuracy(
+    survey: Survey,
+    ground: GroundSurface,
+    ties: TiePoints,
+    adjusted: Adjusted,
+    ownership: Ownership,
+    params: AccuracyParams,
+    context: Context,
+    surface: DenseSurface | None = None,
+    terrain: TerrainModel | None = None,
+) -> RunFile:
     """Writes accuracy.tif on the mosaic's grid, coarser."""
+    cells = AccuracyCells(
+        ownership,
+        params.cell_px,
+        survey.work_frame,
+        adjusted,
+        ground,
+        held_by_ties(adjusted, ties, survey.work_frame, survey.map_crs),
+        _matched(ground, surface, terrain),
+    )
 
-    id = "quality.accuracy"
-    display_name = "Write the accuracy raster"
-    group = "Quality"
-    version = 2
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted,
-        "ownership": Ownership,
-    }  # fmt: skip
-    optional_inputs: ClassVar[dict[str, type]] = {"surface": DenseSurface, "terrain": TerrainModel}
-    outputs: ClassVar[dict[str, type]] = {"accuracy_file": RunFile}
-    results: ClassVar[tuple[str, ...]] = (ACCURACY,)
+    def blocks() -> Iterator[AccuracyBlock]:
+        for block in cells.blocks():
+            context.check_cancelled()
+            yield block
 
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        cell_px: int = param(16, help="side of a cell of the raster", unit="mosaic pixels", ge=1, le=4096)
-        threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Block by block, then as a COG."""
-        survey: Survey = inputs["survey"]
-        adjusted: Adjusted = inputs["adjusted"]
-        cells = AccuracyCells(
-            inputs["ownership"],
-            params.cell_px,
-            survey.work_frame,
-            adjusted,
-            inputs["ground"],
-            held_by_ties(adjusted, inputs["ties"], survey.work_frame, survey.map_crs),
-            _matched(inputs),
-        )
-
-        def blocks() -> Iterator[AccuracyBlock]:
-            for block in cells.blocks():
-                context.check_cancelled()
-                yield block
-
-        with TemporaryDirectory(dir=context.work_folder) as scratch:
-            plain = Path(scratch) / ACCURACY
-            summary = write_accuracy(plain, cells.grid, blocks())
-            with context.writing(ACCURACY) as path:
-                write_cog(plain, path, overviews="nearest", threads=params.threads)
-        for name, (median_m, most_m) in (
-            ("horizontal", summary.horizontal_m),
-            ("vertical", summary.vertical_m),
-        ):
-            context.metric(f"accuracy.{name}_median_m", _known(median_m))
-            context.metric(f"accuracy.{name}_95_m", _known(most_m))
-        for source in HeightSource:
-            context.metric(f"accuracy.share.{source.name.lower()}", summary.shares[source])
-        return {"accuracy_file": context.run_file(ACCURACY)}
+    with TemporaryDirectory(dir=context.work_folder) as scratch:
+        plain = Path(scratch) / ACCURACY
+        summary = write_accuracy(plain, cells.grid, blocks())
+        with context.writing(ACCURACY) as path:
+            write_cog(plain, path, overviews="nearest", threads=params.threads)
+    for name, (median_m, most_m) in (
+        ("horizontal", summary.horizontal_m),
+        ("vertical", summary.vertical_m),
+    ):
+        context.metric(f"accuracy.{name}_median_m", _known(median_m))
+        context.metric(f"accuracy.{name}_95_m", _known(most_m))
+    for source in HeightSource:
+        context.metric(f"accuracy.share.{source.name.lower()}", summary.shares[source])
+    return context.run_file(ACCURACY)
 
 
-def _matched(inputs: Mapping[str, Any]) -> MatchedCells | None:
+def _matched(
+    ground: GroundSurface, surface: DenseSurface | None, terrain: TerrainModel | None
+) -> MatchedCells | None:
     """Of the ground that the mosaic lies on, if that was matched."""
-    surface: DenseSurface | None = inputs.get("surface")
-    terrain: TerrainModel | None = inputs.get("terrain")
-    kind = inputs["ground"].kind
+    kind = ground.kind
     if surface is None or kind not in MATCHED:
         return None
     matched = surface.views > 0

@@ -19,7 +19,7 @@ from geomosaic.composition.tones import Sampling, Tones, ToneSightings, evened, 
 from geomosaic.composition.views import frame_views
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context
-from geomosaic.stages.mosaic_tones import MosaicTones
+from geomosaic.stages.mosaic_tones import mosaic_tones
 from geomosaic.survey.model import Band
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.survey import simulate_frames
@@ -174,11 +174,11 @@ def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
 def test_a_rigs_bands_are_not_evened_by_one_bands_tones(tmp_path: Path) -> None:
     survey, *_ = make_survey(tmp_path, lines=1, per_line=2)
     with_band = replace(survey, other_bands=(Band("NIR", 790.0, survey.camera_of(0), survey.frames),))
-    stage, nobody = MosaicTones(), cast(Context, None)
+    stage, nobody = mosaic_tones(), cast(Context, None)
     asked = {"survey": with_band, "ground": None, "adjusted": None}
     with pytest.raises(InputError, match=r"leave mosaic\.tones\.even at auto or never"):
-        stage.run(asked, MosaicTones.Params(even="always"), nobody)
-    tones = stage.run(asked, MosaicTones.Params(), nobody)["tones"]
+        stage.run(asked, mosaic_tones.Params(even="always"), nobody)
+    tones = stage.run(asked, mosaic_tones.Params(), nobody)["tones"]
     assert not tones.gain.any() and not tones.vignette.any()
 
 

@@ -22,13 +22,13 @@ from geomosaic.export.orthos import ortho_names
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import run_stage
-from geomosaic.stages.export_orthos import ExportOrthos
+from geomosaic.stages.export_orthos import export_orthos
 from geomosaic.stages.mosaic_compose import MosaicCompose
 
 
 def exported(folder: Path, given: dict[str, Any], own: Any) -> Path:
     """The mosaic, hard at its seams, and the orthos."""
-    for stage, params in ((MosaicCompose, {"blend": "hard"}), (ExportOrthos, {})):
+    for stage, params in ((MosaicCompose, {"blend": "hard"}), (export_orthos, {})):
         run_stage(
             stage, stage.Params(**params), RunFolder(folder / "RUN"), {**given, "ownership": own},
             work_folder=folder / "work",
@@ -148,7 +148,7 @@ def test_orthos_can_be_stopped(tmp_path: Path) -> None:
 
     context = Context(tmp_path / "run", stage_id="export.orthos", cancelled=stop)
     with pytest.raises(CancelledError):
-        ExportOrthos().run({**given, "ownership": own}, ExportOrthos.Params(), context)
+        export_orthos().run({**given, "ownership": own}, export_orthos.Params(), context)
     assert not (tmp_path / "run" / "orthos").exists()
 
 

@@ -19,7 +19,7 @@ from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.single_stage import run_stage
 from geomosaic.placement.model import Placement
-from geomosaic.stages.export_cog import ExportCog
+from geomosaic.stages.export_cog import export_cog
 from geomosaic.stages.exports_for_gis import export_layers
 from geomosaic.stages.exports_for_web import export_stac, export_tiles, export_vrt
 from geomosaic.stages.mosaic_compose import MosaicCompose
@@ -42,7 +42,7 @@ def run(tmp_path_factory):
     for stage in (
         MosaicSeams,
         MosaicCompose,
-        ExportCog,
+        export_cog,
         export_layers,
         export_vrt,
         export_tiles,
@@ -98,9 +98,9 @@ def test_without_work_the_mosaic_is_kept_otherwise(run, tmp_path):
     folder, given, _ = run
     shutil.copytree(folder, tmp_path / "RUN", ignore=shutil.ignore_patterns("work"))
     for compression in ("zstd", "deflate"):
-        params = ExportCog.Params(compression=compression)
+        params = export_cog.Params(compression=compression)
         inputs = {"raster_file": given["raster_file"]}
-        run_stage(ExportCog, params, RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w")
+        run_stage(export_cog, params, RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w")
         with (
             rasterio.open(folder / "mosaic.tif") as old,
             rasterio.open(tmp_path / "RUN" / "mosaic.tif") as new,
@@ -111,5 +111,5 @@ def test_without_work_the_mosaic_is_kept_otherwise(run, tmp_path):
     (tmp_path / "RUN" / "mosaic.tif").unlink()
     with pytest.raises(FileError, match="the file is gone"):
         run_stage(
-            ExportCog, ExportCog.Params(), RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w"
+            export_cog, export_cog.Params(), RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w"
         )

@@ -13,8 +13,8 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.heights import height_is_unknown, neighbours, with_heights_above_ground
 from geomosaic.recording.file.reader import read_recording
-from geomosaic.stages.matching_flying_height import MatchingFlyingHeight
-from geomosaic.stages.projection_ground import ProjectionGround
+from geomosaic.stages.matching_flying_height import matching_flying_height
+from geomosaic.stages.projection_ground import projection_ground
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
@@ -71,13 +71,13 @@ def test_heights_that_are_given_are_not_measured(tmp_path: Path) -> None:
     told = _survey([600.0] * 4)
     frames = tuple(replace(f, position=replace(f.position, height_above_ground_m=100.0)) for f in told.frames)
     assert height_is_unknown(told) and not height_is_unknown(replace(told, frames=frames))
-    stage = MatchingFlyingHeight()
+    stage = matching_flying_height()
     found = stage.run({"survey": replace(told, frames=frames)}, stage.Params(), Context(tmp_path / "stage"))
     assert np.isnan(found["flying_height"].above_ground_m)
 
 
 def test_a_recipe_that_measures_no_height_is_told_which_stage_does(tmp_path: Path) -> None:
-    stage = ProjectionGround()
+    stage = projection_ground()
     with pytest.raises(InputError, match="nothing measured it") as raised:
         stage.run({"survey": _survey([600.0] * 4)}, stage.Params(), Context(tmp_path))
     assert "matching.flying_height before projection.ground" in str(raised.value)

@@ -18,7 +18,7 @@ from geomosaic.quality.jitter import Spectrum, jitter_spectrum, peaks_by_bin, re
 from geomosaic.quality.strip_figures import misplacement_rate, scene_errors, segment_rms, strip_figures
 from geomosaic.quality.strips import StripQuality, confirmed, misplacement, quality_metrics
 from geomosaic.recording import Recorder, read_recording
-from geomosaic.stages.quality_strips import QualityStrips
+from geomosaic.stages.quality_strips import quality_strips
 from geomosaic.survey.strips import read_geometry
 from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
@@ -301,7 +301,7 @@ def test_the_stage_tells_segments_spectra_and_what_is_left(tmp_path: Path) -> No
         error = {0: 0.4 * np.sin(2 * np.pi * 9.0 * np.arange(n) / geometry.line_rate_hz), 2: 0.5}.get(k, 0.0)
         sd, label = np.full(n, 0.1), np.full(n, MEASURED, np.uint8)
         pairs.append(PairOffsets(k, truth[:, 0], truth[:, 1] + error, sd, sd, label))
-    stage = QualityStrips()
+    stage = quality_strips()
     with Recorder(tmp_path / "run.mcap", fixed_time=True) as recorder:
         recorder.begin_run("name: strips\n", {}, {})
         recorder.stage_started(stage.id, stage.version, {}, {})

@@ -24,7 +24,7 @@ from geomosaic.report.frames import render_report
 from geomosaic.report.glance import glance
 from geomosaic.report.parts import frame_table
 from geomosaic.report.warnings import warnings_of
-from geomosaic.stages.export_cog import ExportCog
+from geomosaic.stages.export_cog import export_cog
 from geomosaic.stages.export_report import ExportReport
 from geomosaic.stages.quality_compare import QualityCompare
 
@@ -258,7 +258,7 @@ def test_the_mosaic_is_reduced_for_the_report_while_it_is_exported(run, tmp_path
     (tmp_path / "raster.tif").write_bytes(run["mosaic_file"].read_bytes())
     context = Context(tmp_path, stage_id="export.cog", key="k")
     raster = {"raster_file": context.run_file("raster.tif")}
-    made = ExportCog().run(raster, ExportCog.Params(), context)
+    made = export_cog().run(raster, export_cog.Params(), context)
     small = glance(tmp_path / "mosaic.tif")
     monkeypatch.setattr("geomosaic.report.frames.glance", None)  # it isn't reduced again
     context = Context(tmp_path, stage_id="export.report", key="another", summary=run["summary"])

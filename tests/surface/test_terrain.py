@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.pipeline.stage import Context
-from geomosaic.stages.surface_terrain import SurfaceTerrain
+from geomosaic.stages.surface_terrain import surface_terrain
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.dtm import TERRAIN, filled, terrain_model
 from geomosaic.surface.model import DenseSurface
@@ -142,7 +142,7 @@ def test_the_stage_takes_the_surface_and_says_how_much_is_ground(tmp_path):
     context = Context(tmp_path, stage_id="surface.terrain")
     given = {"surface": surface_of(up)}
     given["surface"].views[:, 80:] = 0
-    out = SurfaceTerrain().run(given, SurfaceTerrain.Params(widest_m=60.0), context)
+    out = surface_terrain().run(given, surface_terrain.Params(widest_m=60.0), context)
     assert np.abs(out["terrain"].up_m).max() < 0.3
     assert 0.55 < context.notes.metrics["surface"]["ground_share"] <= 0.625
 
