@@ -13,7 +13,7 @@ from geomosaic.camera.rotation import Rotation, about_z, turned_by
 from geomosaic.constants import tuned
 
 Floats = NDArray[np.float64]
-_SETTLED_PX = tuned(1e-4, "px", "row step that ends the search: tie points show a hundred times as much")
+_CONVERGED_PX = tuned(1e-4, "px", "row step that ends the search: tie points show a hundred times as much")
 MOST_ROUNDS = tuned(30, "rounds", "to find a row: three at 15 m/s, twelve at 0.1 rad; faster turns have none")
 
 LEAST_RECORDED = tuned(-0.4, "share", "of the height, from the middle row: less leaves a tenth of the rows")
@@ -91,7 +91,7 @@ class Pose:
             if turn is not None:
                 seen = np.stack(turned_by(-np.moveaxis(turn, -1, 0), np.moveaxis(seen, -1, 0)), axis=-1)
             image = camera.image_from_camera(seen)
-            if not (row_moved_px(camera, before[..., 1], image[..., 1]) > _SETTLED_PX).any():
+            if not (row_moved_px(camera, before[..., 1], image[..., 1]) > _CONVERGED_PX).any():
                 break
         return image
 

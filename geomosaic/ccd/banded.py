@@ -20,15 +20,15 @@ class Banded:
     Raises: NotSolvableError if the matrix is not positive definite.
     """
 
-    def __init__(self, diagonal: Floats, beside: Sequence[Floats]) -> None:
+    def __init__(self, diagonal: Floats, off_diagonal: Sequence[Floats]) -> None:
         n, self._size = diagonal.shape[:2]
-        beside = beside[: n - 1]
-        reach = max(self._size * len(beside), self._size - 1)
+        off_diagonal = off_diagonal[: n - 1]
+        reach = max(self._size * len(off_diagonal), self._size - 1)
         columns = np.zeros((n, self._size, reach + 1))  # of the lower triangle, from the diagonal on
         for d in range(self._size):
             along = np.arange(self._size - d)
             columns[:, along, d] = diagonal[:, along + d, along]
-        for distance, band in enumerate(beside, 1):
+        for distance, band in enumerate(off_diagonal, 1):
             columns[: n - distance, :, self._size * distance] = band
         self._factor = cholesky_of_band(columns.reshape(n * self._size, -1).T, lower=True, overwrite=True)
 

@@ -50,7 +50,7 @@ def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> t
         raise InputError("virtual_line needs a rigorous model", fix="give 'model' in GEOMETRY.yaml")
     total, done = sum(strips.lines(pair) for pair in strips.pairs), 0
     noise_line, noise_col = _attitude_noise_px(space.model)
-    held = space.model.attitude_time_s[[0, -1]] * g.line_rate_hz
+    covered = space.model.attitude_time_s[[0, -1]] * g.line_rate_hz
     out = []
     for pair in strips.pairs:
         n = strips.lines(pair)
@@ -61,7 +61,7 @@ def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> t
             found[:, start:stop] = _predicted(space, g, poses, pair, line)
             parallax[:, start:stop] = _parallax(space, g, poses, pair, 0.5 * (start + stop))[:, None]
             right = line + g.side(pair) * g.row_separation_lines + found[1, start:stop]
-            known[start:stop] = (right >= held[0]) & (right <= held[1])
+            known[start:stop] = (right >= covered[0]) & (right <= covered[1])
             done += stop - start
             progress(done, total)
         known &= np.isfinite(found).all(axis=0)

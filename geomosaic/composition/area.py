@@ -203,7 +203,7 @@ def _bounds(grid: OutputGrid, window: Window) -> tuple[float, float, float, floa
 def elsewhere(outline: Outline, crs: str, views: Sequence[FrameView]) -> InputError:
     """What is said of an area that no frame sees."""
     frames = shapely.union_all(shapely.box(*np.array([v.bounds_m for v in views]).T))
-    area, survey = (_told(g, c) for g, c in ((outline.geometry, outline.crs), (frames, crs)))
+    area, survey = (_extent_text(g, c) for g, c in ((outline.geometry, outline.crs), (frames, crs)))
     name = CRS.from_user_input(outline.crs).name
     return InputError(
         f"the area lies elsewhere than what the frames see: it at {area}, they at {survey}",
@@ -212,7 +212,7 @@ def elsewhere(outline: Outline, crs: str, views: Sequence[FrameView]) -> InputEr
     )
 
 
-def _told(geometry: Any, crs: str) -> str:
+def _extent_text(geometry: Any, crs: str) -> str:
     """Where the middle of a geometry lies."""
     west, south, east, north = geometry.bounds
     x, y = (west + east) / 2.0, (south + north) / 2.0

@@ -184,15 +184,15 @@ def _written(found: Sequence[Tags], masked: bool, big: bool) -> bytes:
     out += ghost
     room = struct.calcsize(word)
     long = [[t for t in sorted(tags) if len(tags[t][2]) > room] for tags in found]
-    beside = [[t for t in of if t not in (Tag.TILES, Tag.TILE_BYTES)] for of in long]
+    other_tags = [[t for t in of if t not in (Tag.TILES, Tag.TILE_BYTES)] for of in long]
     spans = [
         struct.calcsize(count) + (struct.calcsize(entry) + room) * len(tags) + room
         + sum(len(_even(tags[t][2])) for t in of)
-        for tags, of in zip(found, beside, strict=True)
+        for tags, of in zip(found, other_tags, strict=True)
     ]  # fmt: skip
     lists_at = start + sum(spans)
     lists = b""
-    for k, (tags, of) in enumerate(zip(found, beside, strict=True)):
+    for k, (tags, of) in enumerate(zip(found, other_tags, strict=True)):
         end = len(out) + spans[k]
         values = b"".join(_even(tags[t][2]) for t in of)
         value_at = end - len(values)

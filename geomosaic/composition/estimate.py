@@ -167,7 +167,7 @@ def estimate_scene(
     filled_share: float,
     pixel_bytes: int,
     max_gigapixels: float,
-    laid: bool = False,
+    on_map: bool = False,
 ) -> SizeEstimate:
     """Of a scene of strips, and of its map if it is laid on one; raises `InputError` where it would be larger
     than max_gigapixels."""
@@ -184,7 +184,7 @@ def estimate_scene(
     memory = 2.0 * _PROGRAM_BYTES + SCENE_MEMORY.least * width_px
     raw_gb = pixels * pixel_bytes / 1e9
     packed_gb = PACKED.least * raw_gb, PACKED.most * raw_gb
-    least_s, most_s = STRIPS.least + laid * ON_MAP.least, STRIPS.most + laid * ON_MAP.most
+    least_s, most_s = STRIPS.least + on_map * ON_MAP.least, STRIPS.most + on_map * ON_MAP.most
     return SizeEstimate(
         width_px=width_px,
         height_px=height_px,
@@ -192,7 +192,7 @@ def estimate_scene(
         filled_share=filled_share,
         scratch_gb=scratch / 1e9,
         mosaic_gb=packed_gb,
-        parts_gb=(3.0 * packed_gb[0], 3.0 * packed_gb[1]) if laid else (0.0, 0.0),
+        parts_gb=(3.0 * packed_gb[0], 3.0 * packed_gb[1]) if on_map else (0.0, 0.0),
         memory_gb=(0.5e-9 * memory, (memory + SCENE_MEMORY.most * width_px) / 1e9),
         minutes=(least_s * pixels / 60e6, most_s * pixels / 60e6),
     )

@@ -1,4 +1,4 @@
-"""Which frames see a place where things stand on the ground, and who gives what none of them sees."""
+"""Occlusion: which frames see a place, and which frame fills what none of them sees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A matched surface without what would tear the picture: smooth where it isn't sure, edges left alone."""
+"""The surface for the ortho: a matched surface, smoothed where its deviations are large."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def ortho_surface(ground: GroundSurface) -> GroundSurface:
         return ground
     inside_m = cv2.distanceTransform(unsure.view(np.uint8), cv2.DIST_L2, 5) * ground.spacing_m
     up = ground.up_m.astype(np.float32)
-    calm = np.where(unsure, _smooth(up, ground.spacing_m), up)
-    up = filled(calm, ~unsure | (inside_m > _APRON_M))
+    smoothed = np.where(unsure, _smooth(up, ground.spacing_m), up)
+    up = filled(smoothed, ~unsure | (inside_m > _APRON_M))
     return replace(ground, up_m=np.where(unsure, up, ground.up_m))
 
 

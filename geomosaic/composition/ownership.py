@@ -257,9 +257,9 @@ def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]
     first_row = window.row + np.arange(-(-window.height // CELL_PX)) * CELL_PX
     first_col = window.col + np.arange(-(-window.width // CELL_PX)) * CELL_PX
     met = [((first_row + k) // side - row, (first_col + k) // side - col) for k in range(0, CELL_PX, side)]
-    near, beside = np.zeros((len(owners), *around.shape), dtype=np.uint8), np.ones((3, 3), np.uint8)
+    near, kernel = np.zeros((len(owners), *around.shape), dtype=np.uint8), np.ones((3, 3), np.uint8)
     for of, number in zip(near, owners, strict=True):
-        cv2.dilate((around == number).view(np.uint8), beside, of)
+        cv2.dilate((around == number).view(np.uint8), kernel, of)
     owned = functools.reduce(np.bitwise_or, [near.take(rows, axis=1) for rows, _ in met])
     owned = functools.reduce(np.bitwise_or, [owned.take(cols, axis=2) for _, cols in met])
     return [n - 1 for n in owners], owned.view(bool)

@@ -97,9 +97,9 @@ def writing_mosaic(
         if sources is not None:
             kind = index_kind(len(frames))
             names = {f"FRAME_{i + 1}": name for i, name in enumerate(frames)}
-            told = ("index of the frame that made the pixel, from 1",)
+            descriptions = ("index of the frame that made the pixel, from 1",)
             colours = (gdal.GCI_PaletteIndex,) if kind.dtype == np.uint8 else _COLOURS[1]
-            of = RasterMetadata(kind, grid, colours, told, names)
+            of = RasterMetadata(kind, grid, colours, descriptions, names)
             index = files.enter_context(_writing(sources, grid.width_px, grid.height_px, of))
         yield Raster(image, index)
 

@@ -101,7 +101,7 @@ def cut_pair(scale: float, pair: Shared) -> Bools:
     both = one & other
     if np.count_nonzero(both) > _MANY_CELLS:
         first = _in_larger_cells(shown, one, other)
-        far = both & ~_beside(first, one | other)
+        far = both & ~_next_to_seam(first, one | other)
         one, other = one & ~(far & ~first), other & ~(far & first)
     return np.where(one & other, _least_cut(shown, one, other), one)
 
@@ -124,7 +124,7 @@ def _in_larger_cells(shown: Sequence[Floats32], one: Bools, other: Bools) -> Boo
     return np.asarray(cut.repeat(2, axis=0).repeat(2, axis=1)[:height, :width])
 
 
-def _beside(first: Bools, seen: Bools) -> Bools:
+def _next_to_seam(first: Bools, seen: Bools) -> Bools:
     """The cells about the line between those of the first frame and those of the second one."""
     reach = np.ones((2 * _ABOUT_CELLS + 1,) * 2, np.uint8)
     sides = [cv2.dilate((of & seen).astype(np.uint8), reach) > 0 for of in (first, ~first)]

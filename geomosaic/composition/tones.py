@@ -263,11 +263,11 @@ def _solved(
         sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
         weight = share / sd**2 * cauchy_weight(left / sd)
         weighed = diags(weight) @ design
-        beside = of_place.T @ weighed
+        coupling = of_place.T @ weighed
         total = of_place.T @ weight
         per = diags(1.0 / np.maximum(total, 1e-12))
-        normal = design.T @ weighed - beside.T @ per @ beside + diags(prior)
-        side = weighed.T @ logs - beside.T @ (per @ (of_place.T @ (weight * logs)))
+        normal = design.T @ weighed - coupling.T @ per @ coupling + diags(prior)
+        side = weighed.T @ logs - coupling.T @ (per @ (of_place.T @ (weight * logs)))
         found = spsolve(normal.tocsc(), side)
         off = logs - design @ found
         left = off - _means(of_place, weight, off)

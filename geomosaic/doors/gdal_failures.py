@@ -101,8 +101,8 @@ class GdalProgress:
                 self._raised = error
 
         if threading.current_thread() is threading.main_thread():
-            heard = [n for n in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(n))]
-            before |= {number: signal.signal(number, keep) for number in heard}
+            handled = [n for n in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(n))]
+            before |= {number: signal.signal(number, keep) for number in handled}
         try:
             yield
         finally:

@@ -94,8 +94,8 @@ def check_sources(path: Path, check_file: Callable[[Path], None]) -> list[Path]:
             raise FileError(f"VRTs lie more than {_MOST_DEPTH} deep in it", file=path, fix=_VRT_FIX)
         if depth:
             check_sidecars(file)
-        for text, beside in _named(file, *_state(file)):
-            source = _local(file, text, beside)
+        for text, is_relative in _named(file, *_state(file)):
+            source = _local(file, text, is_relative)
             if source in (path, file):
                 raise FileError("the VRT is a source of itself", file=path, fix=_VRT_FIX)
             if source not in seen:
@@ -121,10 +121,10 @@ def _state(path: Path) -> tuple[int, int, int]:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def _local(vrt: Path, text: str, beside: bool) -> Path:
+def _local(vrt: Path, text: str, is_relative: bool) -> Path:
     """The regular local file that a VRT names."""
     shown = text if len(text) < 200 else f"{text[:200]}..."
-    source = vrt.parent / text if beside else Path(text)
+    source = vrt.parent / text if is_relative else Path(text)
     if "\0" in text or "://" in text or str(source).startswith("/vsi") or not source.is_absolute():
         problem = f"its source '{shown}' is no path of a file on this machine"
         raise FileError(problem, file=vrt, fix="name a local file")
@@ -157,8 +157,8 @@ def _sources(root: Element, path: Path) -> Iterator[tuple[str, bool]]:
             what = f"{tag} {subclass or element.get('name', '') or element.get('domain', '')}".strip()[:80]
             raise FileError(f"the VRT holds a {what}, which isn't followed", file=path, fix=_VRT_FIX)
         if tag in _PATH_TAGS:
-            beside = element.get("relativeToVRT", element.get("relativetoVRT", "0")).strip()
-            yield (element.text or "").strip(), beside not in ("", "0")
+            is_relative = element.get("relativeToVRT", element.get("relativetoVRT", "0")).strip()
+            yield (element.text or "").strip(), is_relative not in ("", "0")
 
 
 def _check_aux(path: Path) -> None:

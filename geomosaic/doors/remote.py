@@ -183,8 +183,8 @@ def _check_redirect(address: Address, location: str) -> None:
     here, there = urlsplit(asked), urlsplit(urljoin(asked, location))
     if here.hostname == there.hostname and (there.scheme == "https" or here.netloc == there.netloc):
         return
-    told = printable(f"{there.scheme}://{there.netloc.rpartition('@')[2]}{there.path}")[:200]
-    raise InputError(f"leads to {told}", file=address.text, fix="if that is right, write it into the list")
+    target = printable(f"{there.scheme}://{there.netloc.rpartition('@')[2]}{there.path}")[:200]
+    raise InputError(f"leads to {target}", file=address.text, fix="if that is right, write it into the list")
 
 
 def _check_kind(address: Address, head: bytes) -> None:

@@ -51,7 +51,7 @@ def write_packed(
 
 def _write_mbtiles(out: Path, folder: Path, index: dict[str, Any], tile_format: str) -> None:
     """GDAL's own driver ends at zoom 22, where a pixel is 2 to 4 cm."""
-    told = {
+    metadata = {
         "name": index["name"],
         "format": tile_format,
         "type": "overlay",
@@ -67,7 +67,7 @@ def _write_mbtiles(out: Path, folder: Path, index: dict[str, Any], tile_format: 
     try:
         with closing(sqlite3.connect(out, isolation_level=None)) as database:
             database.executescript(_MBTILES)
-            database.executemany("INSERT INTO metadata VALUES (?, ?)", told.items())
+            database.executemany("INSERT INTO metadata VALUES (?, ?)", metadata.items())
             database.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", rows)
             database.execute("COMMIT")
     except sqlite3.Error as error:

@@ -138,7 +138,7 @@ def _shading(surface: Path) -> ProjectLayer:
         crs = tiff.crs.to_wkt()
     blend = Element("blendMode")
     blend.text = _MULTIPLY
-    return _raster(surface, "Shading", crs, renderer, checked=False, id="surface_shading", beside=(blend,))
+    return _raster(surface, "Shading", crs, renderer, checked=False, id="surface_shading", siblings=(blend,))
 
 
 def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str = "") -> ProjectLayer:
@@ -177,12 +177,12 @@ def _raster(
     *,
     checked: bool = True,
     id: str = "",
-    beside: tuple[Element, ...] = (),
+    siblings: tuple[Element, ...] = (),
     **more: Any,
 ) -> ProjectLayer:
     pipe = Element("pipe")
     pipe.append(renderer)
     SubElement(pipe, "rasterresampler", maxOversampling="2", zoomedOutResampler="bilinear")
     return ProjectLayer(
-        id or path.stem, title, f"./{path.name}", False, crs, (pipe, *beside), checked, **more
+        id or path.stem, title, f"./{path.name}", False, crs, (pipe, *siblings), checked, **more
     )

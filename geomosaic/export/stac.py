@@ -155,7 +155,7 @@ def _describe(asset: Any, path: Path) -> None:
 
 def _band(tiff: Raster, number: int) -> dict[str, Any]:
     k = number - 1
-    told = {
+    band_fields = {
         "name": tiff.descriptions[k] or tiff.colorinterp[k].name,
         "data_type": tiff.dtypes[k],
         "nodata": tiff.nodatavals[k],
@@ -166,7 +166,7 @@ def _band(tiff: Raster, number: int) -> dict[str, Any]:
         for name in ("minimum", "maximum", "mean", "stddev")
         if (text := tiff.tags(number).get(f"STATISTICS_{name.upper()}")) is not None
     }
-    return {k: v for k, v in {**told, "statistics": statistics}.items() if v not in (None, "", {})}
+    return {k: v for k, v in {**band_fields, "statistics": statistics}.items() if v not in (None, "", {})}
 
 
 def write_stac(path: Path, item: dict[str, Any]) -> None:

@@ -38,7 +38,9 @@ _DECIMALS: Final = 7
 """Of degrees: a centimetre."""
 
 
-def write_tile_page(out: Path, title: str, told: str, index: Mapping[str, Any], package: Path | None) -> None:
+def write_tile_page(
+    out: Path, title: str, about_text: str, index: Mapping[str, Any], package: Path | None
+) -> None:
     """Writes an HTML page that stands alone but for the tiles beside it.
 
     told: a line about the mosaic. index: of the tiles, as tiles.json. package: the run's layers.gpkg.
@@ -48,7 +50,7 @@ def write_tile_page(out: Path, title: str, told: str, index: Mapping[str, Any], 
     page = environment.from_string((_HERE / "tiles.html").read_text(encoding="utf-8"))
     text = page.render(
         title=title,
-        about=inline_json({"title": title, "text": told}),
+        about=inline_json({"title": title, "text": about_text}),
         leaflet_css=leaflet("leaflet.css"),
         leaflet_js=leaflet("leaflet.js"),
         index=inline_json(index),

@@ -25,11 +25,11 @@ _EARTH_RADIUS_M = EQUATOR_M / (2.0 * math.pi)
 
 def on_map(mosaic_file: Path) -> Path:
     """A mosaic, or for a scene of strips the one beside it that was laid on a map, if there is one."""
-    laid = mosaic_file.with_name(SCENE_MAP)
-    if not laid.is_file():
+    scene_map = mosaic_file.with_name(SCENE_MAP)
+    if not scene_map.is_file():
         return mosaic_file
     with open_raster(mosaic_file, OWN) as tiff:
-        return laid if tiff.crs is None else mosaic_file
+        return scene_map if tiff.crs is None else mosaic_file
 
 
 def write_vrt(mosaic_file: Path, out: Path) -> None:
@@ -80,10 +80,10 @@ def write_tiles(
     }
     (folder / "tiles.json").write_text(json.dumps(index, indent=2) + "\n")
     with open_raster(mosaic_file, OWN) as tiff:
-        told = f"{tiff.width:,} x {tiff.height:,} px of {tiff.res[0]:g} m"
+        about_text = f"{tiff.width:,} x {tiff.height:,} px of {tiff.res[0]:g} m"
     there = _rows_of_columns(folder, tile_format)
     page = {**index, "view": bounds, "there": there}
-    write_tile_page(folder / "index.html", mosaic_file.parent.name, told, page, layers_file)
+    write_tile_page(folder / "index.html", mosaic_file.parent.name, about_text, page, layers_file)
 
 
 def _rows_of_columns(folder: Path, tile_format: str) -> dict[str, dict[str, list[list[int]]]]:

@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 _HALF_PX = tuned(10, "px", "half a window: 7 agrees a sixth worse; 14 takes twice as long, bends on relief")
 _BLUR_PX = tuned(0.6, "px", "smoothing of both images: 0 matches noise; 1 agrees a sixth less well")
 _ROUNDS = tuned(10, "rounds", "most converge in five; a window that has not in ten oscillates and is dropped")
-_SETTLED_PX = tuned(0.03, "px", "step that ends it, a third of the accuracy: less takes rounds; more shows")
+_CONVERGED_PX = tuned(0.03, "px", "step that ends it, a third of the accuracy: less takes rounds; more shows")
 _FARTHEST_PX = tuned(4.0, "px", "from the keypoint, an axis: less loses coarse ones; more finds other ground")
 _LEAST_LIKENESS = tuned(0.8, "correlation", "right ones have 0.96, leaves 0.85: less admits wrong ones")
 _STRETCH_SD = tuned(0.1, "1", "prior of stretch and slant: less binds roofs; more lets windows run off")
@@ -108,9 +108,9 @@ def _find_some(windows: Bytes, smooth: Floats32, near_px: Floats, shapes: Floats
         at[left] -= (shape[left] @ moved[:, :, None])[:, :, 0]
         shape[left] = shape[left] @ back
         lost = (gain < _LEAST_GAIN) | (np.abs(at[left] - near_px[left]).max(axis=1) > _FARTHEST_PX)
-        settled = np.abs(moved).max(axis=1) < _SETTLED_PX
-        sure[left] = settled & ~lost & (likeness >= _LEAST_LIKENESS)
-        left = left[~(settled | lost)]
+        converged = np.abs(moved).max(axis=1) < _CONVERGED_PX
+        sure[left] = converged & ~lost & (likeness >= _LEAST_LIKENESS)
+        left = left[~(converged | lost)]
         if not len(left):
             break
     return Found(at, sure)
@@ -131,8 +131,8 @@ def _derivatives(windows: Floats32) -> tuple[Floats32, Floats32, Floats32]:
     out -= ((out @ _NEAR) / _NEAR.sum())[:, :, None]
     weighted = out * _NEAR
     normal = (weighted @ out.transpose(0, 2, 1)).astype(np.float64)
-    held = np.array([0.0, 0.0, *[(_NOISE / (_STRETCH_SD * _HALF_PX)) ** 2] * 4, 0.0]) + 1e-6
-    normal[:, range(7), range(7)] += held
+    prior_weight = np.array([0.0, 0.0, *[(_NOISE / (_STRETCH_SD * _HALF_PX)) ** 2] * 4, 0.0]) + 1e-6
+    normal[:, range(7), range(7)] += prior_weight
     return out, weighted, inverse_each(normal).astype(np.float32)
 
 

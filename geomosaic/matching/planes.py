@@ -41,7 +41,7 @@ class Guess:
         return np.asarray(cv2.getPerspectiveTransform(_corners(self.size_px).astype(np.float32), there))
 
 
-def nothing_believed(size_px: Size) -> Guess:
+def unconstrained_guess(size_px: Size) -> Guess:
     """A guess that holds for any pair."""
     return Guess(size_px, ((0.0, 0.0),) * 4, float("inf"))
 
@@ -49,11 +49,11 @@ def nothing_believed(size_px: Size) -> Guess:
 def guessed(size_px: Size, plane: Floats | None, radius_px: float) -> Guess:
     """A guess by a plane, rounded; nothing where there is none, or where corners lie beyond the horizon."""
     if plane is None or not np.isfinite(plane).all():
-        return nothing_believed(size_px)
+        return unconstrained_guess(size_px)
     corners = _corners(size_px)
     depth = corners @ plane[2, :2] + plane[2, 2]
     if (depth * depth[0] <= 0.0).any():
-        return nothing_believed(size_px)
+        return unconstrained_guess(size_px)
     there = np.round(through(plane, corners) / _GRAIN_PX) * _GRAIN_PX
     radius_px = float(np.ceil(radius_px / _GRAIN_PX) * _GRAIN_PX)
     return Guess(size_px, tuple((float(c), float(r)) for c, r in there), radius_px)

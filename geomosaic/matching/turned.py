@@ -274,7 +274,7 @@ def _total(costs: list[tuple[int, int, Floats]], turn: Ints, fee_m: float) -> fl
     return float(sum(c[turn[a], turn[b]] for a, b, c in costs)) + fee_m * int(np.count_nonzero(turn))
 
 
-def righted(poses: Poses, turns: dict[int, int]) -> Poses:
+def corrected_poses(poses: Poses, turns: dict[int, int]) -> Poses:
     """Poses with the rotations of turned images; an image turned clockwise shows its points turned
     counter-clockwise about the nadir."""
     rotations, turned = poses.rotations.copy(), poses.turns

@@ -7,7 +7,7 @@ from typing import Final
 
 _ROOMS: Final = {"mosaic": "composition"}
 """Present name of a room by its former name."""
-_FORMER: Final = {
+FORMER: Final = {
     "geomosaic.survey.model:LeftOut": "geomosaic.survey.model:UnusedImage",
     "geomosaic.recording.chips:Chip": "geomosaic.recording.file.chips:Chip",
     "geomosaic.recording.thumbnail:Seen": "geomosaic.recording.file.thumbnail:Seen",
@@ -21,4 +21,4 @@ def present_name(name: str) -> str:
     found = re.match(r"geomosaic\.(\w+)", name)
     if found and found[1] in _ROOMS:
         name = f"geomosaic.{_ROOMS[found[1]]}{name[found.end() :]}"
-    return _FORMER.get(name, name)
+    return FORMER.get(name, name)

@@ -75,19 +75,19 @@ def overlapping_pairs(
     return tuple((int(left[k]), int(right[k])) for k in wanted)
 
 
-def flown_beside(
+def adjacent_frames(
     frames: Collection[int], sequence: Sequence[int], tried: Collection[tuple[int, int]], steps: int = 2
 ) -> list[tuple[int, int]]:
     """Pairs (left < right) of some frames with those up to `steps` before and after them in order of flight,
     but for those tried already: a frame whose position is far off overlaps none of its neighbours by it."""
     at = {frame: k for k, frame in enumerate(sequence)}
-    beside = {
+    adjacent = {
         (min(i, j), max(i, j))
         for i in frames
         for j in sequence[max(at[i] - steps, 0) : at[i] + steps + 1]
         if i != j
     }
-    return sorted(beside - set(tried))
+    return sorted(adjacent - set(tried))
 
 
 def connected_parts(n: int, pairs: Sequence[tuple[int, int]]) -> list[list[int]]:

@@ -73,8 +73,8 @@ def believable_heights_m(
     if not usual > 0.0 or not np.any(above <= _ON_THE_GROUND * usual):
         return heights_m, sd_m, np.zeros(len(above), dtype=bool)
     doubted = (above < usual / _FAR) | (above > usual * _FAR)
-    believed = np.where(doubted, ground_heights_m + usual, heights_m)
-    return believed, np.where(doubted, np.maximum(sd_m, usual / 2.0), sd_m), doubted
+    used_m = np.where(doubted, ground_heights_m + usual, heights_m)
+    return used_m, np.where(doubted, np.maximum(sd_m, usual / 2.0), sd_m), doubted
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ _LINES_AT_ONCE = tuned(256, "lines", "computed together: all take five times the
 _STEPS_PER_NODE = tuned(2, "steps", "along a line: fewer show strips beside walls; more take time")
 _SURELY = tuned(1.0, "deviations", "by which an occluder is lowered: 2 shows hidden roofs; 0 hides by noise")
 _POLE_M = tuned(1.0, "m", "widest object that hides nothing: more sees through walls and chimneys")
-_BESIDE_NODES = tuned(2, "nodes", "around all rays: fewer miss the line and the next node at the edge")
+_NEAR_NODES = tuned(2, "nodes", "around all rays: fewer miss the line and the next node at the edge")
 
 
 def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Floats32:
@@ -32,7 +32,7 @@ def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Fl
     away = np.hypot(off[..., 0], off[..., 1])
     bearing, first_rad, width_rad, zero_rad = _bearings(off)
     between = np.concatenate([places_m[..., :2].reshape(-1, 2), camera[None, :2]])
-    ground = ground.about(between, _hiding_nodes(ground) + _BESIDE_NODES)
+    ground = ground.about(between, _hiding_nodes(ground) + _NEAR_NODES)
     heights = _hiding(ground)
     low, high = float(heights.min()), float(heights.max())
     last_m = float(away.max(initial=0.0))

@@ -28,7 +28,7 @@ Floats32 = NDArray[np.float32]
 _NODES = tuned(5, "nodes a side", "of the projection's polynomial, odd: 3 are 1.0 mm off over 10 km, 5 0.8")
 _HEIGHT_ROUNDS = tuned(3, "rounds", "of node and height on hills: one leaves 6 cm, two 2e-5 m, three 1e-8")
 _ROWS_AT_ONCE = tuned(64, "rows", "computed together: more do not fit the cache; fewer cost calls")
-_SETTLED_PX = tuned(0.004, "px", "row step that ends it: more shows at breaks; less is lost in rounding")
+_CONVERGED_PX = tuned(0.004, "px", "row step that ends it: more shows at breaks; less is lost in rounding")
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class ProjectionEquations:
             if self._turn is not None:
                 u, v, w = turned_by(self._turns_at(row), (u, v, w))
             _image_from_camera(self._camera, u, v, w, found_col, found_row)
-            moved = row_moved_px(self._camera, row, found_row) > _SETTLED_PX
+            moved = row_moved_px(self._camera, row, found_row) > _CONVERGED_PX
             np.copyto(col, found_col, where=open_yet)
             np.copyto(row, found_row, where=open_yet)
             open_yet &= moved

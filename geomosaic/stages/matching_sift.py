@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
-from geomosaic.matching.believed import Believed
 from geomosaic.matching.candidates import FrameComparison, alike, coarse, likely_pairs, to_compare
+from geomosaic.matching.expected_overlap import ExpectedOverlap
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.planes import Guess
 from geomosaic.matching.search import CHECKS
-from geomosaic.matching.turned import found_turned, reheaded, righted, seen_pairs
+from geomosaic.matching.turned import corrected_poses, found_turned, reheaded, seen_pairs
 from geomosaic.matching.untied import MOSTLY
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
@@ -118,7 +118,7 @@ class MatchingSift(Stage):
             "ties": pairing.ties(pairs, faint),
             "placement": replace(
                 placement,
-                poses=reheaded(righted(placement.poses, turns), headings),
+                poses=reheaded(corrected_poses(placement.poses, turns), headings),
                 turned=tuple(turns.get(i, 0) for i in range(len(survey.frames))),
             ),
         }
@@ -163,7 +163,7 @@ class MatchingSift(Stage):
         reach_m: Floats,
     ) -> Callable[[int, int], Guess]:
         """Where pairs are believed to match: by poses, to within how far these may be off."""
-        believed = Believed.of(placement.poses, cameras, ground)
+        believed = ExpectedOverlap.of(placement.poses, cameras, ground)
 
         def of(a: int, b: int) -> Guess:
             if params.radius_m != "auto":

@@ -60,7 +60,7 @@ class MosaicEstimateStrips(Stage):
             filled_share=min(1.0, sum(geometry.lines) * geometry.width_px / (width * height)),
             pixel_bytes=1 if geometry.bit_depth <= 8 else 2,
             max_gigapixels=params_of(context, MosaicStrips).max_gigapixels,
-            laid=laid,
+            on_map=laid,
         )
         report_estimate(context, expected)
         return {}

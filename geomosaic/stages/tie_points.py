@@ -17,7 +17,7 @@ from geomosaic.matching.refinement import Refinement
 from geomosaic.matching.untied import untied_reasons
 from geomosaic.pipeline.stage import Context
 from geomosaic.pipeline.stored_result import StoredResult
-from geomosaic.placement.graph import connected_parts, flown_beside
+from geomosaic.placement.graph import adjacent_frames, connected_parts
 from geomosaic.stages.keypoints import (
     PairItem,
     Picture,
@@ -120,7 +120,7 @@ class Pairing:
         lonely = set(range(len(self.features))) - {i for pair in tied for i in pair}
         return [
             *[(a, b) for a, b in self.untied if part[a] != part[b]],
-            *flown_beside(lonely, self.sequence, list(self.looks)),
+            *adjacent_frames(lonely, self.sequence, list(self.looks)),
         ]
 
     def _round(self, name: str, how: Matching, pairs: Sequence[tuple[Pair, Guess]]) -> int:

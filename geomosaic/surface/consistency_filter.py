@@ -1,4 +1,4 @@
-"""What of the heights that were matched is kept, and how sure it is."""
+"""Consistency filter: which matched heights are accepted, and their standard deviations."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ class MatchCounts:
 
 @dataclass(frozen=True)
 class FilteredTile:
-    """What was matched of a tile's cells, (rows, cols) each: over_m, the height over the base, 0 where it is
-    held; sd_m, NaN where it is; views, as a surface's."""
+    """The accepted heights of a tile's cells, (rows, cols) each: over_m, the height over the base,
+    0 in voids; sd_m, NaN in voids; views, as a surface's."""
 
     over_m: Floats32
     sd_m: Floats32
@@ -74,7 +74,7 @@ class FilteredTile:
 def consistent_heights(
     found: TileHeights, cells: Cells, base: GroundSurface, reach_m: tuple[float, float]
 ) -> FilteredTile:
-    """What is kept of the heights of cells that have `RIM_CELLS` others on every side.
+    """The accepted heights of cells that have `RIM_CELLS` others on every side.
 
     Args: reach_m: from where to where over the base heights were searched.
     """

@@ -48,8 +48,8 @@ _NEIGHBOURS: Final = _CROSS.astype(np.float32) / _CROSS.sum()
 @dataclass(frozen=True)
 class TerrainModel:
     """The ground, (rows, cols) each, from the south up, on the cells of a surface: up_m in the work frame;
-    sd_m, its deviation (m), NaN where none is known; seen: where the surface showed it, elsewhere it is laid
-    through what was seen around."""
+    sd_m, its deviation (m), NaN where none is known; seen: where the surface showed it, elsewhere it is
+    interpolated."""
 
     cells: Cells
     up_m: Floats32
@@ -193,10 +193,10 @@ def _interpolated(surface: DenseSurface, ground: Bools, seen: Bools) -> TerrainM
     ground before counts by its deviation there, where it isn't what stands."""
     known = seen if seen.any() else ground
     up_m, sd_m = filled(surface.up_m, known), _deviation(surface, known)
-    held = ground & ~known & np.isfinite(surface.sd_m)
-    both_m = np.where(held, np.hypot(sd_m, surface.sd_m), np.float32(1.0))
-    share = np.where(held, (sd_m / both_m) ** 2, np.float32(0.0))
-    sd_m = np.where(held, sd_m * surface.sd_m / both_m, sd_m)
+    has_prior = ground & ~known & np.isfinite(surface.sd_m)
+    both_m = np.where(has_prior, np.hypot(sd_m, surface.sd_m), np.float32(1.0))
+    share = np.where(has_prior, (sd_m / both_m) ** 2, np.float32(0.0))
+    sd_m = np.where(has_prior, sd_m * surface.sd_m / both_m, sd_m)
     up_m = up_m + share * (surface.up_m - up_m)
     return TerrainModel(surface.cells, up_m.astype(np.float32), sd_m.astype(np.float32), seen)
 

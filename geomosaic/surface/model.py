@@ -19,8 +19,7 @@ DENSE: Final = "dense"
 @dataclass(frozen=True)
 class DenseSurface:
     """Of the middles of cells, (rows, cols) each, from the south up: up_m in the work frame; sd_m, its
-    deviation (m), NaN where none is known; views: frames that agree there, 0 where the height is held by
-    what was known before and by the cells around."""
+    deviation (m), NaN where none is known; views: number of frames that agree there, 0 in filled voids."""
 
     cells: Cells
     up_m: NDArray[np.float32]

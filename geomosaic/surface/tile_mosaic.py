@@ -1,4 +1,4 @@
-"""One surface of the parts that were matched and of what was known before."""
+"""One surface of all tiles; voids are filled from their neighbours and the base surface."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def base_heights(base: GroundSurface, cells: Cells) -> Floats32:
 def mosaic_tiles(
     cells: Cells, base: GroundSurface, parts: Iterable[tuple[Tile, FilteredTile]]
 ) -> DenseSurface:
-    """All cells' heights: where a part keeps none, the lower side's of what lies around; far from anything
-    the base's, raised by it.
+    """The surface of all cells. Voids take the lower neighbours' height; far from matched cells they approach
+    the base.
 
     cells: an even number of rows and cols.
     """
@@ -78,17 +78,17 @@ def mosaic_tiles(
     east, north = cells.axes_m()
     for band in _bands(cells):
         at = east, north[band, None]
-        held = np.isnan(sd_m[band])
+        void = np.isnan(sd_m[band])
         near_m, near_m2 = (_upsampled(a, band) for a in (around_m, around_m2))
         varying = np.maximum(near_m2 - near_m**2, np.float32(0.0)) + (over_m[band] - near_m) ** 2
         over_m[band] += base.up_at(*at)
-        held_sd_m = np.sqrt(np.nan_to_num(base.sd_at(*at)) ** 2 + varying)
-        sd_m[band] = np.where(held, held_sd_m, sd_m[band])
+        void_sd_m = np.sqrt(np.nan_to_num(base.sd_at(*at)) ** 2 + varying)
+        sd_m[band] = np.where(void, void_sd_m, sd_m[band])
     return DenseSurface(cells, over_m, sd_m, views)
 
 
 def _fill_voids(over_m: Floats32, sd_m: Floats32, tile: Tile) -> None:
-    """Puts a tile's held cells on the lower side of what lies around."""
+    """Fills a tile's voids from the lower neighbours."""
     first = max(tile.row - SEARCH_CELLS, 0), max(tile.col - SEARCH_CELLS, 0)
     wide = (
         slice(first[0], tile.row + tile.rows + SEARCH_CELLS),
@@ -98,8 +98,8 @@ def _fill_voids(over_m: Floats32, sd_m: Floats32, tile: Tile) -> None:
     known = np.isfinite(sd_m[wide])
     if not known[own].all():
         lower_m, enclosed = (a[own] for a in void_heights(over_m[wide], known))
-        held_m = np.where(enclosed, lower_m, np.minimum(lower_m, over_m[tile.at]))
-        np.copyto(over_m[tile.at], held_m, where=~known[own])
+        void_m = np.where(enclosed, lower_m, np.minimum(lower_m, over_m[tile.at]))
+        np.copyto(over_m[tile.at], void_m, where=~known[own])
 
 
 def _bands(cells: Cells) -> Iterator[slice]:

@@ -1,7 +1,6 @@
-"""Heights of cells that nothing was matched in: those of the lower side of what lies around.
+"""Heights of voids: the second lowest of the nearest matched heights in eight directions.
 
-What a wall hides, and what no two frames agree on beside it, lies at its foot: a mean of what lies around is
-a ramp. What is raised on all sides is raised itself.
+Voids are mostly occlusions at the foot of walls. The mean of their surroundings would be a ramp.
 """
 
 from __future__ import annotations
@@ -25,9 +24,12 @@ SEARCH_CELLS: Final = _REACH_CELLS + _MEDIAN_CELLS // 2
 
 
 def void_heights(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
-    """Of cells (rows, cols) the second lowest of the nearest known values in eight directions, evened out:
-    the lowest alone may be a wrong one; infinite where few are known. Which cells known ones enclose; others
-    may lie at the rim of what was matched, where one house would be carried on."""
+    """Heights of voids (rows, cols), and which cells known ones enclose.
+
+    Each is the second lowest of the nearest known values in eight directions, after a median filter. The
+    lowest alone may be a blunder. Heights are infinite where few cells are known. Cells that are not enclosed
+    may lie at the rim of the matched area, where a single house would be extrapolated.
+    """
     lowest, second = (np.full(values.shape, np.inf, dtype=np.float32) for _ in range(2))
     count = np.zeros(values.shape, dtype=np.uint8)
     for quarters in range(4 * known.any()):

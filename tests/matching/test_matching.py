@@ -13,9 +13,9 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.features import Features, grey, reduction_for, shrunk, sift_features
 from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
-from geomosaic.matching.planes import Guess, nothing_believed
+from geomosaic.matching.planes import Guess, unconstrained_guess
 from geomosaic.matching.search import CHECKS, mutual_nearest, root_sift, search
-from geomosaic.matching.turned import righted, turn_costs_m, turned_frames
+from geomosaic.matching.turned import corrected_poses, turn_costs_m, turned_frames
 
 
 def country(seed: int, rows: int = 900, cols: int = 1200) -> np.ndarray:
@@ -230,7 +230,7 @@ def test_different_ground_is_never_tied() -> None:
         for a, b in pairs:
             for way in ("coarse", "all"):
                 how = replace(AUTO, check=check, search=way)
-                for guess in (believed((0.0, 0.0), 300.0), nothing_believed(SIZE)):
+                for guess in (believed((0.0, 0.0), 300.0), unconstrained_guess(SIZE)):
                     found = match_pair(how, lands[a], lands[b], guess, 1.0)
                     assert not len(found.left), (check, way, a, b)
 
@@ -328,7 +328,7 @@ def test_righting_turns_the_image_back_about_the_view() -> None:
     """A frame tagged 10 degrees whose image was turned by a quarter shows its top at 10 - 90 degrees."""
     matrix = Rotation.from_yaw_pitch_roll(*np.radians([[10.0, 10.0], [2.0, 2.0], [0.0, 0.0]])).matrix
     poses = Poses(np.zeros((2, 3)), matrix, np.ones((2, 3)), np.ones((2, 3)))
-    right = righted(poses, {1: 1})
+    right = corrected_poses(poses, {1: 1})
     assert right.rotations[0] == pytest.approx(matrix[0])
     yaw, _, _ = right[1].rotation.yaw_pitch_roll()
     assert float(np.degrees(yaw)) % 360 == pytest.approx(280.0, abs=0.2)

@@ -13,9 +13,9 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
-from geomosaic.matching.believed import Believed
+from geomosaic.matching.expected_overlap import ExpectedOverlap
 from geomosaic.matching.model import TiePair, TiePairs, TiePoints
-from geomosaic.matching.planes import SeenPlanes, guessed, nothing_believed, stretched, through
+from geomosaic.matching.planes import SeenPlanes, guessed, stretched, through, unconstrained_guess
 from geomosaic.matching.refinement import Refinement
 from geomosaic.matching.tracks import join, references
 from geomosaic.pipeline.artefacts import decode, encode
@@ -206,9 +206,9 @@ def test_how_a_plane_stretches_is_its_derivative(g: float, h: float, turn: float
 
 def test_a_guess_beyond_the_horizon_is_none() -> None:
     aslant = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -0.002, 1.0]])
-    assert guessed((1000, 800), aslant, 100.0) == nothing_believed((1000, 800))
+    assert guessed((1000, 800), aslant, 100.0) == unconstrained_guess((1000, 800))
     assert guessed((1000, 400), aslant, 100.0).radius_px == 112.0
-    assert guessed((1000, 800), None, 100.0) == nothing_believed((1000, 800))
+    assert guessed((1000, 800), None, 100.0) == unconstrained_guess((1000, 800))
 
 
 def test_poses_say_where_pairs_match_and_another_origin_changes_nothing() -> None:
@@ -222,7 +222,7 @@ def test_poses_say_where_pairs_match_and_another_origin_changes_nothing() -> Non
         poses = Poses(
             at, Rotation.from_yaw_pitch_roll(*np.zeros((3, 2))).matrix, np.ones((2, 3)), np.ones((2, 3))
         )
-        believed = Believed.of(poses, [camera, camera], ground)
+        believed = ExpectedOverlap.of(poses, [camera, camera], ground)
         said.append(believed.guess(0, 1, 250.0))
         assert np.isinf(believed.guess(0, 1, np.inf).radius_px)
     assert said[0] == said[1]

@@ -5,7 +5,7 @@ import pytest
 
 from geomosaic.matching.turned import possible_quarters, turned_frames
 from geomosaic.pipeline.reporter import warning_lines
-from geomosaic.placement.graph import flown_beside
+from geomosaic.placement.graph import adjacent_frames
 from geomosaic.placement.heights import believable_heights_m, ground_height_m
 from geomosaic.survey.model import Attitude, Frame, Position
 
@@ -64,6 +64,6 @@ def test_many_alike_warnings_are_one_line() -> None:
 
 def test_a_frame_that_overlaps_none_is_tried_beside_those_flown_before_and_after() -> None:
     order = (4, 2, 0, 1, 3)
-    assert flown_beside({0}, order, []) == [(0, 1), (0, 2), (0, 3), (0, 4)]
-    assert flown_beside({4}, order, [(2, 4)]) == [(0, 4)]
-    assert flown_beside((), order, []) == []
+    assert adjacent_frames({0}, order, []) == [(0, 1), (0, 2), (0, 3), (0, 4)]
+    assert adjacent_frames({4}, order, [(2, 4)]) == [(0, 4)]
+    assert adjacent_frames((), order, []) == []

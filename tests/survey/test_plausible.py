@@ -236,7 +236,7 @@ def test_an_honest_big_survey_fits() -> None:
 def test_a_scene_of_strips_has_the_same_limit() -> None:
     told = estimate_scene(30_000, 20_000, filled_share=0.9, pixel_bytes=2, max_gigapixels=100.0)
     assert told.disk_gb[0] == pytest.approx(0.54 * (2 * 0.6 + 1 / 8), rel=0.01)
-    laid = estimate_scene(30_000, 20_000, filled_share=0.9, pixel_bytes=2, max_gigapixels=100.0, laid=True)
+    laid = estimate_scene(30_000, 20_000, filled_share=0.9, pixel_bytes=2, max_gigapixels=100.0, on_map=True)
     assert laid.disk_gb[0] == pytest.approx(0.54 * (4 * 0.6 + 1 / 8), rel=0.01)
     assert laid.minutes[0] > told.minutes[0]
     with pytest.raises(InputError, match="check the strips' sizes"):

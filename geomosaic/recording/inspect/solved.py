@@ -17,7 +17,7 @@ from geomosaic.camera.rotation import log_turn
 from geomosaic.constants import tuned
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.matching.model import TiePoints
-from geomosaic.matching.turned import righted
+from geomosaic.matching.turned import corrected_poses
 from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.quality.misalignment import pair_misalignments
@@ -133,7 +133,7 @@ class Solved:
         """How far found headings are from given ones, turned images righted, (n,); NaN where unknown."""
         if self.adjusted is None or self.prior is None:
             return np.full(len(self.names), np.nan)
-        given = righted(self.prior.poses, {i: q for i, q in enumerate(self.turned) if q})
+        given = corrected_poses(self.prior.poses, {i: q for i, q in enumerate(self.turned) if q})
         turn = log_turn(self.adjusted.poses.rotations @ np.swapaxes(given.rotations, 1, 2))[:, 2]
         return np.where(heading_assumed(self.prior.poses), np.nan, np.degrees(turn))
 

@@ -1,4 +1,4 @@
-"""Where pairs are believed to match, by position and attitude."""
+"""Where pairs are expected to match, by position and attitude."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _NODES = tuned(6, "nodes", "per frame side, to fit a plane: fewer fail where a f
 
 
 @dataclass(frozen=True)
-class Believed:
-    """Poses as told, and places (frames, k, 3) on the ground of a lattice of each frame's places (k, 2)."""
+class ExpectedOverlap:
+    """Reported poses, and ground points (frames, k, 3) of a lattice of each frame's image points (k, 2)."""
 
     poses: Poses
     cameras: Sequence[Camera]
@@ -29,14 +29,14 @@ class Believed:
     ground_m: Sequence[Floats]
 
     @classmethod
-    def of(cls, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface) -> Believed:
+    def of(cls, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface) -> ExpectedOverlap:
         """What poses say of frames over a ground."""
         image_px = [_lattice(c) for c in cameras]
         found = [ground_from_image(poses[i], cameras[i], ground, px) for i, px in enumerate(image_px)]
         return cls(poses, cameras, image_px, found)
 
     def guess(self, a: int, b: int, radius_px: float) -> Guess:
-        """Where frame b is believed to show what frame a shows, to within a radius."""
+        """Where frame b is expected to show what frame a shows, to within a radius."""
         camera = self.cameras[a]
         there = self.poses[b].image_from_ground(self.cameras[b], self.ground_m[a])
         plane = plane_through(self.image_px[a], there) if np.isfinite(radius_px) else None
