@@ -21,10 +21,10 @@ from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.stage import Context
-from geomosaic.stages.simulate_frames import SimulateFrames
 from geomosaic.survey.read import read_survey
 from geomosaic_simulate.exif import sexagesimal
 from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.stage_frames import SimulateFrames
 from geomosaic_simulate.survey import SimulatedSurvey, simulate_frames
 from geomosaic_simulate.write import gimbal_deg
 

@@ -25,9 +25,9 @@ from geomosaic.camera.rpc import parse_rpc
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import FileError, InputError, OutputError
 from geomosaic.pipeline.stage import Context
-from geomosaic.stages.simulate_strips import SimulateStrips
 from geomosaic.survey.strip_model import read_model
 from geomosaic.survey.strips import read_geometry
+from geomosaic_simulate.stage_strips import SimulateStrips
 from geomosaic_simulate.strip_overlaps import simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_scene import PairTruth, Scene
