@@ -32,7 +32,7 @@ _TOLD: Final = frozenset(("verdict-good", "verdict-doubtful", "verdict-bad"))
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportedWarning:
     """One text: its code in words, how often it was said, of which frames (the first of them)."""
 
     code: str
@@ -46,9 +46,9 @@ class Warnings:
     """severe: what the map suffers from; look: what may matter; routine: for the record. frames: how often
     each is named in the first two."""
 
-    severe: list[Told]
-    look: list[Told]
-    routine: list[Told]
+    severe: list[ReportedWarning]
+    look: list[ReportedWarning]
+    routine: list[ReportedWarning]
     frames: Mapping[str, int]
 
     @property
@@ -68,9 +68,9 @@ def warnings_of(summary: Mapping[str, Any]) -> Warnings:
             equal.setdefault((code, text), []).append(frame)
             if frame and code not in _ROUTINE:
                 frames[frame] = frames.get(frame, 0) + 1
-    groups: dict[str, list[Told]] = {"severe": [], "look": [], "routine": []}
+    groups: dict[str, list[ReportedWarning]] = {"severe": [], "look": [], "routine": []}
     for (code, text), of in sorted(equal.items(), key=lambda item: len(item[1])):
         group = "severe" if code in _SEVERE else "routine" if code in _ROUTINE else "look"
         names = [name for name in of if name]
-        groups[group].append(Told(code.replace("-", " "), text, len(of), names[:_MOST_NAMES]))
+        groups[group].append(ReportedWarning(code.replace("-", " "), text, len(of), names[:_MOST_NAMES]))
     return Warnings(**groups, frames=frames)
