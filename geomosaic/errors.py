@@ -6,7 +6,7 @@ The command line prints `str(error)` as its one line and exits with `error.exit_
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,13 @@ class GeomosaicError(Exception):
     """Anything the package raises on purpose."""
 
     exit_code = 1
+
+    def reword(self, change: Callable[[str], str]) -> None:
+        """Changes its texts, such as to name an option as it was typed."""
+        self.args = (change(str(self)), *self.args[1:])
+        for name in ("problem", "fix"):
+            if isinstance(text := getattr(self, name, None), str):
+                setattr(self, name, change(text))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as it is: constructors take other arguments than the one line they make."""

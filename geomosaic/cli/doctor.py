@@ -105,7 +105,8 @@ def _geoids() -> tuple[str, str]:
         return "ok", f"PROJ data in {get_data_dir()}, geoid grids there"
     return (
         "warning",
-        f"PROJ data in {get_data_dir()}, no geoid grids; heights above sea level need --dem-offset",
+        f"PROJ data in {get_data_dir()}, no geoid models: heights above sea level cannot be used; "
+        "install some: pyproj sync --file us_nga_egm",
     )
 
 

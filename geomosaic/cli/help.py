@@ -56,6 +56,12 @@ class HeadedCommand(TyperCommand):
     """A command whose options stand below the headings that they name as `rich_help_panel`, if it has
     `--help-all`; else in one list."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Raises: `InputError` for an option that takes one value and is given twice."""
+        if not ctx.resilient_parsing:
+            _check_once(self.make_parser(ctx).parse_args(args=list(args))[2])
+        return super().parse_args(ctx, args)
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Writes the sections in the order of `_ORDER`, headings of the command's own before them."""
         sections: dict[str, list[tuple[str, str]]] = {}
@@ -104,6 +110,17 @@ class HeadedGroup(TyperGroup):
                 _propose(args)
             raise UnknownNameError("command", args[0], self.commands)
         return super().resolve_command(ctx, args)
+
+
+def _check_once(given: Sequence[Any]) -> None:
+    """Raises: `InputError` for the first option that stands twice among the given parameters and takes one
+    value: the parser would take the last."""
+    for number, option in enumerate(given):
+        many = option.param_type_name == "argument" or option.multiple or option.is_flag
+        if not many and option in given[:number]:
+            flag = max(option.opts, key=len)
+            join = ", or join both files" if option.metavar == "FILE" else ""
+            raise InputError(f"{flag} is given twice and takes one value", fix=f"give {flag} once{join}")
 
 
 def _heading(declared: Any) -> str:

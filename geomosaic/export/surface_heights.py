@@ -95,7 +95,7 @@ def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
     try:
         undulation_m = ellipsoidal_offsets_m(vertical, lonlat[..., 0], lonlat[..., 1])
     except InputError as error:
-        fix = "write ellipsoidal heights (export.surface.heights=ellipsoidal), or install its grid"
+        fix = f"write ellipsoidal heights with --set export.surface.heights=ellipsoidal, or {error.fix}"
         raise InputError(error.problem, fix=fix) from error
     plane = CRS.from_user_input(grid.crs).to_2d()
     both = CompoundCRS(name=f"{plane.name} + {vertical.name}", components=[plane, vertical])

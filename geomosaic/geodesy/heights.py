@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,11 +62,18 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
         height = np.asarray(transformer.transform(lon_deg, lat_deg, np.zeros(lon_deg.shape))[2])
         if np.isfinite(height).all():
             return height
-    grids = {
-        grid.short_name for op in group.unavailable_operations for grid in op.grids if not grid.available
-    }
-    lacking = f" (one of {', '.join(sorted(grids)[:4])})" if grids else ""
     raise InputError(
-        f"the geoid grid for '{vertical.name}' isn't installed{lacking}",
-        fix="give the ellipsoidal minus orthometric height (--dem-offset METRES), or install proj-data",
+        f"the geoid model for '{vertical.name}' is not installed",
+        fix=_installing(group.unavailable_operations),
     )
+
+
+def _installing(operations: Sequence[Any]) -> str:
+    """How to install the geoid model of the most accurate of the operations that lack the fewest grids."""
+    lacking = [[grid for grid in op.grids if not grid.available] for op in operations]
+    ranked = sorted(zip(lacking, operations, strict=True), key=lambda of: (len(of[0]), abs(of[1].accuracy)))
+    grids = ranked[0][0] if ranked else []
+    if grids and all(grid.url for grid in grids):
+        return "install it: " + " && ".join(f"pyproj sync --file {grid.short_name}" for grid in grids)
+    names = ", ".join(grid.short_name for grid in grids) or "its grid"
+    return f"copy {names} into PROJ's data folder, which geomosaic doctor names"

@@ -20,7 +20,7 @@ LOCAL_CRS = (
     'AXIS["(E)",east,ORDER[1]],AXIS["(N)",north,ORDER[2]],LENGTHUNIT["unit of its own",1]]'
 )
 """Of a mosaic that nothing puts on the Earth. Programs that need a unit read it as metres."""
-_GIVE_CODE = "give an EPSG code such as EPSG:32632"
+_GIVE_CODE = "give the EPSG code of a map projection with --crs, such as EPSG:n"
 _SAME_M = tuned(0.01, "m", "by which versions of one system may differ; more would take a datum for another")
 _LOCAL_PLANE = "+proj=aeqd +lat_0=0 +lon_0=0 +ellps=WGS84 +units=m"
 """Geometry goes on as if the local frame lay at longitude and latitude 0."""
@@ -66,9 +66,7 @@ def map_crs(text: str, lonlat: tuple[float, float] | None = None) -> CRS:
             if not _alike(fitting, lonlat):
                 raise stated.ambiguous(fitting, _GIVE_CODE)
             return fitting[0]
-    raise InputError(
-        f"'{text}' is no map projection in metres", fix="give a projected CRS such as EPSG:32632"
-    )
+    raise InputError(f"'{text}' is no map projection in metres", fix=_GIVE_CODE)
 
 
 def _is_metric(crs: CRS) -> bool:

@@ -100,7 +100,7 @@ def _datum(
         added_m = ellipsoidal_offset_m(theirs, *lonlat)
         added_m -= 0.0 if ours is None else ellipsoidal_offset_m(ours, *lonlat)
     except InputError as error:
-        fix = "give what is to be added to its heights (quality.surface.offset_m)"
+        fix = f"give what to add to its heights with --set quality.surface.offset_m=METRES, or {error.fix}"
         raise InputError(error.problem, file=path, fix=fix) from error
     return added_m, f"{theirs.name}, offset {added_m:+.2f} m"
 

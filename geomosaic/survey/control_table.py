@@ -33,7 +33,7 @@ ALIASES: Final[Aliases] = {
 }  # fmt: skip
 """Columns of a table of control points; a point has one line per image it was measured in, or one."""
 
-GIVE_CRS: Final = "write its EPSG code in the first line of the --gcp file, such as EPSG:32632"
+GIVE_CRS: Final = "write the EPSG code of x and y in the first line of the --gcp file, such as EPSG:n"
 _MOST_LINES = tuned(200_000, "lines", "most points in ten images each: more is another kind of file")
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 _MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(?=\s|$)", re.IGNORECASE)

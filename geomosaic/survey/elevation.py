@@ -91,7 +91,8 @@ def _with_datum(
         try:
             offset = ellipsoidal_offset_m(vertical, *middle)
         except InputError as error:
-            raise InputError(error.problem, file=path, fix=error.fix) from error
+            fix = f"give ellipsoidal minus stated height with --dem-offset METRES, or {error.fix}"
+            raise InputError(error.problem, file=path, fix=fix) from error
         return replace(model, offset_m=offset, vertical=f"{vertical.name}, offset {offset:+.2f} m"), []
     text = (
         f"{path.name}: no vertical datum, so its heights are taken in the datum of the frames' heights; "

@@ -23,6 +23,19 @@ _HOMES: Final = ("images", "dcim")
 _PROJECT_FILES: Final = {"pos": "geo.txt", "gcp": "gcp_list.txt"}
 _DEEPEST = tuned(4, "folders", "DCIM has two, MicaSense three: deeper ones are another survey's")
 _MOST_FOLDERS = tuned(2000, "folders", "1000 flights of two: more is a whole disk, searched for minutes")
+_OTHER_KINDS: Final = (
+    (
+        {".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".raw"},
+        "convert raw images to JPEG or TIFF first, with their tags (exiftool -tagsFromFile RAW JPEG)",
+    ),
+    ({".heic", ".heif"}, "convert HEIC to JPEG first: heif-convert FILE.heic FILE.jpg"),
+    (
+        {".mp4", ".mov", ".avi", ".mkv", ".m4v"},
+        "take frames out of the video first: ffmpeg -i FILE -vf fps=1 -q:v 2 FRAMES/%04d.jpg; give their "
+        "positions with --pos",
+    ),
+)
+"""Suffixes of files that people give for frames, and how to make frames of them."""
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 
@@ -53,12 +66,18 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
         kinds = Counter(p.suffix.lower() or "no suffix" for p in files)
         held = [f"{n} {kind}" for kind, n in kinds.most_common(4)]
         held += [f"{len(folders)} folder{'s' * (len(folders) > 1)} without any"] * bool(folders)
-        raise InputError(
-            f"holds no JPEG or TIFF frames ({', '.join(held) or 'it is empty'})",
-            file=folder,
-            fix="give the folder that holds the frames themselves",
-        )
+        problem = f"holds no JPEG or TIFF frames ({', '.join(held) or 'it is empty'})"
+        others = [p for f in _below(folder) for p in _listed(f)[0]]
+        raise InputError(problem, file=folder, fix=_advice(others))
     return _called(frames, top)
+
+
+def _advice(files: Collection[Path]) -> str:
+    """What to do with a folder that holds no frames, by the files that it holds."""
+    for suffixes, advice in _OTHER_KINDS:
+        if any(path.suffix.lower() in suffixes for path in files):
+            return advice
+    return "give the folder that holds the frames themselves"
 
 
 def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]:

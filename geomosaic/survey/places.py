@@ -251,11 +251,8 @@ def heights_of(table: ParsedTable, crs: CRS | None, lonlat: Floats) -> tuple[Flo
         try:
             offset = ellipsoidal_offset_m(vertical, *np.median(lonlat, axis=0))
         except InputError as error:
-            raise InputError(
-                error.problem,
-                file=table.path,
-                fix="give ellipsoidal heights (height_ellipsoidal_m), or install proj-data",
-            ) from error
+            fix = f"give ellipsoidal heights in a column height_ellipsoidal_m, or {error.fix}"
+            raise InputError(error.problem, file=table.path, fix=fix) from error
     elif column == "height":
         text = (
             f"{name}: heights have no stated datum, taken as ellipsoidal: all may be off by the same amount; "

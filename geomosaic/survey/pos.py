@@ -76,7 +76,7 @@ ALIASES: Final[Aliases] = {
 Floats = NDArray[np.float64]
 _MOST_LINES = tuned(200_000, "lines", "of a POS file: the largest blocks have 50,000; more is a log")
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
-_GIVE_CRS: Final = "give it as an EPSG code (--pos-crs EPSG:32632), or put a .prj file beside the POS file"
+_GIVE_CRS: Final = "give the EPSG code of x and y with --pos-crs, such as EPSG:n"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
 
 

@@ -44,6 +44,7 @@ from geomosaic.survey.strays import (
     without_camera,
 )
 from geomosaic.survey.usable import Inspect, Usable, inspect_all, usable
+from geomosaic.survey.zone import proposing_zone
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -66,22 +67,25 @@ def check_survey_files(
     attitude_convention: str = "auto",
 ) -> None:
     """Raises what `read_survey` would raise without opening a frame: of a survey's files each by itself."""
-    if crs != "auto":
-        with suppress(AmbiguousCrsError):  # frames' positions may tell which is meant
-            map_crs(crs)
     files = frame_files(folder, [p for p in (dem, gcp, pos, camera) if p is not None])
-    if pos is not None:
-        names = FrameNames(files.values())
-        read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention, frames=names)
-    if camera is not None:
-        read_cameras(camera)
-    if dem is not None:
-        check_dem(dem)
-    if gcp is not None:
-        with suppress(AmbiguousCrsError):
-            control = read_control(gcp, FrameNames(files.values()))
-            if not gcp_optional:
-                check_marks(control)
+    near: list[tuple[float, float]] = []
+    with proposing_zone(files, near):
+        if crs != "auto":
+            with suppress(AmbiguousCrsError):  # decided by the frames' positions when these are read
+                map_crs(crs)
+        if pos is not None:
+            names = FrameNames(files.values())
+            table = read_pos(pos, crs=pos_crs, attitude_convention=attitude_convention, frames=names)
+            near += [(row.lon_deg, row.lat_deg) for row in table.rows]
+        if camera is not None:
+            read_cameras(camera)
+        if dem is not None:
+            check_dem(dem)
+        if gcp is not None:
+            with suppress(AmbiguousCrsError):
+                control = read_control(gcp, FrameNames(files.values()))
+                if not gcp_optional:
+                    check_marks(control)
 
 
 def read_survey(
@@ -149,7 +153,8 @@ def read_survey(
     control_warnings: list[Warn] = []
     if gcp is not None:
         sizes = {h.name: (h.width_px, h.height_px) for h in headers}
-        points = read_control(gcp, FrameNames(names), near)
+        with proposing_zone([h.path for h in headers], near.tolist()):
+            points = read_control(gcp, FrameNames(names), near)
         control, control_warnings = used_control(points, near, sizes, optional=gcp_optional)
     local = not located and not control
     if not located and control:
@@ -172,7 +177,8 @@ def read_survey(
     middle = np.median(lonlat, axis=0)
     lon = float((middle[0] + 180.0) % 360.0 - 180.0)
     work_frame = LocalFrame(lon, float(middle[1]), _ground_height_m(observed.positions, control, heights))
-    wanted_crs, crs_notes = _wanted_crs(crs, lon, work_frame.lat_deg)
+    with proposing_zone((), [(lon, work_frame.lat_deg)]):
+        wanted_crs, crs_notes = _wanted_crs(crs, lon, work_frame.lat_deg)
     frames = tuple(
         Frame(
             name=h.name,

@@ -231,7 +231,7 @@ def test_maps_that_count_north_first_are_written_east_first(tmp_path):
 
 
 def test_a_geoid_without_its_grid_is_one_clear_error(scene, tmp_path):
-    with pytest.raises(InputError, match=r"geoid grid for 'EGM96 height' isn't installed.*; write ellips"):
+    with pytest.raises(InputError, match=r"geoid model for 'EGM96 height' is not installed.*; write ellips"):
         export(scene, tmp_path / "work", heights="EPSG:5773")
 
 

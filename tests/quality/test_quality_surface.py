@@ -183,7 +183,9 @@ def test_a_vertical_datum_counts(run, tmp_path):
     lon, lat = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(e, n)
     heights = land(e, n) - undulation_m(np.array(lon), np.array(lat))
     reference = write(tmp_path / "dem.tif", heights, crs="EPSG:32632+5773")
-    with pytest.raises(InputError, match=r"geoid grid .* isn't installed.*quality\.surface\.offset_m"):
+    with pytest.raises(
+        InputError, match=r"geoid model .* is not installed.*--set quality\.surface\.offset_m=METRES"
+    ):
         compare(run, reference)
     with egm96_of(tmp_path):
         found, _, heard = compare(run, reference)

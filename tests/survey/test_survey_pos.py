@@ -214,7 +214,7 @@ BAD = {
     "nan position": ("frame,lon,lat\na,9,nan\n", r"line 2: no lat; fill it in"),
     "degrees and minutes": ("frame,lon,lat\na,9,48°30'\n", r"is no number for lat; write decimal numbers"),
     "decimal commas": ("frame,lon,lat\na,9,5,48,7\n", r"line 2 has 5 fields under 3 columns; with decimal"),
-    "no crs": ("frame,x,y\na,500000,5400000\n", r"no coordinate reference system; .*--pos-crs EPSG:32632"),
+    "no crs": ("frame,x,y\na,500000,5400000\n", r"no coordinate reference system; .*--pos-crs, such as EPSG:n"),
     "unit": ("frame,lon,lat,z [furlong]\na,9,48,1\n", r"unknown unit 'furlong'"),
     "two columns": ("frame,lon,lat,latitude\na,9,48,48\n", r"two columns for lat"),
     "no header": ("a,9,48,500,1,2,3\n", r"has no header line that names the columns; put one first: frame,"),

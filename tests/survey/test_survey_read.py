@@ -254,7 +254,7 @@ def test_a_dem_without_one_is_taken_as_the_frames_heights_and_told(tmp_path: Pat
 def test_a_geoid_that_is_not_installed_is_never_guessed(tmp_path: Path) -> None:
     path = with_crs(dem(tmp_path / "dem.tif"), geoid(tmp_path / "g.gtx", 1.0))
     (tmp_path / "g.gtx").unlink()
-    message = r"dem\.vrt: the geoid grid for .* isn't installed.*--dem-offset METRES"
+    message = r"dem\.vrt: the geoid model for .* is not installed; .*--dem-offset METRES, or copy .*g\.gtx"
     with pytest.raises(InputError, match=message):
         read_survey(survey_folder(tmp_path / "f"), dem=path)
     assert ellipsoidal_offset_m(CRS("EPSG:4979"), 9.0, 48.0) == 0.0

@@ -1,0 +1,136 @@
+"""Messages lead out of the fault: what they propose works, in the words that the user typed."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from small_surveys import geomosaic, small_survey
+
+from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic.survey.read import check_survey_files, read_survey
+
+DRY = "--dry-run"
+
+
+@pytest.fixture(scope="session")
+def kenya(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
+    """Four frames in UTM zone 37 south, with their positions in tags."""
+    folder = tmp_path_factory.mktemp("kenya")
+    place = {"lon_deg": 38.0, "lat_deg": -3.0}
+    return small_survey(folder, lines=1, width_px=160, height_px=120, pos_in="exif", seed=5, **place)
+
+
+def message(capfd: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line of a command that ends with 2."""
+    capfd.readouterr()
+    assert geomosaic(*arguments) == 2
+    (line,) = [ln for ln in capfd.readouterr().err.splitlines() if not ln.startswith("[")]
+    return line
+
+
+def in_map(survey: SimulatedSurvey) -> list[tuple[str, float, float]]:
+    """Names, eastings and northings of the frames."""
+    frames = read_survey(survey.frames).frames
+    to_map = MapProjection("EPSG:32737")
+    return [
+        (f.name, *to_map.map_from_geodetic(f.position.lon_deg, f.position.lat_deg).tolist()) for f in frames
+    ]
+
+
+def test_the_proposed_code_of_a_pos_file_is_that_of_the_frames_and_works(
+    kenya: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pos = tmp_path / "pos.csv"
+    rows = "".join(f"{name},{x:.3f},{y:.3f}\n" for name, x, y in in_map(kenya))
+    pos.write_text("frame,x,y\n" + rows, encoding="utf-8")
+    line = message(capfd, "mosaic", kenya.frames, "--pos", pos, DRY)
+    found = re.search(r"(--pos-crs), such as (EPSG:\d+)", line)
+    assert found is not None and found[2] == "EPSG:32737", line
+    check_survey_files(kenya.frames, pos=pos, pos_crs=found[2])
+
+
+def test_the_proposed_code_of_control_works_in_the_first_line(
+    kenya: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    gcp, ((name, x, y), *_) = tmp_path / "points.csv", in_map(kenya)
+    text = f"name,x,y,height,image,col,row\np,{x:.3f},{y:.3f},0,{name},80,60\n"
+    gcp.write_text(text, encoding="utf-8")
+    line = message(capfd, "mosaic", kenya.frames, "--gcp", gcp, DRY)
+    found = re.search(r"in the first line of the --gcp file, such as (EPSG:\d+)", line)
+    assert found is not None and found[1] == "EPSG:32737", line
+    gcp.write_text(f"{found[1]}\n{text}", encoding="utf-8")
+    check_survey_files(kenya.frames, gcp=gcp)
+
+
+def test_the_proposed_code_of_the_map_works(
+    kenya: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    line = message(capfd, "mosaic", kenya.frames, "--crs", "EPSG:4326", DRY)
+    found = re.search(r"--crs.*such as (EPSG:\d+)", line)
+    assert found is not None and found[1] == "EPSG:32737", line
+    check_survey_files(kenya.frames, crs=found[1])
+
+
+def test_the_geoid_that_the_message_names_serves_where_pyproj_puts_it(
+    kenya: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """`pyproj sync` writes to PROJ's own folder of the user; here a made-up grid is put there."""
+    dem, ((_, x, y), *_) = tmp_path / "dem.tif", in_map(kenya)
+    shape = {"width": 200, "height": 200, "count": 1, "dtype": "float32"}
+    place = {"crs": "EPSG:32737+5773", "transform": Affine(10, 0, x - 1000, 0, -10, y + 1000)}
+    with rasterio.open(dem, "w", driver="GTiff", **shape, **place) as tiff:
+        tiff.write(np.full((1, 200, 200), 500.0, np.float32))
+    home = tmp_path / "home"
+    home.mkdir()
+    environment = {**os.environ, "PROJ_USER_WRITABLE_DIRECTORY": str(home)}
+    script = (
+        "import sys; from pathlib import Path; from geomosaic.survey.read import read_survey; "
+        "frames, dem, *offset = sys.argv[1:]; "
+        "read_survey(Path(frames), dem=Path(dem), dem_offset_m=float(offset[0]) if offset else None)"
+    )
+
+    def run(*more: str) -> tuple[int, str]:
+        asked = [sys.executable, "-c", script, str(kenya.frames), str(dem), *more]
+        done = subprocess.run(asked, env=environment, capture_output=True, text=True, check=False)
+        return done.returncode, done.stderr
+
+    code, line = run()
+    found = re.search(r"--dem-offset METRES, or install it: pyproj sync --file (\S+\.tif)", line)
+    assert code == 1 and found is not None, line
+    grid = {"crs": "EPSG:4979", "transform": Affine(1, 0, 35, 0, -1, 0), "dtype": "float32", "count": 1}
+    with rasterio.open(home / found[1], "w", driver="GTiff", width=6, height=6, **grid) as tiff:
+        tiff.write(np.full((1, 6, 6), -20.0, np.float32))
+        tiff.update_tags(TYPE="VERTICAL_OFFSET_GEOGRAPHIC_TO_VERTICAL", AREA_OR_POINT="Point")
+        tiff.update_tags(1, DESCRIPTION="geoid_undulation", UNITTYPE="metre")
+    assert run()[0] == 0, run()[1]
+    (home / found[1]).unlink()
+    assert run("-20")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("files", "advice"),
+    [
+        (("DJI_0001.DNG", "DJI_0002.DNG"), "convert raw images to JPEG or TIFF"),
+        (("IMG_1.HEIC",), "convert HEIC to JPEG first: heif-convert"),
+        (("DJI_0001.MP4", "DJI_0001.SRT"), "take frames out of the video first: ffmpeg -i"),
+        (("notes.txt",), "give the folder that holds the frames"),
+    ],
+)
+def test_a_folder_of_other_files_says_what_makes_frames_of_them(
+    files: tuple[str, ...], advice: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "DCIM"
+    folder.mkdir()
+    for name in files:
+        (folder / name).write_bytes(b"\0" * 64)
+    assert f"; {advice}" in message(capfd, "mosaic", folder, DRY)
+    assert f"; {advice}" in message(capfd, "mosaic", tmp_path, DRY)
