@@ -36,6 +36,7 @@ from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.naming import named_as_arguments
 from geomosaic.requests.option import kinds_of, option_of
 from geomosaic.requests.perform import check_result, perform
 from geomosaic.requests.recipe_request import RecipeRequest
@@ -218,8 +219,8 @@ def _made(kind: type[RunRequest], options: Mapping[str, Any], progress: bool) ->
     for name in options:
         if name not in known:
             raise UnknownNameError("argument", name, known)
-    job = kind(**{**options, "set": _sets(options.get("set", ()))}).job()
-    with _reporter(progress) as reporter:
+    with named_as_arguments(kind), _reporter(progress) as reporter:
+        job = kind(**{**options, "set": _sets(options.get("set", ()))}).job()
         check_result(job, perform(job, reporter))
     return Run(job.folder)
 

@@ -67,7 +67,7 @@ def _rasters(run: Path) -> RunRasters:
         path_within(run, name) for name in ("accuracy.tif", "surface.tif", "surface_confidence.tif")
     )
     if not accuracy.is_file():
-        fix = "run it again with the stage quality.accuracy in its recipe"
+        fix = "make the mosaic again: geomosaic mosaic writes accuracy.tif"
         raise FileError("the run has no accuracy.tif", file=run, fix=fix)
     matched = surface.is_file() and confidence.is_file()
     return RunRasters(accuracy, summary, *((surface, confidence) if matched else (None, None)))

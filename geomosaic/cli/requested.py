@@ -12,6 +12,7 @@ import typer
 
 from geomosaic.cli.running import execute
 from geomosaic.errors import GeomosaicError
+from geomosaic.requests.naming import named_as_typed
 from geomosaic.requests.option import RARE, RUNNING, Option, asked, flag_of, kinds_of, option_of
 from geomosaic.requests.run_request import RunRequest
 
@@ -51,7 +52,8 @@ class RequestCommand:
         def command(**options: Any) -> None:
             how = {its.name: options.pop(its.name) for its in shown}
             options["set"] = options["set"] or ()
-            execute(self.request(**options).job(), **how)
+            with named_as_typed(self.request, options):
+                execute(self.request(**options).job(), **how)
 
         kinds, complete = {**kinds_of(self.request), **kinds_of(Terminal)}, self.complete
         own = sorted(fields(self.request), key=lambda its: bool(option_of(its).heading))

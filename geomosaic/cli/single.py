@@ -72,12 +72,14 @@ def _runner(stage: type[Stage]) -> Any:
         from geomosaic.cli.declared import params_from
         from geomosaic.pipeline.run_folder import RunFolder
         from geomosaic.pipeline.stage import RunFile
+        from geomosaic.requests.naming import named_as_options
 
         before = _files(folder)
         summary, inputs = _inputs(stage, folder)
-        params = params_from(stage, options)
-        place = RunFolder(folder) if stage.inputs else RunFolder.opened(folder, overwrite=overwrite)
-        values, _ = _run(stage, params, place, inputs, summary, seed or 0, workers, quiet)
+        with named_as_options(stage.id):
+            params = params_from(stage, options)
+            place = RunFolder(folder) if stage.inputs else RunFolder.opened(folder, overwrite=overwrite)
+            values, _ = _run(stage, params, place, inputs, summary, seed or 0, workers, quiet)
         if quiet:
             return
         names = {*stage.results, *(value.name for value in values.values() if isinstance(value, RunFile))}
@@ -164,17 +166,21 @@ def evaluate(
     """
     if [scores, reference is not None, surface_reference is not None].count(True) != 1:
         raise InputError(
-            "evaluate takes one of --reference TIF, --surface-reference FILE and --scores",
-            fix="see evaluate --help",
+            "what the run is to be compared with is missing or given twice",
+            fix="give one of --reference TIF, --surface-reference FILE and --scores",
         )
+    from geomosaic.requests.naming import named_as_options
+
     if scores:
         _scores(targets, as_json)
     elif len(targets) > 1:
-        raise InputError("evaluate compares one run at a time", fix="see evaluate --help")
+        raise InputError("only one run is compared at a time", fix="give one run folder or one mosaic")
     elif surface_reference is not None:
-        _compare_surface(targets[0], surface_reference, set, as_json)
+        with named_as_options("quality.surface", {"reference": "--surface-reference"}):
+            _compare_surface(targets[0], surface_reference, set, as_json)
     else:
-        _compare(targets[0], reference, set, as_json)
+        with named_as_options("quality.compare", {"reference": "--reference"}):
+            _compare(targets[0], reference, set, as_json)
 
 
 def _scores(files: list[Path], as_json: bool) -> None:

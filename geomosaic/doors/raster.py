@@ -164,7 +164,7 @@ def _regular(path: Path, purpose: Purpose) -> Path:
     """The absolute path of a regular file; what looks like one but opens something else is refused."""
     named = path if len(str(path)) < 256 else f"{str(path)[:255]}..."
     if str(path).startswith("/vsi"):
-        raise FileError("is no path of a file on this machine", file=named, fix=purpose.fix)
+        raise FileError("is no file on this machine", file=named, fix=purpose.fix)
     try:
         folder = stat.S_ISDIR(path.stat().st_mode)
     except (OSError, ValueError) as error:

@@ -126,7 +126,7 @@ def _local(vrt: Path, text: str, is_relative: bool) -> Path:
     shown = text if len(text) < 200 else f"{text[:200]}..."
     source = vrt.parent / text if is_relative else Path(text)
     if "\0" in text or "://" in text or str(source).startswith("/vsi") or not source.is_absolute():
-        problem = f"its source '{shown}' is no path of a file on this machine"
+        problem = f"its source '{shown}' is no file on this machine"
         raise FileError(problem, file=vrt, fix="name a local file")
     try:
         regular = stat.S_ISREG(source.stat().st_mode)

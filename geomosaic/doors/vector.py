@@ -70,7 +70,7 @@ def read_shapes(path: Path, kind: GeometryKind = POLYGON) -> Shapes:
     several layers with some, no CRS, more than 2 million vertices, or can't be read.
     """
     if str(path).startswith("/vsi"):
-        raise FileError("is no path of a file on this machine", file=path, fix=kind.wanted)
+        raise FileError("is no file on this machine", file=path, fix=kind.wanted)
     check_regular(path, kind.wanted)
     path = path.absolute()
     check_sidecars(path)

@@ -61,7 +61,10 @@ _tasks = _Tasks()
 def _guarded(version: str, function: Callable[[Any], Any], item: Any) -> tuple[Any, int, int]:
     """(result, process id, peak memory of that process in bytes); runs in the worker."""
     if version != __version__:
-        mine, fix = f"the worker on {socket.gethostname()} has geomosaic {__version__}", "install the same"
+        mine, fix = (
+            f"the worker on {socket.gethostname()} has geomosaic {__version__}",
+            f"install geomosaic {version} there",
+        )
         raise InputError(f"{mine}, the run {version}", fix=fix)
     cv2 = sys.modules.get("cv2")
     if cv2 is not None:
@@ -344,7 +347,9 @@ class Workers:
         except Exception as error:
             if type(error).__name__ != "KilledWorker":
                 raise
-            raise GeomosaicError("workers died over the same work, most likely for want of memory") from error
+            raise GeomosaicError(
+                "workers died over the same work, most likely for lack of memory; give them more"
+            ) from error
         self.peak_memory_bytes[pid] = max(peak, self.peak_memory_bytes.get(pid, 0))
         return result
 
@@ -361,8 +366,8 @@ class Workers:
             self._client.close()
 
 
-_AGAIN = "; start it anew and run again; what is done is kept"
+_AGAIN = "; start it anew and run again: finished work is kept"
 
 
 def _died() -> GeomosaicError:
-    return GeomosaicError("a worker process died, most likely for want of memory; try fewer with --workers 1")
+    return GeomosaicError("a worker process died, most likely for lack of memory; run with --workers 1")

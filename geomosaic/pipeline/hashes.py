@@ -74,7 +74,9 @@ class FileHashes:
         except FileError:
             raise
         except OSError as error:
-            raise FileError(f"can't be read ({error.strerror or error})", file=path) from error
+            raise FileError(
+                f"can't be read ({error.strerror or error})", file=path, fix="make it readable"
+            ) from error
         self._now[name] = (mark, digest.hexdigest())
         self._known.pop(name, None)
         if time.time_ns() - max(mark[1], mark[2]) > SETTLED_NS:
@@ -140,9 +142,9 @@ class FileHashes:
             found = sorted(p for p in path.rglob("*") if p.is_symlink() or p.is_file())
             return fingerprint_of_json([[p.relative_to(path).as_posix(), self.of_written(p)] for p in found])
         if path.is_symlink():
-            raise FileError("is a link", file=path)
+            raise FileError("is a link", file=path, fix="give the file itself")
         if not path.is_file():
-            raise FileError("is no regular file", file=path)
+            raise FileError("is no regular file", file=path, fix="give a file on the disk")
         return self.of_file(path)
 
     def of_copy(self, path: Path, original: Path) -> str:

@@ -32,7 +32,8 @@ RUN_JSON = "run.json"
 RECORDING = "run.mcap"
 UNFINISHED = "run.unfinished.mcap"
 _MAX_BYTES = 1 << 20
-_FIX = "see docs/recipes.md"
+_FIX = "write a list of stages (stages: [survey.read, ...]); geomosaic stages names them"
+_CORRECT = "correct it"
 _KEYS = ("name", "description", "seed", "stages")
 
 
@@ -74,9 +75,9 @@ class Recipe:
                 check_name(path)
                 if (address := address_in(path)) is not None and not _exists(path):
                     fix = "files at URLs are fetched first: geomosaic fetch LIST_OR_URL -o FOLDER"
-                    raise FileError("is no path of a file on this machine", file=address, fix=fix)
+                    raise FileError("is no file on this machine", file=address, fix=fix)
                 if not _exists(path):
-                    fix = f"give an existing one for {step.stage.id}.{name}"
+                    fix = f"give an existing one with --set {step.stage.id}.{name}=PATH"
                     raise FileError("no such file or folder", file=path, fix=fix)
                 if run_folder is not None:
                     self._check_apart(path, run_folder)
@@ -97,10 +98,10 @@ class Recipe:
         path, folder = given.resolve(), run_folder.resolve()
         fix = "give another output folder"
         if path == folder:
-            problem = "would be read and written at once, and results be taken for frames"
+            problem = "is read and written at once, and the next run would take results for frames"
             raise InputError(problem, file=given, fix=fix)
         if path == folder / "work" or folder / "work" in path.parents:
-            problem = f"lies in the run's cache {folder / 'work'}, which is tidied"
+            problem = f"lies in {folder / 'work'}, which the run empties"
             raise InputError(problem, file=given, fix=fix)
         if path.parent == folder and path.name in self.results():
             problem = "would be overwritten by the run's own file of that name"
@@ -116,7 +117,7 @@ def _exists(path: Path) -> bool:
 
 def load_recipe(path: Path, registry: Registry, overrides: Iterable[str] = ()) -> Recipe:
     """A recipe file. Paths in it are relative to its folder, those of `overrides` to the current one."""
-    plain = read_yaml(path, _MAX_BYTES, "a recipe", "give a recipe, such as those in recipes/")
+    plain = read_yaml(path, _MAX_BYTES, "a recipe", "give a recipe; geomosaic recipes lists some")
     return recipe_from(plain, registry, overrides, file=str(path), base=path.absolute().parent)
 
 
@@ -129,7 +130,7 @@ def parse_recipe(
     base: Path | None = None,
 ) -> Recipe:
     """A recipe from YAML, see `recipe_from`."""
-    return recipe_from(plain_yaml(text, file, _FIX), registry, overrides, file=file, base=base)
+    return recipe_from(plain_yaml(text, file, _CORRECT), registry, overrides, file=file, base=base)
 
 
 def recipe_from(
@@ -214,7 +215,7 @@ def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[st
                 raise UnknownNameError(
                     f"parameter of stage {id}", name, stage.Params.model_fields, file=f"--set {override}"
                 )
-            value = plain_yaml(text, f"--set {override}", _FIX)
+            value = plain_yaml(text, f"--set {override}", _CORRECT)
             as_text = isinstance(value, str | int | float) and not isinstance(value, bool)
             if as_text and (accepts(field.annotation, Path) or accepts(field.annotation, str)):
                 value = text
@@ -239,6 +240,7 @@ def check_wiring(stages: Sequence[type[Stage]], given: Mapping[str, type], file:
                 raise InputError(
                     f"stage {stage.id} wants '{name}' as {_name(wanted)}, but {source} gives {_name(kind)}",
                     file=file,
+                    fix="put another stage before it",
                 )
         taken = {*stage.inputs, *stage.optional_inputs}
         for name in stage.outputs:

@@ -93,7 +93,11 @@ class ReplayedStage:
         }
         for entry in found.values():
             if not (isinstance(entry, dict) and isinstance(entry.get("files"), dict) and "path" in entry):
-                raise FileError("its list of inputs isn't what a run writes", file=self.recording.path)
+                raise FileError(
+                    "its list of inputs isn't what a run writes",
+                    file=self.recording.path,
+                    fix="run the recipe again",
+                )
         return {name: moved(entry, self.places) for name, entry in found.items()} if self.places else found
 
     def read_files(self) -> Iterator[tuple[Path, str]]:
@@ -151,7 +155,7 @@ def replayed_stage(recording: Recording, recipe: Recipe, index: int) -> Replayed
         if old in recorded
     }
     if record is None or not entries.keys() >= stage.outputs.keys():
-        problem = f"the recording has no whole outcome of stage {stage.id}"
+        problem = f"the recording lacks results of stage {stage.id}"
         raise FileError(problem, file=recording.path, fix=fix)
     try:
         outputs: dict[str, Any] = {
@@ -170,7 +174,9 @@ def _as_recorded(recording: Recording, record: StageRecord, entry: ArtefactEntry
     content = fingerprint_of_bytes(data)
     if record.lineage and artefact_fingerprint(content, record.written, record.lineage) != entry.fingerprint:
         problem = f"artefact '{entry.name}' of stage {record.stage_id} isn't what its fingerprint says"
-        raise FileError(f"{problem}: it was altered since", file=recording.path)
+        raise FileError(
+            f"{problem}: it was altered since", file=recording.path, fix="take another copy of the recording"
+        )
     return data
 
 

@@ -287,7 +287,7 @@ class _Run:
             task.end()
             if self._summary["cached_stages"] and may_be_forged_data(error):
                 work = self._folder.within(WORK)
-                problem = f"{stage.id} fails on what is kept there ({type(error).__name__}: {error})"
+                problem = f"{stage.id} fails on results stored there ({type(error).__name__}: {error})"
                 raise FileError(problem, file=work, fix="remove it and run again") from error
             raise
         kept = self._cache.keep(stage, task.key, values, task.context, task.lineage, task.log.spool)

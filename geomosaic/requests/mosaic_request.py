@@ -250,15 +250,15 @@ class MosaicRequest(FramesRequest):
         """The stages that are asked for. Raises: `InputError` where options contradict each other."""
         dense = self.surface == "dense"
         if self.surface not in SURFACES:
-            raise UnknownNameError("surface", self.surface, SURFACES)
+            raise UnknownNameError("value of --surface", self.surface, SURFACES)
         if self.surface_reference is not None and not dense:
             raise InputError(
-                "there is no surface to compare", file=self.surface_reference, fix="add --surface dense"
+                "there is no surface to compare it with",
+                file=self.surface_reference,
+                fix="add --surface dense",
             )
         if self.ortho is not None and not dense:
-            raise InputError(
-                "--ortho chooses between a surface and the ground below it", fix="add --surface dense"
-            )
+            raise InputError("--ortho has an effect only on a dense surface", fix="add --surface dense")
         wanted = dict.fromkeys(OPTIONAL, dense) | {
             "matching.flying_height": self.ground_height is None,
             "quality.compare": self.reference is not None,

@@ -198,7 +198,9 @@ def record_options(
     if record not in LEVELS:
         raise UnknownNameError("level of --record", record, LEVELS)
     if live and record == "off":
-        raise InputError("--live shows what is recorded", fix="leave --record off away")
+        raise InputError(
+            "--live shows the recording, and --record off writes none", fix="leave out one of them"
+        )
     return RecordOptions(record, private, private_places, live)
 
 
@@ -223,5 +225,5 @@ def beside(given: Path, what: str) -> Path:
     """The run folder where none is given: `FRAMES-mosaic` beside `FRAMES`."""
     place = given if given.name not in ("", "..") else given.resolve()
     if not place.name:
-        raise InputError("there is no place beside it", file=given, fix="give the run folder with -o")
+        raise InputError("no run folder can lie next to it", file=given, fix="give the run folder with -o")
     return place.with_name(f"{place.stem if place.is_file() else place.name}-{what}")

@@ -352,9 +352,9 @@ def test_simulate_has_the_options_its_stage_declares(plugged: Desk) -> None:
     assert {p.name for p in (plugged.folder / "out").iterdir()} == {MARKER, "toy.txt"}
     code, _, err = plugged.ask("simulate", "toy", "out", "--kind", "blok")
     assert code == 2
-    assert err.startswith("geomosaic: stage simulate.toy: kind = 'blok': must be one of block, line (did")
+    assert err.startswith("geomosaic: --kind 'blok': must be one of block, line (did")
     code, _, err = plugged.ask("simulate", "toy", "out", "--height-m", "0")
-    assert code == 2 and "height_m = 0.0: must be a number in m, 1 to 9000" in err
+    assert code == 2 and "--height-m 0.0: must be a number in m, 1 to 9000" in err
 
 
 def test_export_works_on_a_finished_run(plugged: Desk) -> None:
@@ -394,7 +394,7 @@ def test_evaluate_takes_a_run_or_an_image(desk: Desk) -> None:
     assert code == 0 and out.count("\n") > 3
     code, _, err = desk.ask("evaluate", "run", "--reference", "none.tif")
     assert code == 2
-    assert "none.tif: no such file or folder; give an existing one for quality.compare.reference" in err
+    assert "none.tif: no such file or folder; give an existing one with --reference PATH" in err
     code, _, err = desk.ask("evaluate", "nowhere.tif", "--reference", "truth.tif")
     assert code == 2
     assert err == "geomosaic: nowhere.tif: no such file; give a finished run's folder or a GeoTIFF\n"

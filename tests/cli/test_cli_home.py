@@ -144,7 +144,7 @@ def test_the_run_folder_lies_beside_what_is_read(
     assert beside(Path("flight.1/"), "mosaic") == Path("flight.1-mosaic")
     assert beside(Path(), "mosaic") == tmp_path.with_name(f"{tmp_path.name}-mosaic")
     assert geomosaic("mosaic", "/") == 2
-    assert "/: there is no place beside it; give the run folder with -o" in capsys.readouterr().err
+    assert "/: no run folder can lie next to it; give the run folder with -o" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

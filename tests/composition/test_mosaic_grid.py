@@ -330,7 +330,7 @@ def test_a_bomb_of_entities_and_a_log_of_sqlite_are_refused(tmp_path: Path) -> N
     for file, problem in (
         (tmp_path / "bomb.kml", "can't be read"),
         (aoi, "is being written by another program"),
-        (Path("/vsicurl/http://127.0.0.1/a.gpkg"), "no path of a file on this machine"),
+        (Path("/vsicurl/http://127.0.0.1/a.gpkg"), "no file on this machine"),
         (tmp_path, "is no regular file but a folder"),
     ):
         with pytest.raises(InputError, match=problem):

@@ -141,7 +141,7 @@ def test_a_vrt_of_what_is_remote_reaches_no_server(
     monkeypatch.setenv("AWS_HTTPS", "NO")
     monkeypatch.setenv("AWS_NO_SIGN_REQUEST", "YES")
     path = vrt(tmp_path / "dem.vrt", source.format(url=server.url))
-    with pytest.raises(FileError, match=r"dem\.vrt: its source '.*' is no path of a file on this machine"):
+    with pytest.raises(FileError, match=r"dem\.vrt: its source '.*' is no file on this machine"):
         check_dem(path)
     with pytest.raises(FileError, match="its source"):
         open_raster(vrt(tmp_path / "outer.vrt", "dem.vrt", relative=1), DEM)

@@ -167,7 +167,7 @@ def test_whoever_wants_frames_from_a_url_is_told_how(
     for url in ("s3://bucket/flight/", "https://example.org/flight"):
         assert mosaic(Path(url), tmp_path / "run") == 2
         assert capsys.readouterr().err.splitlines()[-1] == (
-            f"geomosaic: {url.rstrip('/')}: is no path of a file on this machine; "
+            f"geomosaic: {url.rstrip('/')}: is no file on this machine; "
             "files at URLs are fetched first: geomosaic fetch LIST_OR_URL -o FOLDER"
         )
 

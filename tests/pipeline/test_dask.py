@@ -109,7 +109,9 @@ def test_a_cluster_that_is_gone_is_one_line_and_what_is_done_is_kept(
     Dask's own words."""
     monkeypatch.setattr(executor, "DASK_PATIENCE_S", 1.0)
     striking = Striking("powers", lambda: deadly(team))
-    with pytest.raises(GeomosaicError, match=f"{words}.*; start it anew and run again; what is done is kept"):
+    with pytest.raises(
+        GeomosaicError, match=f"{words}.*; start it anew and run again; finished work is kept"
+    ):
         powers(team, tmp_path / "run", striking.progress)
     assert capfd.readouterr().err == ""
     kept = len([p for p in (tmp_path / "run").rglob("items/*/*") if p.is_file()])

@@ -8,7 +8,7 @@ import pytest
 from pipeline_toy import RECIPE, recipe_file, registry
 
 from geomosaic.errors import FileError, InputError
-from geomosaic.pipeline.recipe import load_recipe, parse_recipe
+from geomosaic.pipeline.recipe import _FIX, load_recipe, parse_recipe
 
 READ = "stages: [{stage: toy.read, params: {file: numbers.txt}}"
 
@@ -27,9 +27,18 @@ def fault(text: str, *overrides: str) -> str:
         ("seeds: 1\nstages: [toy.read]", "r.yaml: unknown key 'seeds'; did you mean 'seed'?"),
         ("seed: -1\nstages: [toy.read]", "r.yaml: seed = -1: must be a whole number from 0"),
         ("seed: true\nstages: [toy.read]", "r.yaml: seed = True: must be a whole number from 0"),
-        ("name: x", "r.yaml: has no list 'stages'; see docs/recipes.md"),
-        ("stages: []", "r.yaml: has no list 'stages'; see docs/recipes.md"),
-        ("just text", "r.yaml: has no list 'stages'; see docs/recipes.md"),
+        (
+            "name: x",
+            f"r.yaml: has no list 'stages'; {_FIX}",
+        ),
+        (
+            "stages: []",
+            f"r.yaml: has no list 'stages'; {_FIX}",
+        ),
+        (
+            "just text",
+            f"r.yaml: has no list 'stages'; {_FIX}",
+        ),
         ("stages: [3]", "r.yaml: stage number 1 has no name; write '- stage: ID'"),
         (
             "stages: [{stage: toy.read, parms: {}}]",
@@ -63,11 +72,11 @@ def fault(text: str, *overrides: str) -> str:
         ),
         (
             "stages: [a\nb: {",
-            "r.yaml: is no valid YAML in line 2: expected ',' or ']', but got ':'; see docs/recipes.md",
+            "r.yaml: is no valid YAML in line 2: expected ',' or ']', but got ':'; correct it",
         ),
         (
             "seed: 1\nseed: 2",
-            "r.yaml: is no valid YAML in line 2: 'seed' is given twice; see docs/recipes.md",
+            "r.yaml: is no valid YAML in line 2: 'seed' is given twice; correct it",
         ),
         ("stages: !!python/object/apply:os.getcwd []", None),
     ],
@@ -137,7 +146,10 @@ def test_files_must_exist(tmp_path: Path) -> None:
     recipe = load_recipe(recipe_file(tmp_path), registry(), ["toy.read.file=/no/such"])
     with pytest.raises(FileError) as error:
         recipe.check_files()
-    assert str(error.value) == "/no/such: no such file or folder; give an existing one for toy.read.file"
+    assert (
+        str(error.value)
+        == "/no/such: no such file or folder; give an existing one with --set toy.read.file=PATH"
+    )
     recipe.check_files(skip=[0])
 
 

@@ -340,7 +340,7 @@ def test_a_stage_that_fails_on_a_forged_artefact_says_where_it_lies(toys: Toys) 
     entry["outputs"]["numbers"] = fingerprint_of_bytes(data)
     (folder / "entry.json").write_text(json.dumps(entry))
     with pytest.raises(
-        FileError, match=r"work: toy\.power fails on what is kept there .*; remove it and run again"
+        FileError, match=r"work: toy\.power fails on results stored there .*; remove it and run again"
     ):
         toys.run()
     assert not (toys.run_folder / "run.json").exists()

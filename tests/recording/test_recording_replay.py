@@ -219,7 +219,7 @@ def test_a_run_that_was_cut_off_is_replayed_from_where_it_stood(
     path.write_bytes(data[: ends[0]])
     code, _ = replay(recorded, "--from", "replayed.read")
     err = capsys.readouterr().err
-    assert code == 2 and "no whole outcome of stage replayed.raise; replay with --from replayed.raise" in err
+    assert code == 2 and "lacks results of stage replayed.raise; replay with --from replayed.raise" in err
     code, out = replay(recorded, "--from", "replayed.raise")
     assert code == 0 and (out / "sum.txt").read_text() == "71.5\n"
 

@@ -242,7 +242,7 @@ def test_a_program_that_ends_before_its_viewer_says_nothing_of_it(tmp_path: Path
     ("options", "says"),
     [
         (["--record", "ful"], "unknown level of --record 'ful'; did you mean 'full'?"),
-        (["--record", "off", "--live"], "--live shows what is recorded; leave --record off away"),
+        (["--record", "off", "--live"], "--live shows what is recorded; leave out --record off"),
     ],
 )
 def test_wrong_options_end_before_any_work(

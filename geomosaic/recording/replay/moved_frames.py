@@ -40,7 +40,7 @@ def found_frames(recording: Recording, folder: Path) -> dict[Path, Path]:
     they are called. Raises `FileError` if one isn't there."""
     wanted = dict(_recorded_files(recording))
     if not wanted:
-        raise InputError("it names no frames", file=recording.path, fix="replay without --frames")
+        raise InputError("the recording names no frames", file=recording.path, fix="replay without --frames")
     if not folder.is_dir():
         raise FileError("no such folder", file=folder, fix="give the folder that holds the frames")
     hashes = FileHashes()

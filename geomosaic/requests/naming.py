@@ -1,0 +1,149 @@
+"""What users call a parameter: the option that they typed, or the argument in Python.
+
+Texts of errors name options of `geomosaic mosaic` (`--gcp`), and parameters that have none as
+`--set STAGE.PARAMETER=VALUE`. Here both become what the command or the function at hand takes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from functools import cache, partial
+from typing import Any, Final
+
+from geomosaic.errors import GeomosaicError
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.option import flag_of, option_of
+from geomosaic.requests.run_request import RunRequest
+from geomosaic.requests.strips_request import StripsRequest
+
+_VALUE: Final = r"(?:[A-Z]{2,}(?::\w+)?|-?\d[\d.]*)(?![\w.])"
+_FLAG: Final = re.compile(rf"(?<![\w-])(--[a-z][a-z-]*)(?: ({_VALUE}))?")
+_SET: Final = re.compile(r"--set (\w+\.\w+\.\w+)(?:=([^\s,;)]+))?")
+_FAULT: Final = re.compile(r"(?:^|(?<=: ))stage (\w+\.\w+): (\w+) = ")
+
+
+@contextmanager
+def named_as_typed(request: type[RunRequest], given: Mapping[str, Any]) -> Iterator[None]:
+    """Errors raised inside name the options of a command. given: their values by field."""
+    own = {sets: flag_of(its) for its in fields(request) if (sets := option_of(its).sets)}
+    typed = {sets for its in fields(request) if (sets := _given(its.name, option_of(its).sets, given))}
+    sets = {text.partition("=")[0].strip() for text in given.get("set") or ()}
+    with _reworded(partial(_of_command, request=request, own=own, typed=typed, sets=sets)):
+        yield
+
+
+@contextmanager
+def named_as_options(stage: str, options: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Errors raised inside name the options of a command that runs one stage. options: by parameter, if not
+    each parameter is one of its own name."""
+
+    def flag(name: str) -> str | None:
+        return f"--{name.replace('_', '-')}" if options is None else options.get(name)
+
+    def option(found: re.Match[str]) -> str:
+        of, _, name = found[1].rpartition(".")
+        return f"{flag(name)} {found[2] or ''}".strip() if of == stage and flag(name) else found[0]
+
+    def named(text: str, file: str) -> str:
+        fault = _FAULT.search(text)
+        if fault and fault[1] == stage and flag(fault[2]):
+            return _FAULT.sub(f"{flag(fault[2])} ", text.removeprefix(file))
+        return _SET.sub(option, text)
+
+    with _reworded(named):
+        yield
+
+
+@contextmanager
+def named_as_arguments(request: type[RunRequest]) -> Iterator[None]:
+    """Errors raised inside name the arguments of the function that takes a request's fields."""
+    with _reworded(lambda text, _: in_python(text, request)):
+        yield
+
+
+@contextmanager
+def _reworded(change: Callable[[str, str], str]) -> Iterator[None]:
+    """Changes the texts of errors. change: of a text and the prefix of it that names the file."""
+    try:
+        yield
+    except GeomosaicError as error:
+        file = f"{file}: " if (file := getattr(error, "file", None)) else ""
+        error.reword(lambda text: change(text, file))
+        raise
+
+
+def in_python(text: str, request: type[RunRequest]) -> str:
+    """A message whose options are named as arguments: `pos_crs` for `--pos-crs`."""
+    flags = {flag_of(its): its.name for its in fields(request)}
+    own = {sets: its.name for its in fields(request) if (sets := option_of(its).sets)}
+
+    def argument(parameter: str, name: str | None, value: str | None) -> str:
+        if name is not None:
+            return f"{name}={_literal(value)}" if value else name
+        return f"set={{'{parameter}': {_literal(value or 'VALUE')}}}"
+
+    def option(found: re.Match[str]) -> str:
+        name, parameter = flags.get(found[1]), _elsewhere().get(found[1], "")
+        return argument(parameter, name, found[2]) if name or parameter else found[0]
+
+    text = re.sub(r"(?<![\w-])-o(?![\w-])", "output", text)
+    text = _FLAG.sub(lambda found: found[0] if found[1] == "--set" else option(found), text)
+    text = _SET.sub(lambda found: argument(found[1], own.get(found[1]), found[2]), text)
+    return _FAULT.sub(lambda f: f"{own[name]} = " if (name := f"{f[1]}.{f[2]}") in own else f[0], text)
+
+
+def _of_command(
+    text: str,
+    file: str,
+    *,
+    request: type[RunRequest],
+    own: Mapping[str, str],
+    typed: set[str],
+    sets: set[str],
+) -> str:
+    def option(found: re.Match[str]) -> str:
+        return f"{own[found[1]]} {found[2] or ''}".strip() if found[1] in own else found[0]
+
+    flags = {flag_of(its) for its in fields(request)}
+    fault = _FAULT.search(text)
+    name = f"{fault[1]}.{fault[2]}" if fault else ""
+    if name in typed | sets:
+        start = f"--set {name}=" if name in sets else f"{own[name]} "
+        text = _FAULT.sub(lambda _: start, text.removeprefix(file))
+    elif name not in sets:
+        text = _SET.sub(
+            lambda found: f"{own[found[1]]} {found[2] or ''}".strip() if found[1] in own else found[0], text
+        )
+    return _FLAG.sub(lambda found: found[0] if found[1] in flags else _set_instead(found), text)
+
+
+def _set_instead(found: re.Match[str]) -> str:
+    """What sets the parameter of an option that the command at hand does not take."""
+    parameter = _elsewhere().get(found[1])
+    return f"--set {parameter}={found[2] or _metavars()[parameter]}" if parameter else found[0]
+
+
+@cache
+def _elsewhere() -> Mapping[str, str]:
+    """The parameter that each option of `geomosaic mosaic` and `geomosaic strips` sets, by the option."""
+    every = [its for kind in (MosaicRequest, StripsRequest) for its in fields(kind)]
+    return {flag_of(its): sets for its in every if option_of(its).heading and (sets := option_of(its).sets)}
+
+
+@cache
+def _metavars() -> Mapping[str, str]:
+    every = [option_of(its) for kind in (MosaicRequest, StripsRequest) for its in fields(kind)]
+    return {option.sets: option.metavar or "true" for option in every}
+
+
+def _given(name: str, sets: str, given: Mapping[str, Any]) -> str:
+    """The parameter that a field sets, '' where it was not given."""
+    return sets if given.get(name) not in (None, False) else ""
+
+
+def _literal(value: str) -> str:
+    """A value as it stands in Python; a word in capitals stands for one."""
+    return value if re.fullmatch(r"-?\d[\d.]*|[A-Z]+", value) else repr(value)
