@@ -165,7 +165,7 @@ def xmp_packet(values: Mapping[str, str]) -> bytes:
 def with_segments(jpeg: bytes, tiff: bytes, xmp: bytes | None) -> bytes:
     """The JPEG with its Exif (and XMP) APP1 segments in place of the JFIF segment."""
     if jpeg[:4] != b"\xff\xd8\xff\xe0":
-        raise InputError("not a JFIF stream to add EXIF to")
+        raise InputError("is no JPEG that EXIF can be added to", fix="give a JFIF file")
     rest = jpeg[4 + struct.unpack(">H", jpeg[4:6])[0] :]
     segments = [b"Exif\0\0" + tiff, *([_XMP_HEADER + xmp] if xmp else [])]
     return b"\xff\xd8" + b"".join(b"\xff\xe1" + struct.pack(">H", len(s) + 2) + s for s in segments) + rest

@@ -198,7 +198,7 @@ class SurveyPlan:
         if self.water_share + self.smooth_forest_share > 1.0:
             raise InputError("water and forest cover more than all land", fix="give shares that sum to 1")
         if self.dem is not None and self.relief_m:
-            raise InputError("both a DEM and hills are given", fix="leave one of dem and relief_m away")
+            raise InputError("both a DEM and hills are given", fix="leave out dem or relief_m")
 
     def _check_tags(self) -> None:
         if self.format != "jpeg" and self.pos_in != "csv":
@@ -214,7 +214,7 @@ class SurveyPlan:
                         f"{needing} without a rolling shutter", fix="give rolling_shutter_s above 0"
                     )
         if self.lens == "fisheye" and (self.p1 or self.p2):
-            raise InputError("a fisheye has no decentring here", fix="leave p1 and p2 at 0")
+            raise InputError("a simulated fisheye has no decentring", fix="leave p1 and p2 at 0")
         if self.lens == "fisheye" and self.lens_told and self.lens_in_tags and (self.k2 or self.k3):
             raise InputError("a fisheye's tags hold k1 alone", fix="leave k2 and k3 at 0")
 

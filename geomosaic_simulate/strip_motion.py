@@ -139,7 +139,9 @@ def _given_rad(plan: StripPlan, time_s: Floats) -> Floats:
     except InputError:
         raise
     except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=plan.motion) from error
+        raise FileError(
+            (f"can't be read ({error.strerror})"), file=plan.motion, fix="give a CSV file"
+        ) from error
     except (ValueError, csv.Error) as error:
         raise InputError("holds what is no number", file=plan.motion, fix="give a CSV of numbers") from error
     if table.ndim != 2 or table.shape[1] != 3 or not np.isfinite(table).all():

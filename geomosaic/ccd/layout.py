@@ -192,7 +192,8 @@ def image_space_layout(
     height = math.floor(stop + 0.5 - phase) + phase - first
     if height < 1.0:
         raise InputError(
-            "the strips have no lines in common", fix="choose ends: all, or leave the shortest strip out"
+            ("the strips have no lines in common"),
+            fix="use --set mosaic.strips.ends=all, or leave out the shortest strip",
         )
     return ImageSpaceLayout(geometry, first, int(height), tuple(seams))
 

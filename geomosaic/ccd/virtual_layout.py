@@ -153,7 +153,8 @@ def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "al
     first, height = math.ceil(start - 0.5), math.floor(stop + 0.5) - math.ceil(start - 0.5)
     if height < 1:
         raise InputError(
-            "the strips have no lines in common", fix="choose ends: all, or leave the shortest strip out"
+            ("the strips have no lines in common"),
+            fix="use --set mosaic.strips.ends=all, or leave out the shortest strip",
         )
     seams = tuple(0.5 * (rights[k] + lefts[k + 1]) for k in g.pairs)
     return VirtualLayout(g, space, camera, float(first), height, seams, tuple(columns), at, shifts)

@@ -47,7 +47,10 @@ def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> t
     """
     space, g = strips.object_space, strips.geometry
     if space is None:
-        raise InputError("virtual_line needs a rigorous model", fix="give 'model' in GEOMETRY.yaml")
+        raise InputError(
+            ("--method virtual_line needs a rigorous model of the camera"),
+            fix="give 'model' in GEOMETRY.yaml",
+        )
     total, done = sum(strips.lines(pair) for pair in strips.pairs), 0
     noise_line, noise_col = _attitude_noise_px(space.model)
     covered = space.model.attitude_time_s[[0, -1]] * g.line_rate_hz

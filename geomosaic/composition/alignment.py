@@ -33,16 +33,16 @@ class Alignment:
         if not CRS.from_user_input(self.crs).equals(map_crs(crs), ignore_axis_order=True):
             ours, theirs = (_name(CRS.from_user_input(c)) for c in (self.crs, crs))
             raise InputError(
-                f"is in {ours}, but the mosaic in {theirs} (survey.read.crs)",
+                f"is in {ours}, but the mosaic in {theirs}",
                 file=self.file,
-                fix=f"leave --crs out or give --crs {ours}, or align to a raster in {theirs}",
+                fix=f"leave out --crs, or give --align-to a raster in {theirs}",
             )
 
     def check_gsd(self, gsd_m: float) -> None:
         """`InputError` unless another ground pixel that was asked for is the raster's."""
         if abs(gsd_m / self.gsd_m - 1.0) > 1e-6:
-            problem = f"has pixels of {self.gsd_m:.10g} m, but {gsd_m:g} m are asked for (mosaic.seams.gsd_m)"
-            raise InputError(problem, file=self.file, fix="leave --gsd out, or --align-to")
+            problem = f"has pixels of {self.gsd_m:.10g} m, but --gsd asks for {gsd_m:g} m"
+            raise InputError(problem, file=self.file, fix="leave out --gsd or --align-to")
 
 
 def read_alignment(path: Path) -> Alignment:

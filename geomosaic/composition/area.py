@@ -103,29 +103,31 @@ def _clipped(geometry: Any, bounds_m: tuple[float, float, float, float]) -> Any:
 
 @dataclass(frozen=True)
 class Outline:
-    """What a file says of an area: a valid geometry of shapely's, its CRS (WKT), whether it was mended."""
+    """What a file says of an area: a valid geometry of shapely's, its CRS (WKT), whether it was corrected."""
 
     file: Path
     geometry: Any
     crs: str
-    mended: bool
+    corrected: bool
 
 
 def read_outline(path: Path) -> Outline:
-    """The polygons of a file as one geometry; those that cross themselves are mended.
+    """The polygons of a file as one geometry; those that cross themselves are corrected.
 
     Raises: `FileError` as `doors.vector.read_shapes`; `InputError` where the polygons hold nothing.
     """
     found = read_shapes(path)
-    mended = not bool(shapely.is_valid(np.array(found.geometries, dtype=object)).all())
+    corrected = not bool(shapely.is_valid(np.array(found.geometries, dtype=object)).all())
     try:
         whole = _polygonal(shapely.union_all([shapely.make_valid(g) for g in found.geometries]))
     except shapely.errors.GEOSException:
         whole = shapely.MultiPolygon()
     if not (whole.area > 0.0 and np.isfinite(shapely.bounds(whole)).all()):
         fix = "correct it in a GIS (QGIS: Fix geometries)"
-        raise InputError("its polygons hold nothing, or have coordinates that are none", file=path, fix=fix)
-    return Outline(path, whole, found.crs, mended)
+        raise InputError(
+            ("its polygons are empty, or have coordinates that are no numbers"), file=path, fix=fix
+        )
+    return Outline(path, whole, found.crs, corrected)
 
 
 def area_seen(outline: Outline, crs: str, views: Sequence[FrameView]) -> tuple[Area, tuple[FrameView, ...]]:
@@ -135,8 +137,10 @@ def area_seen(outline: Outline, crs: str, views: Sequence[FrameView]) -> tuple[A
     Raises: `InputError` where the area lies elsewhere than the frames, or the map is nowhere on Earth.
     """
     if is_local(crs):
-        problem = "can't be found on a map that lies nowhere on Earth"
-        raise InputError(problem, file=outline.file, fix="give the frames positions, or control points")
+        problem = "the area cannot be found, because no frame has a position"
+        raise InputError(
+            problem, file=outline.file, fix=("give positions with --pos, or control points with --gcp")
+        )
     boxes = shapely.box(*np.array([v.bounds_m for v in views]).T)
     frames = shapely.union_all(boxes)
     geometry, near = _on_map(outline, crs, frames.bounds)
@@ -206,9 +210,9 @@ def elsewhere(outline: Outline, crs: str, views: Sequence[FrameView]) -> InputEr
     area, survey = (_extent_text(g, c) for g, c in ((outline.geometry, outline.crs), (frames, crs)))
     name = CRS.from_user_input(outline.crs).name
     return InputError(
-        f"the area lies elsewhere than what the frames see: it at {area}, they at {survey}",
+        f"the frames show no part of the area: it lies at {area}, they lie at {survey}",
         file=outline.file,
-        fix=f"is its coordinate reference system right ({name})?",
+        fix=f"correct its coordinate reference system ({name}), or give another --aoi",
     )
 
 

@@ -232,7 +232,9 @@ def _written(raster: Raster, made: SpooledResult[BlendedBlock]) -> list[Blended]
 def common_kind(frames: Sequence[Frame]) -> Frame:
     """A frame whose bands and data type all share."""
     if not frames:
-        raise InputError("no frame is left to make a mosaic of", fix="check the positions and attitudes")
+        raise InputError(
+            ("no frame can be used, so there is no mosaic"), fix="correct the positions in the --pos file"
+        )
     first = frames[0]
     for frame in frames:
         if (frame.bands, frame.dtype) != (first.bands, first.dtype):

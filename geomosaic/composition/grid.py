@@ -30,7 +30,10 @@ def auto_gsd_m(ground_pixel_m: float) -> float:
     Raises: `InputError` where it isn't known.
     """
     if not (math.isfinite(ground_pixel_m) and ground_pixel_m > 0.0):
-        raise InputError("no frame sees the ground", fix="check the positions, attitudes and heights")
+        raise InputError(
+            "no frame sees the ground",
+            fix=("correct positions, heights and attitudes (--pos, --dem, --ground-height)"),
+        )
     rounded = (float(f"{ground_pixel_m:.{digits}g}") for digits in (1, 2))
     return next(gsd_m for gsd_m in rounded if abs(gsd_m / ground_pixel_m - 1.0) <= _ROUNDED)
 
@@ -57,7 +60,10 @@ def output_grid(
     200 times all the frames' pixels, naming the frame that stretches it or a ground pixel far too fine.
     """
     if not views:
-        raise InputError("no frame sees the ground", fix="check the positions, attitudes and heights")
+        raise InputError(
+            "no frame sees the ground",
+            fix=("correct positions, heights and attitudes (--pos, --dem, --ground-height)"),
+        )
     if not _fits(views, gsd_m, max_gigapixels):
         raise _too_large(views, names, gsd_m, max_gigapixels)
     west, south, east, north = _edges(views, gsd_m, origin_m)
@@ -148,7 +154,7 @@ def _too_large(
     if rest and _fits(rest, gsd_m, max_gigapixels):
         side_km = max(bounds[2] - bounds[0], bounds[3] - bounds[1]) / 1000.0
         return InputError(
-            f"{size}, {_pixels(rest, gsd_m) / 1e9:,.3g} without frame {names[views[far].frame]}, which "
+            f"{size}, {_pixels(rest, gsd_m) / 1e9:,.3g} without frame {names[views[far].frame]}: it "
             f"reaches {_reach_m(views)[far] / 1000.0:,.1f} km from the middle and is {side_km:,.1f} km wide",
             fix="check its position, height and attitude, or leave it out",
         )

@@ -119,7 +119,7 @@ def file_name(name: str, shown: str) -> str:
     Raises: `InputError` for one that leads elsewhere or can't be shown.
     """
     if printable(name) != name or {"/", "\\"} & set(name) or len(name.encode()) > _NAME_BYTES:
-        problem = "names a file as none of a survey can be named"
+        problem = "names a file that no file of a survey can be called"
         raise InputError(problem, file=printable(shown), fix="rename it there, or take it out of the list")
     return name
 

@@ -59,18 +59,18 @@ _FAILURES: Final = (RasterioError, CPLE_BaseError, OSError, MemoryError)
 NO_SIDECARS: Final = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 FRAME: Final = Purpose(("GTiff",), "is no readable TIFF file", "copy it again, or take it out of the folder")
 MASK: Final = Purpose(("PNG", "GTiff"), "the mask can't be read", "write it as 8 bit PNG or TIFF")
-STRIP: Final = Purpose(("GTiff",), "is no raster that GDAL reads", "give a strip such as a GeoTIFF")
+STRIP: Final = Purpose(("GTiff",), "is no raster file that can be read", "give a strip such as a GeoTIFF")
 OWN: Final = Purpose(("GTiff",), "can't be read as a raster", "run the recipe again")
 DEM: Final = Purpose(
     (*_PLAIN, "SRTMHGT", "DTED", "USGSDEM"),
-    "is no raster that GDAL reads",
+    "is no raster file that can be read",
     "give a DEM such as a GeoTIFF",
     sidecars=True,
     missing=("there is no such DEM", "check --dem"),
 )
 REFERENCE: Final = Purpose(
     (*_PLAIN, "JP2OpenJPEG", "PNG", "JPEG"),
-    "is not a raster that GDAL can read",
+    "is no raster file that can be read",
     "give a georeferenced raster such as a GeoTIFF",
     sidecars=True,
     missing=("no such file", "give a georeferenced raster such as a GeoTIFF"),

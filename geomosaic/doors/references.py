@@ -22,7 +22,7 @@ _HEAD_BYTES: Final = 4096  # GDAL looks for <VRTDataset in the first 1 to 4 kB, 
 _VRT_FIX: Final = "make one file of it with gdal_translate"
 _TEXTS: Final = frozenset({".prj", ".wld", ".clr", ".hdr", ".stx", ".txt", ".qpj"})
 _MOST_TEXT_BYTES: Final = 1 << 20  # GDAL reads them whole; a projection of many words has 5 kB
-_SIDECAR_FIX: Final = "take it away"
+_SIDECAR_FIX: Final = "remove it"
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _MOSAIC_TAGS = """
     VRTDataset SRS GeoTransform Metadata MDI BlockXSize BlockYSize OverviewList VRTRasterBand
@@ -56,7 +56,7 @@ def check_sidecars(path: Path) -> None:
         if not lower.startswith(f"{stem}.") or file.name == path.name or file.is_dir():
             continue
         if not file.is_file():
-            raise FileError(f"is no regular file beside {path.name}", file=file, fix=_SIDECAR_FIX)
+            raise FileError(f"is no regular file next to {path.name}", file=file, fix=_SIDECAR_FIX)
         if lower.endswith(".aux.xml"):
             _check_aux(file)
         elif lower.endswith((".ovr", ".msk")) and lower.startswith(f"{name}."):

@@ -103,8 +103,8 @@ def look(address: Address) -> Remote:
         if status is None:
             raise _not_given(address)
     if status.size <= 0:
-        problem = "is empty, or its server doesn't tell its size"
-        raise InputError(problem, file=address.text, fix="check what lies there")
+        problem = "is empty, or its server does not state its size"
+        raise InputError(problem, file=address.text, fix="check the address")
     return Remote(address, status.size, max(0, status.mtime), _plain_tag(headers.get("etag", "")))
 
 
@@ -196,8 +196,8 @@ def _check_kind(address: Address, head: bytes) -> None:
         what = "a message of its server"
     else:
         return
-    fix = "look at it in a browser; does it want credentials?"
-    raise InputError(f"is no {kind or 'file of a survey'} but {what}", file=address.text, fix=fix)
+    fix = "open it in a browser: it may need credentials"
+    raise InputError(f"is {what}, no {kind or 'file of a survey'}", file=address.text, fix=fix)
 
 
 def _plain_tag(tag: str) -> str:

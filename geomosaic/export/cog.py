@@ -117,10 +117,13 @@ def _options(source: Any, compression: str, quality: int, most_off: float, overv
         kind = f"{source.RasterCount} bands of {gdal.GetDataTypeName(band.DataType)}"
         raise InputError(
             f"{compression} can't hold {kind}",
-            fix=f"choose {', '.join(LOSSLESS)} or {LERC} for export.cog.compression",
+            fix=f"choose {', '.join(LOSSLESS)} or {LERC} with --set export.cog.compression=NAME",
         )
     if compression == "webp" and source.RasterCount == 1:
-        raise InputError("webp can't hold one band", fix=f"choose jpeg, {', '.join(LOSSLESS)} or {LERC}")
+        raise InputError(
+            "webp can't hold one band",
+            fix=(f"choose jpeg, {', '.join(LOSSLESS)} or {LERC} with --set export.cog.compression=NAME"),
+        )
     options = [
         f"COMPRESS={compression.upper()}",
         f"BLOCKSIZE={_BLOCK_PX}",

@@ -66,11 +66,12 @@ def vertical_of(text: str) -> CRS | None:
     except CRSError as error:
         raise InputError(
             f"'{text}' is no vertical coordinate reference system",
-            fix="give ellipsoidal, or an EPSG code such as EPSG:5773",
+            fix="give ellipsoidal, or the code of a geoid model such as EPSG:5773 (EGM96)",
         ) from error
     if not crs.is_vertical or crs.is_compound:
         raise InputError(
-            f"'{crs.name}' has no heights alone", fix="give a vertical CRS such as EPSG:5773 (EGM96)"
+            (f"'{crs.name}' is no vertical reference system"),
+            fix="give a vertical CRS such as EPSG:5773 (EGM96)",
         )
     return crs
 
@@ -84,7 +85,8 @@ def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
     if is_local(grid.crs):
         if vertical is not None:
             raise InputError(
-                "a mosaic in a local frame has no heights above a geoid", fix="leave heights ellipsoidal"
+                ("a mosaic in a local frame has no heights above a geoid"),
+                fix="leave out --set export.surface.heights",
             )
         return HeightSystem(grid.crs, "", "above the local frame's origin, in its unit", none)
     share = np.linspace(0.0, 1.0, _GEOID_NODES)

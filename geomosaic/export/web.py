@@ -137,7 +137,7 @@ def _zooms(
     degrees, see `geographic_bounds`. Raises `InputError` without a map."""
     with open_raster(mosaic_file, OWN) as tiff:
         if tiff.crs is None:
-            fix = "lay it on a map first, such as with geomosaic export map"
+            fix = "put it on a map first: geomosaic export map RUN"
             raise InputError("has no map projection", file=mosaic_file, fix=fix)
         check_on_earth(tiff.crs.to_wkt(), "web map")
         west, south, east, north = geographic_bounds(tiff.crs, tiff.bounds)

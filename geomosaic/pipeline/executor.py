@@ -290,7 +290,7 @@ class Workers:
             self._client = distributed.Client(address, timeout=DASK_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(
-                f"no Dask scheduler answers at {address}", fix="start one or leave --dask away"
+                f"no Dask scheduler answers at {address}", fix="start one or leave out --dask"
             ) from error
         for name in ("distributed", "distributed.client"):  # whose lines are tracebacks when a cluster dies
             logging.getLogger(name).setLevel(logging.CRITICAL)

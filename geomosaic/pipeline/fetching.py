@@ -185,7 +185,7 @@ class _Noted:
             return
         changed = remote.address.name in self._entries
         problem = "was changed since it was fetched" if changed else "is in the way: it was not fetched"
-        raise OutputError(problem, file=path, fix="move it away, or allow it with --overwrite")
+        raise OutputError(problem, file=path, fix="move it elsewhere, or allow it with --overwrite")
 
     def add(self, remotes: Sequence[Remote]) -> None:
         """Notes what is about to be fetched; of a file that is to be replaced, once the new one is whole."""

@@ -198,7 +198,7 @@ def bring_files(recipe: Recipe, given: Mapping[int, ReplayedStage], folder: RunF
                 try:
                     source = path_within(recorded_folder, file)
                 except ValueError as error:
-                    raise FileError(str(error), file=recorded_folder) from error
+                    raise FileError(str(error), file=recorded_folder, fix="run the recipe again") from error
                 if S_ISREG(mode_of(source)) and (name in wanted or not file.startswith("work/")):
                     with folder.writing(file) as temporary:
                         shutil.copyfile(source, temporary, follow_symlinks=False)

@@ -19,7 +19,7 @@ MARKER = RUN_MARKER
 WORK = "work"
 _LOCK = f"{WORK}/lock"
 _MOST_MARKER_BYTES = 16 << 20
-_OVERWRITE = "move it away, choose another output folder, or allow it with --overwrite"
+_OVERWRITE = "move it elsewhere, choose another output folder, or allow it with --overwrite"
 
 
 class RunFolder:

@@ -170,7 +170,8 @@ def node_spacing_m(
     width, height = (np.asarray(high_m, dtype=np.float64) - np.asarray(low_m, dtype=np.float64)).tolist()
     if not (np.isfinite(width) and np.isfinite(height) and min(width, height) >= 0.0):
         raise InputError(
-            "the ground's extent is unknown", fix="check the frames' positions, heights and focal lengths"
+            ("the ground's extent is unknown"),
+            fix="correct positions and heights (--pos) and focal lengths (--camera)",
         )
     # (width / s + 2) (height / s + 2) = most_nodes, solved for s: ends and rounding take up to two nodes
     room, border = most_nodes - 4.0, 2.0 * (width + height)

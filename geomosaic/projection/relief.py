@@ -36,7 +36,9 @@ def relief(
     north = np.arange(low_en_m[1], high_en_m[1] + spacing_m, spacing_m)
     known = raster.filled()
     if known is None:
-        raise InputError("the DEM has no heights where the frames lie", fix="give one of the survey's area")
+        raise InputError(
+            ("the DEM has no heights where the frames lie"), fix="give a --dem of the survey's area"
+        )
     places = _places(work_frame, MapProjection(raster.crs), east, north)
     up_m = np.zeros((north.size, east.size))
     for top in range(0, north.size, _BAND):
@@ -61,7 +63,9 @@ def _places(work_frame: LocalFrame, projection: MapProjection, east: Floats, nor
         levels.append(np.concatenate([xy, geodetic[..., 2:]], axis=-1))
     base, slope = levels[0], (levels[1] - levels[0]) / _LIFT_M
     if not np.isfinite(levels).all():
-        raise InputError("the DEM's map doesn't reach the survey", fix="give one of the survey's area")
+        raise InputError(
+            ("the DEM's map projection does not reach the survey"), fix="give a --dem of the survey's area"
+        )
     splines = [[RectBivariateSpline(*knots, values[..., i]) for i in range(3)] for values in (base, slope)]
 
     def at(norths: Floats, easts: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:

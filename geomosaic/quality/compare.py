@@ -87,7 +87,8 @@ def compare(
     """
     if not (16 <= patch_px <= 512 and 1 <= step_px <= 4096 and 1 <= search_px <= 4096):
         raise InputError(
-            "patch, step or search out of bounds", fix="patch 16 to 512 px, step and search up to 4096 px"
+            ("a patch, step or search is out of bounds"),
+            fix="give patches of 16 to 512 px, steps and searches up to 4096 px",
         )
     with ExitStack() as stack:
         a = stack.enter_context(open_map(mosaic))
@@ -98,7 +99,11 @@ def compare(
         side = max(step_px, _BLOCK_PX // step_px * step_px)
         windows = list(blocks(a.height, a.width, side) if parts is None else parts)
         if not windows:
-            raise InputError("none of its parts lies in the mosaic", file=reference, fix="give others")
+            raise InputError(
+                ("no part of the reference lies in the mosaic"),
+                file=reference,
+                fix="give a reference of the same place",
+            )
         glanced = [Window(0, 0, a.width, a.height)] if parts is None else windows
         tones = _tones(a, pair, glanced, match_tone, mosaic, reference)
         compared: list[_Part] = []

@@ -90,7 +90,10 @@ def _datum(
         return offset_m, f"offset {offset_m:+g} m as given"
     theirs, ours = vertical_crs(crs), vertical_crs(there)
     if theirs is None:
-        warn(f"{path.name}: no vertical datum, so its heights are taken in that of the surface")
+        warn(
+            f"{path.name}: no vertical datum, so its heights are taken in the surface's: a constant "
+            "difference may be that of the datums"
+        )
         return 0.0, "assumed to share the surface's datum"
     if ours is not None and theirs == ours:
         return 0.0, theirs.name

@@ -34,7 +34,7 @@ def browser() -> Path:
     if found is None:
         raise InputError(
             "--pdf needs a browser of the Chromium family, and none is in the PATH",
-            fix="install chromium, or leave --pdf out and print report.html",
+            fix="install chromium, or leave out --pdf and print report.html",
         )
     return Path(found)
 
@@ -66,6 +66,6 @@ def print_page(page: Path, target: Path) -> None:
             )
         if not printed.exists() or not printed.read_bytes()[:5] == b"%PDF-":
             raise InputError(
-                f"{program.name} printed no PDF of {page.name}", fix="leave --pdf out and print report.html"
+                f"{program.name} printed no PDF of {page.name}", fix="leave out --pdf and print report.html"
             )
         shutil.copyfile(printed, target)

@@ -14,6 +14,7 @@ from functools import cache, partial
 from typing import Any, Final
 
 from geomosaic.errors import GeomosaicError
+from geomosaic.pipeline.registry import installed
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.option import flag_of, option_of
 from geomosaic.requests.run_request import RunRequest
@@ -22,6 +23,11 @@ from geomosaic.requests.strips_request import StripsRequest
 _VALUE: Final = r"(?:[A-Z]{2,}(?::\w+)?|-?\d[\d.]*)(?![\w.])"
 _FLAG: Final = re.compile(rf"(?<![\w-])(--[a-z][a-z-]*)(?: ({_VALUE}))?")
 _SET: Final = re.compile(r"--set (\w+\.\w+\.\w+)(?:=([^\s,;)]+))?")
+_PLAIN: Final = re.compile(
+    r"(?<![\w./'-])(?:[a-z][a-z0-9]*(?:_[a-z0-9]+)+|(?<=^)[a-z]+(?= is |: "
+    r"))(?![\w./'-])"
+)
+"""A parameter's bare name: of two words, or first in a text."""
 _FAULT: Final = re.compile(r"(?:^|(?<=: ))stage (\w+\.\w+): (\w+) = ")
 
 
@@ -30,8 +36,8 @@ def named_as_typed(request: type[RunRequest], given: Mapping[str, Any]) -> Itera
     """Errors raised inside name the options of a command. given: their values by field."""
     own = {sets: flag_of(its) for its in fields(request) if (sets := option_of(its).sets)}
     typed = {sets for its in fields(request) if (sets := _given(its.name, option_of(its).sets, given))}
-    sets = {text.partition("=")[0].strip() for text in given.get("set") or ()}
-    with _reworded(partial(_of_command, request=request, own=own, typed=typed, sets=sets)):
+    by_set = {text.partition("=")[0].strip() for text in given.get("set") or ()}
+    with _reworded(partial(_of_command, request=request, own=own, typed=typed, sets=by_set)):
         yield
 
 
@@ -47,11 +53,16 @@ def named_as_options(stage: str, options: Mapping[str, str] | None = None) -> It
         of, _, name = found[1].rpartition(".")
         return f"{flag(name)} {found[2] or ''}".strip() if of == stage and flag(name) else found[0]
 
+    def plain(found: re.Match[str]) -> str:
+        return f"--{found[0].replace('_', '-')}" if found[0] in parameters else found[0]
+
+    parameters = installed().get(stage).Params.model_fields if options is None else {}
+
     def named(text: str, file: str) -> str:
         fault = _FAULT.search(text)
         if fault and fault[1] == stage and flag(fault[2]):
             return _FAULT.sub(f"{flag(fault[2])} ", text.removeprefix(file))
-        return _SET.sub(option, text)
+        return _PLAIN.sub(plain, _SET.sub(option, text))
 
     with _reworded(named):
         yield

@@ -198,9 +198,7 @@ def record_options(
     if record not in LEVELS:
         raise UnknownNameError("level of --record", record, LEVELS)
     if live and record == "off":
-        raise InputError(
-            "--live shows the recording, and --record off writes none", fix="leave out one of them"
-        )
+        raise InputError("--live shows what is recorded", fix="leave out --record off")
     return RecordOptions(record, private, private_places, live)
 
 

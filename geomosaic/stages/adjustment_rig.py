@@ -32,9 +32,15 @@ def adjustment_rig(survey: Survey, adjusted: Adjusted, params: RigParams, contex
         figures = {"places": band.places, "before_px": band.before_px, "after_px": band.after_px}
         context.metric(f"bands.{band.name.replace('.', '_')}", figures)
         if not np.isfinite(band.after_px):
-            text = f"band {band.name}: too little is alike in it to be registered; laid as its tags say"
+            text = (
+                f"band {band.name}: too few matches to align it with the first band: placed by its "
+                "tags, so its edges may show colour fringes"
+            )
             context.warn("band-not-registered", "", text)
         elif band.after_px > _DOUBTFUL_PX:
-            text = f"band {band.name}: its places are left {band.after_px:.1f} px apart in the median"
+            text = (
+                f"band {band.name}: still {band.after_px:.1f} px off the first band in the median: "
+                "edges show colour fringes"
+            )
             context.warn("band-doubtful", "", text)
     return rig

@@ -87,7 +87,10 @@ class AdjustmentSolve(Stage):
         nowhere = {i for part in unplaced_parts(block) for i in part}
         if nowhere:
             left = [block.names[i] for i in sorted(nowhere)]
-            text = "without position, and tied to no frame that has one: left out of the mosaic"
+            text = (
+                "no position, and no tie points with a frame that has one: left out of the mosaic; give "
+                "its position with --pos"
+            )
             few = f" ({some(left)})" if len(left) > 1 else ""
             context.warn("not-placed", left[0] if len(left) == 1 else "", text + few)
         parts = [part for part in parts if part[0] not in nowhere]
@@ -97,18 +100,21 @@ class AdjustmentSolve(Stage):
             moved = adjusted.poses.positions_m[frame] - block.poses.positions_m[frame]
             if not how and moved.any():
                 sd_m = float(np.linalg.norm(adjusted.poses.positions_sd_m[frame, :2])) / np.sqrt(2.0)
-                how = f", moved by {np.linalg.norm(moved):.1f} m as the frames around it were"
+                how = f", corrected by {np.linalg.norm(moved):.1f} m as the frames around it"
                 how += f" (standard deviation in plan {sd_m:.1f} m)"
             why = f" ({reasons[frame]})" if frame in reasons else ""
-            text = f"tied to no other frame{why}; placed by its position and attitude{how}"
+            text = (
+                f"no tie points with other frames{why}: placed by its position and attitude{how}, so "
+                "seams may show there"
+            )
             context.warn("no-tie-points", block.names[frame], text)
         large = [part for part in parts if len(part) > 1]
         for part in large[1:]:
             context.warn(
                 "separate-part",
                 block.names[part[0]],
-                f"{len(part)} frames from here on hang together but have no ties to the rest; "
-                "placed by their own positions",
+                f"{len(part)} frames from here on have tie points with each other but none with the rest; "
+                "placed by their own positions: fly more overlap, or give control points with --gcp",
             )
         residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
         residual = residual[np.isfinite(residual).all(axis=1)]

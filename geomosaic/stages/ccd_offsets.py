@@ -63,7 +63,10 @@ def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) 
             opened, settings, lambda done, total: context.progress(done, total, "offsets")
         )
     if params.method == "virtual_line" and strips.dem is None:
-        text = "has no DEM: heights are unknown, and so are offsets by the model alone"
+        text = (
+            "no DEM: heights are unknown, so offsets without matches are less accurate; give 'dem' in "
+            "the geometry file"
+        )
         context.warn("dem-missing", "geometry", text)
     for offsets in pairs:
         _report(context, strips, offsets)
@@ -71,8 +74,8 @@ def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) 
     far = far_from_nominal(strips, pairs)
     if far is not None:
         text = (
-            f"all that is seen lies {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal "
-            "geometry: clouds alone, or a wrong row_separation_lines"
+            f"all matches lie {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal "
+            "geometry: the scene shows only clouds, or row_separation_lines is wrong"
         )
         context.warn("far-from-nominal", "", text)
     context.metric("offsets.method", params.method)
@@ -103,10 +106,13 @@ def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> 
     assert right is not None
     unreliable = (offsets.label == UNRELIABLE)[common_lines(geometry, offsets.pair, offsets.dline_px)]
     if not unreliable.size or unreliable.all():
-        text = f"its offsets to {right.name} are unknown: joined by a guess and the geometry"
+        text = f"no matches with {right.name}: joined by the nominal geometry, so the seam may be off"
         context.warn("overlap-unmeasured", left.name, text)
     elif unreliable.mean() > 0.1:
-        text = f"its offsets to {right.name} are unreliable on {100 * unreliable.mean():.0f} % of the lines"
+        text = (
+            f"few matches with {right.name} on {100 * unreliable.mean():.0f} % of the lines: the seam "
+            "may be off there"
+        )
         context.warn("offsets-unreliable", left.name, text)
     line = np.arange(0, len(offsets.label), _RECORDED_LINES)
     context.recorder.strip_offsets(

@@ -67,7 +67,10 @@ def export_orthos(
     names = ortho_names([f.name for f in survey.frames])
     rig = rig or RigPoses()
     if survey.other_bands and not rig.bands:
-        text = f"orthos show only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
+        text = (
+            f"orthos show only {survey.band} of the rig's bands; add the stage adjustment.rig to the "
+            "recipe to have all"
+        )
         context.warn("bands-left-out", "", text)
     plan = plan_orthos(
         survey, adjusted, ground, ownership,

@@ -58,7 +58,14 @@ def export_odm(survey: Survey, placement: Placement, adjusted: Adjusted, context
     """
     check_on_earth(survey.map_crs, "list of positions")
     if any(" " in frame.name for frame in survey.frames):
-        context.warn("spaces-in-names", "", "OpenDroneMap parts columns by spaces, which frames' names have")
+        context.warn(
+            "spaces-in-names",
+            "",
+            (
+                "frames have spaces in their names, which OpenDroneMap reads as separators: rename them to "
+                "use this file there"
+            ),
+        )
     with context.writing(ODM) as folder:
         folder.mkdir()
         write_odm_geo(folder / "geo.txt", orientations(survey, placement.poses, adjusted))

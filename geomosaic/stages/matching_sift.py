@@ -208,5 +208,5 @@ class MatchingSift(Stage):
             context.warn(
                 "frame-turned",
                 names[frame],
-                f"its pixels were turned by {quarters * 90} degrees after the flight; righted here",
+                f"its pixels were turned by {quarters * 90} degrees after the flight; turned back here",
             )

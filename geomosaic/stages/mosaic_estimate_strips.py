@@ -44,8 +44,8 @@ class MosaicEstimateStrips(Stage):
         width, height = geometry.scene_width_px, geometry.scene_lines
         laid = in_recipe(context, export_map)
         if laid and geometry.model is None and geometry.rpc is None:
-            problem = "the scene can't be laid on the map: the geometry file names neither a model nor an RPC"
-            raise InputError(problem, fix="give 'model' or 'rpc' there, or leave --map away")
+            problem = "the scene can't be put on the map: the geometry file names neither a model nor an RPC"
+            raise InputError(problem, fix="give 'model' or 'rpc' there, or leave out --map")
         told = {
             "ccds": len(geometry.ccds),
             "width_px": geometry.width_px,

@@ -36,7 +36,9 @@ from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
 _SEEN = 0.98  # of an area; what is less isn't cells cut at its edge
-_MENDED = "polygons that cross themselves were mended; is the mosaic's edge the one that was meant?"
+_CORRECTED = (
+    "polygons that cross themselves were corrected: check the mosaic's edge, or correct them in a GIS"
+)
 
 
 @dataclass(frozen=True)
@@ -149,13 +151,16 @@ class MosaicSeams(Stage):
             frames = self._without_needless(frames, limits, adjusted, context)
         laid = self._laid(frames, limits, pixel, params, inputs, context)
         if laid is None:
-            text = "no frame sees it well: what frames see far off the vertical, or coarsely, is kept"
+            text = (
+                "no frame sees the area steeply and finely enough: the mosaic shows what oblique or "
+                "coarse views there are; expect distortion"
+            )
             context.warn("edges-kept", "", text)
             laid = self._laid(frames, None, pixel, params, inputs, context)
             assert laid is not None
         self._tell_left_out(context, frames, laid)
-        if laid.extent.outline is not None and laid.extent.outline.mended:
-            context.warn("aoi-mended", "", f"{laid.extent.outline.file.name}: {_MENDED}")
+        if laid.extent.outline is not None and laid.extent.outline.corrected:
+            context.warn("aoi-mended", "", f"{laid.extent.outline.file.name}: {_CORRECTED}")
         used = np.isin(np.arange(len(used)), [v.frame for v in laid.scene.views]).tolist()
         scene, hidden = self._shaded(laid.scene, context)
         ownership, nearest_m = nearest_nadir(scene, used, cell_px_of(scene))
@@ -184,7 +189,8 @@ class MosaicSeams(Stage):
         number = f"{len(out)} frames match" if len(out) > 1 else "1 frame matches"
         names = ", ".join(frames.survey.frames[i].name for i in sorted(out))
         text = (
-            f"{number} no other, and others show their ground or they look at the horizon: left out ({names})"
+            f"{number} no other frame, and other frames show the same ground or it looks at the "
+            f"horizon: left out of the mosaic ({names})"
         )
         context.warn("untied-left-out", "", text)
         return replace(frames, used=[use and i not in out for i, use in enumerate(frames.used)])
@@ -213,7 +219,11 @@ class MosaicSeams(Stage):
         for view in flung:
             moved = frames.poses.positions_m[view.frame] - inputs["placement"].poses.positions_m[view.frame]
             away = f"{np.linalg.norm(moved) / 1000.0:,.1f} km from where its position says"
-            context.warn("frame-flung", names[view.frame], f"the adjustment put it {away}; left out")
+            context.warn(
+                "frame-flung",
+                names[view.frame],
+                f"the adjustment placed it {away}: left out of the mosaic; check its position",
+            )
         grid = output_grid(crs, views, gsd_m, names, params.max_gigapixels, origin_m)
         scene = Scene(survey.work_frame, frames.ground, grid, views)
         if limits is not None:
@@ -240,12 +250,27 @@ class MosaicSeams(Stage):
         if laid.edges is None:
             seen = {view.frame for view in frames.views()}
             for i in sorted({i for i, use in enumerate(frames.used) if use} - seen):
-                context.warn("looks-past-ground", names[i], "its middle doesn't see the ground; left out")
+                context.warn(
+                    "looks-past-ground",
+                    names[i],
+                    "its middle does not see the ground: left out of the mosaic",
+                )
             return
         left = [i for i, use in enumerate(frames.used) if use and i not in gives]
         for code, text, some in (
-            ("looks-aside", "too far off the vertical to give pixels", set(left) - laid.well),
-            ("looks-beyond", "only at land that is trimmed and give no pixels", laid.well.intersection(left)),
+            (
+                "looks-aside",
+                (
+                    "too obliquely to be used: the mosaic takes other frames there, or ends; --edges "
+                    "keep uses them"
+                ),
+                set(left) - laid.well,
+            ),
+            (
+                "looks-beyond",
+                "only at ground that is trimmed from the edges: not in the mosaic; --edges keep uses them",
+                laid.well.intersection(left),
+            ),
         ):
             if some:
                 number = f"{len(some)} frames look" if len(some) > 1 else "1 frame looks"
@@ -261,7 +286,10 @@ class MosaicSeams(Stage):
         seen = extent.area.seen(ownership.grid, ownership.owner > 0, ownership.cell_px)
         context.metric("seams.area_seen", seen)
         if seen < _SEEN:
-            beyond = f"{100.0 * (1.0 - seen):.0f} % of the area lies beyond what the frames see well"
+            beyond = (
+                f"{100.0 * (1.0 - seen):.0f} % of the area is not seen well by any frame and stays "
+                "empty; --edges keep shows more"
+            )
             context.warn("aoi-beyond", "", f"{extent.outline.file.name}: {beyond}")
 
     @staticmethod

@@ -83,7 +83,9 @@ class MosaicStrips(Stage):
             context.warn(warning.code, warning.frame, warning.text)
         by_object = params.space == "object" or (params.space == "auto" and offsets.method == "virtual_line")
         if by_object and space is None:
-            raise InputError("object space needs a rigorous model", fix="give 'model' in the geometry file")
+            raise InputError(
+                "the method object_space needs a rigorous model", fix="give 'model' in the geometry file"
+            )
         layout: SceneLayout
         if by_object and space is not None:
             layout = virtual_layout(geometry, space, params.ends)
@@ -136,7 +138,7 @@ class MosaicStrips(Stage):
             },
         )
         for first, last in mosaic.gaps_px:
-            text = f"columns {first} to {last - 1} of the scene are empty: no CCD saw them"
+            text = f"columns {first} to {last - 1} of the scene stay empty: no CCD covers them"
             context.warn("scene-gap", "", text)
         if rpc is not None and rpc.rms_px is not None:
             context.metric("rpc.rms_px", round(rpc.rms_px, 4))

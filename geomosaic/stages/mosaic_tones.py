@@ -41,8 +41,8 @@ def mosaic_tones(
     none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)), np.zeros((n, bands, 2)))
     if survey.other_bands and params.even == "always":
         raise InputError(
-            "a rig's bands are measured values, and each would need tones of its own",
-            fix="leave mosaic.tones.even at auto or never",
+            "the bands of a multispectral rig are measured values and are not balanced",
+            fix="leave out --set mosaic.tones.even",
         )
     alike = all(f.bands == bands for f in frames)
     images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands

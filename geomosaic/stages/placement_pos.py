@@ -74,7 +74,9 @@ class PlacementPos(Stage):
         for name, outline in zip(names, outlines, strict=True):
             if np.isnan(outline).any():
                 context.warn(
-                    "horizon", name, "part of the frame looks past the horizon; that part is left out"
+                    "horizon",
+                    name,
+                    "part of the frame shows sky or land beyond the horizon: that part is not used",
                 )
         outlines = [o[np.isfinite(o).all(axis=1)] for o in outlines]
         located = np.array(survey.located)
@@ -114,23 +116,24 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
         if np.isnan(a) and np.isfinite(b) and f.position.known
     ]
     if filled:
-        text = f"no height of their own: set by the frames before and after ({some(filled)})"
+        text = f"no height of their own: taken from the frames before and after ({some(filled)})"
         context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
     heights_m, sd_m, doubted = believable_heights_m(heights_m, sd_m, below_m)
     if doubted.any():
         named = [n for n, wrong in zip(names, doubted, strict=True) if wrong]
-        text = "given heights put it on the ground, below it or far above the others; set by the images"
+        text = (
+            "the given height lies at the ground, below it or far above other frames: estimated from "
+            "the images instead"
+        )
         context.warn("height-not-believed", named[0] if len(named) == 1 else "", f"{text} ({some(named)})")
     for name, height, floor in zip(names, heights_m, below_m, strict=True):
         if not height > floor:
             problem = (
-                "its height is unknown"
+                "its height is unknown, and the images do not show it"
                 if np.isnan(height)
                 else f"lies {floor - height:.1f} m below the ground"
             )
-            raise InputError(
-                problem, file=name, fix="give heights with --pos, or check the DEM's --dem-offset"
-            )
+            raise InputError(problem, file=name, fix="give heights with --pos, or correct --dem-offset")
     return heights_m, sd_m
 
 
@@ -148,6 +151,6 @@ def _warn_of_control_outside(
     if outside:
         text = (
             f"{len(outside)} of {len(control)} control and check points lie outside every frame, although "
-            f"marked in images ({some(outside)}); check their coordinates and coordinate reference system"
+            f"marked in images ({some(outside)}): correct their coordinates or the CRS in the --gcp file"
         )
         context.warn("control-outside", "", text)

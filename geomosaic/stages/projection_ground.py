@@ -75,8 +75,8 @@ def projection_ground(
 def _as_measured(survey: Survey, flown: FlyingHeight | None, context: Context) -> tuple[Survey, float]:
     """The survey at the height that its images say, and the ground's, where nothing else says it."""
     if flown is None or not np.isfinite(flown.above_ground_m):
-        unasked = "nothing measured it" if flown is None else "their images don't say"
-        stage = ", or put matching.flying_height before projection.ground" if flown is None else ""
+        unasked = "nothing measures it" if flown is None else "their images do not show it"
+        stage = ", or put the stage matching.flying_height before projection.ground" if flown is None else ""
         raise InputError(
             f"how high the frames flew above the ground is unknown, and {unasked}",
             file=survey.frames[0].path,
@@ -84,7 +84,12 @@ def _as_measured(survey: Survey, flown: FlyingHeight | None, context: Context) -
         )
     above = flown.above_ground_m
     context.warn(
-        "height-estimated", "", f"flying height taken from the images: {above:.0f} m above the ground"
+        "height-estimated",
+        "",
+        (
+            f"flying height above the ground estimated from the images: {above:.0f} m; heights and "
+            "scale of the map rest on it"
+        ),
     )
     return with_heights_above_ground(survey, above)
 

@@ -84,8 +84,9 @@ class QualityCompare(Stage):
             context.warn(
                 "little-measured",
                 "",
-                f"only {100 * comparison.figures.share_measured:.0f} % of the patches could be matched with "
-                f"{comparison.reference}; the figures speak for those alone",
+                f"only {100 * comparison.figures.share_measured:.0f} % of the patches match "
+                f"{comparison.reference}; the figures hold for those alone; another season or "
+                "resolution lowers the share",
             )
         if params.truth is not None and "adjusted" in inputs:
             _report_frame_errors(inputs, params.truth, context)

@@ -42,7 +42,10 @@ def quality_strips(
         context.metric("errors", asdict(scene_errors(offsets, true, strips)))
     if quality.misplaced:
         worst = quality.figures.worst_segment_px
-        text = f"a segment of 512 lines is off by {worst:.1f} px; the limit is 1 px"
+        text = (
+            f"512 lines of the scene are off by {worst:.1f} px, more than 1 px: seams show there; give "
+            "'model' or 'dem' in the geometry file"
+        )
         context.warn("scene-misplaced", "", text)
     return quality
 

@@ -219,9 +219,9 @@ def report_estimate(context: Context, estimate: SizeEstimate) -> None:
     if estimate.disk_gb[0] > free_gb + before:
         raise OutputError(
             f"no space left on the disk: a mosaic of {estimate.width_px:,} x {estimate.height_px:,} px "
-            f"takes {room(estimate.disk_gb)}, {room((free_gb, free_gb))} are free",
+            f"takes {room(estimate.disk_gb)}, but {room((free_gb, free_gb))} are free",
             file=context.run_folder,
-            fix="free some, choose another output folder or a coarser --gsd",
+            fix="free some, choose another folder with -o, or a coarser --gsd",
         )
 
 

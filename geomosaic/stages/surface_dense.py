@@ -83,17 +83,24 @@ class SurfaceDense(Stage):
         seen = np.vstack([np.zeros((0, 2)), *outlines])
         seen = seen[np.isfinite(seen).all(axis=1)]
         if not len(seen):
-            raise InputError("no frame sees the ground", fix="run without --surface dense")
+            raise InputError(
+                "no frame sees the ground, so there is no dense surface", fix="run without --surface dense"
+            )
         wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
         cells = cells_covering(seen.min(axis=0), seen.max(axis=0), wanted_m)
         if cells.cell_m > wanted_m:
             text = (
-                f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: as many as one surface may have"
+                f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: a surface may have no "
+                "more; details smaller than that are smoothed"
             )
             context.warn("surface-coarse", "", text)
         context.metric("surface.cell_m", cells.cell_m)
         if len(used) < 2:
-            context.warn("surface-not-matched", "", "one frame shows no surface: it is as before")
+            context.warn(
+                "surface-not-matched",
+                "",
+                "one frame alone gives no surface: the ground is used as without --surface dense",
+            )
             surface = mosaic_tiles(cells, base, ())
             return {"ground": surface.ground(), "surface": surface}
         places = adjusted.poses.positions_m[used]

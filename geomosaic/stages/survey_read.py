@@ -105,7 +105,12 @@ class SurveyRead(Stage):
         for name in project_files(params.frames):
             if getattr(params, name) is None:
                 context.warn(
-                    "project-file", "", f"{given[name].name} beside the frames is taken for --{name}"
+                    "project-file",
+                    "",
+                    (
+                        f"{given[name].name} in the folder of frames is used as --{name}; give another "
+                        f"file with --{name} if it is wrong"
+                    ),
                 )
         looks: dict[str, StoredResult[Seen]] = {}
 

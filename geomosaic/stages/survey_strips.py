@@ -51,15 +51,18 @@ class SurveyStrips(Stage):
         """Says what is missing, and records what the strips look like."""
         geometry = read_geometry(params.geometry)
         if geometry.dem is not None and geometry.model is None:
-            text = "is not used: only a rigorous model says where on it the strips look; give 'model'"
+            text = (
+                "is not used, because only a rigorous model places the strips on it; give 'model' in "
+                "the geometry file"
+            )
             context.warn("dem-unused", geometry.dem.name, text)
         longest = max(geometry.lines)
         for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True), 1):
             if ccd.path is None:
-                context.warn("ccd-missing", f"CCD {k}", "has no strip; its place stays empty")
+                context.warn("ccd-missing", f"CCD {k}", "has no strip: its columns of the scene stay empty")
                 continue
             if lines < longest:
-                text = f"has {lines} lines, the longest strip {longest}; the rest of its place stays empty"
+                text = f"has {lines} lines, the longest strip {longest}; the rest of its columns stays empty"
                 context.warn("strip-short", ccd.path.name, text)
         paths = [ccd.path for ccd in geometry.ccds if ccd.path is not None]
         with unreferenced_is_fine(), Env(GDAL_CACHEMAX=READ_CACHE_BYTES):

@@ -36,7 +36,7 @@ def match_warnings(counted: MatchCounts, level: PyramidLevel, known: str) -> Ite
         ground, fix = (
             ("elevation model that was given", "its heights may count from another level (--dem-offset)")
             if known == "dem"
-            else ("ground that was known before", "an elevation model (--dem) tells where to search")
+            else ("ground from the tie points", "an elevation model (--dem) tells where to search")
         )
         yield (
             "surface-out-of-reach",

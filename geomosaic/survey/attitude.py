@@ -64,7 +64,7 @@ def _lacks(table: ParsedTable, convention: str, columns: str) -> InputError:
     return InputError(
         f"has no columns {columns} for the attitude convention '{convention}'",
         file=table.path,
-        fix=f"name them, or choose another of {', '.join(CONVENTIONS)}",
+        fix=f"name them, or give --set survey.read.attitude_convention=NAME ({', '.join(CONVENTIONS)})",
     )
 
 
@@ -77,7 +77,10 @@ def _convention(table: ParsedTable, pitches_deg: Floats) -> tuple[str, list[Warn
         return "body", []
     middle = float(np.nanmedian(pitches_deg))
     convention, nadir = ("gimbal", -90) if abs(middle + 90.0) < 45.0 else ("body", 0)
-    text = f"{table.path.name}: the middle pitch is {middle:.1f}: {convention} angles assumed (nadir {nadir})"
+    text = (
+        f"{table.path.name}: the middle pitch is {middle:.1f} degrees, so angles are read as those of a "
+        f"{convention} (nadir {nadir}); else give --set survey.read.attitude_convention=NAME"
+    )
     return convention, [Warn("pos-attitude-convention", "", text)]
 
 

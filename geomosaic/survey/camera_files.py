@@ -36,7 +36,7 @@ _PLAIN_KEYS: Final = (
     "name", "width_px", "height_px", "focal_length_px", "focal_length_mm", "pixel_size_um",
     "principal_col_px", "principal_row_px", "focal_length_sd_px", "readout_s", "kind", *TERMS,
 )  # fmt: skip
-_FIX: Final = "see docs/inputs.md for the camera file's keys"
+_FIX: Final = "give cameras.json, or YAML with width_px, height_px and focal_length_px"
 
 Entry = Mapping[str, Any]
 

@@ -111,14 +111,20 @@ def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
 
 def _shutter_reported(header: FrameHeader, camera: Camera) -> list[Warn]:
     """What a frame's tags or model say of its shutter, where that isn't nothing."""
-    source, rolling = shutter(header).source, f"{camera.name}: a rolling shutter, all rows read within"
+    source, rolling = shutter(header).source, f"{camera.name}: a rolling shutter that reads all rows in"
     if source == "tag":
         return [Warn("readout-by-tag", "", f"{rolling} {camera.readout_s:.3g} s (LineReadoutTime)")]
     if source == "model":
-        text = f"{rolling} {camera.readout_s:.3g} s, as others measured of this model; solved for about that"
+        text = (
+            f"{rolling} {camera.readout_s:.3g} s, a published value of this model; the adjustment "
+            "estimates it"
+        )
         return [Warn("readout-by-model", "", text)]
     if source == "absurd":
-        text = f"{camera.name}: its LineReadoutTime can't be (all rows in {SLOWEST.value:g} s at most)"
+        text = (
+            f"{camera.name}: its LineReadoutTime is implausible (all rows take {SLOWEST.value:g} s at "
+            "most) and not used"
+        )
         return [Warn("readout-absurd", "", f"{text}: taken as not given")]
     return []
 
@@ -315,7 +321,7 @@ def _fitting(header: FrameHeader, cameras: Sequence[Camera], path: Path, wanted:
     raise InputError(
         f"no camera for frame {header.name} of {size}: {known}",
         file=path,
-        fix="give a camera file of this frame size, or of a whole multiple's shape",
+        fix="give --camera FILE of this frame size",
     )
 
 

@@ -66,7 +66,7 @@ def read_control(path: Path, frames: FrameNames, near: Floats = NOWHERE) -> Cont
         of.setdefault(name or f"{lon:.8f} {lat:.8f}", []).append(i)
     if len(of) > _MOST_POINTS:
         problem = f"has {len(of):,} points, more than {_MOST_POINTS:,}"
-        raise InputError(problem, file=path, fix="take the best of them")
+        raise InputError(problem, file=path, fix="leave out the less accurate ones")
     merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
     seen, absent = _measurements(table, of, frames)
     stated_m = _stated_deviations_m(table)
@@ -125,8 +125,11 @@ def _one_place(
     away_m = np.fmax(np.linalg.norm(plan_m, axis=1), off_m)
     worst = int(np.argmax(away_m))
     if away_m[worst] >= RESURVEYED.value - _ROUNDED_M:
-        problem = f"line {table.lines[rows[worst]]}: point '{name}' has moved by {away_m[worst]:.3g} m"
-        raise InputError(problem, file=table.path, fix="give each point one position")
+        problem = (
+            f"line {table.lines[rows[worst]]}: point '{name}' stands {away_m[worst]:.3g} m from its "
+            "first line"
+        )
+        raise InputError(problem, file=table.path, fix="give each point one position, or another name")
     from_first = places[:, :2] - places[0, :2]
     from_first[:, 0] = (from_first[:, 0] + 180.0) % 360.0 - 180.0 if worst else 0.0
     lon, lat = (places[0, :2] + from_first.mean(axis=0)).tolist()
@@ -146,7 +149,10 @@ def _plan_only(path: Path, points: Sequence[ControlPoint]) -> Warn | None:
         if len(which) == len(points)
         else f"{len(which)} of {len(points)} points ({some(which)}) have no height"
     )
-    text = f"{path.name}: {what}, taken as not given: the points determine the plan, not heights"
+    text = (
+        f"{path.name}: {what}, so the points place the map in plan only; give heights to place it in "
+        "height too"
+    )
     return Warn("control-plan-only", "", text)
 
 
@@ -158,7 +164,8 @@ def _unsteady(path: Path, merged: Mapping[str, tuple[object, tuple[float, float]
     plan_m, height_m = (max(merged[name][1][k] for name in which) for k in (0, 1))
     text = (
         f"{path.name}: {len(which)} of {len(merged)} points ({some(which)}) have lines that differ, by up to "
-        f"{plan_m:.3g} m in plan and {height_m:.3g} m in height; their mean is taken, with a wider deviation"
+        f"{plan_m:.3g} m in plan and {height_m:.3g} m in height; their mean is used with a larger "
+        "standard deviation; correct the lines that are wrong"
     )
     return Warn("control-spread", "", text)
 

@@ -20,8 +20,8 @@ from geomosaic.survey.places import away_from
 Floats = NDArray[np.float64]
 _SLIPS = tuned(0.1, "share of image marks", "outside their images as slips; more: marks of other images")
 _LEANS: Final = (
-    "no frame has a position, and two control points alone don't determine how the block leans about the "
-    "line through them: a third one, off it, does"
+    "no frame has a position, and two control points leave open how the block leans about the line "
+    "through them: add a third point off that line"
 )
 
 

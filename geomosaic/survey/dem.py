@@ -81,7 +81,7 @@ def outliers_warning(found: tuple[tuple[float, int], ...], path: Path) -> Warn:
     count = sum(n for _, n in found)
     values = ", ".join(f"{value:g} m ({n:,} times)" for value, n in found[:3])
     more = f" and {len(found) - 3} other values" if len(found) > 3 else ""
-    text = f"{count:,} heights that none around them bears out count as no data: {values}{more}"
+    text = f"{count:,} heights far from all around them are treated as no data: {values}{more}"
     return Warn("dem-outliers", "", f"{path.name}: {text}")
 
 
@@ -95,11 +95,13 @@ def check_grid(source: Raster, path: Path) -> None:
     """`FileError` for a raster that is turned or upside down, or whose values are no heights in metres."""
     t = source.transform
     if not np.isfinite([*t, *source.bounds]).all():
-        raise FileError("the DEM's place on the map is no number", file=path, fix="correct its georeference")
+        raise FileError("the DEM's georeference is no number", file=path, fix="correct its georeference")
     if t.b != 0.0 or t.d != 0.0 or t.a <= 0.0 or t.e >= 0.0:
         raise FileError("the DEM is not north-up", file=path, fix="warp it with gdalwarp first")
     if np.dtype(source.dtypes[0]).kind not in "iuf":
-        raise FileError(f"the DEM's values are {source.dtypes[0]}", file=path, fix="give heights")
+        raise FileError(
+            (f"the DEM's values are {source.dtypes[0]}"), file=path, fix="give a DEM of real or whole numbers"
+        )
     if (source.units[0] or "").lower() not in _METRES:
         raise FileError(
             f"the DEM's heights are in {source.units[0]}", file=path, fix="convert them to metres"
@@ -123,7 +125,9 @@ def read_heights(
         check_grid(source, path)
         wanted = _window(source, bounds, (1, 1))
         if wanted is None:
-            raise FileError("the DEM does not cover the survey", file=path, fix="give one that does")
+            raise FileError(
+                ("the DEM does not cover the survey"), file=path, fix="give a DEM of the whole survey"
+            )
         t, sides = source.transform, (wanted.height, wanted.width)
         steps = [
             max(1.0, side / _MOST_PIXELS, finest / pixel)

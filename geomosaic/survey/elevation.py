@@ -45,10 +45,15 @@ def read_elevation(
     gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
     if len(gaps) == len(frame_names):
         raise InputError(
-            "the DEM has no heights under the frames", file=path, fix="give one that has (see its nodata)"
+            ("the DEM has no heights under the frames"),
+            file=path,
+            fix="give a DEM with heights there, or correct its nodata value",
         )
     if gaps:
-        text = f"{path.name}: no height under {len(gaps)} frames ({', '.join(gaps[:3])})"
+        text = (
+            f"{path.name}: no heights under {len(gaps)} frames, where the nearest are used "
+            f"({', '.join(gaps[:3])})"
+        )
         warnings.append(Warn("dem-gaps", "", text))
     return model, heights, warnings
 
@@ -68,7 +73,7 @@ def check_dem(path: Path) -> tuple[CRS, Any]:
             crs = CRS.from_wkt(dem.crs.to_wkt())
         except CRSError as error:
             problem = "the DEM's coordinate reference system can't be understood"
-            raise InputError(problem, file=path, fix="assign another (gdal_edit.py -a_srs EPSG:n)") from error
+            raise InputError(problem, file=path, fix="assign one (gdal_edit.py -a_srs EPSG:n)") from error
         level = crs.sub_crs_list[0] if crs.is_compound else crs
         if not level.is_geographic and not level.is_projected:
             problem = f"the DEM's coordinate reference system '{level.name}' is a {level.type_name}"
@@ -95,8 +100,9 @@ def _with_datum(
             raise InputError(error.problem, file=path, fix=fix) from error
         return replace(model, offset_m=offset, vertical=f"{vertical.name}, offset {offset:+.2f} m"), []
     text = (
-        f"{path.name}: no vertical datum, so its heights are taken in the datum of the frames' heights; "
-        "else give --dem-offset METRES"
+        f"{path.name}: no vertical datum, so its heights are taken in the datum of the frames' "
+        "heights: the map may "
+        "lie too high or low; else give --dem-offset METRES"
     )
     vertical_text = "assumed to share the datum of the frames' heights"
     return replace(model, vertical=vertical_text), [Warn("dem-datum-assumed", "", text)]

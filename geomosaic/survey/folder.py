@@ -114,7 +114,7 @@ def _listed(folder: Path) -> tuple[list[Path], list[Path]]:
             elif path.is_file() or path.suffix.lower() in _SUFFIXES:
                 files.append(path)
     except OSError as error:
-        raise FileError(f"can't be listed ({error.strerror})", file=folder) from error
+        raise FileError(f"can't be listed ({error.strerror})", file=folder, fix="make it readable") from error
     for path in files:
         check_name(path)
     return files, folders
@@ -154,7 +154,7 @@ def _called(frames: Collection[Path], top: Path) -> dict[Path, str]:
     again = Counter(called.values())
     twice = next((name for name in called.values() if again[name] > 1), None)
     if twice is not None:
-        raise InputError("its name reads like that of another frame", file=twice, fix="rename it")
+        raise InputError("its name looks like that of another frame", file=twice, fix="rename one of them")
     return called
 
 

@@ -141,14 +141,20 @@ def _matched(
         raise InputError(
             f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}",
             file=pos.path,
-            fix="add them, or take these frames out of the folder",
+            fix="add lines, or take these frames out of the folder",
         )
     warnings = []
     if strangers:
-        text = f"{len(strangers)} of {len(pos.rows)} lines name no frame: {some(r.name for r in strangers)}"
+        text = (
+            f"{len(strangers)} of {len(pos.rows)} lines name no frame in the folder and are not used: "
+            f"{some(r.name for r in strangers)}"
+        )
         warnings.append(Warn("pos-line-without-frame", "", f"{pos.path.name}: {text}"))
     if lacking:
-        text = f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}; their own tags count"
+        text = (
+            f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}; positions in their tags "
+            "are used"
+        )
         warnings.append(Warn("pos-frame-without-line", "", f"{pos.path.name}: {text}"))
     return [rows.get(name) for name in own], warnings
 
@@ -225,7 +231,10 @@ def _against_exif(
     i = int(np.argmax(away))
     if away[i] <= _FAR_M:
         return []
-    text = f"{pos.path.name}: up to {away[i] / 1000.0:.1f} km from the frames' own GPS positions"
+    text = (
+        f"{pos.path.name}: up to {away[i] / 1000.0:.1f} km from the positions in the frames' tags: "
+        "check columns and CRS of the file"
+    )
     return [Warn("pos-far-from-exif", both[i][2], text)]
 
 

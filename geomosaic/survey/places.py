@@ -72,8 +72,14 @@ def check_area(crs: CRS, lon_deg: float, lat_deg: float, what: str, file: Path |
         f"{crs.name} ({reach})"
     )
     if away_m > _FAR_OUTSIDE_M:
-        raise InputError(problem, file=file, fix="give the coordinate reference system that belongs to them")
-    return [Warn("crs-outside-area", "", f"{problem}; distances on the map may be wrong")]
+        raise InputError(problem, file=file, fix="give the coordinate reference system of the coordinates")
+    return [
+        Warn(
+            "crs-outside-area",
+            "",
+            (f"{problem}; distances on the map may be wrong; give the CRS of the place"),
+        )
+    ]
 
 
 def check_columns(table: ParsedTable, aliases: Aliases, item: str, what: str) -> None:
@@ -119,11 +125,14 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     notes = []
     name = table.path.name
     if not stated.is_name_of(crs):
-        text = f"{name}: {shown(stated.text)} is taken as {label(crs)}"
+        text = f"{name}: {shown(stated.text)} is taken as {label(crs)}; give its EPSG code if it is another"
         notes.append(Warn("crs-by-name", "", text))
     if swapped:
         where = f"far from the frames in {crs.name}" if len(near) else f"outside the area of {crs.name}"
-        text = f"{name}: x and y are exchanged: as they are written, the positions would lie {where}"
+        text = (
+            f"{name}: x is read as northing and y as easting: as they are written, the positions would "
+            f"lie {where}"
+        )
         notes.append(Warn("xy-exchanged", "", text))
         xy = xy[:, ::-1]
     if crs.is_geographic:
@@ -215,7 +224,7 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
     if nowhere.any():
         raise InputError(
             f"line {table.lines[int(np.argmax(nowhere))]}: longitude and latitude are both 0, "
-            "as written by a receiver without a fix",
+            "as a receiver writes without satellites",
             file=table.path,
             fix="correct them, or take the line and its frame out",
         )
@@ -245,7 +254,10 @@ def heights_of(table: ParsedTable, crs: CRS | None, lonlat: Floats) -> tuple[Flo
     vertical = vertical_crs(crs) if crs is not None and "lon" not in has else None
     if column == "height_orthometric" and vertical is None:
         vertical = CRS.from_epsg(3855)
-        text = f"{name}: orthometric heights have no stated geoid, taken as EGM2008's"
+        text = (
+            f"{name}: orthometric heights without a stated geoid are taken as EGM2008's: the map may "
+            "lie too high or low by decimetres"
+        )
         notes.append(Warn("geoid-assumed", "", text))
     if column != "height_ellipsoidal" and vertical is not None:
         try:
@@ -255,8 +267,9 @@ def heights_of(table: ParsedTable, crs: CRS | None, lonlat: Floats) -> tuple[Flo
             raise InputError(error.problem, file=table.path, fix=fix) from error
     elif column == "height":
         text = (
-            f"{name}: heights have no stated datum, taken as ellipsoidal: all may be off by the same amount; "
-            "name the column height_ellipsoidal or height_orthometric"
+            f"{name}: heights have no stated datum and are taken as ellipsoidal: the map may lie "
+            "too high or low by a "
+            "constant; name the column height_ellipsoidal or height_orthometric"
         )
         notes.append(Warn("height-datum-assumed", "", text))
     return values + offset, notes

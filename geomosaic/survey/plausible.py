@@ -71,8 +71,8 @@ def plausible_positions(
     if given.any() and not ((np.isfinite(heights) & ~wrong[0]) | (np.isfinite(above) & ~wrong[1])).any():
         worst = float(heights[0] if np.isfinite(heights[0]) else above[np.flatnonzero(given)[0]])
         raise InputError(
-            f"no frame has a height that can be: {names[int(np.argmax(given))]} has {worst:g} m",
-            fix="give heights in metres, or leave them out: images show how high they were taken",
+            f"no frame has a plausible height: {names[int(np.argmax(given))]} has {worst:g} m",
+            fix="give heights in metres, or leave them out: they are then estimated from the images",
         )
     kept = tuple(
         replace(

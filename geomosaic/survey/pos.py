@@ -167,7 +167,10 @@ def _table(
         )
     projected = file_crs is not None and not all(crs_of(c).is_geographic for c in file_crs.groups[0])
     columns = ("frame", "x", "y", *_PIX4D[3:]) if projected else _PIX4D
-    text = f"{path.name} has no header: read as {', '.join(columns[:count])} (Pix4D's order)"
+    text = (
+        f"{path.name} has no header line: columns are read as {', '.join(columns[:count])} (Pix4D's "
+        "order); else put one first"
+    )
     notes.append(Warn("pos-header-assumed", "", text))
     return read_table(path, data, ALIASES, columns[:count]), file_crs
 
@@ -178,7 +181,7 @@ def _without_empty_angles(table: ParsedTable, notes: list[Warn]) -> ParsedTable:
     angles = np.stack([table.numbers(column) for column in drop])
     if np.isnan(angles).all() or (np.nan_to_num(angles) != 0.0).any():
         return table
-    notes.append(Warn("pos-attitude-empty", "", f"{table.path.name}: all angles are 0, taken as unknown"))
+    notes.append(Warn("pos-attitude-empty", "", f"{table.path.name}: all angles are 0 and taken as unknown"))
     return replace(table, cells={c: cells for c, cells in table.cells.items() if c not in drop})
 
 

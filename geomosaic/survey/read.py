@@ -49,8 +49,9 @@ from geomosaic.survey.zone import proposing_zone
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 _LOCAL: Final = (
-    "no frame has a position and there are no control points: the mosaic lies in a local frame, in units of "
-    "its own (about a ground pixel each) and turned as it may be; its coordinates and sizes are no metres"
+    "no frame has a position and there are no control points: the mosaic has no place on the Earth, "
+    "its unit is "
+    "about a ground pixel, and its orientation is arbitrary; give --pos or --gcp to have a map"
 )
 
 
@@ -204,7 +205,11 @@ def read_survey(
     )
     band, other_bands = _bands(rig, frames, lenses) if rig else ("", ())
     lost = [] if rig is None else incomplete_captures(rig, names)
-    order = [] if by_time else [Warn("order-by-name", "", "not all frames have a time: ordered by name")]
+    order = (
+        []
+        if by_time
+        else [Warn("order-by-name", "", ("not all frames have a time: frames are ordered by name"))]
+    )
     return Survey(
         frames=frames,
         cameras=choice.cameras,
@@ -243,13 +248,21 @@ def _wanted_crs(text: str, lon_deg: float, lat_deg: float) -> tuple[CRS | None, 
     named = (
         []
         if required_crs(text, "").is_name_of(crs)
-        else [Warn("crs-by-name", "", f"--crs '{text}' is taken as {label(crs)}")]
+        else [
+            Warn(
+                "crs-by-name",
+                "",
+                (f"--crs '{text}' is taken as {label(crs)}; give its EPSG code if it is another"),
+            )
+        ]
     )
     return crs, [*named, *check_area(crs, lon_deg, lat_deg, "the frames")]
 
 
 def _inner_words(inner: Sequence[str]) -> str:
-    return f"pictures in folders beside the frames aren't used: {some(inner)}; give one above to use all"
+    return (
+        f"images in folders next to the frames are not used: {some(inner)}; give the folder above to use all"
+    )
 
 
 def _bands(
@@ -333,8 +346,8 @@ def _in_order(headers: Sequence[FrameHeader]) -> tuple[list[FrameHeader], bool]:
 def _check_local(local: bool, folder: Path, crs: str, dem: Path | None) -> None:
     """`InputError` for what needs a place on the Earth, where frames have none."""
     for wanted, what in (
-        (crs != "auto", f"the map can't be in {crs}"),
-        (dem is not None, "a DEM is of no use"),
+        (crs != "auto", f"there can be no map in {crs}"),
+        (dem is not None, "a DEM cannot be used"),
     ):
         if local and wanted:
             raise InputError(

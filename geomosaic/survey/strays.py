@@ -48,10 +48,10 @@ _WORDS: Final = {
     "frame-other-camera": "taken by another of the aircraft's cameras (--camera-kind chooses one)",
     "frame-copy": "copies of other frames",
     "frame-take-off": "taken far below all others at the flight's beginning or end",
-    "frame-far-away": "farther away than any survey reaches",
+    "frame-far-away": "farther away than a survey reaches",
     "frame-other-place": "of another flight, far from the largest: mosaic it by itself",
-    "frame-blurred": "far blurrier than the frames beside them, which are sharp",
-    "frame-no-camera": "no lens is reported, nor are they of the others' camera",
+    "frame-blurred": "far more blurred than their neighbours, which are sharp",
+    "frame-no-camera": "of another camera, and without a reported focal length",
 }
 
 
@@ -80,7 +80,7 @@ def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:
         names = [o.name for c, o in left_out if c == code]
         if names:
             few = f" ({len(names)}: {some(names)})" if len(names) > 1 else ""
-            text = f"left out: {words}{few}; survey.read.leave_out=none keeps all that can be kept"
+            text = f"left out: {words}{few}; use them with --set survey.read.leave_out=none"
             out.append(Warn(code, names[0] if len(names) == 1 else "", text))
     return out
 

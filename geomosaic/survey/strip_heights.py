@@ -100,7 +100,10 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
         raise InputError("the DEM does not cover the strips", file=path, fix=_FIX)
     vertical, warnings = vertical_crs(crs), []
     if vertical is None:
-        text = f"{path.name}: no vertical datum, so its heights are taken for ellipsoidal"
+        text = (
+            f"{path.name}: no vertical datum, so its heights are taken as ellipsoidal: the scene may be "
+            "shifted by parallax"
+        )
         warnings.append(Warn("dem-datum-assumed", "", text))
         model = ElevationModel(str(path), 0.0, "taken for ellipsoidal")
     else:
@@ -120,7 +123,7 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
     heights.span_m = float(sampled[known].min()), float(sampled[known].max())
     lacking = 1.0 - known.sum() / len(lonlat)
     if lacking > 0.0:
-        text = f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene; the nearest are taken"
+        text = f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene, where the nearest are used"
         warnings.append(Warn("dem-gaps", "", text))
     if heights.outliers:
         warnings.append(outliers_warning(heights.outliers, path))

@@ -26,7 +26,7 @@ _MOST_BYTES = tuned(
     "bytes by kind",
     "a table of 200 s at 3 kHz has 60 MB; YAML is slow",
 )
-_FIX: Final = "see docs/simulation.md for the model's form"
+_FIX: Final = "give YAML with line_rate_hz, looks, and the CSV files orbit and attitude"
 
 
 def read_model(path: Path) -> Pushbroom:

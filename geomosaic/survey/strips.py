@@ -35,7 +35,7 @@ _KEYS: Final = (
     "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",
     "altitude_m", "bit_depth", "nodata", "dem", "rpc", "model",
 )  # fmt: skip
-_FIX: Final = "see docs/inputs.md for the keys of a geometry file"
+_FIX: Final = "give YAML with the strips: ccds: [{path: FILE, row: 1}, {path: FILE, row: 2}]"
 
 
 @dataclass(frozen=True)

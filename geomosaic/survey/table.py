@@ -38,7 +38,7 @@ _UNITS = sourced(
     "other units are refused",
     "definitions; international foot of 1959",
 )
-_WANTED: Final = "give a table as text (CSV) with a line per frame or point, as docs/inputs.md has it"
+_WANTED: Final = "give a table as text (CSV) with a header line and a line per frame or point"
 _OTHER_KINDS: Final = (
     (rb"<.*<gpx\b|<gpx\b", "a GPX track"),
     (rb"<.*<kml\b|<kml\b", "a KML file"),

@@ -74,7 +74,10 @@ def usable(
         elif mask_damaged and rows >= _LEAST_WHOLE * header.height_px:
             used.append(header)
             whole_rows[name] = rows
-            text = f"damaged: {found.damage}; only its first {rows} of {header.height_px} rows are used"
+            text = (
+                f"damaged: {found.damage}; only its first {rows} of {header.height_px} rows are used; "
+                "copy it again from the card"
+            )
             warnings.append(Warn("frame-damaged", name, text))
         else:
             problem = f"the image data are damaged: {found.damage}"

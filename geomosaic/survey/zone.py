@@ -49,6 +49,6 @@ def tagged_positions(frames: Collection[Path]) -> list[LonLat]:
         with suppress(GeomosaicError):
             header = read_header(path)
             position = onboard_position(header.exif, header.xmp or {})
-            if position.known:
+            if position is not None and position.known:
                 found.append((position.lon_deg, position.lat_deg))
     return found

@@ -271,7 +271,7 @@ def test_wrong_input_is_named(tmp_path):
     with pytest.raises(FileError, match="frame 01"):
         composed(tmp_path, survey, poses, ground)
     grid = OutputGrid(CRS, 0.0, 0.0, 1.0, 10, 10)
-    with pytest.raises(InputError, match="no frame is left"):
+    with pytest.raises(InputError, match="no frame can be used"):
         composed(tmp_path, survey, poses, ground, used=[False, False], grid=grid)
 
 

@@ -300,10 +300,10 @@ def test_an_area_that_cannot_be_is_refused_in_one_line(tmp_path: Path, flown: An
         made.CopyLayer(source.GetLayer(0), layer)
     made = source = None
     for file, problem in (
-        (flat, "hold nothing"),
+        (flat, "polygons are empty"),
         (
             far,
-            "elsewhere than what the frames see: it at longitude 8.05000, latitude 46.55000, they at longitude 9.7",
+            "the frames show no part of the area: it lies at longitude 8.05000, latitude 46.55000, they lie at longitude 9.7",
         ),
         (lost, "no coordinate reference system; .*-a_srs"),
         (text, "no file of polygons"),
@@ -384,7 +384,7 @@ def test_the_command_cuts_follows_the_file_and_can_be_replayed(
     far = polygons(tmp_path / "far.gpkg", crs, [box(x + 5000.0, y, x + 5010.0, y + 10.0)])
     capfd.readouterr()
     assert mosaic(*told, "--aoi", far) == 2
-    assert "the area lies elsewhere than what the frames see" in capfd.readouterr().err.splitlines()[-1]
+    assert "the frames show no part of the area" in capfd.readouterr().err.splitlines()[-1]
 
 
 def raster(path: Path, crs: str | None, transform: Affine, width: int = 40, height: int = 30) -> Path:
@@ -428,8 +428,8 @@ def test_rasters_that_no_mosaic_can_align_to_are_refused_with_the_fix(tmp_path: 
         ("EPSG:2263", north_up, {}, r"is in EPSG:2263, no map projection in metres; .*-t_srs EPSG:326\d\d"),
         (None, north_up, {}, r"has no place on the map; .*gdal_edit.py -a_srs"),
         (CRS, Affine.identity(), {}, r"has no place on the map"),
-        ("EPSG:32633", north_up, {}, r"is in EPSG:32633, but the mosaic in EPSG:32632 .*; leave --crs out"),
-        (CRS, north_up, {"gsd_m": 0.25}, r"pixels of 0.3 m, but 0.25 m are asked for .*; leave --gsd out"),
+        ("EPSG:32633", north_up, {}, r"is in EPSG:32633, but the mosaic in EPSG:32632; leave out --crs"),
+        (CRS, north_up, {"gsd_m": 0.25}, r"pixels of 0.3 m, but --gsd asks for 0.25 m; leave out --gsd"),
     ):
         file = raster(tmp_path / "raster.tif", crs, transform)
         with pytest.raises(InputError, match=problem) as caught:

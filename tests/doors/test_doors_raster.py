@@ -173,7 +173,7 @@ def test_sidecars_of_a_dem_lead_nowhere(tmp_path: Path, server: Server, name: st
         )
     else:
         vrt(tmp_path / name, f"/vsicurl/{server.url}a.tif")
-    with pytest.raises(FileError, match="; take it away"), open_raster(path, DEM) as dem:
+    with pytest.raises(FileError, match="; remove it"), open_raster(path, DEM) as dem:
         dem.overviews(1)
         dem.read_masks(1)
     assert not server.came
@@ -183,7 +183,7 @@ def test_sidecars_of_a_dem_lead_nowhere(tmp_path: Path, server: Server, name: st
 def test_a_link_that_leads_nowhere_beside_a_dem(tmp_path: Path, target: str) -> None:
     path = tiff(tmp_path / "dem.tif")
     (tmp_path / "dem.prj").symlink_to(tmp_path / target)
-    with pytest.raises(FileError, match=r"dem\.prj: is no regular file beside dem\.tif"):
+    with pytest.raises(FileError, match=r"dem\.prj: is no regular file next to dem\.tif"):
         open_raster(path, DEM)
 
 
@@ -191,7 +191,7 @@ def test_a_text_beside_a_dem_that_is_no_text_s_size(tmp_path: Path) -> None:
     path = tiff(tmp_path / "dem.tif")
     with (tmp_path / "dem.prj").open("wb") as sparse:
         sparse.truncate(3 << 30)
-    with pytest.raises(FileError, match=r"dem\.prj: is over 1 MB; take it away"):
+    with pytest.raises(FileError, match=r"dem\.prj: is over 1 MB; remove it"):
         open_raster(path, DEM)
 
 
@@ -243,7 +243,7 @@ def test_the_sources_of_a_vrt_are_looked_at(tmp_path: Path) -> None:
     refused(vrt(tmp_path / "b.vrt", tmp_path / "gone.tif"), r"b\.vrt: its source .*gone\.tif' is not there")
     refused(vrt(tmp_path / "b.vrt", tmp_path), "is no regular file")
     refused(vrt(tmp_path / "b.vrt", "/dev/zero"), "is no regular file")
-    refused(vrt(tmp_path / "b.vrt", "/etc/passwd"), "passwd: is no raster that GDAL reads")
+    refused(vrt(tmp_path / "b.vrt", "/etc/passwd"), "passwd: is no raster file that can be read")
     refused(vrt(tmp_path / "b.vrt", tmp_path / "b.vrt"), "source of itself")
     refused(
         vrt(tmp_path / "b.vrt", inner, extra="<PixelFunctionType>f</PixelFunctionType>"), "PixelFunctionType"
@@ -293,9 +293,9 @@ def test_a_survey_opens_no_connection(pair: SimulatedSurvey, tmp_path: Path, ser
     dem = tmp_path / "dem.xml"
     for content in (WMS, WMTS):
         dem.write_text(content.format(url=server.url))
-        with pytest.raises(FileError, match=r"dem\.xml: is no raster that GDAL reads; give a DEM"):
+        with pytest.raises(FileError, match=r"dem\.xml: is no raster file that can be read; give a DEM"):
             read_survey(frames, **given, dem=dem)
-        with pytest.raises(FileError, match=r"dem\.xml: is not a raster that GDAL can read"):
+        with pytest.raises(FileError, match=r"dem\.xml: is no raster file that can be read"):
             open_map(dem)
     for frame in read_survey(frames, **given).frames:
         assert read_pixels(frame)[1] is None

@@ -491,7 +491,7 @@ def test_a_name_that_is_no_utf_8_is_refused_at_the_start(
 def test_names_that_read_alike_are_refused(tmp_path: Path) -> None:
     for name in ("a\x1b.jpg", "a%1B.jpg"):
         (tmp_path / name).touch()
-    with pytest.raises(InputError, match=r"a%1B\.jpg: its name reads like that of another frame; rename it"):
+    with pytest.raises(InputError, match=r"a%1B\.jpg: its name looks like that of another frame; rename one"):
         frame_files(tmp_path)
 
 

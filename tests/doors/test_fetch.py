@@ -179,7 +179,7 @@ def test_whoever_wants_frames_from_a_url_is_told_how(
         ("403", "its server refuses it (HTTP 403); check the address and the credentials"),
         ("500", "its server answers with HTTP 500; try again later"),
         ("http://localhost:PORT/F0.jpg", "leads to http://localhost:"),
-        ("size 0", "is empty, or its server doesn't tell its size"),
+        ("size 0", "is empty, or its server does not state its size"),
         ("size 20000000000", "has 20.0 GB, more than 16 GiB; is it the right file?"),
     ],
 )
@@ -272,7 +272,7 @@ def test_what_people_put_or_changed_there_stays(
     (here / "F0.jpg").write_text("my own")
     line = refused(capsys, here, flight)
     assert line == (
-        f"{here / 'F0.jpg'}: is in the way: it was not fetched; move it away, or allow it with --overwrite"
+        f"{here / 'F0.jpg'}: is in the way: it was not fetched; move it elsewhere, or allow it with --overwrite"
     )
     assert names(here) == ["F0.jpg"]
     (here / "F0.jpg").unlink()
@@ -280,7 +280,7 @@ def test_what_people_put_or_changed_there_stays(
     text = (here / "pos.csv").read_text().replace("48.1", "48.2")
     (here / "pos.csv").write_text(text)  # of the same size
     line = refused(capsys, here, flight)
-    assert line.startswith(f"{here / 'pos.csv'}: was changed since it was fetched; move it away, or")
+    assert line.startswith(f"{here / 'pos.csv'}: was changed since it was fetched; move it elsewhere, or")
     assert (here / "pos.csv").read_text() == text
     assert fetch(here, flight, "--overwrite") == 0
     assert (here / "pos.csv").read_bytes() == (server.root / "pos.csv").read_bytes()
@@ -295,7 +295,9 @@ def test_what_people_put_or_changed_there_stays(
     ["..%2Fa.jpg", "..%5Ca.jpg", "a%00.jpg", "a%0A.jpg", "a%1B[2J.jpg", "%ff.jpg", "a%E2%80%AEgpj.jpg", "a" * 201 + ".jpg"],
 )  # fmt: skip
 def test_a_name_that_leads_elsewhere_or_cannot_be_shown_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match="names a file as none of a survey can be named; rename it there"):
+    with pytest.raises(
+        InputError, match="names a file that no file of a survey can be called; rename it there"
+    ):
         parsed(f"https://example.org/flight/{name}")
 
 

@@ -237,7 +237,7 @@ def test_a_geoid_without_its_grid_is_one_clear_error(scene, tmp_path):
 
 @pytest.mark.parametrize("wrong", ["EPSG:32632", "EPSG:9999999", "geoid", "EPSG:32632+5773"])
 def test_what_is_no_vertical_crs_is_refused_before_the_run(wrong):
-    with pytest.raises(InputError, match=r"vertical|heights alone"):
+    with pytest.raises(InputError, match=r"vertical|no vertical reference system"):
         ExportSurface.check(ExportSurface.Params(heights=wrong))
 
 

@@ -78,6 +78,6 @@ def test_heights_that_are_given_are_not_measured(tmp_path: Path) -> None:
 
 def test_a_recipe_that_measures_no_height_is_told_which_stage_does(tmp_path: Path) -> None:
     stage = projection_ground()
-    with pytest.raises(InputError, match="nothing measured it") as raised:
+    with pytest.raises(InputError, match="nothing measures it") as raised:
         stage.run({"survey": _survey([600.0] * 4)}, stage.Params(), Context(tmp_path))
     assert "matching.flying_height before projection.ground" in str(raised.value)

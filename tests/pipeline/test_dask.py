@@ -125,7 +125,8 @@ def test_workers_of_another_version_are_refused(team: Team, monkeypatch: pytest.
     monkeypatch.setattr(executor, "__version__", "0.0.7")
     with (
         pytest.raises(
-            InputError, match=r"the worker on .* has geomosaic .*, the run 0\.0\.7; install the same"
+            InputError,
+            match=r"the worker on .* has geomosaic .*, the run 0\.0\.7; install geomosaic 0\.0\.7 there",
         ),
         Workers(dask=team.address) as workers,
     ):

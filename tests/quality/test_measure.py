@@ -245,7 +245,7 @@ def test_a_run_without_the_raster_says_which_stage_makes_it(
     bare.mkdir()
     (bare / "run.json").write_bytes((run / "run.json").read_bytes())
     assert geomosaic("measure", bare, "--line", line) == 2
-    assert "quality.accuracy" in capsys.readouterr().err
+    assert "accuracy.tif" in capsys.readouterr().err
     assert geomosaic("measure", tmp_path, "--line", line) == 2
     assert "is no finished run" in capsys.readouterr().err
 

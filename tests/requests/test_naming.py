@@ -74,6 +74,23 @@ def test_a_command_of_one_stage_names_its_own_options() -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "typed"),
+    [
+        ("width_px is -3; give 0 or more", "--width-px is -3; give 0 or more"),
+        ("lost: '0' names no frames of 1 to 12", "--lost: '0' names no frames of 1 to 12"),
+        (
+            "more duplicates than frames; give fewer duplicates",
+            "more duplicates than frames; give fewer duplicates",
+        ),
+    ],
+)
+def test_bare_parameters_are_options_of_a_command_of_one_stage(text: str, typed: str) -> None:
+    with pytest.raises(InputError) as caught, named_as_options("simulate.frames"):
+        raise InputError(text)
+    assert str(caught.value) == typed
+
+
+@pytest.mark.parametrize(
     ("text", "python"),
     [
         ("give --pos-crs, such as EPSG:32737", "give pos_crs, such as EPSG:32737"),

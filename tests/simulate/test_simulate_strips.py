@@ -614,7 +614,7 @@ def test_companions_that_don_t_fit_are_named(spots: SimulatedStrips, tmp_path: P
         ({"rpc": "model.yaml"}, "model.yaml: is no RPC and no raster that holds one"),
         ({"rpc": "ccd1.tif"}, "ccd1.tif: the RPC has no LINE_OFF"),
         ({"rpc": "small_RPC.TXT"}, "some 288 x 100 px, where the strips make 288 x 600"),
-        ({"dem": "model.yaml"}, "model.yaml: is no raster that GDAL reads"),
+        ({"dem": "model.yaml"}, "model.yaml: is no raster file that can be read"),
     ):
         path.write_text(yaml.safe_dump({**entry, **changes}))
         with pytest.raises(InputError) as caught:

@@ -83,7 +83,7 @@ def made_up_run(
     summary = {
         "frames": {"total": n, "tied": n - 1, "placed": 1, "rejected": 0},
         "warnings": [
-            {"code": "no-tie-points", "frame": names[-1], "text": "tied to no other frame"},
+            {"code": "no-tie-points", "frame": names[-1], "text": "no tie points with other frames"},
             {"code": "turned-frame", "frame": HOSTILE, "text": "its pixels were turned by 180 degrees <b>"},
         ],
         "timings_s": {"survey.read": 0.41, "matching.sift": 9.73, "adjustment.solve": 0.87},

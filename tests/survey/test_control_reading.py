@@ -158,8 +158,8 @@ def test_before_frames_are_read_a_name_of_two_systems_passes(tmp_path: Path) -> 
     assert (survey.control[0].lon_deg, survey.control[0].lat_deg) == pytest.approx(BORUSZYN, abs=1e-4)
     assert survey.map_crs == "EPSG:2180"
     assert [w.text for w in survey.warnings if w.code == "xy-exchanged"] == [
-        "list.txt: x and y are exchanged: as they are written, the positions would lie far from the frames in "
-        "WGS 84"
+        "list.txt: x is read as northing and y as easting: as they are written, the positions would lie "
+        "far from the frames in WGS 84"
     ]
 
 
@@ -191,8 +191,8 @@ def test_points_without_a_height_determine_the_plan(read: Read, unknown: str) ->
     assert points[0].sd_vertical_m > 1e4 and points[1].sd_vertical_m == 0.05
     told = [w.text for w in notes if w.code == "control-plan-only"]
     assert told == [
-        "gcp_list.txt: 1 of 3 points (A) have no height, taken as not given: the points determine the plan, "
-        "not heights"
+        "gcp_list.txt: 1 of 3 points (A) have no height, so the points place the map in plan only; "
+        "give heights to place it in height too"
     ]
     points, notes = read("EPSG:2180\n" + "\n".join(lines[::2]).format(h=unknown))
     assert [(p.plan_only, p.height_ellipsoidal_m, len(p.images)) for p in points] == [(True, 0.0, 2)]

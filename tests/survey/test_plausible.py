@@ -126,7 +126,7 @@ def test_all_heights_absurd_are_refused(
     code = mosaic(frames, tmp_path / "run", "--pos", pos, "--camera", flown.camera, *QUICK)
     err = capfd.readouterr().err
     if code == 2:
-        assert "no frame has a height that can be" in err and "in metres" in err
+        assert "no frame has a plausible height" in err and "in metres" in err
     else:  # heights above the ground in the file are left
         assert "height-absurd" in {w["code"] for w in summary(tmp_path / "run")["warnings"]}
 
@@ -411,7 +411,7 @@ def test_a_slip_is_named_with_its_value(height: float) -> None:
 
 
 def test_nothing_usable_left_is_refused() -> None:
-    with pytest.raises(InputError, match="no frame has a height that can be"):
+    with pytest.raises(InputError, match="no frame has a plausible height"):
         plausible_positions(["a", "b"], positions([0.0, 10.0], 0.0, [1e7, 2e7]))
     kept, told = plausible_positions(["a", "b"], positions([0.0, 10.0], 0.0, [1e7, 2e7], 80.0))
     assert [p.height_above_ground_m for p in kept] == [80.0, 80.0] and "2 of 2" in told[0].text

@@ -117,7 +117,7 @@ def test_what_control_can_tell(tmp_path: Path, flown: Path) -> None:
 
 def test_what_needs_the_earth_is_refused_without_positions(flown: Path) -> None:
     frames = flown / "none" / "frames"
-    with pytest.raises(InputError, match="no frame has a position: the map can't be in EPSG:32632"):
+    with pytest.raises(InputError, match="no frame has a position: there can be no map in EPSG:32632"):
         read_survey(frames, crs="EPSG:32632")
     with pytest.raises(InputError, match="no frame has a position: a DEM is of no use"):
         read_survey(frames, dem=flown / "none" / "truth" / "dem.tif")

@@ -131,7 +131,7 @@ def test_orthority_yaml(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "name", "message"),
     [
-        ("{", "c.json", r"is no valid JSON: Expecting property name.*; see docs/inputs.md"),
+        ("{", "c.json", r"is no valid JSON: Expecting property name.*; give cameras.json"),
         ("a: [", "c.yaml", "is no valid YAML"),
         ("a: !!python/object/apply:os.system ['true']", "c.yaml", "is no valid YAML"),
         ("[]", "c.json", "holds no cameras"),
@@ -169,7 +169,7 @@ def test_bad_camera_files(tmp_path: Path, content: object, name: str, message: s
 def test_a_misspelt_key_is_named(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'focal_length_px'"):
         read_cameras(written(tmp_path, "width_px: 1\nheight_px: 1\nfocal_lenght_px: 1\n", "c.yaml"))
-    with pytest.raises(FileError, match=r"there is no such file; see docs/inputs\.md"):
+    with pytest.raises(FileError, match=r"there is no such file; give cameras.json"):
         read_cameras(tmp_path / "none.json")
 
 
@@ -365,7 +365,7 @@ def test_a_resized_frame_scales_its_camera() -> None:
 
 def test_a_camera_of_another_shape_is_refused() -> None:
     message = (
-        r"c\.json: no camera for frame a\.jpg of 4000 x 2250 pixels: big \(4000 x 3000\); give a camera file"
+        r"c\.json: no camera for frame a\.jpg of 4000 x 2250 pixels: big \(4000 x 3000\); give --camera FILE"
     )
     with pytest.raises(InputError, match=message):
         cameras_from_file([header(4000, 2250)], [CAMERA], Path("c.json"), [None])
@@ -427,7 +427,7 @@ def test_the_makers_lens_in_pix4ds_tags(tmp_path: Path) -> None:
     assert choice.warnings[0].text.endswith(
         "focal length 224 px (sd 1) from xmp-perspective, principal point 142, 106 and distortion"
     )
-    assert choice.warnings[1].text.endswith("all rows read within 0.164 s (LineReadoutTime)")
+    assert choice.warnings[1].text.endswith("that reads all rows in 0.164 s (LineReadoutTime)")
 
 
 def test_a_list_of_distortion_terms_and_lengths_in_pixels() -> None:

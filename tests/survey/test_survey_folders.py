@@ -52,7 +52,7 @@ def test_folders_of_runs_and_links_are_not_entered(tmp_path: Path) -> None:
     (tmp_path / "b" / "one.jpg").touch()
     assert names(tmp_path) == ["a_one.jpg", "b_one.jpg"]
     touched(tmp_path / "c" / "a_one.jpg")
-    with pytest.raises(InputError, match=r"a_one\.jpg: its name reads like that of another frame"):
+    with pytest.raises(InputError, match=r"a_one\.jpg: its name looks like that of another frame"):
         names(tmp_path)
 
 
@@ -73,7 +73,7 @@ def test_frames_beside_folders_count_alone_and_it_is_said(tmp_path: Path) -> Non
     survey = read_survey(folder)
     assert [f.name for f in survey.frames] == ["DJI_0001.JPG", "DJI_0002.JPG"]
     (text,) = [w.text for w in survey.warnings if w.code == "frames-in-folders"]
-    assert text.startswith("pictures in folders beside the frames aren't used: small")
+    assert text.startswith("images in folders next to the frames are not used: small")
 
 
 def project(folder: Path) -> Path:
@@ -106,7 +106,10 @@ def test_a_project_of_opendronemap_is_read_with_its_files(tmp_path: Path) -> Non
     }  # fmt: skip
     assert {"project-file", "pos-line-without-frame", "pos-frame-without-line"} <= set(codes)
     texts = {w.code: w.text for w in survey.warnings}
-    assert "1 of 3 lines name no frame: gone.JPG" in texts["pos-line-without-frame"]
+    assert (
+        "1 of 3 lines name no frame in the folder and are not used: gone.JPG"
+        in texts["pos-line-without-frame"]
+    )
     assert "no line for 2 of 4 frames: DJI_0002.JPG, DJI_0003.JPG" in texts["pos-frame-without-line"]
     files = SurveyRead.files(SurveyRead.Params(frames=folder))
     assert set(files) == {"frames/images/first", "frames/images/second", "pos"}

@@ -281,7 +281,7 @@ def test_dems_that_do_not_serve(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no heights under the frames"):
         read_survey(folder, dem=hole)
     (tmp_path / "text.tif").write_text("no raster")
-    with pytest.raises(FileError, match=r"text\.tif: is no raster that GDAL reads; give a DEM"):
+    with pytest.raises(FileError, match=r"text\.tif: is no raster file that can be read; give a DEM"):
         read_survey(folder, dem=tmp_path / "text.tif")
     with pytest.raises(FileError, match=r"none\.tif: there is no such DEM; check --dem"):
         read_survey(folder, dem=tmp_path / "none.tif")
@@ -315,7 +315,7 @@ def test_control_points_of_two_kinds(tmp_path: Path) -> None:
     assert [p.sd_assumed for p in points] == [False, True]
     assert read_control(table, frames).notes == ()
     for text, message in (
-        ("point,lat,lon,h\nP1,48,9,1\nP1,48,9,2\n", "line 3: point 'P1' has moved"),
+        ("point,lat,lon,h\nP1,48,9,1\nP1,48,9,2\n", "line 3: point 'P1' stands"),
         ("point,lat,lon,h,type\nP1,48,9,1,maybe\n", "kind 'maybe' is unknown"),
         ("lat,lon,h\n48,9,1\n", "no column for the point's name"),
         ("point,lat,lon,h,image,col\nP1,48,9,1,DJI_0001,5\n", "line 2: no row"),
@@ -351,13 +351,15 @@ def test_a_control_point_whose_lines_differ_a_little_lies_in_their_mean(tmp_path
     assert [w.code for w in warnings] == ["height-datum-assumed", "control-spread"]
     assert warnings[1].text == (
         "gcp_list.txt: 1 of 2 points (one) have lines that differ, by up to 0.3 m in plan and 0.5 m in height; "
-        "their mean is taken, with a wider deviation"
+        "their mean is used with a larger standard deviation; correct the lines that are wrong"
     )
     odm.write_text(odm.read_text().replace(" 70.5 ", " 71.5 "))
-    with pytest.raises(InputError, match=r"line 3: point 'one' has moved by 1\.5 m; give each point one"):
+    with pytest.raises(
+        InputError, match=r"line 3: point 'one' stands 1\.5 m from its first line; give each point one"
+    ):
         read_control(odm, frames)
     odm.write_text(odm.read_text().replace(" 71.5 ", " 70 ").replace(f"{east + 0.3:.4f}", f"{east + 30:.4f}"))
-    with pytest.raises(InputError, match=r"line 3: point 'one' has moved by 30 m"):
+    with pytest.raises(InputError, match=r"line 3: point 'one' stands 30 m from its first line"):
         read_control(odm, frames)
 
 

@@ -142,7 +142,7 @@ def test_a_nodata_at_the_end_of_the_range_is_taken(folder: Path) -> None:
 
 def test_a_strip_of_text_is_named(folder: Path) -> None:
     (folder / "c.tif").write_text("no raster at all\n" * 9)
-    with pytest.raises(FileError, match=r"c\.tif: is no raster that GDAL reads"):
+    with pytest.raises(FileError, match=r"c\.tif: is no raster file that can be read"):
         read_geometry(written(folder))
 
 

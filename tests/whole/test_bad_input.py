@@ -233,9 +233,9 @@ def test_frames_in_the_cache(survey: Survey, refused: Refused) -> None:
         ("--gcp", "folder", None, "is no regular file but a folder"),
         ("--camera", "folder", None, "is no regular file but a folder"),
         ("--camera", "c.yaml", "a: [1\n", "c.yaml"),
-        ("--dem", "dem.tif", "no raster", "no raster that GDAL reads"),
-        ("--reference", "true.tif", "no raster", "not a raster"),
-        ("--reference", "folder", None, "not a raster"),
+        ("--dem", "dem.tif", "no raster", "no raster file"),
+        ("--reference", "true.tif", "no raster", "no raster file"),
+        ("--reference", "folder", None, "no raster file"),
         ("--crs", "EPSG:99999999", None, "99999999"),
     ],
 )
@@ -290,7 +290,7 @@ def test_a_name_that_matches_no_file(survey: Survey, refused: Refused) -> None:
 def test_a_frame_without_a_line(survey: Survey, refused: Refused) -> None:
     survey.write(survey.rows()[:3])
     refused(
-        survey.mosaic("--set", "survey.read.strict=true"), survey.run, survey.pos, "F0004.jpg", "add them"
+        survey.mosaic("--set", "survey.read.strict=true"), survey.run, survey.pos, "F0004.jpg", "add lines"
     )
 
 

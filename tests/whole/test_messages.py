@@ -11,14 +11,86 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+import typer
 from affine import Affine
+from message_texts import WITH_FIX, Message, messages
 from small_surveys import geomosaic, small_survey
 
+from geomosaic.cli.app import build_app
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.simulate.survey import SimulatedSurvey
+from geomosaic.pipeline.registry import installed
 from geomosaic.survey.read import check_survey_files, read_survey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 DRY = "--dry-run"
+OTHERS = ("adjustment", "estimation", "recording")
+"""Rooms whose texts are not checked here."""
+PRIVATE = re.compile(
+    r"\b(mend(s|ed|ing)?|held|told|tells?|believed?|believes|beside|hears?|heard|accused?|excused?|laid|lay"
+    r"|doubted|unrest|swing|calmed|vouch\w*|righted|settled|bears? out|docs/\S*)\b",
+    re.IGNORECASE,
+)
+WORDS = 25
+FIXED_ABOVE = ("camera/rpc.py", "geodesy/crs_names.py", "pipeline/params.py", "requests/option.py")
+"""Whose callers add what to do, or whose texts state what is wanted."""
+STORED = ("pipeline/artefacts.py", "pipeline/context.py", "pipeline/stage_recorder.py")
+"""Of results that cannot be read: whoever reads them adds what to do."""
+
+
+@pytest.fixture(scope="module")
+def texts() -> list[Message]:
+    """All messages of the rooms checked here."""
+    return messages(OTHERS)
+
+
+def test_there_are_many(texts: list[Message]) -> None:
+    assert len(texts) > 450 and sum(m.kind == "warning" for m in texts) > 40
+
+
+def test_parameters_are_named_as_they_are_typed(texts: list[Message]) -> None:
+    ids = "|".join(map(re.escape, installed().ids()))
+    bare = re.compile(rf"(?<!--set )\b(?:{ids})\.\w+")
+    assert not [(m.where, t) for m in texts for t in (*m.texts, *m.fixes) if bare.search(t)]
+
+
+def test_no_message_has_a_private_word_or_needs_the_docs(texts: list[Message]) -> None:
+    assert not [(m.where, t) for m in texts for t in (*m.texts, *m.fixes) if PRIVATE.search(t)]
+
+
+def test_every_error_of_what_was_given_says_what_to_do(texts: list[Message]) -> None:
+    lacking = [
+        m.where
+        for m in texts
+        if m.kind in WITH_FIX and not m.has_fix and not any("must be" in text for text in m.texts)
+    ]
+    assert not [where for where in lacking if not where.startswith((*FIXED_ABOVE, *STORED))]
+
+
+def test_sentences_are_short(texts: list[Message]) -> None:
+    clauses = [
+        (m.where, clause)
+        for m in texts
+        for text in (*m.texts, *m.fixes)
+        for clause in re.split(r"[.;:] ", text)
+    ]
+    assert not [(where, clause) for where, clause in clauses if len(clause.split()) > WORDS]
+
+
+def test_every_option_that_a_message_names_is_one(texts: list[Message]) -> None:
+    named = {
+        flag
+        for m in texts
+        for text in (*m.texts, *m.fixes)
+        for flag in re.findall(r"(?<![\w-])--[a-z][a-z-]+", re.sub(r"\([^)]*\)|pyproj .*", "", text))
+    }
+    known = {"--set"}
+    for group in ((), ("export",), ("simulate",)):
+        commands = [typer.main.get_command(build_app(group))]
+        while commands:
+            command = commands.pop()
+            commands += list(getattr(command, "commands", {}).values())
+            known |= {flag for p in command.params for flag in (*p.opts, *p.secondary_opts)}
+    assert named <= known, named - known
 
 
 @pytest.fixture(scope="session")

@@ -212,7 +212,7 @@ def test_a_dead_ccd_and_a_short_strip_are_named_and_the_rest_is_stitched(tmp_pat
     assert told["ccd-missing"].startswith("CCD 2:") and told["strip-short"].startswith(
         "ccd4.tif: has 2400 lines"
     )
-    assert "columns 384 to 575 of the scene are empty" in told["scene-gap"]
+    assert "columns 384 to 575 of the scene stay empty" in told["scene-gap"]
     errors = json.loads((tmp_path / "run" / "run.json").read_text())["metrics"]["errors"]
     assert errors["figures"]["p95_px"] < 0.2 and errors["measured_above"] == 0
     with rasterio.open(tmp_path / "run" / "mosaic.tif") as mosaic:
@@ -249,7 +249,7 @@ def test_a_strip_of_text_is_named(
     (tmp_path / "geometry.yaml").write_text(yaml.safe_dump(entry))
     assert strips(tmp_path / "geometry.yaml", tmp_path / "run") == 2
     told = capsys.readouterr().err.strip()
-    assert told.endswith("notes.tif: is no raster that GDAL reads; give a strip such as a GeoTIFF")
+    assert told.endswith("notes.tif: is no raster file that can be read; give a strip such as a GeoTIFF")
     assert not (tmp_path / "run").exists()
 
 
