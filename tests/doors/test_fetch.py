@@ -205,8 +205,8 @@ def test_a_disk_that_is_too_small_is_told_first(
 @pytest.mark.parametrize(
     ("wrong", "content", "said"),
     [
-        ("", b"<!DOCTYPE html><title>Log in</title>", "is no JPEG but a page of the web (HTML); look at"),
-        ("", b"\n <Error><Code>Expired</Code></Error>", "is no JPEG but a message of its server; look at"),
+        ("", b"<!DOCTYPE html><title>Log in</title>", "is a page of the web (HTML), no JPEG; open it"),
+        ("", b"\n <Error><Code>Expired</Code></Error>", "is a message of its server, no JPEG; open it"),
         ("breaks off", JPEG + bytes(90_000), "breaks off after 1,000 of 90,004 bytes"),
         ("changes", JPEG + bytes(9_000_000) + b"end", "changes while it is fetched; fetch again once"),
         ("no ranges", JPEG + bytes(40_000_000), "can't be fetched (Range downloading not supported"),
