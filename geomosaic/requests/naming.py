@@ -14,7 +14,6 @@ from functools import cache, partial
 from typing import Any, Final
 
 from geomosaic.errors import GeomosaicError
-from geomosaic.pipeline.registry import installed
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.option import flag_of, option_of
 from geomosaic.requests.run_request import RunRequest
@@ -45,6 +44,8 @@ def named_as_typed(request: type[RunRequest], given: Mapping[str, Any]) -> Itera
 def named_as_options(stage: str, options: Mapping[str, str] | None = None) -> Iterator[None]:
     """Errors raised inside name the options of a command that runs one stage. options: by parameter, if not
     each parameter is one of its own name."""
+
+    from geomosaic.pipeline.registry import installed
 
     def flag(name: str) -> str | None:
         return f"--{name.replace('_', '-')}" if options is None else options.get(name)

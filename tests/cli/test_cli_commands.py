@@ -191,11 +191,11 @@ def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
         (["run", "toy.yaml", "-o", "toy.yaml"], "toy.yaml: a file stands where a folder is needed; choose"),
         (
             ["run", "toy.yaml", "-o", "r", "--set", "toy.power.power=10"],
-            "toy.yaml: stage toy.power: power = 10: must be a whole number, 1 to 9",
+            "--set toy.power.power=10: must be a whole number, 1 to 9",
         ),
         (
             ["run", "toy.yaml", "-o", "r", "--frames", "d"],
-            "--set survey.read.frames=d: unknown stage of this recipe 'survey.read'; did you mean 'toy.",
+            "--frames d: unknown stage of this recipe 'survey.read'; did you mean 'toy.",
         ),
         (["stages", "toy.powr"], "unknown stage 'toy.powr'; did you mean 'toy.power'?"),
         (["evaluate", "run", "--reference", "x"], ""),
