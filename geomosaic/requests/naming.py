@@ -117,7 +117,9 @@ def _of_command(
     sets: set[str],
 ) -> str:
     def option(found: re.Match[str]) -> str:
-        return f"{own[found[1]]} {found[2] or ''}".strip() if found[1] in own else found[0]
+        if found[1] in sets or found[1] not in own:
+            return found[0]
+        return f"{own[found[1]]} {found[2] or ''}".strip()
 
     flags = {flag_of(its) for its in fields(request)}
     fault = _FAULT.search(text)
@@ -125,10 +127,8 @@ def _of_command(
     if name in typed | sets:
         start = f"--set {name}=" if name in sets else f"{own[name]} "
         text = _FAULT.sub(lambda _: start, text.removeprefix(file))
-    elif name not in sets:
-        text = _SET.sub(
-            lambda found: f"{own[found[1]]} {found[2] or ''}".strip() if found[1] in own else found[0], text
-        )
+    else:
+        text = _SET.sub(option, text)
     return _FLAG.sub(lambda found: found[0] if found[1] in flags else _set_instead(found), text)
 
 

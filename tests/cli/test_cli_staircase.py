@@ -191,7 +191,7 @@ def test_pos_crs_and_ground_height_reach_their_stages(
     four: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["mosaic", str(four), "-o", str(tmp_path / "r"), "--ground-height", "9999"]) == 2
-    assert "projection.ground: height_m = 9999" in capsys.readouterr().err
+    assert "--ground-height 9999" in capsys.readouterr().err
     pos = tmp_path / "pos.csv"
     rows = [f"F000{i}.jpg,{499_000 + 20 * i},5600000,200" for i in range(1, 5)]
     pos.write_text("\n".join(["frame,x,y,height_ellipsoidal_m", *rows]))

@@ -66,7 +66,7 @@ def test_two_frames_at_the_horizon_make_the_mosaic_no_larger(tmp_path: Path, flo
     assert not owned.used[6:].any() and owned.used[:6].all()
     told = [w for w in notes.warnings if w["code"] == "looks-aside"]
     assert len(told) == 1
-    assert "2 frames look too far off the vertical" in told[0]["text"] and "frame 06" in told[0]["text"]
+    assert "2 frames look too obliquely" in told[0]["text"] and "frame 06" in told[0]["text"]
     assert set(reasons(owned)) <= {ASLANT, COARSE} and owned.trimmed.share > 0.5
     kept = seams(tmp_path / "keep", turned(flown, {6: 75.0}), edges="keep")[0]
     assert kept.grid.height_px > 3 * without.height_px

@@ -110,7 +110,7 @@ def test_a_cluster_that_is_gone_is_one_line_and_what_is_done_is_kept(
     monkeypatch.setattr(executor, "DASK_PATIENCE_S", 1.0)
     striking = Striking("powers", lambda: deadly(team))
     with pytest.raises(
-        GeomosaicError, match=f"{words}.*; start it anew and run again; finished work is kept"
+        GeomosaicError, match=f"{words}.*; start it anew and run again: finished work is kept"
     ):
         powers(team, tmp_path / "run", striking.progress)
     assert capfd.readouterr().err == ""

@@ -56,7 +56,8 @@ class Survey:
 
     def mosaic(self, *more: object) -> int:
         """The mosaic with the files beside the frames."""
-        return mosaic(self.frames, self.run, "--pos", self.pos, "--camera", self.camera, *QUICK, *more)
+        quick = () if "--adjust" in more else QUICK
+        return mosaic(self.frames, self.run, "--pos", self.pos, "--camera", self.camera, *quick, *more)
 
     def frame(self, number: int) -> Path:
         """A frame, counted from 1."""

@@ -325,4 +325,4 @@ def test_no_input_is_overwritten(
 
 def test_tiles_want_a_map(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert geomosaic("export", "tiles", run) == 2
-    assert "has no map projection; lay it on a map first" in capsys.readouterr().err
+    assert "has no map projection; put it on a map first" in capsys.readouterr().err
