@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, heading_limit_rad
 from geomosaic.quality.criteria import CRITERIA
 
@@ -25,8 +25,9 @@ class _Limits(NamedTuple):
 
 RESIDUAL: Final = CRITERIA["seams"]
 """Ground pixels between two frames: what is left between them is what their seam jumps by."""
-MOVE: Final = _Limits(3.0, 6.0)
-"""Deviations, given and found ones together: how far a frame lies from where its position was given."""
+MOVE = sourced(
+    _Limits(3.0, 6.0), "deviations", "from a frame's given position", "three sigma, and twice that"
+)
 
 WORST_PAIRS = tuned(20, "pairs", "checked in the pixels: more than a person looks through")
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Final
 
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.model import Warn
@@ -23,7 +23,7 @@ from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Line, read_lines
 
 _MOST_LINES = tuned(200_000, "lines", "exposures: the largest blocks have 50,000; more is a log")
-_FIXED: Final = 50
+_FIXED = sourced(50, "code", "of an RTK solution with fixed ambiguities", "DJI, Phantom 4 RTK User Manual")
 _QUALITY: Final = {_FIXED: "rtk-fixed", 34: "rtk-float", 16: "exif"}
 _WORD: Final = re.compile(r"[^\s,\[\]]+")
 _FIX: Final = "give the file as the drone wrote it, or positions as a table with a header"

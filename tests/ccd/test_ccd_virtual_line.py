@@ -97,7 +97,7 @@ def test_higher_ground_has_one_sign() -> None:
 
 def test_without_a_model_the_error_says_what_to_give() -> None:
     strips = strips_in_memory(StripPlan(ccds=2, lines=2200).geometry(), [])
-    with pytest.raises(InputError, match=r"virtual_line needs a rigorous model; give 'model' in GEOMETRY"):
+    with pytest.raises(InputError, match=r"virtual_line needs a rigorous model of the camera; give 'model'"):
         virtual_line(strips, CcdSettings(), quiet)
 
 

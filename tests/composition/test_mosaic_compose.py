@@ -281,7 +281,7 @@ def test_a_wild_position_is_named_before_anything_is_written(tmp_path):
     assert wild.positions_m[4, 0] > 30_000
     views = frame_views(survey.work_frame, CRS, wild, [CAMERA] * 6, [True] * 6, ground)
     with pytest.raises(
-        InputError, match=r"40\.\d x \d\.\d km, .* without frame frame 04.tif, which reaches 40\.0 km"
+        InputError, match=r"40\.\d x \d\.\d km, .* without frame frame 04.tif: it reaches 40\.0 km"
     ):
         output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
     sane = frame_views(survey.work_frame, CRS, poses, [CAMERA] * 6, [True] * 6, ground)

@@ -241,7 +241,7 @@ def _finished(path: Path, data: bytes) -> int:
             ["--from", "replayed.read", "--set", "replayed.raise.by_m=1"],
             "changes a stage before replayed.read",
         ),
-        (["--set", "replayed.raise.by_m=99"], "by_m = 99"),
+        (["--set", "replayed.raise.by_m=99"], "--set replayed.raise.by_m=99"),
         (["--set", "replayed.rise.by_m=1"], "did you mean 'replayed.raise'?"),
     ],
 )

@@ -146,7 +146,7 @@ def test_a_mosaic_too_large_is_refused_before_it_is_matched(
     frames, pos = copied(flown, tmp_path, {3: 9000.0 / LAT_M + 48.1}, "lat_deg")
     assert mosaic(frames, tmp_path / "run", "--pos", pos, *told[2:]) == 2
     err = capfd.readouterr().err
-    assert "without frame F0004.jpg, which reaches 9." in err and "check its position, height" in err
+    assert "without frame F0004.jpg: it reaches 9." in err and "check its position, height" in err
     assert "Match" not in err
 
 
@@ -210,7 +210,7 @@ def test_a_frame_that_the_adjustment_flings_away_is_left_out() -> None:
     with pytest.raises(InputError, match="nearly all of it empty"):
         output_grid("EPSG:32632", many, 0.2, NAMES, 1e9)
     wide = [*honest_[:7], view(7, 350.0, 0.0, side_m=9e4), *honest_[8:]]
-    with pytest.raises(InputError, match=r"without frame 7\.jpg, which reaches .* and is 180\.0 km wide"):
+    with pytest.raises(InputError, match=r"without frame 7\.jpg: it reaches .* and is 180\.0 km wide"):
         output_grid("EPSG:32632", wide, 0.2, NAMES)
 
 

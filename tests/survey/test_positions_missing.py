@@ -119,7 +119,7 @@ def test_what_needs_the_earth_is_refused_without_positions(flown: Path) -> None:
     frames = flown / "none" / "frames"
     with pytest.raises(InputError, match="no frame has a position: there can be no map in EPSG:32632"):
         read_survey(frames, crs="EPSG:32632")
-    with pytest.raises(InputError, match="no frame has a position: a DEM is of no use"):
+    with pytest.raises(InputError, match="no frame has a position: a DEM cannot be used"):
         read_survey(frames, dem=flown / "none" / "truth" / "dem.tif")
 
 
