@@ -429,7 +429,7 @@ def test_frames_of_water(survey: Survey) -> None:
     assert summary(survey.run)["frames"] == {"total": 4, "tied": 0, "placed": 4, "rejected": 0}
     assert warned(survey.run, "no-tie-points") == [f"F000{i}.jpg" for i in range(1, 5)]
     texts = [w["text"] for w in summary(survey.run)["warnings"] if w["code"] == "no-tie-points"]
-    assert all("its image has little contrast); placed by its position" in text for text in texts)
+    assert all("its image has little contrast): placed by its position" in text for text in texts)
     _filled(survey, low=0.9, high=1.1, frames=2.0)
 
 
