@@ -13,7 +13,8 @@ from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.damage import png_damage
 from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, check_blocks
-from geomosaic.survey.names import frame_name, natural_key
+from geomosaic.survey.names import FrameNames, frame_name, natural_key
+from geomosaic.survey.timestamp_mrk import matches
 
 _SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
 _MASK_ENDINGS: Final = ("_mask", ".mask")
@@ -89,11 +90,14 @@ def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]
 
 def project_files(folder: Path) -> dict[str, Path]:
     """The POS and the control file of an OpenDroneMap project, as far as its folder holds them; without such
-    a POS file the drone's own Timestamp.MRK, where there is one."""
+    a POS file the drone's own Timestamp.MRK, where there is one that matches the frames."""
     named = {kind: folder / name for kind, name in _PROJECT_FILES.items()}
     found = {kind: path for kind, path in named.items() if path.is_file()}
     by_drone = sorted(path for path in folder.glob("*.[mM][rR][kK]") if path.is_file())
-    return {"pos": by_drone[0], **found} if len(by_drone) == 1 else found
+    if "pos" in found or len(by_drone) != 1:
+        return found
+    names = FrameNames(frame_files(folder).values())
+    return {"pos": by_drone[0], **found} if matches(by_drone[0], names) else found
 
 
 def unused_folders(folder: Path) -> list[str]:

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Final
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.errors import InputError
+from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.survey.accuracy import POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import FrameNames, natural_key
@@ -58,6 +59,13 @@ def read_timestamp_mrk(path: Path, frames: FrameNames) -> PosFile:
     return PosFile(path, rows, (Warn("pos-no-fix", "", text),) if without else ())
 
 
+def matches(path: Path, frames: FrameNames) -> bool:
+    """Whether it can be read, and its exposures are these frames."""
+    with suppress(GeomosaicError):
+        return bool(read_timestamp_mrk(path, frames).rows)
+    return False
+
+
 def _exposure(path: Path, line: Line) -> tuple[int, PosRow | None]:
     """Its number, and a row without a name; None without a fix."""
     words = _WORD.findall(line.text)
@@ -80,7 +88,9 @@ def _exposure(path: Path, line: Line) -> tuple[int, PosRow | None]:
     usual = (default.sd_horizontal_m, default.sd_horizontal_m, default.sd_vertical_m)
     least = (RTK_SD_FLOOR_M[0], *RTK_SD_FLOOR_M) if fix == _FIXED else usual
     stated = zip((east, north, up), least, usual, strict=True)
-    sd_east, sd_north, sd_up = (max(sd, floor) if sd > 0.0 else other for sd, floor, other in stated)
+    sd_east, sd_north, sd_up = (
+        max(sd, floor) if 0.0 < sd < math.inf else other for sd, floor, other in stated
+    )
     return number, PosRow(
         "",
         line.number,

@@ -62,7 +62,11 @@ def test_other_frames_and_other_files_are_named_errors(tmp_path: Path) -> None:
 
 
 def test_the_drones_file_beside_the_frames_is_found(tmp_path: Path) -> None:
+    for name in ("1.jpg", "2.jpg", "3.jpg"):
+        (tmp_path / name).touch()
     read(tmp_path, LINES, "1.jpg", "2.jpg", "3.jpg")
     assert project_files(tmp_path)["pos"].name.endswith("Timestamp.MRK")
+    (tmp_path / "7.jpg").touch()
+    assert "pos" not in project_files(tmp_path), "of another flight"
     (tmp_path / "geo.txt").write_text("EPSG:4326\n")
     assert project_files(tmp_path)["pos"].name == "geo.txt"
