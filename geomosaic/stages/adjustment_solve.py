@@ -31,7 +31,7 @@ class AdjustmentSolve(Stage):
     id = "adjustment.solve"
     display_name = "Adjust the frames"
     group = "Adjustment"
-    version = 72
+    version = 73
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints,
     }  # fmt: skip

@@ -25,19 +25,20 @@ from geomosaic.estimation.robust import share_down_weighted
 @dataclass(frozen=True)
 class _Stop:
     """A step is the last if it moves no frame by more than `move` of its position's deviation, and gains no
-    more than `gain` of the cost or is no longer than `step` deviations (`_length`): the gain alone hides a
+    more than `gain` of the cost or leaves no more than `left` deviations (`_left`): the gain alone hides a
     scale that is still off in a large block. Points are brought within `point` of their deviations."""
 
     gain: float
     move: float
-    step: float
+    left: float
     point: float
 
 
 _ROUGH = tuned(_Stop(1e-3, 0.3, 0.0, 0.1), "shares, deviations", "more: components before lenses iterate")
-_FINE = tuned(_Stop(1e-7, 0.01, 0.015, 0.01), "shares, deviations", "a step of 0.02 leaves 0.08 deviations")
+_FINE = tuned(_Stop(1e-7, 0.01, 0.1, 0.01), "shares, deviations", "a tenth of a deviation is left at most")
 _FIRST = tuned(_Stop(1e-3, np.inf, 0.0, 0.1), "shares, deviations", "of steps that test a model: no damping")
 _FIRST_STEPS = tuned(4, "steps", "of a test, before and after variance components; fewer lose far models")
+_SHORTER = tuned(0.8, "times the step before", "a step's length, of slow blocks; where none came before")
 _STANDS = tuned(0.03, "share of a variance component", "a dozen frames know it to a third")
 _ROUGHLY = tuned(0.15, "share of a variance component", "the same, well enough to compare models")
 _STEPS_BETWEEN = tuned(2, "steps", "between estimates of the variance components")
@@ -127,7 +128,7 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
     """Steps until `stop`, or `most`; and the last step's equations without damping."""
     problem, components = progress.problem, progress.components
     sd_m = next(t for t in problem.frames if isinstance(t, GnssPositions)).sd(components)
-    at, damping, cost = progress.at, 0.0, progress.cost
+    at, damping, cost, length = progress.at, 0.0, progress.cost, np.inf
     steps: list[SolveStep] = []
     while True:
         normals = problem.normals(at, components)
@@ -158,7 +159,8 @@ def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Red
             at, cost = trial, trial_cost
         down = _down_weighted(problem, at, components)
         steps.append(SolveStep("", cost, components[IMAGE], damping, step_m, down))
-        little = gain <= stop.gain * max(cost, 1.0) or _length(reduced, step) <= stop.step
+        before, length = length, _length(reduced, step)
+        little = gain <= stop.gain * max(cost, 1.0) or _left(length, before) <= stop.left
         if len(steps) >= most or (little and moved <= stop.move):
             progress = replace(progress, at=at, steps=(*progress.steps, *steps))
             return progress, reduced if damping == 0.0 else reduce_normals(normals)
@@ -184,6 +186,12 @@ def _length(reduced: Reduced, step: Step) -> float:
     """Of a step, in deviations of the solution: no unknown, nor any sum of them, moves by more."""
     square = float(reduced.pose_side @ step.pose.ravel() + reduced.shared_side @ step.shared)
     return float(np.sqrt(max(square, 0.0)))
+
+
+def _left(length: float, before: float) -> float:
+    """What all later steps come to, in deviations, if each is as much shorter as this is than that before."""
+    shorter = length / before if 0.0 < before < np.inf else _SHORTER
+    return length * shorter / (1.0 - shorter) if shorter < 1.0 else np.inf
 
 
 def _down_weighted(problem: BlockProblem, at: Estimate, components: Components) -> float:
