@@ -57,7 +57,9 @@ class Purpose:
 _PLAIN: Final = ("GTiff", "AAIGrid", "HFA", "ENVI", "EHdr", "GPKG", "VRT")
 _FAILURES: Final = (RasterioError, CPLE_BaseError, OSError, MemoryError)
 NO_SIDECARS: Final = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
-FRAME: Final = Purpose(("GTiff",), "is no readable TIFF file", "copy it again, or take it out of the folder")
+FRAME: Final = Purpose(
+    ("GTiff", "PNG"), "is no readable TIFF or PNG file", "copy it again, or take it out of the folder"
+)
 MASK: Final = Purpose(("PNG", "GTiff"), "the mask can't be read", "write it as 8 bit PNG or TIFF")
 STRIP: Final = Purpose(("GTiff",), "is no raster file that can be read", "give a strip such as a GeoTIFF")
 OWN: Final = Purpose(("GTiff",), "can't be read as a raster", "run the recipe again")

@@ -107,7 +107,7 @@ def _told(wanted: Sequence[Address], reporter: Reporter) -> tuple[list[Remote], 
     _check_names([*asked, *(r.address for r in found)])
     if not asked and not found:
         named = f": {', '.join(skipped[:3])}" if skipped else ""
-        fix = "give a folder or a list of JPEG or TIFF files"
+        fix = "give a folder or a list of JPEG, TIFF or PNG files"
         raise InputError(f"none of the addresses is a frame or another file of a survey{named}", fix=fix)
     found += _each(
         lambda address, _: look(address), asked, lambda done: reporter.progress(done, len(asked), "asking")

@@ -69,7 +69,7 @@ class MosaicRequest(FramesRequest):
     """One map-true mosaic of a folder of aerial frames."""
 
     frames: Path = required(
-        Option("folder of frames (JPEG or TIFF)", "FRAMES_DIR", sets="survey.read.frames")
+        Option("folder of frames (JPEG, TIFF or PNG)", "FRAMES_DIR", sets="survey.read.frames")
     )
     pos: Path | None = asked(
         Option(

@@ -42,7 +42,7 @@ class SurveyRead(Stage):
     class Params(StageParams):
         """See each parameter's help."""
 
-        frames: Path = param(help="folder of frames, JPEG or TIFF")
+        frames: Path = param(help="folder of frames: JPEG, TIFF or PNG")
         pos: Path | None = param(None, help="positions and attitudes: CSV, geo.txt, Pix4D")
         camera: Path | None = param(None, help="interior orientation: cameras.json or YAML")
         dem: Path | None = param(None, help="elevation model: GeoTIFF and other local rasters")

@@ -7,7 +7,6 @@ pixels, decodes what is left of a damaged one without a word, and takes half as 
 from __future__ import annotations
 
 import re
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import JpegStructure, parse_structure
+from geomosaic.survey.png import png_damage
 
 Pixels = NDArray[np.uint8]
 _COARSE = tuned(4, "half-size px", "that detail is compared with: smaller are blurred too; larger show land")
@@ -57,7 +57,7 @@ class Wholeness:
     """damage: what the decoder said, '' where the frame is whole.
 
     whole_rows: of a damaged frame, how many rows from the top are surely whole; 0 where that isn't known.
-    look: of a whole frame; None of pixels without contrast, and of TIFF that isn't decoded.
+    look: of a whole frame; None of pixels without contrast, and of TIFF and PNG.
     """
 
     damage: str
@@ -83,7 +83,7 @@ def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
         except OSError as error:
             raise FileError(f"can't be read ({error.strerror})", file=file, fix=FRAME.fix) from error
         return _of_jpeg(data, parse_structure(data, file, whole=False))
-    return _of_tiff(file), None
+    return _of_raster(file), None
 
 
 def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Pixels | None]:
@@ -186,8 +186,11 @@ def _intervals(coded: bytes) -> Iterator[tuple[bytes, int | None]]:
     yield coded[at:], None
 
 
-def _of_tiff(path: Path) -> Wholeness:
+def _of_raster(path: Path) -> Wholeness:
     with open_raster(path, FRAME) as tiff:
+        if tiff.driver == "PNG":
+            said = png_damage(path.read_bytes())
+            return Wholeness(said, 0 if said else tiff.height)
         if tiff.compression is None:  # any bytes are pixels
             return Wholeness("", tiff.height)
         rows = max(256, int(tiff.block_shapes[0][0]))
@@ -195,21 +198,6 @@ def _of_tiff(path: Path) -> Wholeness:
             if said := _unreadable(tiff, path, Window(0, top, tiff.width, min(rows, tiff.height - top))):
                 return Wholeness(said, top)
     return Wholeness("", tiff.height)
-
-
-def png_damage(data: bytes) -> str:
-    """What is wrong with a PNG's chunks, '' where they are whole: GDAL reads on over most of it.
-
-    Source: PNG specification, third edition, section 5.3: length, type, data, CRC; IEND is the last.
-    """
-    at = 8
-    while (end := at + 12 + int.from_bytes(data[at : at + 4], "big")) <= len(data):
-        if zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            return f"its part at byte {at} is not what its check sum says"
-        if data[at + 4 : at + 8] == b"IEND":
-            return ""
-        at = end
-    return "its end is missing"
 
 
 def _unreadable(tiff: Raster, path: Path, window: Window) -> str:

@@ -11,9 +11,9 @@ from geomosaic.constants import tuned
 from geomosaic.doors.files import RUN_MARKER, check_name, printable, read_bytes
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
-from geomosaic.survey.damage import png_damage
-from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, check_blocks
+from geomosaic.survey.header import JPEG_SUFFIXES, PNG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, check_blocks
 from geomosaic.survey.names import FrameNames, frame_name, natural_key
+from geomosaic.survey.png import png_damage
 from geomosaic.survey.timestamp_mrk import matches
 
 _SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
@@ -41,7 +41,8 @@ _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 
 def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
-    """The JPEG and TIFF files of a folder, in the natural order of their paths, and what each is called.
+    """The frames of a folder, in the natural order of their paths, and what each is called: its JPEG and TIFF
+    files, or its PNG files where there are none of these (else they are previews and masks).
 
     If the folder itself holds none, those of its folder `images` or `DCIM`, else of all folders in it, four
     deep. A frame is called by its file's name; where several folders have it, with its folders' before it
@@ -55,22 +56,32 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
         raise FileError(problem, file=folder, fix="give the folder that holds the frames")
     check_name(folder)
     inputs = {p.absolute() for p in other}
-    files, folders = _listed(folder)
-    frames, top = _frames(files, inputs), folder
+    frames, top = _found(folder, inputs, _SUFFIXES)
     if not frames:
-        homes = [f for f in folders if f.name.casefold() in _HOMES]
-        for top in (*homes, folder):
-            frames = [p for f in _below(top) for p in _frames(_listed(f)[0], inputs)]
-            if frames:
-                break
+        frames, top = _found(folder, inputs, PNG_SUFFIXES)
     if not frames:
+        files, folders = _listed(folder)
         kinds = Counter(p.suffix.lower() or "no suffix" for p in files)
         held = [f"{n} {kind}" for kind, n in kinds.most_common(4)]
         held += [f"{len(folders)} folder{'s' * (len(folders) > 1)} without any"] * bool(folders)
-        problem = f"holds no JPEG or TIFF frames ({', '.join(held) or 'it is empty'})"
+        problem = f"holds no JPEG, TIFF or PNG frames ({', '.join(held) or 'it is empty'})"
         others = [p for f in _below(folder) for p in _listed(f)[0]]
         raise InputError(problem, file=folder, fix=_advice(others))
     return _called(frames, top)
+
+
+def _found(folder: Path, inputs: Collection[Path], suffixes: Collection[str]) -> tuple[list[Path], Path]:
+    """Frames with such suffixes and the folder to call them from: the folder's own, else those below it."""
+    files, folders = _listed(folder)
+    frames = _frames(files, inputs, suffixes)
+    if frames:
+        return frames, folder
+    homes = [f for f in folders if f.name.casefold() in _HOMES]
+    for top in (*homes, folder):
+        frames = [p for f in _below(top) for p in _frames(_listed(f)[0], inputs, suffixes)]
+        if frames:
+            return frames, top
+    return [], folder
 
 
 def _advice(files: Collection[Path]) -> str:
@@ -139,11 +150,13 @@ def _below(folder: Path) -> list[Path]:
     return found
 
 
-def _frames(files: Collection[Path], inputs: Collection[Path]) -> list[Path]:
+def _frames(
+    files: Collection[Path], inputs: Collection[Path], suffixes: Collection[str] = _SUFFIXES
+) -> list[Path]:
     return [
         p
         for p in files
-        if p.suffix.lower() in _SUFFIXES and not p.stem.casefold().endswith(_MASK_ENDINGS) and p not in inputs
+        if p.suffix.lower() in suffixes and not p.stem.casefold().endswith(_MASK_ENDINGS) and p not in inputs
     ]
 
 

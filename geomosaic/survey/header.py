@@ -15,10 +15,12 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.jpeg import read_structure
 from geomosaic.survey.names import frame_name
+from geomosaic.survey.png import png_tags
 from geomosaic.survey.xmp import Xmp, parse_xmp
 
 JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 TIFF_SUFFIXES: Final = frozenset({".tif", ".tiff"})
+PNG_SUFFIXES: Final = frozenset({".png"})
 DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
 _BYTES = sourced(
     {"uint8": 1, "uint16": 2, "int16": 2, "float32": 4},
@@ -58,12 +60,12 @@ class FrameHeader:
 
 
 def read_header(path: Path) -> FrameHeader:
-    """Header of a JPEG or TIFF frame.
+    """Header of a JPEG, TIFF or PNG frame.
 
     Raises: `FileError` when the file isn't what its name says, or can't hold the pixels it states;
     `InputError` when its pixels are of a kind that isn't handled.
     """
-    header = _jpeg_header(path) if path.suffix.lower() in JPEG_SUFFIXES else _tiff_header(path)
+    header = _jpeg_header(path) if path.suffix.lower() in JPEG_SUFFIXES else _raster_header(path)
     size = f"{header.width_px} x {header.height_px} pixels"
     needed = header.width_px * header.height_px * header.bands * _BYTES.get(header.dtype, 8)
     if max(header.width_px, header.height_px) > _MOST_SIDE_PX or needed > _MOST_BYTES:
@@ -87,24 +89,36 @@ def _jpeg_header(path: Path) -> FrameHeader:
     return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
 
 
-def _tiff_header(path: Path) -> FrameHeader:
+def _raster_header(path: Path) -> FrameHeader:
     with open_raster(path, FRAME) as tiff, reading(path, FRAME.problem, FRAME.fix):
         _check_packing(tiff, path)
-        check_blocks(tiff, path, FRAME.fix)
+        if tiff.driver == "GTiff":
+            check_blocks(tiff, path, FRAME.fix)
+        if ColorInterp.palette in tiff.colorinterp:
+            raise InputError(
+                "has a palette: its numbers are no colours", file=path, fix="convert it to RGB or grey"
+            )
         alpha = [i for i in tiff.colorinterp if i == ColorInterp.alpha]
         bands = tiff.count - len(alpha)
         dtypes = {str(d) for d in tiff.dtypes}
         if len(dtypes) != 1 or bands < 1:
             raise InputError("has bands of several types", file=path, fix="convert them to one type")
         items = {**tiff.tags(), **tiff.tags(ns="EXIF")}
-        packet = "".join(tiff.tags(ns="xml:XMP").values()).encode()
-        with path.open("rb") as file:
-            exif = exif_from_block(file.read(_EXIF_BYTES))
+        block, packet = _tags(tiff, path)
+        exif = exif_from_block(block) if block else Exif()
         if not exif.make and exif.lon_deg is None and exif.focal_length_mm is None:
             exif = exif_from_gdal({k: v for k, v in items.items() if k.startswith("EXIF_")})
         return FrameHeader(
             path, tiff.width, tiff.height, bands, dtypes.pop(), tiff.nodata, exif, parse_xmp(packet)
         )
+
+
+def _tags(raster: Raster, path: Path) -> tuple[bytes, bytes]:
+    """The bytes in which EXIF is, and the XMP packet."""
+    if raster.driver == "PNG":
+        return png_tags(path)
+    with path.open("rb") as file:
+        return file.read(_EXIF_BYTES), "".join(raster.tags(ns="xml:XMP").values()).encode()
 
 
 def _check_packing(tiff: Raster, path: Path) -> None:

@@ -55,7 +55,7 @@ def read_pixels(
         pixels = None if small is None else small.at(reduction, luma=luma)
         pixels, valid = _decode_jpeg(path, frame, bands, reduction) if pixels is None else pixels, None
     else:
-        pixels, valid = _read_tiff(path, frame.whole_rows)
+        pixels, valid = _read_raster(path, frame.whole_rows)
         pixels = means(pixels, reduction)
     expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), bands)
     if pixels.shape != expected:
@@ -84,9 +84,9 @@ def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArra
         raise FileError("the JPEG can't be decoded", file=path, fix=_FIX) from error
 
 
-def _read_tiff(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask | None]:
+def _read_raster(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask | None]:
     """By rasterio: it knows nodata, internal masks, alpha, any number of bands, and what is missing."""
-    with reading(path, "the TIFF can't be decoded whole", _FIX), open_raster(path, FRAME) as tiff:
+    with reading(path, "the image can't be decoded whole", _FIX), open_raster(path, FRAME) as tiff:
         bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
         window = Window(0, 0, tiff.width, tiff.height if whole_rows is None else whole_rows)
         pixels = tiff.read([i for i, c in bands if c != ColorInterp.alpha], window=window)

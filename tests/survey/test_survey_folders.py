@@ -58,13 +58,20 @@ def test_folders_of_runs_and_links_are_not_entered(tmp_path: Path) -> None:
 
 def test_only_what_is_empty_is_called_so(tmp_path: Path) -> None:
     (tmp_path / "notes" / "deep").mkdir(parents=True)
-    with pytest.raises(InputError, match=r"no JPEG or TIFF frames \(1 folder without any\); give"):
+    with pytest.raises(InputError, match=r"no JPEG, TIFF or PNG frames \(1 folder without any\); give"):
         frame_files(tmp_path)
     with pytest.raises(InputError, match=r"\(it is empty\)"):
         frame_files(tmp_path / "notes" / "deep")
-    touched(tmp_path / "a.png", tmp_path / "b.png", tmp_path / "more" / "c.png")
-    with pytest.raises(InputError, match=r"\(2 \.png, 2 folders without any\)"):
+    touched(tmp_path / "a.gif", tmp_path / "b.gif", tmp_path / "more" / "c.gif")
+    with pytest.raises(InputError, match=r"\(2 \.gif, 2 folders without any\)"):
         frame_files(tmp_path)
+
+
+def test_png_files_are_frames_where_there_are_no_others(tmp_path: Path) -> None:
+    touched(tmp_path / "flight" / "2.png", tmp_path / "flight" / "10.PNG", tmp_path / "flight" / "2_mask.png")
+    assert names(tmp_path) == names(tmp_path / "flight") == ["2.png", "10.PNG"]
+    touched(tmp_path / "flight" / "photos" / "a.jpg")
+    assert names(tmp_path) == ["a.jpg"]
 
 
 def test_frames_beside_folders_count_alone_and_it_is_said(tmp_path: Path) -> None:

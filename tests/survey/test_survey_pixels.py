@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import zlib
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -13,6 +15,7 @@ from rasterio.enums import ColorInterp
 from rasterio.transform import Affine
 from survey_files import exif_block, image, write_jpeg
 
+from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey import pixels as pixels_room
 from geomosaic.survey.damage import decoded, looked_at
@@ -21,6 +24,7 @@ from geomosaic.survey.header import read_header
 from geomosaic.survey.model import Attitude, Frame, Position
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import LEAST_PX, Small, small_of
+from geomosaic.survey.xmp import parse_xmp
 
 
 def frame(path: Path, mask: Path | None = None) -> Frame:
@@ -139,6 +143,63 @@ def test_a_jpeg_cut_after_its_header_was_read_is_refused(tmp_path: Path, share: 
         read_pixels(cut)
 
 
+def png_with(pixels: np.ndarray, *chunks: tuple[bytes, bytes]) -> bytes:
+    """A PNG with more chunks in front of its end."""
+    whole = cv2.imencode(".png", pixels)[1].tobytes()
+    more = (
+        len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+        for kind, data in chunks
+    )
+    return b"".join((whole[:-12], *more, whole[-12:]))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_png_has_pixels_and_tags(tmp_path: Path, packed: bool) -> None:
+    rng = np.random.default_rng(5)
+    pixels = rng.integers(0, 60000, (40, 30, 3), dtype=np.uint16)
+    packet = b"<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:RDF xmlns:rdf="
+    packet += b"'http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description xmlns:d="
+    packet += b"'http://www.dji.com/drone-dji/1.0/' d:FlightYawDegree='31.5'/></rdf:RDF></x:xmpmeta>"
+    text = b"XML:com.adobe.xmp\0" + bytes([packed, 0]) + b"\0\0"
+    text += zlib.compress(packet) if packed else packet
+    tags, path = exif_block(Make="DJI", Model="FC6310", FocalLength=Fraction("8.8")), tmp_path / "a.png"
+    path.write_bytes(png_with(pixels, (b"eXIf", tags), (b"iTXt", text)))
+    header = read_header(path)
+    assert (header.width_px, header.height_px, header.bands, header.dtype) == (30, 40, 3, "uint16")
+    assert (header.exif.make, header.exif.focal_length_mm) == ("DJI", 8.8)
+    assert header.xmp == parse_xmp(packet) != parse_xmp(b"")
+    found, mask = read_pixels(frame(path))
+    np.testing.assert_array_equal(found[..., ::-1], pixels)
+    assert mask is None
+
+
+def test_a_png_with_alpha_or_damage(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    pixels = rng.integers(0, 255, (40, 30, 4), dtype=np.uint8)
+    pixels[..., 3] = 255
+    pixels[:10, :, 3] = 0
+    path = tmp_path / "a.png"
+    path.write_bytes(png_with(pixels))
+    found, mask = read_pixels(frame(path))
+    assert found.shape == (40, 30, 3)
+    assert mask is not None
+    np.testing.assert_array_equal(mask[:, 0] > 0, np.arange(40) >= 10)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    assert "not what its check sum says" in looked_at(str(path))[0].damage
+
+
+def test_a_palette_is_no_frame(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    options = {"driver": "PNG", "width": 8, "height": 8, "count": 1, "dtype": "uint8"}
+    with unreferenced_is_fine(), rasterio.open(path, "w", **options) as png:
+        png.write(np.zeros((1, 8, 8), np.uint8))
+        png.write_colormap(1, {0: (9, 8, 7)})
+    with pytest.raises(InputError, match=r"a\.png: has a palette: .*; convert it to RGB or grey"):
+        read_header(path)
+
+
 @pytest.mark.parametrize("compress", ["none", "deflate"])
 def test_a_cut_tiff_is_refused(tmp_path: Path, compress: str) -> None:
     rng = np.random.default_rng(3)
@@ -150,14 +211,14 @@ def test_a_cut_tiff_is_refused(tmp_path: Path, compress: str) -> None:
     path.write_bytes(data[: int(0.7 * len(data))])
     with pytest.raises(FileError, match=r"a\.tif: the TIFF is truncated: its image data don't end; copy it"):
         read_header(path)
-    with pytest.raises(FileError, match=r"a\.tif: the TIFF can't be decoded whole"):
+    with pytest.raises(FileError, match=r"a\.tif: the image can't be decoded whole"):
         read_pixels(whole)
 
 
 def test_other_files_and_types_are_refused(tmp_path: Path) -> None:
     text = tmp_path / "a.tif"
     text.write_text("I am a text")
-    with pytest.raises(FileError, match=r"a\.tif: is no readable TIFF file"):
+    with pytest.raises(FileError, match=r"a\.tif: is no readable TIFF or PNG file"):
         read_header(text)
     with pytest.raises(
         InputError, match="pixels of type float64 aren't handled; convert the frame to one of"

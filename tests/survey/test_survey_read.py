@@ -173,10 +173,10 @@ def test_pos_files_that_do_not_fit_the_frames(tmp_path: Path, case: str) -> None
 def test_folders_and_frames_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="there is no such folder; give the folder"):
         read_survey(tmp_path / "none")
-    with pytest.raises(InputError, match=r"holds no JPEG or TIFF frames \(it is empty\)"):
+    with pytest.raises(InputError, match=r"holds no JPEG, TIFF or PNG frames \(it is empty\)"):
         read_survey(tmp_path)
     (tmp_path / "a.dng").write_bytes(b"x")
-    with pytest.raises(InputError, match=r"holds no JPEG or TIFF frames \(1 \.dng\)"):
+    with pytest.raises(InputError, match=r"holds no JPEG, TIFF or PNG frames \(1 \.dng\)"):
         read_survey(tmp_path)
     text = tmp_path / "b.jpg"
     text.write_text("not an image")

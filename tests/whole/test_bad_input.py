@@ -110,7 +110,7 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Refused:
 def test_an_empty_folder(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "frames").mkdir()
     code = mosaic(tmp_path / "frames", tmp_path / "run")
-    refused(code, tmp_path / "run", tmp_path / "frames", "no JPEG or TIFF frames", "give the folder")
+    refused(code, tmp_path / "run", tmp_path / "frames", "no JPEG, TIFF or PNG frames", "give the folder")
 
 
 def test_a_folder_that_is_not_there_and_one_that_is_a_file(tmp_path: Path, refused: Refused) -> None:

@@ -53,7 +53,7 @@ def test_a_run_holds_its_products(run: gm.Run) -> None:
 
 
 def test_errors_are_those_of_the_command(run: gm.Run, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no JPEG or TIFF frames"):
+    with pytest.raises(InputError, match="holds no JPEG, TIFF or PNG frames"):
         gm.mosaic(tmp_path)
     with pytest.raises(InputError, match="unknown recipe 'quck-look'; did you mean 'quick-look'"):
         gm.run("quck-look", run.folder.parent / "frames")
