@@ -12,6 +12,7 @@ from geomosaic.recording.file.thumbnail import Looking, Seen, seen, thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.damage import Wholeness
 from geomosaic.survey.folder import frame_folders, project_files
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
@@ -23,10 +24,11 @@ _READ_AGAIN = 200
 """Frames, of those whose look for damage gave no thumbnail, that are read again for one."""
 
 
-def _given(params: Any) -> dict[str, Any]:
-    """All parameters but the folder; a project's own files where none are given."""
-    given = params.model_dump(exclude={"frames"})
-    return {k: project_files(params.frames).get(k) if v is None else v for k, v in given.items()}
+def _inputs(params: Any) -> SurveyInputs:
+    """What is given, and a project's own files where none are."""
+    given = params.model_dump()
+    own = {kind: path for kind, path in project_files(params.frames).items() if given[kind] is None}
+    return SurveyInputs(**given | own)
 
 
 class SurveyRead(Stage):
@@ -81,37 +83,31 @@ class SurveyRead(Stage):
     @classmethod
     def check(cls, params: Params) -> None:
         """The frames' names and every file beside them, but for what only the frames' headers show."""
-        given = _given(params)
-        for name in ("dem_offset_m", "damaged", "leave_out", "camera_kind", "strict"):
-            del given[name]
-        check_survey_files(params.frames, **given)
+        check_survey_files(_inputs(params))
 
     @classmethod
     def files(cls, params: Params) -> dict[str, Path]:
         """The folders that hold the frames, and the files beside them."""
-        given = {k: v for k, v in _given(params).items() if isinstance(v, Path)}
-        folders = frame_folders(params.frames, given.values())
-        return {f"frames/{name}" if name else "frames": p for name, p in folders.items()} | given
+        files = _inputs(params).files
+        folders = frame_folders(params.frames, files.values())
+        return {f"frames/{name}" if name else "frames": p for name, p in folders.items()} | files
 
     @classmethod
     def plans(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         """How many frames there are."""
-        told = summary["metrics"]["survey"]
-        return [("frames", f"{told['frames']}, {told['left_out']} left out")]
+        counts = summary["metrics"]["survey"]
+        return [("frames", f"{counts['frames']}, {counts['left_out']} left out")]
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         """Reads all of it and records what the frames look like."""
-        given = _given(params)
+        survey_inputs = _inputs(params)
         for name in project_files(params.frames):
             if getattr(params, name) is None:
-                context.warn(
-                    "project-file",
-                    "",
-                    (
-                        f"{given[name].name} in the folder of frames is used as --{name}; give another "
-                        f"file with --{name} if it is wrong"
-                    ),
+                text = (
+                    f"{survey_inputs.files[name].name} in the folder of frames is used as --{name}; "
+                    f"give another file with --{name} if it is wrong"
                 )
+                context.warn("project-file", "", text)
         looks: dict[str, StoredResult[Seen]] = {}
 
         def inspect(paths: list[str]) -> list[Wholeness]:
@@ -119,7 +115,7 @@ class SurveyRead(Stage):
             looks.update(zip(paths, context.stored("looking for damage", seen, items), strict=True))
             return [looks[path].load().wholeness for path in paths]
 
-        survey = read_survey(params.frames, **given, inspect=inspect, progress=context.progress)
+        survey = read_survey(survey_inputs, inspect=inspect, progress=context.progress)
         context.metric("survey.frames", len(survey.frames))
         context.metric("survey.left_out", len(survey.left_out))
         for warning in survey.warnings:

@@ -61,9 +61,9 @@ _UNSURE_MEANS: Final = (
 class CameraChoice:
     """The cameras in use, the name of each frame's, and what was assumed."""
 
-    cameras: tuple[Camera, ...]
-    names: tuple[str, ...]
-    warnings: tuple[Warn, ...]
+    cameras: tuple[Camera, ...] = ()
+    names: tuple[str, ...] = ()
+    warnings: tuple[Warn, ...] = ()
 
 
 def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:

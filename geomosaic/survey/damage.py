@@ -89,10 +89,10 @@ def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
 def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Pixels | None]:
     if data.count(b"\xff\xda", structure.data_start) > _MOST_SCANS:
         return Wholeness(f"it has more than {_MOST_SCANS} scans", 0), None
-    said, pixels = _heard(data, structure.bands)
+    said, pixels = _decoded_whole(data, structure.bands)
     if "extraneous" in said:  # cameras may pad the data in front of the end marker
         end = data.find(_EOI, structure.data_start)
-        said, pixels = _heard(data[:end].rstrip(b"\0\xff") + data[end:], structure.bands)
+        said, pixels = _decoded_whole(data[:end].rstrip(b"\0\xff") + data[end:], structure.bands)
     if pixels is None:
         return Wholeness(f"libjpeg says '{said}'", _whole_rows(data, structure)), None
     return Wholeness("", structure.height_px, _look(pixels)), pixels
@@ -117,7 +117,7 @@ def coarsened(pixels: Pixels, side: int) -> Pixels:
     return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _heard(data: bytes, bands: int, reduction: int = 2) -> tuple[str, Pixels | None]:
+def _decoded_whole(data: bytes, bands: int, reduction: int = 2) -> tuple[str, Pixels | None]:
     """What libjpeg says first of a JPEG's data, nothing where they are whole; and these' pixels."""
     try:
         return "", decoded(data, bands, reduction, strict=True)
@@ -172,7 +172,7 @@ def _rows_of_intervals(data: bytes, coded: bytes, jpeg: JpegStructure) -> int:
         jpeg.restart_blocks * width, 65535
     ).to_bytes(2, "big")
     for i, (part, marker) in enumerate(_intervals(coded)):
-        if _heard(bytes(header) + part + _EOI, 1, 8)[0] or marker not in (None, i % 8):
+        if _decoded_whole(bytes(header) + part + _EOI, 1, 8)[0] or marker not in (None, i % 8):
             return max(0, i * jpeg.restart_blocks // across * height - _CONTEXT_ROWS)
     return 0
 

@@ -40,8 +40,8 @@ def outliers(height_m: Floats, mixed: bool = False) -> Flags:
             bad |= fill
             left[fill] = np.nan
     if mixed and bad.any():
-        beside = cv2.dilate(bad.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        bad |= beside & np.isfinite(left)
+        adjacent = cv2.dilate(bad.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        bad |= adjacent & np.isfinite(left)
         left[bad] = np.nan
     return bad | _spikes(left)
 

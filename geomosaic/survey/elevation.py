@@ -39,8 +39,7 @@ def read_elevation(
     path = path.absolute()
     crs, bounds = check_dem(path)
     model, warnings = _with_datum(path, offset_m, crs, np.median(lonlat, axis=0))
-    xy = MapProjection(crs.to_wkt()).map_from_geodetic(*lonlat.T)
-    _check_cover(path, crs, bounds, frame_names, lonlat, xy)
+    xy = _covered(path, MapProjection(crs.to_wkt()), bounds, frame_names, lonlat)
     heights = read_heights(model, (*xy.min(axis=0), *xy.max(axis=0))).at(*xy.T)
     gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
     if len(gaps) == len(frame_names):
@@ -108,12 +107,16 @@ def _with_datum(
     return replace(model, vertical=vertical_text), [Warn("dem-datum-assumed", "", text)]
 
 
-def _check_cover(path: Path, crs: CRS, bounds: Any, names: Sequence[str], lonlat: Floats, xy: Floats) -> None:
+def _covered(
+    path: Path, projection: MapProjection, bounds: Any, names: Sequence[str], lonlat: Floats
+) -> Floats:
+    """Places of frames (n, 2) in the CRS of a DEM. Raises: `InputError` where the DEM does not cover all."""
+    xy = projection.map_from_geodetic(*lonlat.T)
     nearest = np.clip(xy, [bounds.left, bounds.bottom], [bounds.right, bounds.top])
     outside = ~np.isfinite(xy).all(axis=1) | (nearest != xy).any(axis=1)
     if not outside.any():
-        return
-    edge = MapProjection(crs.to_wkt()).geodetic_from_map(*np.nan_to_num(nearest, posinf=0.0).T)
+        return xy
+    edge = projection.geodetic_from_map(*np.nan_to_num(nearest, posinf=0.0).T)
     away = np.linalg.norm(mid_latitude_offset_m(*edge.T, *lonlat.T), axis=1)
     away[~outside] = 0.0
     i = int(np.argmax(away))

@@ -62,9 +62,9 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
     if not frames:
         files, folders = _listed(folder)
         kinds = Counter(p.suffix.lower() or "no suffix" for p in files)
-        held = [f"{n} {kind}" for kind, n in kinds.most_common(4)]
-        held += [f"{len(folders)} folder{'s' * (len(folders) > 1)} without any"] * bool(folders)
-        problem = f"holds no JPEG, TIFF or PNG frames ({', '.join(held) or 'it is empty'})"
+        there = [f"{n} {kind}" for kind, n in kinds.most_common(4)]
+        there += [f"{len(folders)} folder{'s' * (len(folders) > 1)} without any"] * bool(folders)
+        problem = f"holds no JPEG, TIFF or PNG frames ({', '.join(there) or 'it is empty'})"
         others = [p for f in _below(folder) for p in _listed(f)[0]]
         raise InputError(problem, file=folder, fix=_advice(others))
     return _called(frames, top)

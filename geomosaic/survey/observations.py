@@ -35,10 +35,10 @@ TOO_FAR_M = tuned(300_000.0, "m", "from the survey's centre: less refuses long c
 class Observations:
     """Per frame: position, attitude, and the camera's name as the POS file has it; what was assumed."""
 
-    positions: tuple[Position, ...]
-    attitudes: tuple[Attitude, ...]
-    cameras: tuple[str | None, ...]
-    warnings: tuple[Warn, ...]
+    positions: tuple[Position, ...] = ()
+    attitudes: tuple[Attitude, ...] = ()
+    cameras: tuple[str | None, ...] = ()
+    warnings: tuple[Warn, ...] = ()
 
 
 def observe(

@@ -42,7 +42,7 @@ BLURRED: Final = Limit(
     2.3, "log detail", "a tenth of its neighbours', blurred over 4 px", "2 px blur: 2.4 to 3"
 )
 SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", CHOSEN)
-_BESIDE = tuned(5, "frames", "each side, to compare sharpness: fewer let one decide; more reach other land")
+_NEAREST = tuned(5, "frames", "each side, to compare sharpness: fewer let one decide; more reach other land")
 _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
     "frame-other-camera": "taken by another of the aircraft's cameras (--camera-kind chooses one)",
@@ -106,7 +106,7 @@ def other_kinds(headers: Sequence[FrameHeader], camera: str | None = None) -> li
     out = []
     for h in headers:
         if _kind_of(h)[:2] != usual[:2]:
-            text = f"has {_kind(h.bands, h.dtype)}, most frames {_kind(*usual[:2])}"
+            text = f"has {bands_and_type(h.bands, h.dtype)}, most frames {bands_and_type(*usual[:2])}"
             out.append(_out("frame-other-bands", h, text))
         elif _kind_of(h) != usual:
             its, other = (kind or "unnamed" for kind in (usual[2], camera_kind(h)))
@@ -246,8 +246,8 @@ def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
     en = mid_latitude_offset_m(*lonlat[at[0]], *lonlat[at].T)
     typical = float(np.median(cKDTree(en).query(en, k=2)[0][:, 1]))
     cells, cell = np.unique(np.floor(en / max(_NEAR_M, 10.0 * typical)), axis=0, return_inverse=True)
-    beside = cKDTree(cells).sparse_distance_matrix(cKDTree(cells), 1.5)
-    _, of_cell = connected_components(beside, directed=False)
+    adjacent = cKDTree(cells).sparse_distance_matrix(cKDTree(cells), 1.5)
+    _, of_cell = connected_components(adjacent, directed=False)
     part = of_cell[cell.ravel()]
     sizes = np.bincount(part)
     main = int(sizes.argmax())
@@ -270,8 +270,10 @@ def blurred(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | No
     n = len(detail)
     if np.isfinite(detail).sum() < 2 * _LEAST_FLIGHT:
         return []
-    beside = [[j for j in range(max(0, i - _BESIDE), min(n, i + _BESIDE + 1)) if j != i] for i in range(n)]
-    lack = np.array([np.nanmedian(detail[b]) if np.isfinite(detail[b]).any() else np.nan for b in beside])
+    neighbours = [
+        [j for j in range(max(0, i - _NEAREST), min(n, i + _NEAREST + 1)) if j != i] for i in range(n)
+    ]
+    lack = np.array([np.nanmedian(detail[b]) if np.isfinite(detail[b]).any() else np.nan for b in neighbours])
     lack -= detail
     off = np.abs(lack - np.nanmedian(lack))
     limit = max(BLURRED.value, SPREADS.value * NORMAL_PER_MAD * float(np.nanmedian(off)))
@@ -283,7 +285,8 @@ def blurred(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | No
     return [_out("frame-blurred", headers[i], text.format(100.0 * np.exp(-lack[i]))) for i in alone]
 
 
-def _kind(bands: int, dtype: str) -> str:
+def bands_and_type(bands: int, dtype: str) -> str:
+    """`3 bands of uint8`."""
     return f"{bands} band{'s' if bands > 1 else ''} of {dtype}"
 
 

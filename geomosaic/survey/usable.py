@@ -62,7 +62,7 @@ def usable(
             unreadable[name] = error
         if progress is not None:
             progress(i + 1, len(files), "reading headers")
-    beside, spoiled = masks(headers)
+    valid_masks, spoiled = masks(headers)
     unreadable |= spoiled
     headers = [header for header in headers if header.name not in spoiled]
     used, whole_rows, looks, warnings = [], {}, {}, []
@@ -90,7 +90,7 @@ def usable(
         raise unreadable[lost[0]]
     left_out = tuple(UnusedImage(name, _reason(unreadable[name], spoiled.get(name))) for name in lost)
     warnings = [*(Warn("frame-damaged", o.name, f"left out: {o.reason}") for o in left_out), *warnings]
-    return Usable(used, whole_rows, looks, beside, left_out, tuple(warnings))
+    return Usable(used, whole_rows, looks, valid_masks, left_out, tuple(warnings))
 
 
 def _reason(error: InputError, of_mask: InputError | None) -> str:

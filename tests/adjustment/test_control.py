@@ -18,6 +18,7 @@ from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.matching.model import TiePoints
 from geomosaic.quality.control import control_figures
 from geomosaic.quality.positions import read_poses
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import read_survey
 
 SD_M = np.array([0.02, 0.02, 0.02])
@@ -216,7 +217,7 @@ def test_from_the_file_to_the_report(tmp_path: Path) -> None:
     """A simulated survey with positions of 0.4 m; points on its true ground, placed in its frames by its
     true poses. Five hold it, six judge; one of the five is 5 m wrong."""
     flown = small_survey(tmp_path / "survey", frames_per_line=3, width_px=400, height_px=300)
-    read = read_survey(flown.frames, pos=flown.pos, camera=flown.camera)
+    read = read_survey(SurveyInputs(flown.frames, pos=flown.pos, camera=flown.camera))
     true = read_poses(flown.positions, [f.name for f in read.frames], read.work_frame)
     share = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [0.5, 0.5], [0.2, 0.5], [0.5, 0.1], [0.8, 0.4],
         [0.4, 0.8], [0.1, 0.3], [0.7, 0.7]])  # fmt: skip

@@ -19,6 +19,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey
 
@@ -50,7 +51,7 @@ def test_heights_that_drift_by_twice_the_flying_height(batteries: bool) -> None:
 
 @pytest.fixture
 def survey(tmp_path: Path) -> Survey:
-    return read_survey(survey_folder(tmp_path, 6))
+    return read_survey(SurveyInputs(survey_folder(tmp_path, 6)))
 
 
 def test_a_survey_has_no_deviation_that_is_no_number(survey: Survey) -> None:
@@ -126,7 +127,7 @@ def test_a_pos_file_says_whether_its_datum_is_stated(tmp_path: Path, column: str
     rows = [f"{name},{9.12 + 1e-4 * k},48.77,500.0" for k, name in enumerate(names)]
     pos = tmp_path / "pos.csv"
     pos.write_text("\n".join([f"frame,lon_deg,lat_deg,{column}", *rows]) + "\n", encoding="utf-8")
-    read = read_survey(folder, pos=pos)
+    read = read_survey(SurveyInputs(folder, pos=pos))
     assert [f.position.datum_stated for f in read.frames] == [stated] * 3
     reference = height_reference(read)
     assert reference is not None and (reference.datum_sd_m is None) is stated

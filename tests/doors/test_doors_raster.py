@@ -34,6 +34,7 @@ from geomosaic.errors import FileError
 from geomosaic.quality.rasters import open_map
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.header import read_header
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
 from geomosaic_simulate.survey import SimulatedSurvey
@@ -294,16 +295,18 @@ def test_a_survey_opens_no_connection(pair: SimulatedSurvey, tmp_path: Path, ser
     for content in (WMS, WMTS):
         dem.write_text(content.format(url=server.url))
         with pytest.raises(FileError, match=r"dem\.xml: is no raster file that can be read; give a DEM"):
-            read_survey(frames, **given, dem=dem)
+            read_survey(SurveyInputs(frames, **given, dem=dem))
         with pytest.raises(FileError, match=r"dem\.xml: is no raster file that can be read"):
             open_map(dem)
-    for frame in read_survey(frames, **given).frames:
+    for frame in read_survey(SurveyInputs(frames, **given)).frames:
         assert read_pixels(frame)[1] is None
     mask = frames / f"{sorted(pair.frames.iterdir())[0].stem}_mask.png"
     mask.write_text(WMTS.format(url=server.url))
     with pytest.raises(FileError, match=r"_mask\.png: the mask can't be read; write it as 8 bit PNG or TIFF"):
-        read_survey(frames, **given, strict=True)
-    assert [out.name for out in read_survey(frames, **given).left_out] == [min(pair.frames.iterdir()).name]
+        read_survey(SurveyInputs(frames, **given, strict=True))
+    assert [out.name for out in read_survey(SurveyInputs(frames, **given)).left_out] == [
+        min(pair.frames.iterdir()).name
+    ]
     assert not server.came
 
 
@@ -377,7 +380,7 @@ def test_a_mask_s_size_is_read_before_its_pixels(pair: SimulatedSurvey, tmp_path
         (frames / frame.name).write_bytes(frame.read_bytes())
     png_of(frames / f"{frame.stem}_mask.png", 60000, 60000)
     with pytest.raises(FileError, match="the mask has 60000 x 60000 pixels, its frame 480 x 360"):
-        read_survey(frames, camera=pair.camera, pos=pair.pos, strict=True)
+        read_survey(SurveyInputs(frames, camera=pair.camera, pos=pair.pos, strict=True))
 
 
 def test_tiffs_that_ask_for_too_much(tmp_path: Path) -> None:

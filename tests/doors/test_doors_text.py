@@ -27,6 +27,7 @@ from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.control import read_control
 from geomosaic.survey.exif import exif_from_block, exif_from_gdal
 from geomosaic.survey.folder import frame_files
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.names import FrameNames, natural_key
 from geomosaic.survey.pos import read_pos
 from geomosaic.survey.read import read_survey
@@ -423,7 +424,9 @@ def test_a_frame_with_a_bomb_of_tags_is_read_at_once(flight: Path) -> None:
     plain = frame.read_bytes()
     tags = b"http://ns.adobe.com/xap/1.0/\0" + b"<x:xmpmeta " * 5_900
     frame.write_bytes(plain[:2] + b"\xff\xe1" + struct.pack(">H", len(tags) + 2) + tags + plain[2:])
-    survey = read_survey(flight / "frames", pos=flight / "pos.csv", camera=flight / "cameras.json")
+    survey = read_survey(
+        SurveyInputs(flight / "frames", pos=flight / "pos.csv", camera=flight / "cameras.json")
+    )
     assert len(survey.frames) == 4
 
 
@@ -535,9 +538,9 @@ def test_a_crs_of_another_continent(flight: Path, capsys: pytest.CaptureFixture[
         "the frames (11.300, 48.100 deg) lie" in err
         and "km outside the area of WGS 84 / UTM zone 16N (" in err
     )
-    survey = read_survey(flight / "frames", pos=given[1], camera=given[3], crs="EPSG:32633")
+    survey = read_survey(SurveyInputs(flight / "frames", pos=given[1], camera=given[3], crs="EPSG:32633"))
     assert [w.code for w in survey.warnings if w.code == "crs-outside-area"] == ["crs-outside-area"]
-    survey = read_survey(flight / "frames", pos=given[1], camera=given[3], crs="EPSG:25832")
+    survey = read_survey(SurveyInputs(flight / "frames", pos=given[1], camera=given[3], crs="EPSG:25832"))
     assert "crs-outside-area" not in {w.code for w in survey.warnings}
     pos = flight / "xy.csv"
     pos.write_text("frame,x,y,h_ell\na.jpg,4000000,3000000,500\n")
@@ -549,5 +552,5 @@ def test_frames_of_one_and_the_same_position_are_told(flight: Path) -> None:
     pos = flight / "pos.csv"
     names = [frame.name for frame in sorted((flight / "frames").iterdir())]
     pos.write_text("frame,lon,lat,h_ell\n" + "".join(f"{n},11.3,48.1,570\n" for n in names))
-    survey = read_survey(flight / "frames", pos=pos, camera=flight / "cameras.json")
+    survey = read_survey(SurveyInputs(flight / "frames", pos=pos, camera=flight / "cameras.json"))
     assert [w.frame for w in survey.warnings if w.code == "positions-all-alike"] == [""]

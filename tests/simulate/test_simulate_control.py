@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from geomosaic.errors import InputError
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import read_survey
 from geomosaic_simulate.control import MEASURED_SD_PX, SURVEYED_SD_M, surveyed, true_points
 from geomosaic_simulate.flight import fly
@@ -71,8 +72,8 @@ def test_both_files_are_read_as_the_same_points(tmp_path: Path) -> None:
     survey = simulate_frames(tmp_path, PLAN)
     assert survey.control is not None and survey.gcp_list is not None and survey.true_control is not None
     given = {"pos": survey.pos, "camera": survey.camera}
-    table = read_survey(survey.frames, **given, gcp=survey.control)
-    listed = read_survey(survey.frames, **given, gcp=survey.gcp_list)
+    table = read_survey(SurveyInputs(survey.frames, **given, gcp=survey.control))
+    listed = read_survey(SurveyInputs(survey.frames, **given, gcp=survey.gcp_list))
     assert len(table.control) == len(listed.control) == 7
     with survey.true_control.open(newline="") as f:
         truth = {row["name"]: row for row in csv.DictReader(f)}

@@ -21,6 +21,7 @@ from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.stage import Context
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import read_survey
 from geomosaic_simulate.exif import sexagesimal
 from geomosaic_simulate.plan import SurveyPlan
@@ -264,7 +265,7 @@ def test_kappa_is_the_grid_heading_of_a_level_frame(tmp_path: Path) -> None:
 def test_a_survey_without_a_camera_file_starts_from_the_right_focal_length(
     survey: SimulatedSurvey,
 ) -> None:
-    read = read_survey(survey.frames)
+    read = read_survey(SurveyInputs(survey.frames))
     (camera,) = read.cameras
     assert camera.focal_length_px == pytest.approx(300.0, abs=0.02)
     assert [f.position.height_above_ground_m for f in read.frames] == pytest.approx([30.0] * 3, abs=8.0)
@@ -274,7 +275,7 @@ def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
     one = dataclasses.replace(PLAN, turned="")
     biased = dataclasses.replace(one, height_bias_m=-45.0, position_bias_m=5.0)
     plain, off = simulate_frames(tmp_path / "plain", one), simulate_frames(tmp_path / "off", biased)
-    positions = [[f.position for f in read_survey(s.frames).frames] for s in (plain, off)]
+    positions = [[f.position for f in read_survey(SurveyInputs(s.frames)).frames] for s in (plain, off)]
     for true, said in zip(*positions, strict=True):
         assert said.height_ellipsoidal_m is not None and true.height_ellipsoidal_m is not None
         assert said.height_ellipsoidal_m - true.height_ellipsoidal_m == pytest.approx(-45.0, abs=2e-3)
@@ -287,7 +288,7 @@ def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
     np.testing.assert_allclose(errors[1] - errors[0], [bias] * 3, atol=1e-9)
     assert np.hypot(*bias[:2]) == pytest.approx(5.0) and bias[2] == -45.0
     silent = simulate_frames(tmp_path / "silent", dataclasses.replace(biased, relative_height_told=False))
-    for frame in read_survey(silent.frames).frames:
+    for frame in read_survey(SurveyInputs(silent.frames)).frames:
         assert frame.position.height_above_ground_m is None
         assert frame.position.height_ellipsoidal_m is not None
 
@@ -296,7 +297,7 @@ def test_the_barometer_does_not_drift_with_the_gps(tmp_path: Path) -> None:
     one = dataclasses.replace(PLAN, turned="")
     plain = simulate_frames(tmp_path / "plain", one)
     drifting = simulate_frames(tmp_path / "drifting", dataclasses.replace(one, height_drift_m=30.0))
-    positions = [[f.position for f in read_survey(s.frames).frames] for s in (plain, drifting)]
+    positions = [[f.position for f in read_survey(SurveyInputs(s.frames)).frames] for s in (plain, drifting)]
     rises = [0.0, 15.0, 30.0]
     for rise, true, said in zip(rises, *positions, strict=True):
         assert said.height_ellipsoidal_m - true.height_ellipsoidal_m == pytest.approx(rise, abs=2e-3)

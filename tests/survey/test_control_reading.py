@@ -17,6 +17,7 @@ from geomosaic.export.references import write_odm_control
 from geomosaic.geodesy.crs_names import AmbiguousCrsError, stated_crs
 from geomosaic.geodesy.mapcrs import map_crs
 from geomosaic.survey.control import read_control
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames
 from geomosaic.survey.places import NOWHERE
@@ -147,14 +148,14 @@ def test_before_frames_are_read_a_name_of_two_systems_passes(tmp_path: Path) -> 
         write_jpeg(folder / f"{'ab'[i]}.jpg", image(seed=i), tags)
     gcp = tmp_path / "list.txt"
     gcp.write_text(measured("UTM 33", "EPSG:32633", BORUSZYN))
-    check_survey_files(folder, gcp=gcp, crs="UTM 33")
-    survey = read_survey(folder, gcp=gcp, crs="UTM 33")
+    check_survey_files(SurveyInputs(folder, gcp=gcp, crs="UTM 33"))
+    survey = read_survey(SurveyInputs(folder, gcp=gcp, crs="UTM 33"))
     assert survey.control[0].lat_deg == pytest.approx(BORUSZYN[1], abs=1e-8)
     assert survey.map_crs == "EPSG:32633"
     named = [w.text for w in survey.warnings if w.code == "crs-by-name"]
     assert [t.split(" is taken")[0] for t in named] == ["--crs 'UTM 33'", "list.txt: 'UTM 33'"]
     gcp.write_text(measured("EPSG:4326", "EPSG:4326", BORUSZYN, order=-1))
-    survey = read_survey(folder, gcp=gcp, crs="PUWG1992")
+    survey = read_survey(SurveyInputs(folder, gcp=gcp, crs="PUWG1992"))
     assert (survey.control[0].lon_deg, survey.control[0].lat_deg) == pytest.approx(BORUSZYN, abs=1e-4)
     assert survey.map_crs == "EPSG:2180"
     assert [w.text for w in survey.warnings if w.code == "xy-exchanged"] == [

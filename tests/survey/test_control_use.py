@@ -13,6 +13,7 @@ from small_surveys import geomosaic, mosaic, small_survey, summary, warned
 
 import geomosaic as gm
 from geomosaic.errors import InputError
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey
 from geomosaic_simulate.survey import SimulatedSurvey
@@ -69,7 +70,7 @@ def rover(flown: SimulatedSurvey, tmp_path: Path) -> Path:
 def refused(flown: SimulatedSurvey, gcp: Path) -> str:
     """The one line of a file that is refused."""
     with pytest.raises(InputError) as caught:
-        read_survey(flown.frames, gcp=gcp)
+        read_survey(SurveyInputs(flown.frames, gcp=gcp))
     text = str(caught.value)
     assert caught.value.exit_code == 2 and text.startswith(f"{gcp}: ") and text.endswith(FIX)
     return text
@@ -77,7 +78,7 @@ def refused(flown: SimulatedSurvey, gcp: Path) -> str:
 
 def gone_on(flown: SimulatedSurvey, gcp: Path) -> str:
     """The warning of the same file where it is optional."""
-    survey = read_survey(flown.frames, gcp=gcp, gcp_optional=True)
+    survey = read_survey(SurveyInputs(flown.frames, gcp=gcp, gcp_optional=True))
     (text,) = texts(survey, "control")
     assert survey.control == () and warnings(survey, "control-unused") == [text]
     assert text.startswith(f"{gcp.name}: ") and "the map is made without these points" in text
@@ -94,10 +95,10 @@ def warnings(survey: Survey, code: str) -> list[str]:
 
 def test_files_that_can_be_used_are_used_without_a_word(flown: SimulatedSurvey) -> None:
     for gcp in (flown.gcp_list, flown.control):
-        survey = read_survey(flown.frames, gcp=gcp)
+        survey = read_survey(SurveyInputs(flown.frames, gcp=gcp))
         assert len(survey.control) == 6 and all(p.images for p in survey.control)
         assert texts(survey, "control") == []
-        assert read_survey(flown.frames, gcp=gcp, gcp_optional=True).control == survey.control
+        assert read_survey(SurveyInputs(flown.frames, gcp=gcp, gcp_optional=True)).control == survey.control
 
 
 def test_a_rovers_file_without_image_marks(flown: SimulatedSurvey, rover: Path) -> None:
@@ -162,7 +163,7 @@ def test_points_of_which_some_cannot_be_used_are_one_line(
         for k, line in enumerate(changed)
         if line[6] != names[2] or k == slip
     ]
-    survey = read_survey(flown.frames, gcp=odm(changed))
+    survey = read_survey(SurveyInputs(flown.frames, gcp=odm(changed)))
     absent = sum(line[6] == names[0] for line in lines)
     assert warnings(survey, "control-points-unused") == [
         f"gcp_list.txt: 2 of 6 points are not used ({names[0]}, {names[2]}): "
@@ -189,7 +190,7 @@ def test_many_points_without_marks_beside_marked_ones_are_counted(
         rover.read_text().splitlines()[1:])]  # fmt: skip
     gcp = tmp_path / "mixed.csv"
     gcp.write_text("\n".join([*kept, *rows]))
-    (text,) = texts(read_survey(flown.frames, gcp=gcp), "control")
+    (text,) = texts(read_survey(SurveyInputs(flown.frames, gcp=gcp)), "control")
     assert text == (
         "mixed.csv: 6 of 8 points are not used (R0, R1, R2 and 3 more): 6 without an image mark; "
         "only check points are left"
@@ -204,9 +205,9 @@ def test_without_positions_too_few_points_leave_a_local_frame(
     )
     one = odm([line for line in lines if line[6] == lines[0][6] and line[5] in ("F0001.jpg", "F0002.jpg")])
     with pytest.raises(InputError, match=f"1 control point is measured in the images.*{FIX}"):
-        read_survey(bare.frames, gcp=one)
-    survey = read_survey(bare.frames, gcp=one, gcp_optional=True)
-    assert survey.control == () and survey.map_crs == read_survey(bare.frames).map_crs
+        read_survey(SurveyInputs(bare.frames, gcp=one))
+    survey = read_survey(SurveyInputs(bare.frames, gcp=one, gcp_optional=True))
+    assert survey.control == () and survey.map_crs == read_survey(SurveyInputs(bare.frames)).map_crs
     assert {"control-unused", "local-frame"} <= {w.code for w in survey.warnings}
 
 

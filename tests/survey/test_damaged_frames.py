@@ -15,6 +15,7 @@ from small_surveys import mosaic, small_survey, summary, warned
 from geomosaic.errors import FileError
 from geomosaic.quality.positions import read_poses
 from geomosaic.survey.damage import wholeness
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
@@ -176,7 +177,7 @@ def test_the_rest_is_mosaicked_and_the_damaged_are_named(
         rows = list(csv.DictReader(file))
     assert [r["frame"] for r in rows if r["status"] == "left_out"] == out
     assert all(v == "" for r in rows[3:] for k, v in r.items() if k not in ("frame", "status"))
-    again = read_survey(frames, pos=run / "positions.csv", camera=line.camera)
+    again = read_survey(SurveyInputs(frames, pos=run / "positions.csv", camera=line.camera))
     assert len(again.frames) == 3 and len(again.left_out) == 4
     assert len(read_poses(run / "positions.csv", [f.name for f in again.frames], again.work_frame)) == 3
 
@@ -188,11 +189,11 @@ def test_a_frame_whose_mask_is_spoiled_is_left_out_and_named(line: SimulatedSurv
         cv2.imwrite(
             str(frames / f"{name}_mask.png"), np.full(cv2.imread(str(frames / f"{name}.jpg")).shape[:2], 255)
         )
-    assert all(read_survey(frames, **given).frames[i].valid_mask for i in (0, 1, 3))
+    assert all(read_survey(SurveyInputs(frames, **given)).frames[i].valid_mask for i in (0, 1, 3))
     mask = frames / "F0002_mask.png"
     mask.write_bytes(mask.read_bytes()[:-12])
     cv2.imwrite(str(frames / "F0004_mask.png"), np.ones((30, 41), np.uint8))
-    survey = read_survey(frames, **given)
+    survey = read_survey(SurveyInputs(frames, **given))
     assert [f.name for f in survey.frames] == ["F0001.jpg", "F0003.jpg", "F0005.jpg"]
     assert survey.frames[0].valid_mask == str(frames / "F0001_mask.png")
     told = {out.name: out.reason for out in survey.left_out}
@@ -200,21 +201,21 @@ def test_a_frame_whose_mask_is_spoiled_is_left_out_and_named(line: SimulatedSurv
     assert told["F0002.jpg"].startswith("the mask is damaged") and "(F0002_mask.png)" in told["F0002.jpg"]
     assert told["F0004.jpg"].startswith("the mask has 41 x 30 pixels, its frame ")
     with pytest.raises(FileError, match=r"F0002_mask\.png: the mask is damaged"):
-        read_survey(frames, **given, strict=True)
+        read_survey(SurveyInputs(frames, **given, strict=True))
 
 
 def test_the_part_above_the_damage_is_used_if_asked(line: SimulatedSurvey, frames: Path) -> None:
     third = frames / "F0003.jpg"
     third.write_bytes(zeroed(third.read_bytes(), 0.7))
     given = {"pos": line.pos, "camera": line.camera}
-    survey = read_survey(frames, **given, damaged="mask")
+    survey = read_survey(SurveyInputs(frames, **given, damaged="mask"))
     assert survey.left_out == () and len(survey.frames) == 5
     (used,) = [f for f in survey.frames if f.whole_rows is not None]
     assert used.name == "F0003.jpg" and used.whole_rows is not None and 180 < used.whole_rows < 260
     (warning,) = [w for w in survey.warnings if w.code == "frame-damaged"]
     assert f"only its first {used.whole_rows} of 360 rows are used" in warning.text
     third.write_bytes(zeroed(third.read_bytes(), 0.1))
-    survey = read_survey(frames, **given, damaged="mask")
+    survey = read_survey(SurveyInputs(frames, **given, damaged="mask"))
     (out,) = survey.left_out
     assert out.name == "F0003.jpg" and "libjpeg says" in out.reason and "above row 90" in out.reason
 

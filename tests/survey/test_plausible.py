@@ -30,6 +30,7 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.heights import with_missing_heights
 from geomosaic.projection.ground import flat_ground, node_spacing_m
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Position, Warn
 from geomosaic.survey.plausible import lens_problem, plausible_positions, strange_lenses
 from geomosaic.survey.read import read_survey
@@ -265,18 +266,18 @@ def tagged(folder: Path, focal: Fraction, film_mm: int | None, wrong: int = 1, c
 
 
 def test_a_focal_length_of_next_to_nothing_is_the_other_frames(tmp_path: Path) -> None:
-    survey = read_survey(tagged(tmp_path / "a", Fraction(1, 10**7), None))
+    survey = read_survey(SurveyInputs(tagged(tmp_path / "a", Fraction(1, 10**7), None)))
     assert [survey.camera_of(i).focal_length_px for i in range(4)] == pytest.approx([79.2] * 4)
     (told,) = [w for w in survey.warnings if w.code == "focal-length-absurd"]
     assert told.frame == "0.jpg" and "px" in told.text and "not given" in told.text
-    many = read_survey(tagged(tmp_path / "b", Fraction(10**6), None, wrong=2, count=6))
+    many = read_survey(SurveyInputs(tagged(tmp_path / "b", Fraction(10**6), None, wrong=2, count=6)))
     (told,) = [w for w in many.warnings if w.code == "focal-length-absurd"]
     assert told.frame == "" and "2 of 6 frames: 0.jpg, 1.jpg" in told.text
 
 
 def test_a_focal_length_of_next_to_nothing_everywhere(tmp_path: Path) -> None:
     """By the 35 mm equivalent; without it the lens is assumed."""
-    survey = read_survey(tagged(tmp_path / "a", Fraction(1, 10**7), 24, wrong=4))
+    survey = read_survey(SurveyInputs(tagged(tmp_path / "a", Fraction(1, 10**7), 24, wrong=4)))
     assert survey.camera_of(0).focal_length_px == pytest.approx(24 * np.hypot(120, 80) / np.hypot(36, 24))
     assert [w.code for w in survey.warnings if w.code == "focal-length-absurd"]
     frames = tagged(tmp_path / "b", Fraction(1, 10**7), None, wrong=4)

@@ -15,6 +15,7 @@ from survey_files import image, write_jpeg
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.matching.candidates import to_compare
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import read_survey
 
 FEW = ("--set", "matching.sift.keypoints=700")
@@ -104,23 +105,23 @@ def test_what_control_can_tell(tmp_path: Path, flown: Path) -> None:
     with pytest.raises(
         InputError, match=r"few\.txt: no frame has a position, and 1 control point is measured"
     ):
-        read_survey(frames, gcp=few)
+        read_survey(SurveyInputs(frames, gcp=few))
     flat = tmp_path / "flat.txt"
     flat.write_text("\n".join([lines[0], *(" ".join([*t[:2], "0", *t[3:]]) for t in table)]))
-    survey = read_survey(frames, gcp=flat)
+    survey = read_survey(SurveyInputs(frames, gcp=flat))
     assert "control-plan-only" in {w.code for w in survey.warnings}
     assert all(c.plan_only for c in survey.control) and not any(survey.located)
     twice = tmp_path / "twice.txt"
     twice.write_text("\n".join([lines[0], " ".join([*table[0][:2], "520.4", *table[0][3:]]), *lines[2:]]))
-    assert "control-spread" in {w.code for w in read_survey(frames, gcp=twice).warnings}
+    assert "control-spread" in {w.code for w in read_survey(SurveyInputs(frames, gcp=twice)).warnings}
 
 
 def test_what_needs_the_earth_is_refused_without_positions(flown: Path) -> None:
     frames = flown / "none" / "frames"
     with pytest.raises(InputError, match="no frame has a position: there can be no map in EPSG:32632"):
-        read_survey(frames, crs="EPSG:32632")
+        read_survey(SurveyInputs(frames, crs="EPSG:32632"))
     with pytest.raises(InputError, match="no frame has a position: a DEM cannot be used"):
-        read_survey(frames, dem=flown / "none" / "truth" / "dem.tif")
+        read_survey(SurveyInputs(frames, dem=flown / "none" / "truth" / "dem.tif"))
 
 
 def test_comparing_all_with_all_is_bounded() -> None:

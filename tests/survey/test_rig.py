@@ -21,6 +21,7 @@ from geomosaic.composition.bands import stack_bands
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
 from geomosaic.pipeline.run_results import load_artefact
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Band
 from geomosaic.survey.read import read_survey
 
@@ -55,7 +56,7 @@ def test_captures_are_found_by_their_tags_whatever_the_names(tmp_path: Path) -> 
             if (capture, band) != (2, "Red"):
                 xmp = rig_xmp(f"A{capture}", band, index, wavelength)
                 grey_frame(tmp_path / f"{k}{capture}x.jpg", capture, xmp)
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     (lacking,) = [w.text for w in survey.warnings if w.code == "capture-incomplete"]
     assert "band Red" in lacking and "22x.jpg" in lacking
     assert [f.name for f in survey.frames] == ["20x.jpg", "21x.jpg", "22x.jpg"] and survey.band == "Green"
@@ -81,7 +82,7 @@ def test_captures_of_other_makers_are_found(tmp_path: Path, namespace: str, pref
             of_capture = f'<rdf:Description xmlns:{prefix}="{namespace}" {prefix}:{tag}="A{capture}"/>'
             xmp = xmp.replace(b"</rdf:RDF>", of_capture.encode() + b"</rdf:RDF>")
             grey_frame(tmp_path / f"DJI_{capture:03d}{k}.jpg", capture, xmp)
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     assert len(survey.frames) == 2 and survey.band == "Green"
     assert {b.name for b in survey.other_bands} == {"Blue", "NIR"}
 
@@ -91,14 +92,14 @@ def test_bands_that_no_tag_joins_are_never_mixed(tmp_path: Path) -> None:
         xmp = xmp_attributes("http://pix4d.com/camera/1.0/", "Camera", BandName=band)
         grey_frame(tmp_path / f"X{number}.jpg", number, xmp)
     with pytest.raises(InputError, match="different bands \\(Blue, Green\\)"):
-        read_survey(tmp_path)
+        read_survey(SurveyInputs(tmp_path))
 
 
 def test_captures_are_found_by_names_that_end_alike(tmp_path: Path) -> None:
     for capture in range(2):
         for band in (1, 2, 5):
             grey_frame(tmp_path / f"IMG_{capture:04d}_{band}.jpg", capture)
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     assert survey.band == "1" and [b.name for b in survey.other_bands] == ["2", "5"]
     assert [f.name for f in survey.frames] == ["IMG_0000_1.jpg", "IMG_0001_1.jpg"]
 
@@ -106,7 +107,7 @@ def test_captures_are_found_by_names_that_end_alike(tmp_path: Path) -> None:
 def test_grey_frames_of_one_camera_are_no_rig(tmp_path: Path) -> None:
     for number in range(3):
         grey_frame(tmp_path / f"IMG_{number:04d}.jpg", number)
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     assert len(survey.frames) == 3 and survey.band == "" and survey.other_bands == ()
 
 
@@ -115,7 +116,7 @@ def test_files_of_captures_without_the_first_band_are_named(tmp_path: Path) -> N
         for k, band in enumerate(("Green", "Red")):
             if (capture, band) != (1, "Green"):
                 grey_frame(tmp_path / f"{capture}{band}.jpg", capture, rig_xmp(f"A{capture}", band, k, 500.0))
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     lost = [w.text for w in survey.warnings if w.code == "capture-incomplete"]
     assert len(survey.frames) == 2 or survey.band == "Red"
     assert survey.band == "Red" or (len(lost) == 1 and "1Red.jpg" in lost[0])

@@ -11,6 +11,7 @@ import pytest
 from survey_files import dji_xmp, exif_block, gps, image, write_jpeg
 
 from geomosaic.errors import InputError
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
 
@@ -43,10 +44,10 @@ def folder(tmp_path: Path) -> Path:
 
 def left_out(folder: Path) -> dict[str, str]:
     """Code of the warning of every image that is left out; each code has one warning."""
-    survey = read_survey(folder)
+    survey = read_survey(SurveyInputs(folder))
     lines = {w.code: w for w in survey.warnings if w.text.startswith("left out:")}
     assert len(lines) == sum(w.text.startswith("left out:") for w in survey.warnings)
-    assert len(read_survey(folder, leave_out="none").left_out) == 0
+    assert len(read_survey(SurveyInputs(folder, leave_out="none")).left_out) == 0
     return {
         out.name: next(
             c for c, w in lines.items() if len(lines) == 1 or out.name in (w.frame, *w.text.split())
@@ -108,7 +109,7 @@ def test_another_flight(folder: Path) -> None:
     frame(folder / "DJI_0006.JPG", 6, lon=LON - 0.03)
     out = left_out(folder)
     assert out == {f"OTHER_{i}.JPG": "frame-other-place" for i in range(4)}
-    (text,) = [w.text for w in read_survey(folder).warnings if w.code == "frame-other-place"]
+    (text,) = [w.text for w in read_survey(SurveyInputs(folder)).warnings if w.code == "frame-other-place"]
     assert "(4: OTHER_0.JPG, OTHER_1.JPG, OTHER_2.JPG and 1 more)" in text
 
 
@@ -158,7 +159,7 @@ def test_other_bands_and_other_cameras(folder: Path) -> None:
 
 
 def left_out_but_kinds(folder: Path) -> dict[str, str]:
-    return {out.name: out.reason for out in read_survey(folder).left_out}
+    return {out.name: out.reason for out in read_survey(SurveyInputs(folder)).left_out}
 
 
 def test_orientation_is_known_and_pixels_stay_as_stored(tmp_path: Path) -> None:
@@ -170,7 +171,7 @@ def test_orientation_is_known_and_pixels_stay_as_stored(tmp_path: Path) -> None:
             DateTimeOriginal=f"2024:05:17 10:11:{value:02d}", **gps(LON + value * STEP, LAT, 412.5),
         )  # fmt: skip
         write_jpeg(tmp_path / f"F{value}.jpg", stored, exif)
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     assert len(survey.frames) == 8 and len(survey.cameras) == 1
     first, _ = read_pixels(survey.frames[0])
     for f in survey.frames:
@@ -189,11 +190,11 @@ def test_the_cameras_of_one_aircraft_are_told_apart(tmp_path: Path) -> None:
         for source in ("WideCamera", "ZoomCamera", "InfraredCamera"):
             seen = image(*SIZE, seed=len(source) * 100 + i)
             frame(tmp_path / f"DJI_{i:04d}_{source[0]}.JPG", i, pixels=seen, ImageSource=source)
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     assert [f.name for f in survey.frames] == [f"DJI_{i:04d}_W.JPG" for i in range(6)]
     (warning,) = [w for w in survey.warnings if w.code == "frame-other-camera"]
     assert "--camera-kind" in warning.text and len(survey.left_out) == 12
-    thermal = read_survey(tmp_path, camera_kind="thermal")
+    thermal = read_survey(SurveyInputs(tmp_path, camera_kind="thermal"))
     assert [f.name for f in thermal.frames] == [f"DJI_{i:04d}_I.JPG" for i in range(6)]
     with pytest.raises(InputError, match="there are: thermal, wide, zoom"):
-        read_survey(tmp_path, camera_kind="lidar")
+        read_survey(SurveyInputs(tmp_path, camera_kind="lidar"))

@@ -13,6 +13,7 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.context import Context
 from geomosaic.stages.survey_read import SurveyRead
 from geomosaic.survey.folder import frame_files, frame_folders
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey
 
@@ -77,7 +78,7 @@ def test_png_files_are_frames_where_there_are_no_others(tmp_path: Path) -> None:
 def test_frames_beside_folders_count_alone_and_it_is_said(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 2)
     drone_frame(folder / "small" / "DJI_0001.JPG") if (folder / "small").mkdir() is None else None
-    survey = read_survey(folder)
+    survey = read_survey(SurveyInputs(folder))
     assert [f.name for f in survey.frames] == ["DJI_0001.JPG", "DJI_0002.JPG"]
     (text,) = [w.text for w in survey.warnings if w.code == "frames-in-folders"]
     assert text.startswith("images in folders next to the frames are not used: small")
@@ -137,9 +138,9 @@ def test_strictly_every_line_has_a_frame_and_every_frame_a_line(tmp_path: Path) 
 def test_a_frame_that_cannot_be_read_is_left_out_and_strictly_an_error(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 3)
     (folder / "DJI_0002.JPG").write_text("no image")
-    assert [o.name for o in read_survey(folder).left_out] == ["DJI_0002.JPG"]
+    assert [o.name for o in read_survey(SurveyInputs(folder)).left_out] == ["DJI_0002.JPG"]
     with pytest.raises(FileError, match=r"DJI_0002\.JPG: is no JPEG file"):
-        read_survey(folder, strict=True)
+        read_survey(SurveyInputs(folder, strict=True))
 
 
 def test_a_mosaic_of_frames_in_folders(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.control import read_control
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import FrameNames
 from geomosaic.survey.pixels import read_pixels
@@ -82,7 +83,7 @@ def test_a_folder_of_drone_frames(tmp_path: Path) -> None:
     (folder / "inner").mkdir()
     drone_frame(folder / "inner" / "other.jpg")
     seen: list[tuple[int, int, str]] = []
-    survey = read_survey(folder, progress=lambda *a: seen.append(a))
+    survey = read_survey(SurveyInputs(folder), progress=lambda *a: seen.append(a))
     assert [f.name for f in survey.frames] == [
         "DJI_0001.JPG",
         "earliest.jpeg",
@@ -107,7 +108,7 @@ def test_a_folder_of_drone_frames(tmp_path: Path) -> None:
         "camera-assumed",
     ]  # fmt: skip
     assert next(w for w in survey.warnings if w.code == "attitude-of-aircraft").frame == "earliest.jpeg"
-    assert read_survey(folder, crs="EPSG:25832").map_crs == "EPSG:25832"
+    assert read_survey(SurveyInputs(folder, crs="EPSG:25832")).map_crs == "EPSG:25832"
 
 
 def test_pos_takes_the_place_of_gps_and_leaves_the_gimbal(tmp_path: Path) -> None:
@@ -116,7 +117,7 @@ def test_pos_takes_the_place_of_gps_and_leaves_the_gimbal(tmp_path: Path) -> Non
     table.write_text(
         "photo,lat,lon,sd_horizontal\nimages\\dji_0002.jpg,48.76545,9.12375,0.02\nDJI_0001,48.76543,9.12346,0.02\n"
     )
-    survey = read_survey(folder, pos=table)
+    survey = read_survey(SurveyInputs(folder, pos=table))
     first, second = survey.frames
     assert (first.position.lon_deg, second.position.lon_deg) == (9.12346, 9.12375)
     assert (first.position.sd_east_m, first.position.sd_vertical_m) == (0.02, 15.0)
@@ -127,7 +128,7 @@ def test_pos_takes_the_place_of_gps_and_leaves_the_gimbal(tmp_path: Path) -> Non
         "photo,lat,lon,height_ellipsoidal,yaw,pitch,roll\n"
         + "".join(f"DJI_000{i},48.7,9.1,400,5,1,2\n" for i in (1, 2))
     )
-    survey = read_survey(folder, pos=table)
+    survey = read_survey(SurveyInputs(folder, pos=table))
     assert (survey.frames[0].position.source, survey.frames[0].position.sd_vertical_m) == ("pos", 3.0)
     assert (survey.frames[0].attitude.yaw_deg, survey.frames[0].attitude.sd_yaw_deg) == (5.0, 2.0)
     assert "pos-far-from-exif" in codes(survey)
@@ -165,58 +166,58 @@ def test_pos_files_that_do_not_fit_the_frames(tmp_path: Path, case: str) -> None
     table = tmp_path / "pos.csv"
     table.write_text(text)
     with pytest.raises(InputError, match=message) as caught:
-        read_survey(folder, pos=table)
+        read_survey(SurveyInputs(folder, pos=table))
     assert str(caught.value).startswith(f"{table}: ")
     assert "\n" not in str(caught.value) and caught.value.exit_code == 2
 
 
 def test_folders_and_frames_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="there is no such folder; give the folder"):
-        read_survey(tmp_path / "none")
+        read_survey(SurveyInputs(tmp_path / "none"))
     with pytest.raises(InputError, match=r"holds no JPEG, TIFF or PNG frames \(it is empty\)"):
-        read_survey(tmp_path)
+        read_survey(SurveyInputs(tmp_path))
     (tmp_path / "a.dng").write_bytes(b"x")
     with pytest.raises(InputError, match=r"holds no JPEG, TIFF or PNG frames \(1 \.dng\)"):
-        read_survey(tmp_path)
+        read_survey(SurveyInputs(tmp_path))
     text = tmp_path / "b.jpg"
     text.write_text("not an image")
     with pytest.raises(FileError, match=r"b\.jpg: is no JPEG file; take it out of the folder"):
-        read_survey(tmp_path)
+        read_survey(SurveyInputs(tmp_path))
     with pytest.raises(FileError, match="is no folder"):
-        read_survey(text)
+        read_survey(SurveyInputs(text))
 
 
 def test_frames_that_lack_what_is_needed(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 2)
     bare = write_jpeg(folder / "bare.jpg", image(), exif_block(Make="X", Model="Y", **gps(9.1, 48.7)))
-    kept = read_survey(folder, leave_out="none")
+    kept = read_survey(SurveyInputs(folder, leave_out="none"))
     assert [w.code for w in kept.warnings].count("focal-length-assumed") == 1
-    assert [(o.name, o.reason) for o in read_survey(folder).left_out] == [
+    assert [(o.name, o.reason) for o in read_survey(SurveyInputs(folder)).left_out] == [
         ("bare.jpg", "the frame doesn't report its focal length")
     ]
     bare.unlink()
     cut = folder / "DJI_0002.JPG"
     cut.write_bytes(cut.read_bytes()[:-200])
-    survey = read_survey(folder)
+    survey = read_survey(SurveyInputs(folder))
     assert [out.name for out in survey.left_out] == ["DJI_0002.JPG"]
     assert "libjpeg says" in survey.left_out[0].reason
     for whole in folder.glob("*.JPG"):
         if whole != cut:
             whole.unlink()
     with pytest.raises(FileError, match=r"DJI_0002\.JPG: the image data are damaged: libjpeg says"):
-        read_survey(folder)
+        read_survey(SurveyInputs(folder))
 
 
 def test_a_map_crs_must_be_one(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 1)
     with pytest.raises(InputError, match="no map projection in metres"):
-        read_survey(folder, crs="EPSG:4326")
+        read_survey(SurveyInputs(folder, crs="EPSG:4326"))
 
 
 def test_a_survey_across_the_date_line(tmp_path: Path) -> None:
     for i, lon in enumerate((179.9999, -179.9999, -179.9997)):
         drone_frame(tmp_path / f"{i}.jpg", lon, -17.5, second=i)
-    survey = read_survey(tmp_path)
+    survey = read_survey(SurveyInputs(tmp_path))
     assert survey.work_frame.lon_deg == pytest.approx(-179.9999, abs=1e-9)
     assert survey.map_crs == "EPSG:32701"
     assert "position-far-away" not in codes(survey)
@@ -225,26 +226,26 @@ def test_a_survey_across_the_date_line(tmp_path: Path) -> None:
 def test_a_position_far_from_all_others_is_told(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 4)
     drone_frame(folder / "stray.jpg", 10.5, second=9)
-    warning = next(w for w in read_survey(folder).warnings if w.code == "position-far-away")
+    warning = next(w for w in read_survey(SurveyInputs(folder)).warnings if w.code == "position-far-away")
     assert warning.frame == "stray.jpg"
 
 
 def test_a_dem_with_a_vertical_datum_is_lifted_to_the_ellipsoid(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f")
     path = with_crs(dem(tmp_path / "dem.tif"), geoid(tmp_path / "g.gtx", 47.75))
-    survey = read_survey(folder, dem=path)
+    survey = read_survey(SurveyInputs(folder, dem=path))
     assert survey.elevation is not None
     assert survey.elevation.offset_m == pytest.approx(47.75, abs=1e-4)
     assert survey.elevation.vertical.endswith("offset +47.75 m")
     assert survey.work_frame.height_ellipsoidal_m == pytest.approx(378.0, abs=1e-3)
-    given = read_survey(folder, dem=path, dem_offset_m=-3.5)
+    given = read_survey(SurveyInputs(folder, dem=path, dem_offset_m=-3.5))
     assert given.elevation is not None
     assert (given.elevation.offset_m, given.elevation.vertical) == (-3.5, "offset -3.5 m as given")
 
 
 def test_a_dem_without_one_is_taken_as_the_frames_heights_and_told(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f")
-    survey = read_survey(folder, dem=dem(folder / "dem.tif"))
+    survey = read_survey(SurveyInputs(folder, dem=dem(folder / "dem.tif")))
     assert len(survey.frames) == 4  # the DEM in the folder is no frame
     assert survey.elevation is not None and survey.elevation.offset_m == 0.0
     assert "dem-datum-assumed" in codes(survey)
@@ -256,7 +257,7 @@ def test_a_geoid_that_is_not_installed_is_never_guessed(tmp_path: Path) -> None:
     (tmp_path / "g.gtx").unlink()
     message = r"dem\.vrt: the geoid model for .* is not installed; .*--dem-offset METRES, or copy .*g\.gtx"
     with pytest.raises(InputError, match=message):
-        read_survey(survey_folder(tmp_path / "f"), dem=path)
+        read_survey(SurveyInputs(survey_folder(tmp_path / "f"), dem=path))
     assert ellipsoidal_offset_m(CRS("EPSG:4979"), 9.0, 48.0) == 0.0
     assert vertical_crs(CRS(UTM)) is None
     with pytest.raises(InputError, match="in US survey foot"):
@@ -269,22 +270,22 @@ def test_dems_that_do_not_serve(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"small\.tif: the DEM does not cover 2 of 4 frames: \S+ lies 10 m out"
     ):
-        read_survey(folder, dem=small)
+        read_survey(SurveyInputs(folder, dem=small))
     elsewhere = dem(tmp_path / "else.tif", "EPSG:32633")
     with pytest.raises(
         InputError, match=r"does not cover 4 of 4 frames: \S+ lies 4\d\d\.\d km outside; give a DEM"
     ):
-        read_survey(folder, dem=elsewhere)
+        read_survey(SurveyInputs(folder, dem=elsewhere))
     with pytest.raises(InputError, match=r"bare\.tif: the DEM has no coordinate reference system; assign"):
-        read_survey(folder, dem=dem(tmp_path / "bare.tif", None))
+        read_survey(SurveyInputs(folder, dem=dem(tmp_path / "bare.tif", None)))
     hole = dem(tmp_path / "hole.tif", height=-9999.0, nodata=-9999.0)
     with pytest.raises(InputError, match="has no heights under the frames"):
-        read_survey(folder, dem=hole)
+        read_survey(SurveyInputs(folder, dem=hole))
     (tmp_path / "text.tif").write_text("no raster")
     with pytest.raises(FileError, match=r"text\.tif: is no raster file that can be read; give a DEM"):
-        read_survey(folder, dem=tmp_path / "text.tif")
+        read_survey(SurveyInputs(folder, dem=tmp_path / "text.tif"))
     with pytest.raises(FileError, match=r"none\.tif: there is no such DEM; check --dem"):
-        read_survey(folder, dem=tmp_path / "none.tif")
+        read_survey(SurveyInputs(folder, dem=tmp_path / "none.tif"))
 
 
 def test_control_points_of_two_kinds(tmp_path: Path) -> None:
@@ -324,7 +325,7 @@ def test_control_points_of_two_kinds(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message):
             read_control(table, frames)
     folder = survey_folder(tmp_path / "f", 2)
-    assert read_survey(folder, gcp=odm).control == (one, two)
+    assert read_survey(SurveyInputs(folder, gcp=odm)).control == (one, two)
 
 
 def test_a_control_point_whose_lines_differ_a_little_lies_in_their_mean(tmp_path: Path) -> None:
@@ -369,7 +370,7 @@ real = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no shared data in {SHARE
 
 @real
 def test_brighton_beach() -> None:
-    survey = read_survey(SHARED / "brighton_beach" / "images")
+    survey = read_survey(SurveyInputs(SHARED / "brighton_beach" / "images"))
     assert len(survey.frames) == 18 and survey.map_crs == "EPSG:32615"
     first = survey.frames[0]
     assert first.name == "DJI_0018.JPG"
@@ -391,9 +392,11 @@ def test_brighton_beach() -> None:
 def test_two_pose_files_of_the_same_frames_agree() -> None:
     data = SHARED / "odm_oblique"
     camera = data / "opensfm" / "reconstruction.json"
-    measured = read_survey(data / "images", pos=data / "odm_lla_rpy.csv", camera=camera)
-    adjusted = read_survey(data / "images", pos=data / "odm_xyz_opk.csv", pos_crs="EPSG:32651", camera=camera)
-    own = read_survey(data / "images")
+    measured = read_survey(SurveyInputs(data / "images", pos=data / "odm_lla_rpy.csv", camera=camera))
+    adjusted = read_survey(
+        SurveyInputs(data / "images", pos=data / "odm_xyz_opk.csv", pos_crs="EPSG:32651", camera=camera)
+    )
+    own = read_survey(SurveyInputs(data / "images"))
     for a, b, c in zip(measured.frames, adjusted.frames, own.frames, strict=True):
         assert a.name == b.name == c.name
         turned = np.degrees(np.linalg.norm(_between(a.attitude, b.attitude)))
@@ -422,11 +425,13 @@ def test_a_frame_of_ngi_lands_on_its_neighbour() -> None:
     """The same patch of ground, found in two frames of two flight lines turned by 180 degrees."""
     data = SHARED / "ngi"
     survey = read_survey(
-        data,
-        pos=data / "ngi_xyz_opk.csv",
-        camera=data / "ngi_int_param.yaml",
-        dem=data / "dem.tif",
-        dem_offset_m=0.0,
+        SurveyInputs(
+            data,
+            pos=data / "ngi_xyz_opk.csv",
+            camera=data / "ngi_int_param.yaml",
+            dem=data / "dem.tif",
+            dem_offset_m=0.0,
+        )
     )
     assert len(survey.frames) == 4 and survey.elevation is not None
     frames = [survey.frames[0], survey.frames[3]]

@@ -19,6 +19,7 @@ from small_surveys import geomosaic, small_survey
 from geomosaic.cli.app import build_app
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.registry import installed
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import check_survey_files, read_survey
 from geomosaic_simulate.survey import SimulatedSurvey
 
@@ -111,7 +112,7 @@ def message(capfd: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 def in_map(survey: SimulatedSurvey) -> list[tuple[str, float, float]]:
     """Names, eastings and northings of the frames."""
-    frames = read_survey(survey.frames).frames
+    frames = read_survey(SurveyInputs(survey.frames)).frames
     to_map = MapProjection("EPSG:32737")
     return [
         (f.name, *to_map.map_from_geodetic(f.position.lon_deg, f.position.lat_deg).tolist()) for f in frames
@@ -127,7 +128,7 @@ def test_the_proposed_code_of_a_pos_file_is_that_of_the_frames_and_works(
     line = message(capfd, "mosaic", kenya.frames, "--pos", pos, DRY)
     found = re.search(r"(--pos-crs), such as (EPSG:\d+)", line)
     assert found is not None and found[2] == "EPSG:32737", line
-    check_survey_files(kenya.frames, pos=pos, pos_crs=found[2])
+    check_survey_files(SurveyInputs(kenya.frames, pos=pos, pos_crs=found[2]))
 
 
 def test_the_proposed_code_of_control_works_in_the_first_line(
@@ -140,7 +141,7 @@ def test_the_proposed_code_of_control_works_in_the_first_line(
     found = re.search(r"in the first line of the --gcp file, such as (EPSG:\d+)", line)
     assert found is not None and found[1] == "EPSG:32737", line
     gcp.write_text(f"{found[1]}\n{text}", encoding="utf-8")
-    check_survey_files(kenya.frames, gcp=gcp)
+    check_survey_files(SurveyInputs(kenya.frames, gcp=gcp))
 
 
 def test_the_proposed_code_of_the_map_works(
@@ -149,7 +150,7 @@ def test_the_proposed_code_of_the_map_works(
     line = message(capfd, "mosaic", kenya.frames, "--crs", "EPSG:4326", DRY)
     found = re.search(r"--crs.*such as (EPSG:\d+)", line)
     assert found is not None and found[1] == "EPSG:32737", line
-    check_survey_files(kenya.frames, crs=found[1])
+    check_survey_files(SurveyInputs(kenya.frames, crs=found[1]))
 
 
 def test_the_geoid_that_the_message_names_serves_where_pyproj_puts_it(
@@ -166,8 +167,10 @@ def test_the_geoid_that_the_message_names_serves_where_pyproj_puts_it(
     environment = {**os.environ, "PROJ_USER_WRITABLE_DIRECTORY": str(home)}
     script = (
         "import sys; from pathlib import Path; from geomosaic.survey.read import read_survey; "
+        "from geomosaic.survey.inputs import SurveyInputs; "
         "frames, dem, *offset = sys.argv[1:]; "
-        "read_survey(Path(frames), dem=Path(dem), dem_offset_m=float(offset[0]) if offset else None)"
+        "offset_m = float(offset[0]) if offset else None; "
+        "read_survey(SurveyInputs(Path(frames), dem=Path(dem), dem_offset_m=offset_m))"
     )
 
     def run(*more: str) -> tuple[int, str]:

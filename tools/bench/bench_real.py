@@ -25,6 +25,7 @@ from osgeo import gdal
 from osgeo_utils.samples import validate_cloud_optimized_geotiff as cog
 
 from geomosaic.camera.rotation import Rotation
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import read_survey
 from tools.bench.bench_real_halves import halves
 from tools.bench.bench_real_ngi import ngi
@@ -65,9 +66,9 @@ def two_pose_files(data: Path) -> list[Row]:
     """Attitudes of the same frames, measured (roll, pitch, yaw) and adjusted (omega, phi, kappa)."""
     folder = data / "odm_oblique"
     camera = folder / "opensfm" / "reconstruction.json"
-    measured = read_survey(folder / "images", pos=folder / "odm_lla_rpy.csv", camera=camera)
+    measured = read_survey(SurveyInputs(folder / "images", pos=folder / "odm_lla_rpy.csv", camera=camera))
     adjusted = read_survey(
-        folder / "images", pos=folder / "odm_xyz_opk.csv", camera=camera, pos_crs="EPSG:32651"
+        SurveyInputs(folder / "images", pos=folder / "odm_xyz_opk.csv", camera=camera, pos_crs="EPSG:32651")
     )
     angles = []
     for a, b in zip(measured.frames, adjusted.frames, strict=True):

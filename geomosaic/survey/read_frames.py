@@ -1,0 +1,183 @@
+"""Steps of reading a survey that concern its frames: which are used, what was observed, their cameras."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from geomosaic.errors import InputError
+from geomosaic.survey.draft import SurveyDraft
+from geomosaic.survey.folder import unused_folders
+from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.inputs import SurveyInputs
+from geomosaic.survey.model import Band, Frame, Warn
+from geomosaic.survey.motion_tags import turns_of, velocity_of
+from geomosaic.survey.names import FrameNames, natural_key, some
+from geomosaic.survey.observations import check_extent, observe
+from geomosaic.survey.onboard import platform_of
+from geomosaic.survey.rig import captures
+from geomosaic.survey.strays import (
+    Stray,
+    bands_and_type,
+    blurred,
+    copies,
+    misplaced,
+    other_kinds,
+    without,
+    without_camera,
+)
+from geomosaic.survey.usable import Inspect, usable
+
+Progress = Callable[[int, int, str], None]
+
+
+def readable_frames(inputs: SurveyInputs, inspect: Inspect, progress: Progress | None) -> SurveyDraft:
+    """The POS file, the camera file, and the folder's frames that can be read, in order of capture."""
+    files = inputs.frame_files()
+    pos = inputs.positions(FrameNames(files.values()))
+    cameras = inputs.cameras()
+    inner = unused_folders(inputs.frames)
+    masked, strict = inputs.damaged == "mask", inputs.strict
+    found = usable(files, inspect, mask_damaged=masked, strict=strict, progress=progress)
+    headers, in_time = _in_order(found.headers)
+    text = (
+        f"images in folders next to the frames are not used: {some(inner)}; give the folder above to use all"
+    )
+    warnings = (Warn("frames-in-folders", "", text),) if inner else ()
+    return SurveyDraft(inputs, pos, cameras, found, headers, in_time, folder_warnings=warnings)
+
+
+def without_other_cameras(draft: SurveyDraft) -> SurveyDraft:
+    """Frames of one kind; of a rig that writes a file a band, those of one band."""
+    inputs = draft.inputs
+    strays = [] if inputs.leave_out == "none" else other_kinds(draft.headers, inputs.camera_kind)
+    draft = replace(draft, headers=tuple(without(draft.headers, strays)), strays=tuple(strays))
+    rig = captures(draft.headers)
+    if rig is None:
+        return draft
+    headers, in_time = _in_order([band.header for band in rig.own])
+    return replace(draft, rig=rig, headers=headers, in_time=in_time)
+
+
+def without_strays(draft: SurveyDraft) -> SurveyDraft:
+    """Frames that belong to the survey. Raises: `InputError` where these are of several kinds."""
+    if draft.inputs.leave_out != "none":
+        out = _strays(draft)
+        headers = tuple(without(draft.headers, out))
+        draft = replace(draft, headers=headers, strays=(*draft.strays, *out))
+    _check_alike(draft.headers)
+    return draft
+
+
+def _strays(draft: SurveyDraft) -> list[Stray]:
+    """Images that don't belong to the survey, of frames of one kind."""
+    looks = draft.usable.looks
+    out = copies(draft.headers, [looks[h.name] for h in draft.headers])
+    rest = without(draft.headers, out)
+    if draft.inputs.camera is None:
+        out += without_camera(rest)
+        rest = without(draft.headers, out)
+    out += blurred(rest, [looks[h.name] for h in rest])
+    rest = without(draft.headers, out)
+    unused = [image.name for image in (*draft.usable.left_out, *(image for _, image in out))]
+    observed = observe(rest, draft.pos, unused)
+    if draft.inputs.strict:
+        check_extent(rest, observed.positions)
+    return out + misplaced(rest, observed.positions)
+
+
+def _check_alike(headers: Sequence[FrameHeader]) -> None:
+    """`InputError` naming the odd frames where not all have the same bands and type: no mosaic holds both."""
+    kinds = Counter((h.bands, h.dtype) for h in headers)
+    if len(kinds) == 1:
+        return
+    usual = kinds.most_common(1)[0][0]
+    odd = [h for h in headers if (h.bands, h.dtype) != usual]
+    few = f" ({len(odd)} such: {some(h.name for h in odd)})" if len(odd) > 1 else ""
+    its = bands_and_type(odd[0].bands, odd[0].dtype)
+    raise InputError(
+        f"has {its}, {kinds[usual]} other frames have {bands_and_type(*usual)}{few}",
+        file=odd[0].path,
+        fix="convert it, or take it out of the folder",
+    )
+
+
+def with_observations(draft: SurveyDraft) -> SurveyDraft:
+    """Position and attitude of every frame. Raises: `InputError` where positions lie too far apart."""
+    unused = [image.name for image in draft.left_out]
+    observed = observe(draft.headers, draft.pos, unused, strict=draft.inputs.strict)
+    check_extent(draft.headers, observed.positions)
+    return replace(draft, observed=observed)
+
+
+def with_cameras(draft: SurveyDraft) -> SurveyDraft:
+    """The camera of every frame."""
+    return replace(draft, choice=draft.cameras_of(draft.headers, draft.observed.cameras))
+
+
+def with_frames(draft: SurveyDraft) -> SurveyDraft:
+    """What headers, observations and cameras say of every frame."""
+    observed, found = draft.observed, draft.usable
+    frames = tuple(
+        Frame(
+            name=h.name,
+            path=str(h.path),
+            width_px=h.width_px,
+            height_px=h.height_px,
+            bands=h.bands,
+            dtype=h.dtype,
+            camera=camera,
+            position=position,
+            attitude=attitude,
+            time_s=h.exif.time_s,
+            valid_mask=found.masks.get(h.name),
+            nodata=h.nodata,
+            velocity_m_per_s=velocity_of(h),
+            turns=turns_of(h),
+            whole_rows=found.whole_rows.get(h.name),
+            platform=platform_of(h),
+        )
+        for h, camera, position, attitude in zip(
+            draft.headers, draft.choice.names, observed.positions, observed.attitudes, strict=True
+        )
+    )
+    return replace(draft, frames=frames)
+
+
+def with_bands(draft: SurveyDraft) -> SurveyDraft:
+    """The rig's other bands, each with a camera of its own."""
+    bands = []
+    for name, by_own in draft.rig.others.items() if draft.rig else ():
+        files = [by_own.get(frame.name) for frame in draft.frames]
+        some_file = next(file for file in files if file is not None)
+        camera = draft.cameras_of([some_file.header], [name]).cameras[0]
+        frames = tuple(
+            None if file is None else _in_band(frame, file.header, camera.name)
+            for frame, file in zip(draft.frames, files, strict=True)
+        )
+        bands.append(Band(name, some_file.wavelength_nm, camera, frames))
+    return replace(draft, other_bands=tuple(bands))
+
+
+def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
+    """The same capture's file of another band."""
+    return replace(
+        frame,
+        name=header.name,
+        path=str(header.path),
+        width_px=header.width_px,
+        height_px=header.height_px,
+        camera=camera,
+        nodata=header.nodata,
+        valid_mask=None,
+        whole_rows=None,
+    )
+
+
+def _in_order(headers: Sequence[FrameHeader]) -> tuple[tuple[FrameHeader, ...], bool]:
+    """By time and name, by name alone where a frame has no time; and whether all have one."""
+    times = {h.name: h.exif.time_s for h in headers}
+    if any(t is None for t in times.values()):
+        return tuple(sorted(headers, key=lambda h: natural_key(h.name))), False
+    return tuple(sorted(headers, key=lambda h: (times[h.name] or 0.0, natural_key(h.name)))), True

@@ -1,0 +1,113 @@
+"""Steps of reading a survey that concern its place: control points, DEM, work frame and the map's CRS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pyproj import CRS
+
+from geomosaic.arrays import Floats
+from geomosaic.errors import InputError
+from geomosaic.geodesy.crs_names import label, required_crs
+from geomosaic.geodesy.local import LocalFrame
+from geomosaic.geodesy.mapcrs import map_crs, utm_crs
+from geomosaic.survey.control import read_control
+from geomosaic.survey.control_use import lonlat_of_control, used_control
+from geomosaic.survey.draft import SurveyDraft
+from geomosaic.survey.elevation import read_elevation
+from geomosaic.survey.inputs import SurveyInputs
+from geomosaic.survey.model import ControlPoint, Position, Warn
+from geomosaic.survey.names import FrameNames
+from geomosaic.survey.observations import observe
+from geomosaic.survey.places import check_area
+from geomosaic.survey.zone import proposing_zone
+
+
+def with_control(draft: SurveyDraft) -> SurveyDraft:
+    """The control points that can be used; where no frame has a position, all lie amid them.
+
+    Raises: `InputError` for what needs a place on the Earth, where the survey has none.
+    """
+    if draft.inputs.gcp is not None:
+        sizes = {h.name: (h.width_px, h.height_px) for h in draft.headers}
+        with proposing_zone([h.path for h in draft.headers], draft.near.tolist()):
+            file = read_control(draft.inputs.gcp, FrameNames(draft.names), draft.near)
+        optional = draft.inputs.gcp_optional
+        control, warnings = used_control(file, draft.near, sizes, optional=optional)
+        draft = replace(draft, control=control, control_warnings=tuple(warnings))
+    if draft.without_place:
+        _check_no_place_needed(draft.inputs)
+    elif not draft.located:
+        lon_deg, lat_deg = np.median(lonlat_of_control(draft.control), axis=0).tolist()
+        draft = replace(draft, observed=observe(draft.headers, draft.pos, anywhere=(lon_deg, lat_deg)))
+    return draft
+
+
+def _check_no_place_needed(inputs: SurveyInputs) -> None:
+    for needed, what in (
+        (inputs.crs != "auto", f"there can be no map in {inputs.crs}"),
+        (inputs.dem is not None, "a DEM cannot be used"),
+    ):
+        if needed:
+            raise InputError(
+                f"no frame has a position: {what}",
+                file=inputs.frames,
+                fix="give positions with --pos or control points with --gcp",
+            )
+
+
+def with_elevation(draft: SurveyDraft) -> SurveyDraft:
+    """The DEM as an elevation model, and its heights under the frames."""
+    if draft.inputs.dem is None:
+        return draft
+    positions, anywhere = draft.observed.positions, not draft.located
+    under = [name for name, p in zip(draft.names, positions, strict=True) if p.known or anywhere]
+    offset_m = draft.inputs.dem_offset_m
+    model, heights_m, warnings = read_elevation(draft.inputs.dem, offset_m, under, draft.lonlat)
+    return replace(draft, elevation=model, heights_m=heights_m, dem_warnings=tuple(warnings))
+
+
+def with_work_frame(draft: SurveyDraft) -> SurveyDraft:
+    """East, north and up at the survey's middle, at the height of the ground."""
+    lon_deg, lat_deg = np.median(draft.lonlat, axis=0).tolist()
+    height_m = _ground_height_m(draft.observed.positions, draft.control, draft.heights_m)
+    return replace(draft, work_frame=LocalFrame((lon_deg + 180.0) % 360.0 - 180.0, lat_deg, height_m))
+
+
+def _ground_height_m(
+    positions: Sequence[Position], control: Sequence[ControlPoint], dem_heights_m: Floats
+) -> float:
+    known = dem_heights_m[np.isfinite(dem_heights_m)]
+    if not known.size:
+        known = np.array(
+            [
+                p.height_ellipsoidal_m - p.height_above_ground_m
+                for p in positions
+                if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
+            ]
+        )
+    if not known.size:
+        known = np.array([c.height_ellipsoidal_m for c in control])
+    return float(np.median(known)) if known.size else 0.0
+
+
+def with_map_crs(draft: SurveyDraft) -> SurveyDraft:
+    """The map's CRS: the one that is asked for, else the UTM zone of the middle."""
+    middle = draft.work_frame.lon_deg, draft.work_frame.lat_deg
+    if draft.inputs.crs != "auto":
+        with proposing_zone((), [middle]):
+            crs, warnings = _wanted_crs(draft.inputs.crs, middle)
+        return replace(draft, map_crs=crs.to_string(), crs_warnings=tuple(warnings))
+    return draft if draft.without_place else replace(draft, map_crs=utm_crs(*middle))
+
+
+def _wanted_crs(text: str, middle: tuple[float, float]) -> tuple[CRS, list[Warn]]:
+    """A CRS, and what was assumed of it. Args: middle: of the map, longitude and latitude."""
+    crs = map_crs(text, middle)
+    warnings = []
+    if not required_crs(text, "").is_name_of(crs):
+        taken = f"--crs '{text}' is taken as {label(crs)}; give its EPSG code if it is another"
+        warnings.append(Warn("crs-by-name", "", taken))
+    return crs, [*warnings, *check_area(crs, *middle, "the frames")]
