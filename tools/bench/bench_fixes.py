@@ -134,10 +134,10 @@ CASES = (
     ),
     Case(
         "steep hills beyond the last tie points",
-        "ground unknown",
+        "rim",
         "elevation model (--dem)",
-        (*SMALL, "--lines", "2", "--frames-per-line", "5", "--relief-m", "40",
-         "--relief-wavelength-m", "120"),
+        (*SMALL, "--lines", "1", "--frames-per-line", "3", "--relief-m", "60",
+         "--relief-wavelength-m", "80"),
         lambda _: ("--edges", "keep", "--accuracy-relative", "1"),
         lambda folder: ("--edges", "keep", "--accuracy-relative", "1", "--dem",
                         str(folder / "truth" / "dem.tif")),
