@@ -33,11 +33,11 @@ class Suspect:
         return np.asarray((grey > self.grey) == self.brighter)
 
     def pixels(self, cells: Floats, shape: tuple[int, int]) -> Flags:
-        """Pixels of `shape` under cells (2, h, w), of either strip, of that part, or beside such."""
+        """Pixels of `shape` under cells (2, h, w), of either strip, of that part, or next to it."""
         hidden = np.asarray(self.hides(cells).any(axis=0), dtype=np.uint8)
-        beside = cv2.dilate(hidden, np.ones((3, 3), np.uint8)).astype(np.bool_)
-        at = (np.minimum(np.arange(n) // CELL_PX, m - 1) for n, m in zip(shape, beside.shape, strict=True))
-        return np.asarray(beside[np.ix_(*at)])
+        grown = cv2.dilate(hidden, np.ones((3, 3), np.uint8)).astype(np.bool_)
+        at = (np.minimum(np.arange(n) // CELL_PX, m - 1) for n, m in zip(shape, grown.shape, strict=True))
+        return np.asarray(grown[np.ix_(*at)])
 
 
 def grey_cells(image: Images) -> Floats:

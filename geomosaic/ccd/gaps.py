@@ -42,10 +42,10 @@ def _why(offsets: PairOffsets, first: int, after: int, sd_px: float) -> str:
     if first == 0 and after == lines:
         return "nothing was measured on any line"
     at_end = first == 0 or after == lines
-    beside = "from the one side that was measured" if at_end else "between what was measured before and after"
+    source = "from the one side that was measured" if at_end else "between what was measured before and after"
     if offsets.label[first] == UNRELIABLE:
         return f"nothing seen alike in both strips for too long: may be off by {sd_px:.2g} px"
     assert offsets.label[first] == BRIDGED
     if sd_px <= _SURE_PX:
-        return f"too little seen alike in both strips (cloud, water, no texture): carried over {beside}"
-    return f"carried over {beside}, its deviation grows to {sd_px:.2g} px"
+        return f"too little seen alike in both strips (cloud, water, no texture): carried over {source}"
+    return f"carried over {source}, its deviation grows to {sd_px:.2g} px"

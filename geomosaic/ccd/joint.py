@@ -35,7 +35,7 @@ _WINDOW_LINES = tuned(20000, "lines", "solved at once: more take memory; fewer t
 _MARGIN_LINES = tuned(2000, "lines", "overlap of windows: fewer bridge gaps from one side; more take time")
 _LEAST_KNOTS = tuned(16, "knots", "shared by a pair: fewer leave it to the prior; more refuse short scenes")
 _MOST_ROUNDS = tuned(2, "rounds", "searches for lost lines: one misses hidden steps; each takes a solution")
-_BESIDE_LINES = tuned(3.0, "lines", "doubtful at lost lines: less trusts the wrong side; more loses some")
+_DOUBTFUL_LINES = tuned(3.0, "lines", "doubtful at lost lines: less trusts the wrong side; more loses some")
 _RESAMPLING_SD_PX = tuned((0.004, 0.003), "px: columns, lines", "from resampling: less claims too much")
 _MEASURED_SD_PX = tuned(0.25, "px", "for a measured line: more admits lines that hang on neighbours")
 
@@ -62,7 +62,7 @@ def joint(
         progress(count, len(windows))
         whole.add(_solved(strips, settings, likely, window, known), window.first, window.weight)
     progress(len(windows), len(windows))
-    return tuple(_of_pair(strips, pair, whole, k, step, known[k]) for k, pair in enumerate(strips.pairs))
+    return tuple(_of_pair(strips, k, whole, step, known[k]) for k in range(len(strips.pairs)))
 
 
 @dataclass(frozen=True)
@@ -137,16 +137,14 @@ def far_from_nominal(geometry: StripGeometry, offsets: Sequence[PairOffsets]) ->
     return (float(shared[0]), float(shared[1])) if np.hypot(*shared) > expected(geometry).far_px else None
 
 
-def _of_pair(
-    strips: Strips, pair: int, whole: KnotOffsets, k: int, step: int, known_px: Floats
-) -> PairOffsets:
-    """A pair's curves as offsets of its left strip's lines."""
-    knots = whole.offset_px.shape[1]
+def _of_pair(strips: Strips, k: int, whole: KnotOffsets, step: int, known_px: Floats) -> PairOffsets:
+    """The k-th pair's curves as offsets of its left strip's lines."""
+    pair, knots = strips.pairs[k], whole.offset_px.shape[1]
     centres = np.asarray(np.arange(knots) * float(step) + (step - 1) / 2)
     dcol, dline = curve_of(centres, whole.offset_px[k], np.arange(knots * step, dtype=np.float64))
     (col, line), at = left_offsets(strips, pair, dcol, dline + known_px)
     broken = np.flatnonzero(np.abs(np.diff(known_px)) > 0.5)
-    unsure = _beside(at, broken, np.abs(np.diff(known_px)[broken]) + _BESIDE_LINES)
+    unsure = _near(at, broken, np.abs(np.diff(known_px)[broken]) + _DOUBTFUL_LINES)
     outside = (at < -step) | (at > shared_lines(strips, pair) + step)
     sd = np.hypot(whole.sd_px[k], _RESAMPLING_SD_PX)
     sd_col, sd_line = (np.interp(at, centres, sd[:, axis]) for axis in (0, 1))
@@ -156,7 +154,7 @@ def _of_pair(
     return PairOffsets(pair, col, line, sd_col, sd_line, label)
 
 
-def _beside(at: Floats, places: Ints, reach: Floats) -> Flags:
+def _near(at: Floats, places: Ints, reach: Floats) -> Flags:
     """Which of `at` lie within reach (m,) of places (m,)."""
     found = np.zeros(at.shape, dtype=np.bool_)
     for place, most in zip(places, reach, strict=True):

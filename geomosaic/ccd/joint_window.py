@@ -85,6 +85,16 @@ class WindowStart:
         return [replace(p, valid=p.valid & ~hidden) for p, hidden in zip(pairs, self.suspect, strict=True)]
 
 
+@dataclass(frozen=True)
+class _PreparedPairs:
+    """Pairs, their images at one scale, coarse offsets (pairs, knots, 2) and the knots' centres (knots,)."""
+
+    pairs: Sequence[RowPair]
+    images: Sequence[PairImages]
+    coarse_px: Floats
+    centres: Floats
+
+
 def solved_window(
     pairs: Sequence[RowPair], start: WindowStart, likely: Expected
 ) -> tuple[KnotOffsets, list[RowPair]]:
@@ -98,20 +108,21 @@ def solved_window(
     now = smooth(coarse, weights, np.median(coarse, axis=1), habits)
     cells: list[KnotOffsetsMeasured] = []
     cloudy = False
-    believed = list(pairs)
+    clear = list(pairs)
     used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
-        believed = list(pairs)
-        ready = each(partial(pair_images, scale=scale), pairs)
+        clear = list(pairs)
+        images = each(partial(pair_images, scale=scale), pairs)
+        ready = _PreparedPairs(pairs, images, coarse, centres)
         if start.suspect:
-            off, seen = _beside(pairs, ready, now, coarse, start.suspect, centres, habits)
+            off, seen = _off_curves(ready, now, start.suspect, habits)
             cloudy |= off
             if cloudy or not seen:
-                believed = start.clear(pairs)
-                ready = each(partial(pair_images, scale=scale), believed)
+                clear = start.clear(pairs)
+                ready = replace(ready, images=each(partial(pair_images, scale=scale), clear))
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
-            now, cells, used, habits = _refined(pairs, ready, now, coarse, centres, habits, last)
+            now, cells, used, habits = _refined(ready, now, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
     information = np.stack([np.diagonal(c.information, axis1=1, axis2=2) for c in cells])
@@ -121,7 +132,7 @@ def solved_window(
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
     step = widest_step(np.stack([c.offset_px for c in cells]), own, known_px, likely)
-    return found.doubted(step) if step else found, believed
+    return found.doubted(step) if step else found, clear
 
 
 def _centres(pairs: Sequence[RowPair], likely: Expected) -> Floats:
@@ -133,10 +144,9 @@ def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expec
     """Offsets to about a pixel, from correlation volumes."""
     centres = _centres(pairs, likely)
     blocks = max(len(pairs[0]) // BLOCK_LINES, 1)
-    reach = settings.search_cols_px, settings.search_lines_px
 
     def evidence(pair: RowPair) -> Floats:
-        return volume(pair.lead, pair.trail, pair.nominal_col, pair.known_px, blocks, *reach)
+        return volume(pair, blocks, settings)
 
     volumes = np.stack(each(evidence, pairs))
     rows = blocks * BLOCK_LINES
@@ -150,17 +160,12 @@ def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expec
     return WindowStart(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), suspect)
 
 
-def _beside(
-    pairs: Sequence[RowPair],
-    ready: Sequence[PairImages],
-    now: Smoothed,
-    coarse: Floats,
-    suspect: Sequence[Flags],
-    centres: Floats,
-    habits: Habits,
+def _off_curves(
+    ready: _PreparedPairs, now: Smoothed, suspect: Sequence[Flags], habits: Habits
 ) -> tuple[bool, bool]:
     """Whether the suspect part lies off the curves that the rest draws; and whether that can be decided."""
-    cells, offset, measured = _measured(pairs, ready, now, coarse, centres)
+    cells, offset, measured = _measured(ready, now)
+    centres = ready.centres
     step = round(centres[1] - centres[0])
     rows = len(centres) * step
     share = np.stack([hidden[:rows].reshape(len(centres), -1).mean(axis=1) for hidden in suspect])
@@ -185,19 +190,13 @@ def _beside(
 
 
 def _refined(
-    pairs: Sequence[RowPair],
-    ready: Sequence[PairImages],
-    now: Smoothed,
-    coarse: Floats,
-    centres: Floats,
-    habits: Habits,
-    last: bool,
+    ready: _PreparedPairs, now: Smoothed, habits: Habits, last: bool
 ) -> tuple[Smoothed, list[KnotOffsetsMeasured], Flags, Habits]:
     """One round: cells measured along the curves, implausible ones set back, curves drawn anew.
 
     Returns: curves, cells, which of them (pairs, knots) had a say, habits.
     """
-    cells, offset, measured = _measured(pairs, ready, now, coarse, centres)
+    cells, offset, measured = _measured(ready, now)
     found = np.trace(measured, axis1=2, axis2=3) > 0
     level = _level(offset, found, now)
     close = np.where(found[..., None, None], np.stack([cell.close for cell in cells]), 0.0)
@@ -213,18 +212,17 @@ def _refined(
     return final, cells, found, habits
 
 
-def _measured(
-    pairs: Sequence[RowPair], ready: Sequence[PairImages], now: Smoothed, coarse: Floats, centres: Floats
-) -> tuple[list[KnotOffsetsMeasured], Floats, Floats]:
+def _measured(ready: _PreparedPairs, now: Smoothed) -> tuple[list[KnotOffsetsMeasured], Floats, Floats]:
     """Cells along the curves, their offsets (the coarse ones where there are none) and their information."""
+    centres, coarse = ready.centres, ready.coarse_px
     step = round(centres[1] - centres[0])
     at = np.arange(len(centres) * step, dtype=np.float64)
 
     def measured_cells(k: int) -> KnotOffsetsMeasured:
         curve = curve_of(centres, now.offsets_px[k], at)
-        return measure(ready[k], curve, pairs[k].known_px[: len(at)], step)
+        return measure(ready.images[k], curve, ready.pairs[k].known_px[: len(at)], step)
 
-    cells = each(measured_cells, range(len(pairs)))
+    cells = each(measured_cells, range(len(ready.pairs)))
     near: Flags = np.abs(now.offsets_px - coarse).max(axis=2) < _FAR_PX
     information = np.stack([cell.information for cell in cells]) * near[..., None, None]
     found = np.trace(information, axis1=2, axis2=3) > 0

@@ -1,4 +1,4 @@
-"""Sub-pixel offsets of small cells by least squares, and how much each is to be believed.
+"""Sub-pixel offsets of small cells by least squares, and how reliable each is.
 
 Ackermann 1984 (high precision digital image correlation), with shifts alone: the curve that is refined bends
 along the lines, so that within a cell of some lines nothing else is left. Gradients are means of both
@@ -107,9 +107,8 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
     apart = _centred(_gradients(0.5 * difference), weight, shape, facts)
     bent = curve_px[:, : n * s].reshape(2, knots, knot_lines)
     middle = bent[..., (knot_lines - 1) // 2 : knot_lines // 2 + 1].mean(axis=2) - bent.mean(axis=2)
-    return _weighed(
-        sums, apart, facts, _lands(whole) - known + np.repeat(middle / s, lines, axis=1), lines, s
-    )
+    at = _lands(whole) - known + np.repeat(middle / s, lines, axis=1)
+    return _weighed(sums, apart, facts, at, s)
 
 
 def _gradients(image: Images) -> list[Images]:
@@ -119,13 +118,11 @@ def _gradients(image: Images) -> list[Images]:
     ]
 
 
-def _weighed(
-    sums: Floats, apart: Floats, facts: Floats, at: Floats, lines: int, scale: int
-) -> KnotOffsetsMeasured:
+def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, scale: int) -> KnotOffsetsMeasured:
     """Cells to knots.
 
     Args: sums (3, 3, knots, groups): centred products of the mean's gradients and the difference. apart
-    (2, 2, knots, groups): products of the half difference's gradients.
+    (2, 2, knots, groups): products of the half difference's gradients. at (2, lines): the shift of each line.
     """
     knots = facts.shape[0]
     normal = np.moveaxis(sums[:2, :2], (0, 1), (2, 3))
@@ -160,7 +157,7 @@ def _weighed(
     mean = np.zeros((knots, 2))
     safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
     mean[known] = solve_each(safe, pull[known][..., None])[..., 0]
-    centre = at.reshape(2, knots, lines).mean(axis=2).T
+    centre = at.reshape(2, knots, -1).mean(axis=2).T
     return KnotOffsetsMeasured(scale * (centre + mean), total / scale**2, _definite(close) / scale**2, good)
 
 
@@ -189,8 +186,8 @@ def _lands(at: Floats) -> Floats:
         cv2.INTER_CUBIC,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    beside = centre[0].astype(np.float64) - 8.0 - steps
-    return np.asarray(at + beside[np.rint(at / _STEP).astype(np.int64) % 32])
+    off = centre[0].astype(np.float64) - 8.0 - steps
+    return np.asarray(at + off[np.rint(at / _STEP).astype(np.int64) % 32])
 
 
 def noise_floor(rest: Floats) -> float:

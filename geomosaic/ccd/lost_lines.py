@@ -54,17 +54,19 @@ def steps(
     found: list[LineStep] = []
     knot_lines, alone = likely.knot_lines, len(pairs) < _ENOUGH_PAIRS
     least_px = _STEEP_COARSE_PX if coarse else likely.steep_px(_STEEP_KNOTS * knot_lines, alone)
+    curves = [_pair_curve(offset_px, index, knot_lines) for index in range(len(pairs))]
     for knot in _steep(offset_px[..., 1], least_px):
-        here = [_step(pair, index, offset_px, knot, knot_lines, coarse) for index, pair in enumerate(pairs)]
-        most = max((abs(step.count) for step in here if step), default=0)
-        found += [step for step in here if step and abs(step.count) == most]
+        places = [_step(pair, curve, knot, coarse) for pair, curve in zip(pairs, curves, strict=True)]
+        here = [LineStep(index, *place) for index, place in enumerate(places) if place is not None]
+        most = max((abs(step.count) for step in here), default=0)
+        found += [step for step in here if abs(step.count) == most]
     return found
 
 
 def lasting(found: Sequence[LineStep]) -> list[LineStep]:
     """The steps less those that go and come back in one pair alone: a cloud's edges, not lines lost for good.
 
-    Lines that a CCD lost are seen by both pairs that share it; such steps are believed.
+    Lines that a CCD lost are seen by both pairs that share it; such steps are kept.
     """
 
     def alone(step: LineStep) -> bool:
@@ -93,15 +95,27 @@ def _steep(dline_px: Floats, least_px: float) -> list[int]:
     return sorted(found)
 
 
-def _step(
-    pair: RowPair, index: int, offset_px: Floats, knot: int, knot_lines: int, coarse: bool
-) -> LineStep | None:
-    near, far = _KNOTS_APART, _KNOTS_APART + _KNOTS_FITTED
-    if knot < far or knot + far >= offset_px.shape[1]:
-        return None
+@dataclass(frozen=True)
+class _PairCurve:
+    """A pair's curve in two parts (knots, 2): its own, and the motion that the other pairs show."""
+
+    own: Floats
+    motion: Floats
+    knot_lines: int
+
+
+def _pair_curve(offset_px: Floats, index: int, knot_lines: int) -> _PairCurve:
     others = np.delete(offset_px, index, axis=0)
     motion = np.median(others, axis=0) if len(others) >= _ENOUGH_PAIRS else np.zeros(offset_px.shape[1:])
-    own = offset_px[index] - motion
+    return _PairCurve(offset_px[index] - motion, motion, knot_lines)
+
+
+def _step(pair: RowPair, curve: _PairCurve, knot: int, coarse: bool) -> tuple[int, int] | None:
+    """The line from which on dline is larger, and by how much; None where there is no step."""
+    near, far = _KNOTS_APART, _KNOTS_APART + _KNOTS_FITTED
+    own, motion, knot_lines = curve.own, curve.motion, curve.knot_lines
+    if knot < far or knot + far >= len(own):
+        return None
     first = max((knot * knot_lines) - _AROUND_LINES, 0)
     u = np.arange(first, min(first + 2 * _AROUND_LINES, len(pair)), dtype=np.intp)
     at = (u - (knot_lines - 1) / 2) / knot_lines
@@ -117,14 +131,14 @@ def _step(
             continue
         half = np.array([[0.0], [(count - jump) / 2]])
         for across, along in product(_COARSE_PX, repeat=2) if coarse else ((0.0, 0.0),):
-            beside = np.array([[across], [along]])
-            found = _split(pair, u, before - half + beside, after + half + beside)
+            aside = np.array([[across], [along]])
+            found = _split(pair, u, before - half + aside, after + half + aside)
             if found is not None:
                 tried.append((*found, count))
     if not tried:
         return None
     _, line, count = min(tried)
-    return LineStep(index, line, count)
+    return line, count
 
 
 def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float, int] | None:

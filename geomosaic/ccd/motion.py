@@ -10,7 +10,7 @@ a band along the strip and solved by Cholesky.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -152,9 +152,9 @@ def _equations(
         right[:, mine] = pulled[p]
     spread = np.array([habits.reach_px] * 2 + [_OWN_PX] * (2 * k))
     diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
-    own, *beside = _bands(habits, n, k)
+    own, *others = _bands(habits, n, k)
     diagonal[:, np.arange(size), np.arange(size)] += own
-    return Banded(diagonal, beside), right
+    return Banded(diagonal, others), right
 
 
 def _curves(solved: Floats, level_px: Floats, covariance: Floats | None) -> Smoothed:
@@ -183,9 +183,9 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
         bending, slow, level = before.own[axis]
         apart.append(
             (
-                _held_to(curves, list(known), CUBIC, 1, 0.002, bending, 1.2),
-                _held_to(curves, list(known), STRAIGHT, _OWN_STRIDE, 0.003, slow, 1.2),
-                _held_to(curves, list(known), LEVEL, _OWN_STRIDE, 0.003, level, _LASTING),
+                _spread(curves, list(known), Curve(CUBIC, 0.002), bending, 1.2),
+                _spread(curves, list(known), Curve(STRAIGHT, 0.003, _OWN_STRIDE), slow, 1.2),
+                _spread(curves, list(known), Curve(LEVEL, 0.003, _OWN_STRIDE), level, _LASTING),
             )
         )
     return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)
@@ -221,21 +221,14 @@ def _fitted(
     return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 
-def _held_to(
-    curves: list[Floats],
-    known: list[Flags],
-    weights: Floats,
-    stride: int,
-    least_px: float,
-    before: Curve,
-    wider: float,
-) -> Curve:
-    """How much curves bend off a prediction, times so much; as expected before if too little is known."""
-    y, a = _windows(curves, known, len(weights), stride)
+def _spread(curves: list[Floats], known: list[Flags], least: Curve, before: Curve, wider: float) -> Curve:
+    """The prediction with the deviation that curves show of it, times `wider`; `before` if too little is
+    known. least: the prediction and its smallest deviation."""
+    y, a = _windows(curves, known, len(least.weights), least.stride)
     if len(y) < 30:
         return before
-    usual = max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px)
-    return Curve(weights, wider * usual, stride)
+    usual = max(float(np.sqrt(np.mean((y - a @ least.weights) ** 2))), least.sd_px)
+    return replace(least, sd_px=wider * usual)
 
 
 def _stable(weights: Floats) -> Floats:

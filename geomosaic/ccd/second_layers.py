@@ -21,7 +21,7 @@ _COMPUTED: Final = (
     "chosen; figures computed with simulate.strip_plan.StripPlan: 4 CCDs, 8192 lines, seed 1, with 900 m of "
     "relief and at a contrast of 2 %"
 )
-_BESIDE_KNOTS = tuned(4, "knots", "each side of a step: fewer find stray knots; more blur a cloud's edge")
+_SIDE_KNOTS = tuned(4, "knots", "each side of a step: fewer find stray knots; more blur a cloud's edge")
 _MOST_APART_KNOTS = tuned(24, "knots", "between the sides' middles: fewer miss gaps; more hide motion")
 _LEAST_PX = tuned(0.5, "px", "of a step: ground has 0.1, 0.26 at low contrast; more passes low clouds")
 _LOST_PX = tuned(0.7, "lines", "known change that is a lost line: less finds relief; more calls it a cloud")
@@ -52,20 +52,20 @@ def widest_step(offset_px: Floats, own: Flags, known_px: Floats, likely: Expecte
 def _against(offset_px: Floats, both: Flags, likely: Expected) -> float:
     """The largest step of one pair against another (2, knots, 2), from knots before to as many after."""
     knots = np.flatnonzero(both)
-    if len(knots) < 2 * _BESIDE_KNOTS:
+    if len(knots) < 2 * _SIDE_KNOTS:
         return 0.0
     apart_px = offset_px[0, knots] - offset_px[1, knots]
-    sides = np.lib.stride_tricks.sliding_window_view(apart_px, _BESIDE_KNOTS, axis=0)
+    sides = np.lib.stride_tricks.sliding_window_view(apart_px, _SIDE_KNOTS, axis=0)
     middle = np.median(sides, axis=2)
     spread = np.abs(sides - middle[..., None]).mean(axis=2).max(axis=1)
-    at = np.lib.stride_tricks.sliding_window_view(knots, _BESIDE_KNOTS)[:, _BESIDE_KNOTS // 2]
-    step = np.abs(middle[_BESIDE_KNOTS:] - middle[:-_BESIDE_KNOTS])
-    apart = at[_BESIDE_KNOTS:] - at[:-_BESIDE_KNOTS]
-    unrest = np.maximum(spread[_BESIDE_KNOTS:], spread[:-_BESIDE_KNOTS])
+    at = np.lib.stride_tricks.sliding_window_view(knots, _SIDE_KNOTS)[:, _SIDE_KNOTS // 2]
+    step = np.abs(middle[_SIDE_KNOTS:] - middle[:-_SIDE_KNOTS])
+    apart = at[_SIDE_KNOTS:] - at[:-_SIDE_KNOTS]
+    noise_px = np.maximum(spread[_SIDE_KNOTS:], spread[:-_SIDE_KNOTS])
     relief = np.outer(apart * likely.knot_lines * likely.steepest_px_per_line, [0.0, 1.0])
     length = np.hypot(*step.T)
     found = (step > _LEAST_PX + relief).any(axis=1) & (apart <= _MOST_APART_KNOTS)
-    found &= unrest < _MOST_SPREAD * length
+    found &= noise_px < _MOST_SPREAD * length
     return float(length[found].max(initial=0.0))
 
 

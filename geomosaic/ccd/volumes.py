@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from geomosaic.ccd.model import Floats, Images
+from geomosaic.ccd.model import CcdSettings, Floats, Images
+from geomosaic.ccd.rows import RowPair
 from geomosaic.constants import tuned
 
 BLOCK_LINES = tuned(32, "lines", "of joint evidence: fewer fail at low contrast; more include clouds")
@@ -19,34 +20,27 @@ def halved(image: Images) -> Images:
     return np.asarray(cv2.resize(image[: 2 * n, : 2 * w], (w, n), interpolation=cv2.INTER_AREA))
 
 
-def volume(
-    lead: Images,
-    trail: Images,
-    nominal_col: int,
-    known_px: Floats,
-    blocks: int,
-    search_cols_px: int,
-    search_lines_px: int,
-) -> Floats:
+def volume(pair: RowPair, blocks: int, settings: CcdSettings) -> Floats:
     """Evidence for every shift, block by block of 32 lines (Lewis 1995 for the normalised correlation).
 
     Half the images' resolution, band-passed; the evidence is the log likelihood ratio -n/2 log(1 - r^2) of
     a correlation r over n independent facts against none at all (Kay 1998, section 7), bounded so that one
     good block says no more than another.
 
-    Args: lead, trail (n, w) flattened. nominal_col, known_px (n,): the shift that is 0 here.
+    The pair's nominal column and known lines are shift 0 here.
+
     Returns: (blocks, 2 search_lines_px // 2 + 1, 2 search_cols_px // 2 + 1); shift 0 in the middle.
     """
-    reach_l, reach_c = search_lines_px // 2, search_cols_px // 2
-    lead, trail = (_band_passed(halved(image)) for image in (lead, trail))
-    shift = nominal_col // 2
+    reach_l, reach_c = settings.search_lines_px // 2, settings.search_cols_px // 2
+    lead, trail = (_band_passed(halved(image)) for image in (pair.lead, pair.trail))
+    shift = pair.nominal_col // 2
     w = lead.shape[1]
     begin, end = max(0, reach_c - shift), min(w, w - reach_c - shift)
     out = np.zeros((blocks, 2 * reach_l + 1, 2 * reach_c + 1))
     if end - begin < 8:
         return out
     half = BLOCK_LINES // 2
-    moved = np.rint(known_px[: blocks * BLOCK_LINES].reshape(blocks, -1).mean(axis=1) / 2).astype(int)
+    moved = np.rint(pair.known_px[: blocks * BLOCK_LINES].reshape(blocks, -1).mean(axis=1) / 2).astype(int)
     spare = reach_l + int(np.abs(moved).max(initial=0))
     trail = np.pad(trail, ((spare, spare), (0, 0)))
     facts = half * (end - begin) / _PIXELS_PER_FACT
