@@ -16,6 +16,7 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.horizon import hidden_m
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import ground_window
 from geomosaic.spread import Spread
@@ -144,9 +145,8 @@ def _looked(land: _Land, look: _FramePlaces) -> list[list[Floats32]]:
         shown = []
         for ground in land.grounds:
             west_m, north_m = corner.tolist()
-            window = ground_window(
-                land.crs, land.work_frame, ground, west_m, north_m, land.gsd_m, _PLACE_PX, _PLACE_PX
-            )
+            grid = MapGrid(land.crs, west_m, north_m, land.gsd_m, _PLACE_PX, _PLACE_PX)
+            window = ground_window(grid, land.work_frame, ground)
             image, valid = seen_on(window, look.view.pose, look.view.camera, grey, mask)
             if ground.has_walls:
                 below_m = hidden_m(ground, look.view.pose.position_m, window.points_m())

@@ -7,42 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.projection.map_grid import MapGrid
+
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class OutputGrid:
-    """A north-up raster on the map: its upper left corner, ground pixel and size.
+class OutputGrid(MapGrid):
+    """The raster that a mosaic or another product of the run is written to.
 
     The corner lies at whole multiples of the ground pixel, so that mosaics of one CRS and ground pixel
     share their pixels; or whole ground pixels from the corner of a raster that it is aligned to.
     """
-
-    crs: str
-    west_m: float
-    north_m: float
-    gsd_m: float
-    width_px: int
-    height_px: int
-
-    @property
-    def east_m(self) -> float:
-        """The right edge's easting."""
-        return self.west_m + self.width_px * self.gsd_m
-
-    @property
-    def south_m(self) -> float:
-        """The lower edge's northing."""
-        return self.north_m - self.height_px * self.gsd_m
-
-    @property
-    def geotransform(self) -> tuple[float, float, float, float, float, float]:
-        """GDAL's six numbers: map from col and row with corner origin."""
-        return self.west_m, self.gsd_m, 0.0, self.north_m, 0.0, -self.gsd_m
-
-    def map_from_pixel(self, pixel: Floats) -> Floats:
-        """Easting and northing (..., 2) of cols and rows (..., 2)."""
-        return np.asarray([self.west_m, self.north_m] + np.asarray(pixel) * [self.gsd_m, -self.gsd_m])
 
 
 @dataclass(frozen=True)

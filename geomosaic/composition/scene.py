@@ -48,24 +48,15 @@ class Scene:
         return lru_cache(_LATTICES)(self._lattice)
 
     def _lattice(self, window: Window) -> MapLattice:
-        grid = self.grid
-        corner = grid.west_m + window.col * grid.gsd_m, grid.north_m - window.row * grid.gsd_m
-        size = window.width, window.height
-        return MapLattice(grid.crs, self.work_frame, self.ground, *corner, grid.gsd_m, *size)
+        grid = self.grid.part(window.row, window.col, (window.height, window.width))
+        return MapLattice(grid, self.work_frame, self.ground)
 
 
 def ground_of(scene: Scene, window: Window, step_px: int) -> GroundWindow:
     """Ground points of a window's cells of step_px x step_px."""
-    grid = scene.grid
+    size = -(-window.height // step_px), -(-window.width // step_px)
     return ground_window(
-        grid.crs,
-        scene.work_frame,
-        scene.ground,
-        grid.west_m + window.col * grid.gsd_m,
-        grid.north_m - window.row * grid.gsd_m,
-        grid.gsd_m * step_px,
-        -(-window.width // step_px),
-        -(-window.height // step_px),
+        scene.grid.part(window.row, window.col, size, step_px), scene.work_frame, scene.ground
     )
 
 

@@ -24,6 +24,7 @@ from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.resample import resample
 from geomosaic.projection.warp import frame_from_map, ground_window
 from geomosaic.survey.model import Frame
@@ -148,8 +149,8 @@ def lattice(
         west, south, east, north = view.bounds_m / spacing_m
         first, last = (int(np.floor(west)), int(np.floor(-north))), (int(np.ceil(east)), int(np.ceil(-south)))
         across, down = last[0] - first[0], last[1] - first[1]
-        corner = first[0] * spacing_m, -first[1] * spacing_m
-        window = ground_window(crs, work_frame, ground, *corner, spacing_m, across, down)
+        grid = MapGrid(crs, first[0] * spacing_m, -first[1] * spacing_m, spacing_m, across, down)
+        window = ground_window(grid, work_frame, ground)
         cols, rows = frame_from_map(window, view.pose, view.camera)
         margin = _reduction(view.camera.width_px, view.camera.height_px)
         seen = (cols > margin) & (cols < view.camera.width_px - margin)

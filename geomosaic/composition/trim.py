@@ -26,6 +26,7 @@ from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.reach import half_extent_m
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import ground_window
 
 Bools = NDArray[np.bool_]
@@ -164,9 +165,8 @@ def looked_at(
     which its frame looks at it, NaN where none does."""
     grid, owner = ownership.grid, ownership.owner[::step, ::step]
     side_m = step * ownership.cell_px * grid.gsd_m
-    corner_m = grid.west_m, grid.north_m
-    window = ground_window(grid.crs, work_frame, ground, *corner_m, side_m, owner.shape[1], owner.shape[0])
-    at_m = window.points_m()
+    cells = MapGrid(grid.crs, grid.west_m, grid.north_m, side_m, owner.shape[1], owner.shape[0])
+    at_m = ground_window(cells, work_frame, ground).points_m()
     sight = at_m - poses.positions_m[np.maximum(owner, 1) - 1]
     tangent = np.linalg.norm(sight[..., :2], axis=-1) / np.maximum(-sight[..., 2], 1e-6)
     return at_m, np.where(owner > 0, tangent, np.nan)

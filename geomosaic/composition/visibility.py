@@ -123,7 +123,7 @@ def _of_cells(
     relief_m = None if scene.ground.kind == "flat" else blocks.relief_on(scene.ground, _BLOCK * cell_m, u, v)
     cols, rows = np.empty((2, _BLOCK, _BLOCK, len(i)), dtype=np.float32)
     sight = ProjectionEquations(view.pose, view.camera)
-    sight.image(*sight.axes(blocks, u, v, relief_m), cols, rows)
+    sight.image(sight.axes(blocks, u, v, relief_m), cols, rows)
     margin = margin_px(cols, rows, view.camera, None)
     slack = _change_within(cols, rows, cell_m / view.gsd_m).max(axis=(0, 1))
     return np.moveaxis(np.stack([margin > -slack, margin > slack]), 3, 0)

@@ -103,8 +103,7 @@ class SurfaceOnMap:
     ) -> tuple[Floats32, tuple[Floats, Floats]]:
         """Heights of pixels as they are written, and where in the work frame they lie."""
         grid = self.grid
-        corner = grid.west_m + col * grid.gsd_m, grid.north_m - row * grid.gsd_m
-        window = ground_window(grid.crs, self.work_frame, ground, *corner, grid.gsd_m, size[1], size[0])
+        window = ground_window(grid.part(row, col, size), self.work_frame, ground)
         assert window.relief_m is not None
         level_m = self.work_frame.geodetic_from_enu(window.polynomial[0])[2]
         undulation_m = self.heights.undulation_at(grid, row, col, *size)

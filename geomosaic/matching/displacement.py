@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geomosaic.constants import tuned
-from geomosaic.matching.least_squares_matching import refine
+from geomosaic.matching.least_squares_matching import MaskedImage, refine
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -46,21 +46,29 @@ def patch_corners(shape: tuple[int, int], patch_px: int, step_px: int) -> NDArra
     return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
+@dataclass(frozen=True)
+class PatchMatching:
+    """How patches are matched.
+
+    patch_px: side of a patch. search_px: how far from its own place one is looked for. min_correlation: least
+    coefficient once matched. max_sd_px: most standard deviation of the worse axis.
+    """
+
+    patch_px: int = 64
+    search_px: int = 128
+    min_correlation: float = 0.5
+    max_sd_px: float = 0.3
+
+
 def measure_displacements(
-    image: Image,
-    reference: Image,
-    image_valid: Mask,
-    reference_valid: Mask,
+    image: MaskedImage,
+    reference: MaskedImage,
     corners: NDArray[np.int64],
-    *,
-    patch_px: int = 64,
-    search_px: int = 128,
-    min_correlation: float = 0.5,
-    max_sd_px: float = 0.3,
+    how: PatchMatching = PatchMatching(),
 ) -> Displacements:
     """Displacement of each patch of the reference in the image.
 
-    Both are single-band, float32, of one shape and on one grid. Normalised correlation finds each patch
+    Both are of one shape and on one grid. Normalised correlation finds each patch
     within search_px on a pyramid: at each finer level the neighbours' coarse displacements are tried and
     the best is kept, so that a jump (a seam) doesn't stop it. Least-squares matching (shift, gain and
     offset; Gruen 1985) makes it sub-pixel: errors stay below 0.02 px on natural texture.
@@ -69,14 +77,15 @@ def measure_displacements(
 
     Args: corners (n, 2) first row and col of the patches in the reference (`patch_corners`).
     """
-    levels = _pyramid(image, reference, image_valid, reference_valid, patch_px, search_px)
+    patch_px, search_px = how.patch_px, how.search_px
+    levels = _pyramid(image, reference, how)
     top = len(levels) - 1
     found_at: Floats = np.empty((0, 2))
     found: Floats = np.empty((0, 2))
     for k in range(top, -1, -1):
         level = levels[k]
-        here = corners if k == 0 else patch_corners(level.reference.shape, patch_px, patch_px // 2)
-        here = here[_valid_share(level.reference_valid, here, patch_px) >= (_VALID_SHARE if k == 0 else 0.5)]
+        here = corners if k == 0 else patch_corners(level.reference.pixels.shape, patch_px, patch_px // 2)
+        here = here[_valid_share(level.reference.valid, here, patch_px) >= (_VALID_SHARE if k == 0 else 0.5)]
         centres = (here + patch_px / 2.0) * 2**k
         radius = int(np.ceil(search_px / 2**k)) if k == top else _FINE_RADIUS_PX
         guesses = _guesses(centres, found_at, found, 2**k)
@@ -86,17 +95,9 @@ def measure_displacements(
             found_at = np.asarray(centres[good], dtype=np.float64)
             found = np.asarray(shifts[good] * 2.0**k, dtype=np.float64)
     asked = _asked(levels[0], here, shifts, patch_px)
-    hopeful = (peaks >= 0.6 * min_correlation) & asked
-    match = refine(
-        _smoothed(image),
-        _smoothed(reference),
-        image_valid,
-        reference_valid,
-        here[hopeful],
-        shifts[hopeful],
-        patch_px,
-    )
-    good = (match.correlation >= min_correlation) & (match.sd_px <= max_sd_px) & match.converged
+    hopeful = (peaks >= 0.6 * how.min_correlation) & asked
+    match = refine(_smoothed(image), _smoothed(reference), here[hopeful], shifts[hopeful], patch_px)
+    good = (match.correlation >= how.min_correlation) & (match.sd_px <= how.max_sd_px) & match.converged
     return Displacements(
         np.asarray((here[hopeful][good] + patch_px / 2.0)[:, ::-1], dtype=np.float64),
         match.shift[good][:, ::-1],
@@ -106,49 +107,39 @@ def measure_displacements(
     )
 
 
-def _smoothed(image: Image) -> Image:
+def _smoothed(image: MaskedImage) -> MaskedImage:
     """Less aliasing and noise, so that the match doesn't lock to whole pixels."""
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), _SMOOTHING_SIGMA_PX), dtype=np.float32)
+    pixels = np.asarray(cv2.GaussianBlur(image.pixels, (0, 0), _SMOOTHING_SIGMA_PX), dtype=np.float32)
+    return MaskedImage(pixels, image.valid)
 
 
 @dataclass(frozen=True)
 class _MatchLevel:
-    image: Image
-    reference: Image
-    image_valid: Mask
-    reference_valid: Mask
+    image: MaskedImage
+    reference: MaskedImage
 
 
-def _pyramid(
-    image: Image,
-    reference: Image,
-    image_valid: Mask,
-    reference_valid: Mask,
-    patch_px: int,
-    search_px: int,
-) -> list[_MatchLevel]:
+def _pyramid(image: MaskedImage, reference: MaskedImage, how: PatchMatching) -> list[_MatchLevel]:
     """Halvings until the search is a quarter of a patch, while two patches still fit."""
-    levels = [_MatchLevel(image, reference, image_valid, reference_valid)]
+    levels = [_MatchLevel(image, reference)]
     while (
-        search_px / 2 ** (len(levels) - 1) > patch_px / 4
-        and min(levels[-1].image.shape) >= 3 * patch_px
+        how.search_px / 2 ** (len(levels) - 1) > how.patch_px / 4
+        and min(levels[-1].image.pixels.shape) >= 3 * how.patch_px
         and len(levels) < 8
     ):
         last = levels[-1]
-        a, a_valid = _halved(last.image, last.image_valid)
-        b, b_valid = _halved(last.reference, last.reference_valid)
-        levels.append(_MatchLevel(a, b, a_valid, b_valid))
+        levels.append(_MatchLevel(_halved(last.image), _halved(last.reference)))
     return levels
 
 
-def _halved(image: Image, valid: Mask) -> tuple[Image, Mask]:
+def _halved(image: MaskedImage) -> MaskedImage:
     """Mean of the valid pixels of each 2 x 2; an odd last row or col is left out."""
-    rows, cols = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
-    weight = valid[:rows, :cols].astype(np.float32)
+    rows, cols = (n // 2 * 2 for n in image.pixels.shape)
+    weight = image.valid[:rows, :cols].astype(np.float32)
     size = (cols // 2, rows // 2)
     share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-    total = cv2.resize(image[:rows, :cols] * weight, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(total / np.maximum(share, 1e-6), dtype=np.float32), share >= 0.5
+    total = cv2.resize(image.pixels[:rows, :cols] * weight, size, interpolation=cv2.INTER_AREA)
+    return MaskedImage(np.asarray(total / np.maximum(share, 1e-6), dtype=np.float32), share >= 0.5)
 
 
 def _valid_share(valid: Mask, corners: NDArray[np.int64], patch_px: int) -> Floats:
@@ -163,8 +154,8 @@ def _valid_share(valid: Mask, corners: NDArray[np.int64], patch_px: int) -> Floa
 
 def _asked(level: _MatchLevel, corners: NDArray[np.int64], shifts: NDArray[np.int64], patch_px: int) -> Mask:
     """Patches that could have been measured: valid in the image where they are or where they went."""
-    at_home = _valid_share(level.image_valid, corners, patch_px)
-    moved = _valid_share(level.image_valid, corners + shifts, patch_px)
+    at_home = _valid_share(level.image.valid, corners, patch_px)
+    moved = _valid_share(level.image.valid, corners + shifts, patch_px)
     return np.asarray(np.minimum(at_home, moved) >= _VALID_SHARE)
 
 
@@ -194,10 +185,11 @@ def _search(
     """Whole-pixel displacement (row, col) and correlation of each patch; -1 where nothing was found."""
     shifts = np.zeros((len(corners), 2), dtype=np.int64)
     peaks = np.full(len(corners), -1.0)
-    height, width = level.image.shape
+    image, reference = level.image, level.reference
+    height, width = image.pixels.shape
     for i, (row, col) in enumerate(corners):
         here = slice(row, row + patch_px), slice(col, col + patch_px)
-        template = _filled(level.reference[here], level.reference_valid[here])
+        template = _filled(reference.pixels[here], reference.valid[here])
         if template is None:
             continue
         for guess in guesses[i]:
@@ -206,7 +198,7 @@ def _search(
             c1 = min(width, col + guess[1] + radius_px + patch_px)
             if r1 - r0 < patch_px or c1 - c0 < patch_px:
                 continue
-            region = _filled(level.image[r0:r1, c0:c1], level.image_valid[r0:r1, c0:c1])
+            region = _filled(image.pixels[r0:r1, c0:c1], image.valid[r0:r1, c0:c1])
             if region is None:
                 continue
             scores = cv2.matchTemplate(region, template, cv2.TM_CCOEFF_NORMED)

@@ -16,10 +16,8 @@ _LEAST = tuned(20, "tie points", "of a pair: fewer fit any height by chance; mor
 
 
 def flying_height_m(
-    left: Features,
-    right: Features,
-    left_camera: Camera,
-    right_camera: Camera,
+    features: tuple[Features, Features],
+    cameras: tuple[Camera, Camera],
     base_m: float,
     tolerance_px: float,
 ) -> float:
@@ -32,11 +30,12 @@ def flying_height_m(
     Args: base_m: horizontal distance of the projection centres; tolerance_px: of the match, in full
         pixels.
     """
+    left, right = features
     i, j = mutual_nearest(root_sift(left.descriptors), root_sift(right.descriptors), 0.8)
     good = by_homography(left.image_px[i], right.image_px[j], tolerance_px)
     if int(good.sum()) < _LEAST:
         return float("nan")
-    z = left_camera.ray_from_image(left.image_px[i[good]])[:, :2] @ [1, 1j]
-    w = right_camera.ray_from_image(right.image_px[j[good]])[:, :2] @ [1, 1j]
+    z = cameras[0].ray_from_image(left.image_px[i[good]])[:, :2] @ [1, 1j]
+    w = cameras[1].ray_from_image(right.image_px[j[good]])[:, :2] @ [1, 1j]
     turn, shift = least_squares(np.column_stack([z, np.ones_like(z)]), w)
     return base_m / abs(shift) if 0.5 < abs(turn) < 2.0 and abs(shift) > 0.01 else float("nan")

@@ -29,6 +29,14 @@ _SLOPE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
 
 
 @dataclass(frozen=True)
+class MaskedImage:
+    """A single-band image (rows, cols), float32, and which of its pixels are valid."""
+
+    pixels: Image
+    valid: Mask
+
+
+@dataclass(frozen=True)
 class Match:
     """shift (n, 2) rows and cols, sd_px (n,) of the worse axis, correlation (n,), converged (n,)."""
 
@@ -38,11 +46,29 @@ class Match:
     converged: Mask
 
 
+@dataclass(frozen=True)
+class _Basis:
+    """What patches are cut from: the image's spline coefficients, padded; the reference's two gradients and
+    itself; and 1 where all pixels nearby are valid in the image and in the reference, else 0."""
+
+    coefficients: Image
+    bases: tuple[Image, Image, Image]
+    image_safe: Image
+    reference_safe: Image
+
+
+@dataclass(frozen=True)
+class _Regression:
+    """Of n patches: design (n, 4, pixels), weight (n, pixels), inverse normal matrices (n, 4, 4)."""
+
+    design: Image
+    weight: Image
+    inverse: Floats
+
+
 def refine(
-    image: Image,
-    reference: Image,
-    image_valid: Mask,
-    reference_valid: Mask,
+    image: MaskedImage,
+    reference: MaskedImage,
     corners: NDArray[np.int64],
     shifts: NDArray[np.int64],
     patch_px: int,
@@ -59,21 +85,15 @@ def refine(
 
     Args: corners (n, 2) first row and col in the reference, shifts (n, 2) rows and cols.
     """
-    coefficients = np.pad(
-        spline_filter(image, order=3, output=np.float32, mode="mirror"), _MARGIN_PX, "reflect"
+    spline = spline_filter(image.pixels, order=3, output=np.float32, mode="mirror")
+    basis = _Basis(
+        np.pad(spline, _MARGIN_PX, "reflect"),
+        (_filtered(reference.pixels, _SLOPE.T), _filtered(reference.pixels, _SLOPE), reference.pixels),
+        _eroded(image.valid),
+        _eroded(reference.valid),
     )
-    bases = [_filtered(reference, _SLOPE.T), _filtered(reference, _SLOPE), reference]
-    safe = [_eroded(image_valid), _eroded(reference_valid)]
     parts = [
-        _refine_some(
-            coefficients,
-            bases,
-            safe[0],
-            safe[1],
-            corners[i : i + _AT_ONCE],
-            shifts[i : i + _AT_ONCE],
-            patch_px,
-        )
+        _refine_some(basis, corners[i : i + _AT_ONCE], shifts[i : i + _AT_ONCE], patch_px)
         for i in range(0, len(corners), _AT_ONCE)
     ]
     if not parts:
@@ -98,20 +118,16 @@ def _eroded(valid: Mask) -> Image:
 
 
 def _refine_some(
-    coefficients: Image,
-    bases: list[Image],
-    image_safe: Image,
-    reference_safe: Image,
-    corners: NDArray[np.int64],
-    shifts: NDArray[np.int64],
-    patch_px: int,
+    basis: _Basis, corners: NDArray[np.int64], shifts: NDArray[np.int64], patch_px: int
 ) -> Match:
-    weight = _patches(reference_safe, corners, patch_px) * _patches(image_safe, corners + shifts, patch_px)
+    weight = _patches(basis.reference_safe, corners, patch_px)
+    weight = weight * _patches(basis.image_safe, corners + shifts, patch_px)
     weight = weight.reshape(len(corners), -1).astype(np.float32)
     count = weight.sum(axis=1)
     enough = count > 0.5 * patch_px**2
     design = np.stack(
-        [_patches(b, corners, patch_px).reshape(len(corners), -1) for b in bases] + [np.ones_like(weight)],
+        [_patches(b, corners, patch_px).reshape(len(corners), -1) for b in basis.bases]
+        + [np.ones_like(weight)],
         axis=1,
     )
     mean = (design[:, 2] * weight).sum(axis=1) / np.maximum(count, 1.0)
@@ -128,7 +144,7 @@ def _refine_some(
         at = np.flatnonzero(active)
         if not at.size:
             break
-        seen = _shifted(coefficients, corners[at], shift[at], patch_px).reshape(at.size, -1)
+        seen = _shifted(basis.coefficients, corners[at], shift[at], patch_px).reshape(at.size, -1)
         right = np.einsum("nik,nk->ni", weighted[at], seen, optimize=True)
         answer[at] = np.einsum("nij,nj->ni", inverse[at], right)
         warped[at] = seen
@@ -139,19 +155,14 @@ def _refine_some(
         lost = (gain <= _LEAST_GAIN) | (np.abs(shift[at] - shifts[at]).max(axis=1) > _REACH_PX)
         converged[at[done & ~lost]] = True
         active[at[done | lost]] = False
-    return _judged(shift, converged, answer, warped, design, weight, inverse, patch_px)
+    sd, correlation = _assessed(_Regression(design, weight, inverse), answer, warped, patch_px)
+    sd[~converged] = np.inf
+    return Match(shift, sd, correlation, converged)
 
 
-def _judged(
-    shift: Floats,
-    converged: Mask,
-    answer: Floats,
-    warped: Image,
-    design: Image,
-    weight: Image,
-    inverse: Floats,
-    patch_px: int,
-) -> Match:
+def _assessed(of: _Regression, answer: Floats, warped: Image, patch_px: int) -> tuple[Floats, Floats]:
+    """Deviation in pixels and correlation of each patch, by the coefficients (n, 4) that were found."""
+    design, weight, inverse = of.design, of.weight, of.inverse
     count = np.maximum(weight.sum(axis=1, dtype=np.float64), 8.0)
     fitted = np.einsum("ni,nik->nk", answer.astype(np.float32), design, optimize=True)
     residual = ((warped - fitted) * weight).reshape(-1, patch_px, patch_px)
@@ -170,8 +181,7 @@ def _judged(
         * (about**2 * weight).sum(axis=1, dtype=np.float64)
     )
     correlation = (design[:, 2] * about * weight).sum(axis=1) / np.maximum(spread, 1e-12)
-    sd[~converged] = np.inf
-    return Match(shift, sd, correlation.astype(np.float64), converged)
+    return sd, correlation.astype(np.float64)
 
 
 def _patches(image: NDArray[np.generic], corners: NDArray[np.int64], size_px: int) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""One pair of frames: about where it is believed to match first, over all of both images where that fails."""
+"""One pair of frames: about where it is expected to match first, over all of both images where that fails."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import tuned
 from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.planes import Guess, plane_through, through
-from geomosaic.matching.search import CHECKS, root_sift, search
+from geomosaic.matching.search import CHECKS, PlacedKeypoints, root_sift, search
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -116,7 +116,7 @@ class _Pair:
     ) -> None:
         self.how, self.tolerance_px = how, tolerance_px
         self.left_px, self.right_px = left.image_px, right.image_px
-        self.left, self.right = left.root, right.root
+        self.left, self.right = left.root, PlacedKeypoints(right.root, right.image_px)
         self.few = left.few, right.few
         self._alike, self._agreeing = 0, 0
 
@@ -125,8 +125,8 @@ class _Pair:
         return (len(self.left_px), len(self.right_px)), self._alike, self._agreeing
 
     def searched(self, at: Floats, radius_px: float) -> tuple[Ints, Ints]:
-        """All keypoints, each about where it is believed to be in the right image."""
-        return search(self.left, self.right, at, self.right_px, radius_px, self.how.ratio)
+        """All keypoints, each about where it is expected in the right image."""
+        return search(PlacedKeypoints(self.left, at), self.right, radius_px, self.how.ratio)
 
     def agreeing(self, i: Ints, j: Ints) -> tuple[Ints, Ints]:
         """Those that pass the geometric check together."""
@@ -138,8 +138,8 @@ class _Pair:
         """The coarsest keypoints say where in the right image the left one lies, and the rest is compared
         about there; nothing where they don't say it."""
         few_i, few_j = self.few
-        left, right = self.left[few_i], self.right[few_j]
-        i, j = search(left, right, at[few_i], self.right_px[few_j], radius_px, self.how.ratio)
+        left = PlacedKeypoints(self.left, at).of(few_i)
+        i, j = search(left, self.right.of(few_j), radius_px, self.how.ratio)
         i, j = self.agreeing(few_i[i], few_j[j])
         plane = plane_through(self.left_px[i], self.right_px[j]) if len(i) >= self.how.least else None
         if plane is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -59,26 +60,33 @@ def mutual_nearest(
     return kept, best[kept]
 
 
+@dataclass(frozen=True)
+class PlacedKeypoints:
+    """A frame's keypoints: root (n, 128) as `root_sift` gives them, and at (n, 2), their places in any system
+    that two frames share; NaN where a keypoint has none."""
+
+    root: NDArray[np.float32]
+    at: Floats
+
+    def of(self, some: Ints) -> PlacedKeypoints:
+        """Those of some numbers."""
+        return PlacedKeypoints(self.root[some], self.at[some])
+
+
 def search(
-    left_descriptors: NDArray[np.float32],
-    right_descriptors: NDArray[np.float32],
-    left_at: Floats,
-    right_at: Floats,
-    radius: float,
-    ratio: float = 0.8,
+    left: PlacedKeypoints, right: PlacedKeypoints, radius: float, ratio: float = 0.8
 ) -> tuple[Ints, Ints]:
-    """Candidate tie points that lie at most a radius apart where they are believed to be.
+    """Candidate tie points whose places are at most a radius apart.
 
     Guided: only keypoints of a cell and at most a radius beside it are compared. With an infinite radius the
     search is free: all keypoints of both frames.
 
-    Args: left_at, right_at: (n, 2) places in any system that both share, in the radius' unit; NaN where
-        a keypoint has none.
+    Args: radius: in the unit of the places.
     """
     if np.isinf(radius):
-        return mutual_nearest(left_descriptors, right_descriptors, ratio)
-    i, j = mutual_nearest(left_descriptors, right_descriptors, ratio, _near(left_at, right_at, radius))
-    near = np.linalg.norm(left_at[i] - right_at[j], axis=1) <= radius
+        return mutual_nearest(left.root, right.root, ratio)
+    i, j = mutual_nearest(left.root, right.root, ratio, _near(left.at, right.at, radius))
+    near = np.linalg.norm(left.at[i] - right.at[j], axis=1) <= radius
     return i[near], j[near]
 
 

@@ -24,6 +24,14 @@ def or_nan(value: float | None) -> float:
     return np.nan if value is None else value
 
 
+@dataclass(frozen=True)
+class FrameHeights:
+    """Ellipsoidal heights of frames in metres (n,), NaN where unknown, and their standard deviations (n,)."""
+
+    m: Floats
+    sd_m: Floats
+
+
 def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floats:
     """Ellipsoidal heights of the projection centres, (n,); NaN where nothing says.
 
@@ -41,40 +49,41 @@ def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floa
     return np.where(weak & relative, np.median(ground_heights_m[relative]) + above, absolute)
 
 
-def with_missing_heights(heights_m: Floats, sd_m: Floats, ground_heights_m: Floats) -> tuple[Floats, Floats]:
-    """Heights (n,) in order of capture and their deviations, those that are NaN taken from their neighbours.
+def with_missing_heights(heights: FrameHeights, ground_heights_m: Floats) -> FrameHeights:
+    """Heights in order of capture, those that are NaN taken from their neighbours.
 
     A missing height goes evenly from the known one before to the one after; its deviation is what known
     heights spread about their middle, and at least a tenth of how high it comes to lie above the ground.
     All stay NaN where none is known.
     """
-    known = np.flatnonzero(np.isfinite(heights_m))
-    missing = np.isnan(heights_m)
+    known = np.flatnonzero(np.isfinite(heights.m))
+    missing = np.isnan(heights.m)
     if not known.size or not missing.any():
-        return heights_m, sd_m
-    filled = np.interp(np.arange(len(heights_m)), known, heights_m[known])
-    spread = NORMAL_PER_MAD * float(np.median(np.abs(heights_m[known] - np.median(heights_m[known]))))
+        return heights
+    filled = np.interp(np.arange(len(heights.m)), known, heights.m[known])
+    spread = NORMAL_PER_MAD * float(np.median(np.abs(heights.m[known] - np.median(heights.m[known]))))
     wide = np.maximum(spread, _ESTIMATED_SD_SHARE * np.abs(filled - ground_heights_m))
-    return filled, np.where(missing, wide, sd_m)
+    return FrameHeights(filled, np.where(missing, wide, heights.sd_m))
 
 
-def believable_heights_m(
-    heights_m: Floats, sd_m: Floats, ground_heights_m: Floats
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Heights (n,), their deviations, and which of them can't be true: the frame would lie on the ground or
+def possible_heights(
+    heights: FrameHeights, ground_heights_m: Floats
+) -> tuple[FrameHeights, NDArray[np.bool_]]:
+    """Heights that can be true, and which (n,) were replaced: those would put the frame on the ground or
     below.
 
     Where one does, all that are far from the usual height above the ground are in doubt; they are taken to
     have that, to half of it, and the images say what it is. Where most frames lie below the ground nothing
     is changed: then it is the ground that is wrong.
     """
-    above = heights_m - ground_heights_m
+    above = heights.m - ground_heights_m
     usual = float(np.nanmedian(above)) if np.isfinite(above).any() else 0.0
     if not usual > 0.0 or not np.any(above <= _ON_THE_GROUND * usual):
-        return heights_m, sd_m, np.zeros(len(above), dtype=bool)
+        return heights, np.zeros(len(above), dtype=bool)
     doubted = (above < usual / _FAR) | (above > usual * _FAR)
-    used_m = np.where(doubted, ground_heights_m + usual, heights_m)
-    return used_m, np.where(doubted, np.maximum(sd_m, usual / 2.0), sd_m), doubted
+    used_m = np.where(doubted, ground_heights_m + usual, heights.m)
+    sd_m = np.where(doubted, np.maximum(heights.sd_m, usual / 2.0), heights.sd_m)
+    return FrameHeights(used_m, sd_m), doubted
 
 
 @dataclass(frozen=True)

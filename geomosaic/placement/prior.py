@@ -12,7 +12,7 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import sourced, tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.placement.heights import or_nan
+from geomosaic.placement.heights import FrameHeights, or_nan
 from geomosaic.placement.velocity import velocities_m_per_s
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
@@ -97,8 +97,7 @@ def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
 
 def prior_poses(
     survey: Survey,
-    heights_m: Floats,
-    heights_sd_m: Floats,
+    heights: FrameHeights,
     lines: tuple[int, ...],
     formula: str = "rigorous",
     attitude: str = "yaw_pitch_roll",
@@ -108,11 +107,11 @@ def prior_poses(
     An unknown tilt is taken as nadir, an unknown yaw as the course of the flight line; their standard
     deviations say how little that is worth (COURSE_YAW_SD_DEG, UNKNOWN_YAW_SD_DEG).
 
-    Args: heights_m (n,) ellipsoidal, see `frame_heights_m`; heights_sd_m (n,) their standard deviations.
+    Args: lines: each frame's flight line; formula, attitude: keys of `FORMULAS` and `ATTITUDES`.
     """
     frames = survey.frames
     llh = np.array(
-        [[f.position.lon_deg, f.position.lat_deg, h] for f, h in zip(frames, heights_m, strict=True)]
+        [[f.position.lon_deg, f.position.lat_deg, h] for f, h in zip(frames, heights.m, strict=True)]
     )
     positions, work_from_local = FORMULAS[formula](survey.work_frame, llh)
     yaw = np.array([or_nan(f.attitude.yaw_deg) for f in frames])
@@ -133,7 +132,7 @@ def prior_poses(
         positions_m=positions,
         rotations=work_from_local @ local,
         positions_sd_m=np.column_stack(
-            [[[f.position.sd_east_m, f.position.sd_north_m] for f in frames], heights_sd_m]
+            [[[f.position.sd_east_m, f.position.sd_north_m] for f in frames], heights.sd_m]
         ),
         rotations_sd_rad=np.radians(np.column_stack([sd_tilt, sd_tilt, sd_yaw])),
         velocities_m_per_s=velocities,

@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.projection.walk import first_drops
+from geomosaic.projection.walk import GridRays, first_drops
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.floating[Any]]
@@ -115,9 +115,8 @@ class GroundSurface:
         last = start[:, 2] - float(self.up_m.min()) + 1e-3
         ends = np.stack([at + slope * drop[:, None] for drop in (first, last)])
         within = ((ends >= 0.0) & (ends <= np.array(self.up_m.shape) - 1.0)).all(axis=(0, 2))
-        drop = first_drops(
-            self.up_m, at[within], slope[within], start[within, 2], first[within], last[within]
-        )
+        rays = GridRays(at[within], slope[within], start[within, 2], first[within], last[within])
+        drop = first_drops(self.up_m, rays)
         hit[within] = start[within] + down[within] * drop[:, None]
         hit[~within] = self._sampled(start[~within], down[~within])
         return hit.reshape(ray.shape)

@@ -20,6 +20,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import ProjectionEquations, bare_window
 
 Floats = NDArray[np.float64]
@@ -46,22 +47,12 @@ class WindowInFrame:
 
 
 class MapLattice:
-    """A north-up map window and its ground: see `ground_window` for its corner, pixel and size."""
+    """A north-up map window and its ground: see `ground_window`."""
 
-    def __init__(
-        self,
-        crs: str,
-        work_frame: LocalFrame,
-        ground: GroundSurface,
-        west_m: float,
-        north_m: float,
-        gsd_m: float,
-        width_px: int,
-        height_px: int,
-    ) -> None:
-        self._ground, self._gsd_m = ground, gsd_m
-        self._window = bare_window(crs, work_frame, ground, west_m, north_m, gsd_m, width_px, height_px)
-        self._u, self._v = _places(width_px), _places(height_px)
+    def __init__(self, grid: MapGrid, work_frame: LocalFrame, ground: GroundSurface) -> None:
+        self._ground, self._gsd_m = ground, grid.gsd_m
+        self._window = bare_window(grid, work_frame, ground)
+        self._u, self._v = _places(grid.width_px), _places(grid.height_px)
         self._nodes_m = self._relief(self._u.nodes, self._v.nodes[:, None])
         self._corners_m = self._relief(self._u.corners, self._v.corners[:, None])
 
@@ -81,9 +72,8 @@ class MapLattice:
             )
         ]
         found = np.empty((2, sum(axes[0].size for axes in both)), dtype=np.float32)
-        sight.image(
-            *(np.concatenate([axis.ravel() for axis in of]) for of in zip(*both, strict=True)), *found
-        )
+        x, y, z = (np.concatenate([axis.ravel() for axis in of]) for of in zip(*both, strict=True))
+        sight.image((x, y, z), *found)
         end = both[0][0].size
         image = found[:, :end].reshape(2, down + 2, across + 2)
         middle = found[:, end:].reshape(2, down + 1, across + 1)
@@ -110,9 +100,9 @@ class MapLattice:
     ) -> tuple[Floats32, Floats32]:
         """All pixels of cells (n, 8, 8), of which row is all but known, or NaN."""
         u, v = self._u.pixels[j][:, None, :], self._v.pixels[i][:, :, None]
-        x, y, z = sight.axes(self._window, u, v, self._relief(u, v))
-        found, row = np.empty_like(x), np.ascontiguousarray(row)
-        sight.image(x, y, z, found, row, started=not np.isnan(row).any())
+        axes = sight.axes(self._window, u, v, self._relief(u, v))
+        found, row = np.empty_like(axes[0]), np.ascontiguousarray(row)
+        sight.image(axes, found, row, started=not np.isnan(row).any())
         return found, row
 
 

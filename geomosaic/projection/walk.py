@@ -8,6 +8,7 @@ nodes, in which heights along it are a parabola.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,22 +34,32 @@ def pyramid(up_m: NDArray[Any]) -> list[NDArray[Any]]:
     return levels
 
 
-def first_drops(
-    up_m: NDArray[Any], start: Floats, per_drop: Floats, high_m: Floats, first: Floats, last: Floats
-) -> Floats:
-    """How far (m) rays come down until they first meet heights (rows, cols); NaN where they don't.
+@dataclass(frozen=True)
+class GridRays:
+    """Rays over a grid of heights, n of them.
 
-    Args: start (n, 2): row and col, in nodes, where each ray is when it has come down by nothing, high_m (n,)
-    its height there; per_drop (n, 2): rows and cols per m that it comes down; first, last (n,): m between
-    which it is looked for. All of that lies within the grid.
+    start (n, 2): row and col, in nodes, where each begins, and high_m (n,) its height there. per_drop (n, 2):
+    rows and cols for each metre that it descends. first, last (n,): metres of descent between which the
+    ground is looked for; both lie within the grid.
     """
+
+    start: Floats
+    per_drop: Floats
+    high_m: Floats
+    first: Floats
+    last: Floats
+
+
+def first_drops(up_m: NDArray[Any], rays: GridRays) -> Floats:
+    """How far (m) rays descend until they first meet heights (rows, cols); NaN where they don't."""
+    per_drop, first, last = rays.per_drop, rays.first, rays.last
     if not first.size:
         return np.full(first.shape, np.nan)
-    ends = np.concatenate([start + per_drop * of[:, None] for of in (first, last)])
+    ends = np.concatenate([rays.start + per_drop * of[:, None] for of in (first, last)])
     low = np.minimum(np.floor(ends.min(axis=0)), np.array(up_m.shape) - 2.0).astype(np.intp)
     high = np.maximum(np.ceil(ends.max(axis=0)), low + 1.0).astype(np.intp)
     up_m = up_m[low[0] : high[0] + 1, low[1] : high[1] + 1]
-    start = start - low
+    start = rays.start - low
     levels = pyramid(up_m)
     drop, level = first.copy(), np.full(first.shape, len(levels) - 1)
     found = np.full(first.shape, np.nan)
@@ -68,14 +79,13 @@ def first_drops(
         leaves = np.minimum(np.maximum(leaves.min(axis=1), here), last[going])
         index = cell.astype(np.intp)
         top = _highest(levels, level[going], index)
-        above = high_m[going] - leaves > top
+        above = rays.high_m[going] - leaves > top
         deepest = level[going] == 0
         hit = np.full(going.shape, np.nan)
         look = np.flatnonzero(~above & deepest)
         if look.size:
-            hit[look] = _within(
-                up_m, index[look], at[look], slope[look], high_m[going[look]], here[look], leaves[look]
-            )
+            part = GridRays(at[look], slope[look], rays.high_m[going[look]], here[look], leaves[look])
+            hit[look] = _within(up_m, index[look], part)
         met = np.isfinite(hit)
         found[going[met]] = hit[met]
         on = above | (deepest & ~met)
@@ -94,29 +104,22 @@ def _highest(levels: list[NDArray[Any]], level: NDArray[np.intp], index: NDArray
     return top
 
 
-def _within(
-    up_m: NDArray[Any],
-    cell: NDArray[np.intp],
-    start: Floats,
-    per_drop: Floats,
-    high_m: Floats,
-    first: Floats,
-    last: Floats,
-) -> Floats:
-    """The first drop between first and last at which a ray is at the heights between a cell's four nodes."""
+def _within(up_m: NDArray[Any], cell: NDArray[np.intp], rays: GridRays) -> Floats:
+    """The first drop at which each ray is at the heights between the four nodes of its cell."""
     i, j = cell.T
     low, right, upper, both = (
         up_m[i + di, j + dj].astype(np.float64) for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1))
     )
 
     def over(drop: Floats) -> Floats:
-        v, u = (start + per_drop * drop[:, None] - cell).T
+        v, u = (rays.start + rays.per_drop * drop[:, None] - cell).T
         return np.asarray(
-            high_m
+            rays.high_m
             - drop
             - (low + (right - low) * u + (upper - low) * v + (low - right - upper + both) * u * v)
         )
 
+    first, last = rays.first, rays.last
     middle, span = (first + last) / 2.0, last - first
     a, b, c = over(first), over(middle), over(last)
     square, linear = 2.0 * (a - 2.0 * b + c), -3.0 * a + 4.0 * b - c

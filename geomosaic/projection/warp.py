@@ -22,9 +22,12 @@ from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.map_grid import MapGrid
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
+Axes = tuple[Floats32, Floats32, Floats32]
+"""x, y and z in the camera of ground points, in m."""
 _NODES = tuned(5, "nodes a side", "of the projection's polynomial, odd: 3 are 1.0 mm off over 10 km, 5 0.8")
 _HEIGHT_ROUNDS = tuned(3, "rounds", "of node and height on hills: one leaves 6 cm, two 2e-5 m, three 1e-8")
 _ROWS_AT_ONCE = tuned(64, "rows", "computed together: more do not fit the cache; fewer cost calls")
@@ -67,44 +70,26 @@ class GroundWindow:
         return np.asarray(rise / self.vertical[2], dtype=np.float32)
 
 
-def ground_window(
-    crs: str,
-    work_frame: LocalFrame,
-    ground: GroundSurface,
-    west_m: float,
-    north_m: float,
-    gsd_m: float,
-    width_px: int,
-    height_px: int,
-) -> GroundWindow:
-    """Ground points of a map window whose upper left corner is (west_m, north_m) in `crs`.
+def ground_window(grid: MapGrid, work_frame: LocalFrame, ground: GroundSurface) -> GroundWindow:
+    """Ground points of a map window.
 
     A map pixel is the ground point that has its map coordinates. Its height is found by fixed point: the
     vertical there is all but parallel to the work frame's up, so a round gains three to four digits. The
     polynomial leaves out (window / Earth radius)² of the window: 1e-6 m at 300 m, 3 cm at 10 km.
     """
-    bare = bare_window(crs, work_frame, ground, west_m, north_m, gsd_m, width_px, height_px)
+    bare = bare_window(grid, work_frame, ground)
     if ground.kind == "flat":
         return bare
-    relief_m = bare.relief_on(ground, gsd_m, middles(width_px), middles(height_px)[:, None])
+    relief_m = bare.relief_on(ground, grid.gsd_m, middles(grid.width_px), middles(grid.height_px)[:, None])
     return replace(bare, relief_m=relief_m)
 
 
-def bare_window(
-    crs: str,
-    work_frame: LocalFrame,
-    ground: GroundSurface,
-    west_m: float,
-    north_m: float,
-    gsd_m: float,
-    width_px: int,
-    height_px: int,
-) -> GroundWindow:
+def bare_window(grid: MapGrid, work_frame: LocalFrame, ground: GroundSurface) -> GroundWindow:
     """The same without its relief: of flat ground all there is, else the ground's mean level there."""
     u, v, fit = _nodes()
-    easting = west_m + (u + 1.0) / 2.0 * width_px * gsd_m
-    northing = north_m - (v + 1.0) / 2.0 * height_px * gsd_m
-    lonlat = MapProjection(crs).geodetic_from_map(easting, northing)
+    easting = grid.west_m + (u + 1.0) / 2.0 * grid.width_px * grid.gsd_m
+    northing = grid.north_m - (v + 1.0) / 2.0 * grid.height_px * grid.gsd_m
+    lonlat = MapProjection(grid.crs).geodetic_from_map(easting, northing)
     lon, lat = lonlat[..., 0], lonlat[..., 1]
     level_m = work_frame.height_ellipsoidal_m + float(ground.up_m.mean())
     base, above = work_frame.enu_from_geodetic(lon, lat, level_m + np.array([0.0, 1e3])[:, None, None])
@@ -117,7 +102,7 @@ def bare_window(
     nodes = base + rise[..., None] * vertical
     polynomial = np.asarray(fit @ nodes.reshape(-1, 3))
     middle = _NODES // 2
-    return GroundWindow(width_px, height_px, polynomial, vertical[middle, middle], None)
+    return GroundWindow(grid.width_px, grid.height_px, polynomial, vertical[middle, middle], None)
 
 
 class ProjectionEquations:
@@ -138,9 +123,7 @@ class ProjectionEquations:
             self._turn, self._by_step = rad[:, :-1].copy(), np.diff(rad)
             self._still = False
 
-    def axes(
-        self, window: GroundWindow, u: Floats, v: Floats, relief_m: Floats32 | None
-    ) -> tuple[Floats32, Floats32, Floats32]:
+    def axes(self, window: GroundWindow, u: Floats, v: Floats, relief_m: Floats32 | None) -> Axes:
         """Camera axes in m, at the middle row, of a window's ground at u and v, which broadcast."""
         shifted = window.polynomial.copy()
         shifted[0] -= self._pose.position_m
@@ -152,19 +135,18 @@ class ProjectionEquations:
                 axis += relief_m * np.float32(share)
         return x, y, z
 
-    def image(
-        self, x: Floats32, y: Floats32, z: Floats32, col: Floats32, row: Floats32, *, started: bool = False
-    ) -> None:
+    def image(self, axes: Axes, col: Floats32, row: Floats32, *, started: bool = False) -> None:
         """Puts col and row where camera axes at the middle row are seen, NaN where they are not.
 
-        Axes are used up. started: row holds all but what there will be. A place that has settled stays:
+        Axes are used up. started: row holds all but what there will be. A place that has converged stays:
         it comes out the same whatever others are asked for with it.
         """
         if self._still:
-            _image_from_camera(self._camera, x, y, z, col, row)
+            _image_from_camera(self._camera, axes, col, row)
             return
+        x, y, z = axes
         if not started:
-            _image_from_camera(self._camera, x.copy(), y.copy(), z.copy(), col, row)
+            _image_from_camera(self._camera, (x.copy(), y.copy(), z.copy()), col, row)
         open_yet, found_col, found_row = (
             np.ones(row.shape, dtype=bool),
             np.empty_like(col),
@@ -175,7 +157,7 @@ class ProjectionEquations:
             u, v, w = (axis - after_s * v for axis, v in zip((x, y, z), self._velocity, strict=True))
             if self._turn is not None:
                 u, v, w = turned_by(self._turns_at(row), (u, v, w))
-            _image_from_camera(self._camera, u, v, w, found_col, found_row)
+            _image_from_camera(self._camera, (u, v, w), found_col, found_row)
             moved = row_moved_px(self._camera, row, found_row) > _CONVERGED_PX
             np.copyto(col, found_col, where=open_yet)
             np.copyto(row, found_row, where=open_yet)
@@ -219,14 +201,13 @@ def frame_from_map(
     for top in range(0, v.size, _ROWS_AT_ONCE):
         band = slice(top, top + _ROWS_AT_ONCE)
         axes = sight.axes(window, u, v[band], None if relief is None else relief[band])
-        sight.image(*axes, col[band], row[band])
+        sight.image(axes, col[band], row[band])
     return col, row
 
 
-def _image_from_camera(
-    camera: Camera, x: Floats32, y: Floats32, z: Floats32, col: Floats32, row: Floats32
-) -> None:
-    """`Camera.image_from_camera` of camera axes into col and row; x, y and z are used up."""
+def _image_from_camera(camera: Camera, axes: Axes, col: Floats32, row: Floats32) -> None:
+    """`Camera.image_from_camera` of camera axes, which are used up, into col and row."""
+    x, y, z = axes
     with np.errstate(all="ignore"):
         z[z >= 0.0] = np.nan
         np.divide(x, -z, out=x)

@@ -122,11 +122,8 @@ class AccuracyCells:
         owner = self._owners(window)
         shown = owner > 0
         if shown.any():
-            grid = self.grid
-            corner = grid.west_m + window.col * grid.gsd_m, grid.north_m - window.row * grid.gsd_m
-            size = window.width, window.height
-            ground = ground_window(grid.crs, self.work_frame, self.ground, *corner, grid.gsd_m, *size)
-            points_m = ground.points_m()
+            grid = self.grid.part(window.row, window.col, (window.height, window.width))
+            points_m = ground_window(grid, self.work_frame, self.ground).points_m()
             source = self._sources(window, points_m)[shown]
             standing_m = 0.0 if self.matched is None else self.matched.standing_m
             standing_sd_m = np.where(source == HeightSource.EXTRAPOLATED, standing_m, 0.0)

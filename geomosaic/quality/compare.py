@@ -16,7 +16,8 @@ from rasterio.windows import Window
 
 from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
-from geomosaic.matching.displacement import Displacements, measure_displacements
+from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
+from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.quality.figures import Figures, Similarity, figures, touching_patches
 from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma
 from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_terms, pooled, ssim_maps
@@ -185,14 +186,10 @@ def _compare_block(
     inner = np.s_[row : row + block.height, col : col + block.width]
     corners = _corners(block, outer, sizes.patch_px, sizes.step_px)
     found = measure_displacements(
-        image,
-        reference,
-        image_valid,
-        reference_valid,
+        MaskedImage(image, image_valid),
+        MaskedImage(reference, reference_valid),
         corners if both.any() else corners[:0],
-        patch_px=sizes.patch_px,
-        search_px=sizes.search_px,
-        min_correlation=sizes.min_correlation,
+        PatchMatching(sizes.patch_px, sizes.search_px, sizes.min_correlation),
     )
     maps = ssim_maps(image * tones.gain + tones.offset, reference, both, tones.span).cut(inner)
     return _Part(

@@ -19,9 +19,11 @@ from geomosaic.camera.interior import Camera
 from geomosaic.composition.model import OutputGrid, Seamline
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.matching.displacement import measure_displacements, patch_corners
+from geomosaic.matching.displacement import PatchMatching, measure_displacements, patch_corners
+from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.lattice import MapLattice
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.resample import resample
 from geomosaic.quality.ssim import luma
 from geomosaic.spread import AtOnce, Spread
@@ -135,9 +137,8 @@ def seen_in(pixels: NDArray[Any], mask: Mask | None, shared: SeamGround, job: Si
     shown, seen = [], []
     for east, north in job.at_m:
         corner = east - WINDOW_PX * shared.gsd_m / 2.0, north + WINDOW_PX * shared.gsd_m / 2.0
-        lattice = MapLattice(
-            shared.crs, shared.work_frame, shared.ground, *corner, shared.gsd_m, WINDOW_PX, WINDOW_PX
-        )
+        grid = MapGrid(shared.crs, *corner, shared.gsd_m, WINDOW_PX, WINDOW_PX)
+        lattice = MapLattice(grid, shared.work_frame, shared.ground)
         at = lattice.seen(job.pose, job.camera, slice(0, WINDOW_PX), slice(0, WINDOW_PX))
         valid = (at.cols > 0.0) & (at.cols < width) & (at.rows > 0.0) & (at.rows < height)
         if mask is not None:
@@ -150,17 +151,12 @@ def seen_in(pixels: NDArray[Any], mask: Mask | None, shared: SeamGround, job: Si
 
 def jump_between(place: tuple[Sights, Sights]) -> Jump:
     """Compares how the left and the right frame show one place."""
-    grey = [np.where(s.valid[0], luma(np.moveaxis(s.pixels[0], 2, 0)), np.float32(0.0)) for s in place]
-    corners = patch_corners((WINDOW_PX, WINDOW_PX), PATCH_PX, PATCH_PX // 2)
-    found = measure_displacements(
-        grey[1],
-        grey[0],
-        place[1].valid[0],
-        place[0].valid[0],
-        corners,
-        patch_px=PATCH_PX,
-        search_px=SEARCH_PX,
+    left, right = (
+        MaskedImage(np.where(s.valid[0], luma(np.moveaxis(s.pixels[0], 2, 0)), np.float32(0.0)), s.valid[0])
+        for s in place
     )
+    corners = patch_corners((WINDOW_PX, WINDOW_PX), PATCH_PX, PATCH_PX // 2)
+    found = measure_displacements(right, left, corners, PatchMatching(PATCH_PX, SEARCH_PX))
     count = len(found.displacement_px)
     none = np.full(2, np.nan)
     return Jump(count, np.median(found.displacement_px, axis=0) if count >= LEAST_PATCHES else none)

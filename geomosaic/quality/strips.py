@@ -21,7 +21,8 @@ from geomosaic.ccd.model import (
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import tuned
-from geomosaic.matching.displacement import Displacements, measure_displacements
+from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
+from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.quality.strip_figures import (
     LIMIT_PX,
     StripFigures,
@@ -228,9 +229,11 @@ def _piece(
     if not len(corners) or not left_valid.any():
         return np.full((blocks, 2), np.nan), np.full(blocks, np.nan), np.full((blocks, 2), np.nan)
     found = measure_displacements(
-        laid, left, laid_valid, left_valid, corners,
-        patch_px=_PATCH_PX, search_px=_SEARCH_PX, min_correlation=_LEAST_CORRELATION,
-    )  # fmt: skip
+        MaskedImage(laid, laid_valid),
+        MaskedImage(left, left_valid),
+        corners,
+        PatchMatching(_PATCH_PX, _SEARCH_PX, _LEAST_CORRELATION),
+    )
     counts = inside & (pair.label[at] == label)
     own, sd = _of_blocks(found, corners, left_valid & counts[:, None], blocks)
     return own, sd, _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks)[0]

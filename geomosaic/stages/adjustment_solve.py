@@ -20,6 +20,7 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_figures
+from geomosaic.report.solved_figures import ground_reason
 from geomosaic.stages.reporting import record_adjusted
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
@@ -136,7 +137,8 @@ class AdjustmentSolve(Stage):
         for name, value in adjusted.figures.items():
             context.metric(f"adjustment.{name}", value)
         context.metric("ground.kind", adjusted.ground.kind)
-        record_adjusted(context, survey, block, adjusted, params.ground, params.method)
+        context.metric("ground.reason", ground_reason(adjusted, params.ground))
+        record_adjusted(context, survey, block, adjusted, params.method)
         return {"adjusted": adjusted, "ground": adjusted.ground}
 
 

@@ -35,6 +35,6 @@ def matching_flying_height(survey: Survey, context: Context) -> FlyingHeight:
     for a, b, base_m in pairs:
         tolerance = 3.0 * reduction_for(frames[a].width_px, frames[a].height_px, _LONGEST_PX)
         cameras = survey.camera_of(a), survey.camera_of(b)
-        heights_m.append(flying_height_m(features[a], features[b], *cameras, base_m, tolerance))
+        heights_m.append(flying_height_m((features[a], features[b]), cameras, base_m, tolerance))
     known = np.array(heights_m)[np.isfinite(heights_m)]
     return FlyingHeight(float(np.median(known)) if known.size else float("nan"))

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.placement.graph import flight_lines, overlapping_pairs
-from geomosaic.placement.heights import believable_heights_m, frame_heights_m, with_missing_heights
+from geomosaic.placement.heights import FrameHeights, frame_heights_m, possible_heights, with_missing_heights
 from geomosaic.placement.model import Placement
 from geomosaic.placement.prior import ATTITUDES, FORMULAS, prior_poses
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import footprint, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.solved_tables import pose_columns
-from geomosaic.stages.reporting import record_locations, record_origin, record_outlines
+from geomosaic.stages.reporting import record_footprints, record_locations, record_origin
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
 
@@ -67,9 +67,9 @@ class PlacementPos(Stage):
         below = survey.work_frame.geodetic_from_enu(
             np.column_stack([level[:, :2], ground.up_at(*level[:, :2].T)])
         )
-        heights_m, sd_m = _heights_m(context, survey, below[:, 2])
+        heights = _heights(context, survey, below[:, 2])
         lines = flight_lines(level)
-        poses = prior_poses(survey, heights_m, sd_m, lines, params.formula, params.attitude)
+        poses = prior_poses(survey, heights, lines, params.formula, params.attitude)
         outlines = [footprint(poses[i], cameras[i], ground) for i in range(len(names))]
         for name, outline in zip(names, outlines, strict=True):
             if np.isnan(outline).any():
@@ -96,29 +96,29 @@ class PlacementPos(Stage):
         record_locations(context, survey, names, poses, ["placed"] * len(names))
         nowhere = ["" if known else "no position" for known in survey.located]
         context.recorder.table("frames.placed", names, pose_columns(poses), notes=nowhere)
-        record_outlines(context, survey.work_frame, "placed", names, outlines, on_map=True)
+        context.recorder.outlines("placed", names, outlines)
+        record_footprints(context, survey.work_frame, "placed", names, outlines)
         context.metric("placement.ground_pixel_m", placement.ground_pixel_m)
         context.metric("placement.flight_lines", max(lines) + 1)
         context.metric("placement.candidate_pairs", len(placement.pairs))
         return {"prior_placement": placement}
 
 
-def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Floats, Floats]:
-    """Heights (n,) that frames can have had above the ground below_m (n,), all ellipsoidal, and
-    deviations."""
+def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
+    """Heights that frames can have had above the ground below_m (n,), which is ellipsoidal too."""
     names = [f.name for f in survey.frames]
     given_m = frame_heights_m(survey.frames, below_m)
     sd_m = np.array([f.position.sd_vertical_m for f in survey.frames])
-    heights_m, sd_m = with_missing_heights(given_m, sd_m, below_m)
+    heights = with_missing_heights(FrameHeights(given_m, sd_m), below_m)
     filled = [
         f.name
-        for f, a, b in zip(survey.frames, given_m, heights_m, strict=True)
+        for f, a, b in zip(survey.frames, given_m, heights.m, strict=True)
         if np.isnan(a) and np.isfinite(b) and f.position.known
     ]
     if filled:
         text = f"no height of their own: taken from the frames before and after ({some(filled)})"
         context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
-    heights_m, sd_m, doubted = believable_heights_m(heights_m, sd_m, below_m)
+    heights, doubted = possible_heights(heights, below_m)
     if doubted.any():
         named = [n for n, wrong in zip(names, doubted, strict=True) if wrong]
         text = (
@@ -126,7 +126,7 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
             "the images instead"
         )
         context.warn("height-not-believed", named[0] if len(named) == 1 else "", f"{text} ({some(named)})")
-    for name, height, floor in zip(names, heights_m, below_m, strict=True):
+    for name, height, floor in zip(names, heights.m, below_m, strict=True):
         if not height > floor:
             problem = (
                 "its height is unknown, and the images do not show it"
@@ -134,7 +134,7 @@ def _heights_m(context: Context, survey: Survey, below_m: Floats) -> tuple[Float
                 else f"lies {floor - height:.1f} m below the ground"
             )
             raise InputError(problem, file=name, fix="give heights with --pos, or correct --dem-offset")
-    return heights_m, sd_m
+    return heights
 
 
 def _warn_of_control_outside(

@@ -30,7 +30,6 @@ from geomosaic.quality.solved_tables import (
     sampled_ties,
     tie_weights,
 )
-from geomosaic.report.solved_figures import ground_reason
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
@@ -95,22 +94,15 @@ def record_steps(context: Context, adjusted: Adjusted, method: str) -> None:
         )
 
 
-def record_outlines(
-    context: Context,
-    work_frame: LocalFrame,
-    what: str,
-    names: Sequence[str],
-    outlines_m: Sequence[Floats],
-    on_map: bool,
+def record_footprints(
+    context: Context, work_frame: LocalFrame, what: str, names: Sequence[str], outlines_m: Sequence[Floats]
 ) -> None:
-    """Footprints in the work frame, and on the map if they lie on one."""
-    context.recorder.outlines(what, names, outlines_m)
+    """Footprints, given in the work frame, on the map."""
     shown = [
         (n, o) for n, o in zip(names, outlines_m, strict=True) if np.isfinite(o).all(axis=1).sum() >= _CORNERS
     ]
-    if on_map:
-        features = [outline_feature(work_frame, o, {"frame": n}) for n, o in shown]
-        context.recorder.geojson(f"/footprints/{what}", features)
+    features = [outline_feature(work_frame, o, {"frame": n}) for n, o in shown]
+    context.recorder.geojson(f"/footprints/{what}", features)
 
 
 def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adjusted) -> None:
@@ -136,23 +128,19 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
     context.recorder.table("frames.adjusted", names, columns, notes=adjusted.status)
     shown = [i for i, status in enumerate(adjusted.status) if status != "rejected"]
     outlines = [footprint(adjusted.poses[i], adjusted.cameras[i], adjusted.ground, 4) for i in shown]
-    on_map = not is_local(survey.map_crs)
-    record_outlines(context, survey.work_frame, "adjusted", [names[i] for i in shown], outlines, on_map)
+    shown_names = [names[i] for i in shown]
+    context.recorder.outlines("adjusted", shown_names, outlines)
+    if not is_local(survey.map_crs):
+        record_footprints(context, survey.work_frame, "adjusted", shown_names, outlines)
     bare = bare_outlines(adjusted, ties) if context.recorder.wants("outlines") else []
     if bare:
         context.recorder.outlines("bare", [f"{k + 1}" for k in range(len(bare))], bare)
 
 
 def record_adjusted(
-    context: Context,
-    survey: Survey,
-    block: Block,
-    adjusted: Adjusted,
-    asked_ground: str = "auto",
-    method: str = "bundle",
+    context: Context, survey: Survey, block: Block, adjusted: Adjusted, method: str = "bundle"
 ) -> None:
-    """The rounds of an adjustment, the residuals of every pair, where the frames ended up, on what ground."""
-    context.metric("ground.reason", ground_reason(adjusted, asked_ground))
+    """The rounds of an adjustment, the residuals of every pair, where the frames ended up."""
     ends: Sequence[tuple[int, int]] = block.ties.frames
     if any(len(round_.misalignments_m) != len(ends) for round_ in adjusted.rounds):
         ends = offset_net(block).edges  # pairs that see no ground together have no misalignment

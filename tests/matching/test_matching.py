@@ -14,7 +14,7 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.features import Features, grey, reduction_for, shrunk, sift_features
 from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
 from geomosaic.matching.planes import Guess, unconstrained_guess
-from geomosaic.matching.search import CHECKS, mutual_nearest, root_sift, search
+from geomosaic.matching.search import CHECKS, PlacedKeypoints, mutual_nearest, root_sift, search
 from geomosaic.matching.turned import corrected_poses, turn_costs_m, turned_frames
 
 
@@ -216,10 +216,11 @@ def test_a_guided_search_pairs_nothing_outside_its_radius() -> None:
     at = rng.uniform(0, 100, (200, 2))
     order = rng.permutation(200)
     shift = np.where(np.arange(200)[:, None] < 50, [12.0, 0.0], [3.0, 1.0])
-    i, j = search(d, d[order], at, (at + shift)[order], 5.0)
+    left, right = PlacedKeypoints(d, at), PlacedKeypoints(d[order], (at + shift)[order])
+    i, j = search(left, right, 5.0)
     assert sorted(i) == list(range(50, 200)) and np.array_equal(order[j], i)
-    assert len(search(d, d[order], at, (at + shift)[order], np.inf)[0]) == 200
-    assert len(search(d, d, at, np.full((200, 2), np.nan), 5.0)[0]) == 0
+    assert len(search(left, right, np.inf)[0]) == 200
+    assert len(search(left, PlacedKeypoints(d, np.full((200, 2), np.nan)), 5.0)[0]) == 0
 
 
 def test_different_ground_is_never_tied() -> None:

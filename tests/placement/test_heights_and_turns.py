@@ -6,7 +6,7 @@ import pytest
 from geomosaic.matching.turned import possible_quarters, turned_frames
 from geomosaic.pipeline.reporter import warning_lines
 from geomosaic.placement.graph import adjacent_frames
-from geomosaic.placement.heights import believable_heights_m, ground_height_m
+from geomosaic.placement.heights import FrameHeights, ground_height_m, possible_heights
 from geomosaic.survey.model import Attitude, Frame, Position
 
 
@@ -17,19 +17,19 @@ def frame(height_m: float | None, above_m: float | None) -> Frame:
 
 
 def test_heights_that_drift_below_the_ground_are_doubted_where_they_are_far_off() -> None:
-    """Over ground at 300 m: told are 290, 310, 365, 370, 380, 420, 600 m; 65 to 80 m above it is usual."""
-    told = np.array([290.0, 310.0, 365.0, 370.0, 380.0, 420.0, 600.0])
-    heights, sd, doubted = believable_heights_m(told, np.full(7, 15.0), np.full(7, 300.0))
+    """Over ground at 300 m: reported are 290, 310, 365, 370, 380, 420, 600 m; 65 to 80 m above it is usual."""
+    reported = np.array([290.0, 310.0, 365.0, 370.0, 380.0, 420.0, 600.0])
+    heights, doubted = possible_heights(FrameHeights(reported, np.full(7, 15.0)), np.full(7, 300.0))
     assert doubted.tolist() == [True, True, False, False, False, False, True]
-    assert heights.tolist() == [370.0, 370.0, 365.0, 370.0, 380.0, 420.0, 370.0]
-    assert sd.tolist() == [35.0, 35.0, 15.0, 15.0, 15.0, 15.0, 35.0]
+    assert heights.m.tolist() == [370.0, 370.0, 365.0, 370.0, 380.0, 420.0, 370.0]
+    assert heights.sd_m.tolist() == [35.0, 35.0, 15.0, 15.0, 15.0, 15.0, 35.0]
 
 
-def test_heights_above_the_ground_stay_as_told() -> None:
+def test_heights_above_the_ground_stay_as_reported() -> None:
     """A climb from 12 m to 120 m is no fault; nor is a whole survey under its DEM one of the frames'."""
     climb, ground = np.array([312.0, 350.0, 400.0, 420.0]), np.full(4, 300.0)
-    assert not believable_heights_m(climb, np.full(4, 15.0), ground)[2].any()
-    assert not believable_heights_m(climb - 300.0, np.full(4, 15.0), ground)[2].any()
+    assert not possible_heights(FrameHeights(climb, np.full(4, 15.0)), ground)[1].any()
+    assert not possible_heights(FrameHeights(climb - 300.0, np.full(4, 15.0)), ground)[1].any()
 
 
 def test_a_height_of_nothing_above_the_take_off_says_no_ground() -> None:

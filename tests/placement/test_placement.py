@@ -16,7 +16,7 @@ from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.runner import run
 from geomosaic.placement.graph import connected_parts, flight_lines, overlapping_pairs
-from geomosaic.placement.heights import frame_heights_m, ground_height_m
+from geomosaic.placement.heights import FrameHeights, frame_heights_m, ground_height_m
 from geomosaic.placement.prior import FORMULAS, courses_deg, prior_poses
 from geomosaic.placement.reach import half_extent_m, misplacement_m
 from geomosaic.projection.ground import GroundSurface
@@ -61,7 +61,9 @@ def with_height(absolute: float | None, above: float | None, sd_m: float) -> Fra
 def test_a_known_attitude_is_kept_with_its_deviations() -> None:
     """120 m east and 50 m north of the origin the verticals differ by 20 microradians only."""
     poses = prior_poses(
-        survey_of(frame_at((120.0, 50.0, 80.0), yaw=35.0, pitch=4.0)), np.array([600.0]), np.ones(1), (0,)
+        survey_of(frame_at((120.0, 50.0, 80.0), yaw=35.0, pitch=4.0)),
+        FrameHeights(np.array([600.0]), np.ones(1)),
+        (0,),
     )
     yaw, pitch, roll = (float(np.degrees(a)) for a in poses[0].rotation.yaw_pitch_roll())
     assert (yaw, pitch, roll) == pytest.approx((35.0, 4.0, 0.0), abs=2e-3)
@@ -76,14 +78,14 @@ def test_told_velocities_and_turns_of_some_frames() -> None:
     turns = Turns(0.2, np.array([[-0.01, 0.0, 0.02], [0.0, 0.0, 0.0], [0.01, 0.0, -0.02]]))
     frames[1] = replace(frames[1], velocity_m_per_s=(1.0, 7.0, -0.5), turns=turns)
     frames[2] = replace(frames[2], turns=Turns(0.1, turns.rad))
-    poses = prior_poses(survey_of(*frames), np.full(3, 620.0), np.ones(3), (0, 0, 0))
+    poses = prior_poses(survey_of(*frames), FrameHeights(np.full(3, 620.0), np.ones(3)), (0, 0, 0))
     assert poses.velocities_m_per_s == pytest.approx(
         np.array([[4.0, 0, 0], [1.0, 7.0, -0.5], [4.0, 0, 0]]), abs=1e-3
     )
     assert poses.turns is not None
     at_50_ms = [poses[i].turns.at(0.05)[0][0] for i in range(3)]
     assert at_50_ms == pytest.approx([0.0, 0.005, 0.01])
-    assert prior_poses(survey_of(frames[0]), np.full(1, 620.0), np.ones(1), (0,)).turns is None
+    assert prior_poses(survey_of(frames[0]), FrameHeights(np.full(1, 620.0), np.ones(1)), (0,)).turns is None
 
 
 def test_two_drones_that_fly_at_once_have_velocities_of_their_own() -> None:
@@ -93,7 +95,7 @@ def test_two_drones_that_fly_at_once_have_velocities_of_their_own() -> None:
         for name, offset_s, at in (("A", 0.0, (10.0 * k, 0.0, 100.0)), ("B", 1.0, (200.0, 16.0 * k, 100.0))):
             frames.append(replace(frame_at(at), platform=name, time_s=1.7e9 + 2.0 * k + offset_s + 0.25))
     survey = survey_of(*frames)
-    found = prior_poses(survey, np.full(12, 620.0), np.ones(12), (0,) * 12).velocities_m_per_s
+    found = prior_poses(survey, FrameHeights(np.full(12, 620.0), np.ones(12)), (0,) * 12).velocities_m_per_s
     assert found is not None
     assert found[0::2] == pytest.approx(np.tile([5.0, 0.0, 0.0], (6, 1)), abs=0.01)
     assert found[1::2] == pytest.approx(np.tile([0.0, 8.0, 0.0], (6, 1)), abs=0.01)
@@ -104,7 +106,7 @@ def test_two_drones_that_fly_at_once_have_velocities_of_their_own() -> None:
 def test_an_unknown_yaw_is_the_course_and_says_how_little_it_is_worth() -> None:
     """A flight to the east-north-east: 40 m east and 30 m north a step is a course of 53.13 degrees."""
     frames = [frame_at((40.0 * i, 30.0 * i, 100.0), yaw=None, pitch=None) for i in range(3)]
-    poses = prior_poses(survey_of(*frames), np.full(3, 620.0), np.full(3, 3.0), (0, 0, 0))
+    poses = prior_poses(survey_of(*frames), FrameHeights(np.full(3, 620.0), np.full(3, 3.0)), (0, 0, 0))
     yaw, pitch, _ = (np.degrees(a) for a in Rotation(poses.rotations).yaw_pitch_roll())
     assert yaw == pytest.approx(np.full(3, 53.1301), abs=0.01)
     assert pitch == pytest.approx(np.zeros(3), abs=0.01)
@@ -113,7 +115,9 @@ def test_an_unknown_yaw_is_the_course_and_says_how_little_it_is_worth() -> None:
 
 def test_a_yaw_without_any_course_may_be_anything() -> None:
     poses = prior_poses(
-        survey_of(frame_at((0.0, 0.0, 100.0), yaw=None)), np.array([620.0]), np.array([3.0]), (0,)
+        survey_of(frame_at((0.0, 0.0, 100.0), yaw=None)),
+        FrameHeights(np.array([620.0]), np.array([3.0])),
+        (0,),
     )
     assert np.degrees(poses.rotations_sd_rad[0, 2]) == pytest.approx(180.0)
 

@@ -13,6 +13,7 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.projection.lattice import MapLattice
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import frame_from_map, ground_window
 
 ROTATION = Rotation.from_yaw_pitch_roll(0.6, 0.15, -0.07)
@@ -34,7 +35,7 @@ def test_the_lattice_is_as_good_as_every_pixel(ground, shakes, camera):
     pose = Pose(np.array([12.0, -31.0, 530.0]), ROTATION, np.array([12.0, -7.0, 3.0]))
     if shakes:
         pose, camera = replace(pose, turns=Turns(0.12, SHAKEN)), replace(camera, readout_s=0.11)
-    size = CRS, HOME, ground, west, north, 0.25, 253, 301
+    size = MapGrid(CRS, west, north, 0.25, 253, 301), HOME, ground
     rows, cols = slice(16, 301), slice(8, 240)
     want = frame_from_map(ground_window(*size), pose, camera, rows, cols)
     seen = MapLattice(*size).seen(pose, camera, rows, cols)
@@ -50,7 +51,7 @@ def test_the_lattice_is_as_good_as_every_pixel(ground, shakes, camera):
 
 def test_parts_of_a_window_are_what_the_whole_is():
     west, north = MapProjection(CRS).map_from_geodetic(9.7, 47.2) + np.array([-40.0, 45.0])
-    lattice = MapLattice(CRS, HOME, hills(), west, north, 0.25, 250, 130)
+    lattice = MapLattice(MapGrid(CRS, west, north, 0.25, 250, 130), HOME, hills())
     pose = Pose(np.array([12.0, -31.0, 530.0]), ROTATION)
     whole = lattice.seen(pose, LENS, slice(0, 130), slice(0, 250))
     part = lattice.seen(pose, LENS, slice(32, 130), slice(64, 176))

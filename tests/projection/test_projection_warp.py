@@ -14,6 +14,7 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface, flat_ground
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import frame_from_map, ground_window
 
 CRS = "EPSG:32632"
@@ -49,7 +50,7 @@ def test_the_warp_is_the_exact_path_for_tilted_frames_with_distortion(ground, ti
     pose = Pose(
         np.array([12.0, -31.0, 120.0]), Rotation.from_yaw_pitch_roll(0.6, np.radians(tilt_deg), -0.07)
     )
-    window = ground_window(CRS, HOME, ground, west, north, 0.5, 256, 256)
+    window = ground_window(MapGrid(CRS, west, north, 0.5, 256, 256), HOME, ground)
     col, row = frame_from_map(window, pose, lens)
     want = exact(ground, pose, lens, west, north, 0.5, 256)
     inside = (want > 0.0).all(axis=-1) & (want < [4000.0, 3000.0]).all(axis=-1)
@@ -62,7 +63,7 @@ def test_the_warp_is_the_exact_path_for_tilted_frames_with_distortion(ground, ti
 
 def test_a_part_of_the_window_is_the_same_part_of_the_whole():
     west, north = MapProjection(CRS).map_from_geodetic(9.7, 47.2)
-    window = ground_window(CRS, HOME, hills(), west, north, 0.3, 200, 150)
+    window = ground_window(MapGrid(CRS, west, north, 0.3, 200, 150), HOME, hills())
     pose = Pose(np.array([30.0, -20.0, 150.0]), Rotation.from_yaw_pitch_roll(2.0, 0.1, 0.2))
     col, row = frame_from_map(window, pose, LENS)
     part_col, part_row = frame_from_map(window, pose, LENS, slice(70, 149), slice(20, 95))
@@ -81,7 +82,7 @@ def test_corner_origin_by_hand():
     centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
     scale = 0.9996
     west, north = centre + np.array([-3.05, 2.05]) * scale
-    window = ground_window(CRS, home, ground, west, north, 0.1 * scale, 64, 48)
+    window = ground_window(MapGrid(CRS, west, north, 0.1 * scale, 64, 48), home, ground)
     pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
     col, row = frame_from_map(window, pose, PLAIN)
     assert col[0, 0] == pytest.approx(370.0, abs=2e-3)
@@ -95,7 +96,9 @@ def test_relief_displaces_away_from_the_nadir():
     home = LocalFrame(9.0, 47.0, 0.0)
     table = GroundSurface("dem", -500.0, -500.0, 1000.0, np.full((2, 2), 20.0))
     centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
-    window = ground_window(CRS, home, table, centre[0] + 29.95 * 0.9996, centre[1] + 0.05, 0.1 * 0.9996, 4, 4)
+    window = ground_window(
+        MapGrid(CRS, centre[0] + 29.95 * 0.9996, centre[1] + 0.05, 0.1 * 0.9996, 4, 4), home, table
+    )
     pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
     col, row = frame_from_map(window, pose, PLAIN)
     assert col[0, 0] == pytest.approx(775.0, abs=0.01)
@@ -105,7 +108,7 @@ def test_relief_displaces_away_from_the_nadir():
 def test_what_lies_behind_the_camera_is_not_seen():
     home = LocalFrame(9.0, 47.0, 0.0)
     west, north = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
-    window = ground_window(CRS, home, flat_ground(home, 0.0, 500.0), west, north, 10.0, 32, 32)
+    window = ground_window(MapGrid(CRS, west, north, 10.0, 32, 32), home, flat_ground(home, 0.0, 500.0))
     upwards = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, np.pi, 0.0))
     col, row = frame_from_map(window, upwards, PLAIN)
     assert np.isnan(col).all() and np.isnan(row).all()
@@ -120,7 +123,7 @@ def test_far_from_the_origin_and_wide_windows_stay_exact():
         enu,
         Rotation(HOME.enu_from_local_rotation(10.2, 47.3) @ Rotation.from_yaw_pitch_roll(1, 0.1, 0).matrix),
     )
-    window = ground_window(CRS, HOME, ground, far[0] - 5000, far[1] + 5000, 100.0, 100, 100)
+    window = ground_window(MapGrid(CRS, far[0] - 5000, far[1] + 5000, 100.0, 100, 100), HOME, ground)
     col, row = frame_from_map(window, pose, PLAIN)
     want = exact(ground, pose, PLAIN, far[0] - 5000, far[1] + 5000, 100.0, 100)
     inside = (want > 0.0).all(axis=-1) & (want < [800.0, 600.0]).all(axis=-1)
@@ -134,7 +137,7 @@ def test_far_from_the_origin_hills_stand_along_their_own_vertical():
     near, there = hills(), HOME.enu_from_geodetic(10.49, 47.2, 430.0)
     ground = GroundSurface("dem", there[0] - 300.0, there[1] - 300.0, 10.0, near.up_m + there[2])
     west, north = MapProjection(CRS).map_from_geodetic(10.49, 47.2) + np.array([-60.0, 70.0])
-    points = ground_window(CRS, HOME, ground, west, north, 0.5, 256, 256).points_m()
+    points = ground_window(MapGrid(CRS, west, north, 0.5, 256, 256), HOME, ground).points_m()
     on_map = MapProjection(CRS).map_from_geodetic(*np.moveaxis(HOME.geodetic_from_enu(points), -1, 0)[:2])
     assert np.abs(on_map[..., 0] - west - (np.arange(256) + 0.5) * 0.5).max() < 0.02
     assert np.abs(north - on_map[..., 1] - (np.arange(256)[:, None] + 0.5) * 0.5).max() < 0.02
@@ -149,7 +152,7 @@ def test_a_rolling_shutter_is_followed_row_by_row():
     centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
     scale = 0.9996
     window = ground_window(
-        CRS, home, ground, *(centre + [-3.05, 15.05] * np.array(scale)), 0.1 * scale, 64, 48
+        MapGrid(CRS, *(centre + [-3.05, 15.05] * np.array(scale)), 0.1 * scale, 64, 48), home, ground
     )
     rolling = replace(PLAIN, readout_s=0.5)
     level = Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0)
@@ -172,7 +175,7 @@ def test_a_frame_that_shakes_while_it_is_read(faster):
     home = LocalFrame(9.0, 47.0, 0.0)
     ground = flat_ground(home, 0.0, 300.0)
     centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)
-    window = ground_window(CRS, home, ground, *(centre + [-40.0, 30.0]), 0.3, 256, 200)
+    window = ground_window(MapGrid(CRS, *(centre + [-40.0, 30.0]), 0.3, 256, 200), home, ground)
     after_s = np.linspace(-0.06, 0.06, 31)[:, None]
     rad = faster * after_s * [0.3, -0.2, 0.5] + 0.002 * np.sin(2.0 * np.pi * 20.0 * after_s) * [
         1.0,

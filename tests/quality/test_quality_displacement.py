@@ -8,20 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from quality_images import moved, texture
 
-from geomosaic.matching.displacement import measure_displacements, patch_corners
+from geomosaic.matching.displacement import PatchMatching, measure_displacements, patch_corners
+from geomosaic.matching.least_squares_matching import MaskedImage
 
 
 def measured(image, reference, valid=None, other=None, patch=64, step=64, search=128, margin=0):
     everywhere = np.ones(image.shape, dtype=bool)
     corners = patch_corners((image.shape[0] - 2 * margin, image.shape[1] - 2 * margin), patch, step)
     return measure_displacements(
-        image.astype(np.float32),
-        reference.astype(np.float32),
-        everywhere if valid is None else valid,
-        everywhere if other is None else other,
+        MaskedImage(image.astype(np.float32), everywhere if valid is None else valid),
+        MaskedImage(reference.astype(np.float32), everywhere if other is None else other),
         corners + margin,
-        patch_px=patch,
-        search_px=search,
+        PatchMatching(patch, search),
     )
 
 

@@ -28,7 +28,7 @@ from geomosaic.composition.grid import output_grid, stretching, without_flung
 from geomosaic.composition.views import FrameView
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.placement.heights import with_missing_heights
+from geomosaic.placement.heights import FrameHeights, with_missing_heights
 from geomosaic.projection.ground import flat_ground, node_spacing_m
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Position, Warn
@@ -419,13 +419,12 @@ def test_nothing_usable_left_is_refused() -> None:
 
 
 def test_a_missing_height_lies_between_its_neighbours_and_is_known_as_badly() -> None:
-    heights, sd = with_missing_heights(
-        np.array([np.nan, 600.0, np.nan, np.nan, 660.0]), np.ones(5), np.full(5, 500.0)
-    )
-    assert heights == pytest.approx([600.0, 600.0, 620.0, 640.0, 660.0])
-    assert sd == pytest.approx([44.478, 1.0, 44.478, 44.478, 1.0])
-    unknown, _ = with_missing_heights(np.full(2, np.nan), np.ones(2), np.zeros(2))
-    assert np.isnan(unknown).all()
+    reported = FrameHeights(np.array([np.nan, 600.0, np.nan, np.nan, 660.0]), np.ones(5))
+    heights = with_missing_heights(reported, np.full(5, 500.0))
+    assert heights.m == pytest.approx([600.0, 600.0, 620.0, 640.0, 660.0])
+    assert heights.sd_m == pytest.approx([44.478, 1.0, 44.478, 44.478, 1.0])
+    unknown = with_missing_heights(FrameHeights(np.full(2, np.nan), np.ones(2)), np.zeros(2))
+    assert np.isnan(unknown.m).all()
 
 
 @settings(max_examples=200, deadline=None)

@@ -50,6 +50,7 @@ from geomosaic.export.on_map import grid_from_work, map_from_work
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import ground_window
 from geomosaic.survey.model import Survey
 from geomosaic_simulate.plan import SurveyPlan
@@ -143,7 +144,7 @@ def errors_of(folder: Path, run: Path) -> Errors:
         frame[: middles.shape[0], : middles.shape[1]] = middles
     shape = stated.shape[2], stated.shape[1]
     points = ground_window(
-        crs, survey.work_frame, ground, to_map.c, to_map.f, by * pixel_m, *shape
+        MapGrid(crs, to_map.c, to_map.f, by * pixel_m, *shape), survey.work_frame, ground
     ).points_m()
     step = int(np.ceil(np.sqrt(frame.size / MOST_CELLS)))
     thin = np.zeros(frame.shape, dtype=bool)

@@ -28,7 +28,8 @@ from scipy.spatial import cKDTree
 
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.matching.displacement import measure_displacements, patch_corners
+from geomosaic.matching.displacement import PatchMatching, measure_displacements, patch_corners
+from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.projection.warp import frame_from_map, ground_window
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.figures import Similarity
@@ -169,10 +170,7 @@ class Frames:
         self.grid = OutputGrid(
             grid.crs, grid.west_m, grid.north_m, FINE_PX * grid.gsd_m, CELL * cols, CELL * rows
         )
-        g = self.grid
-        window = ground_window(
-            g.crs, survey.work_frame, ground, g.west_m, g.north_m, g.gsd_m, g.width_px, g.height_px
-        )
+        window = ground_window(self.grid, survey.work_frame, ground)
         seen = []
         for i, status in enumerate(adjusted.status):
             if status == "rejected":
@@ -225,7 +223,7 @@ class Frames:
         corners = patch_corners(valid.shape, PATCH, PATCH // 2)
         search = int(FAR_M / self.grid.gsd_m)
         found = measure_displacements(
-            here, there, valid, own_valid, corners, patch_px=PATCH, search_px=search
+            MaskedImage(here, valid), MaskedImage(there, own_valid), corners, PatchMatching(PATCH, search)
         )
         if len(found.displacement_px) < 2 * BESIDE:
             raise InputError("nearly nothing of it is found in the run's mosaic", fix="look at it")

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.matching.displacement import Displacements, measure_displacements
+from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
+from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.quality.compare import compare
 from geomosaic.quality.figures import Similarity, best_similarity
 from geomosaic.quality.ssim import luma, ssim_maps
@@ -159,7 +160,9 @@ def _judged(
     grey, true_grey = (luma(np.moveaxis(a, -1, 0)) for a in (image, true))
     corners = np.concatenate([_inward(px) for px in outlines])
     at = np.round(corners[:, ::-1] - _PATCH_PX / 2.0).astype(np.int64)
-    found = measure_displacements(grey, true_grey, seen, seen, at, patch_px=_PATCH_PX, search_px=_SEARCH_PX)
+    found = measure_displacements(
+        MaskedImage(grey, seen), MaskedImage(true_grey, seen), at, PatchMatching(_PATCH_PX, _SEARCH_PX)
+    )
     same = _both_ways(grey, true_grey, seen, found)
     off = np.linalg.norm(found.displacement_px[same], axis=1)
     far = np.flatnonzero(off > FAR_PX)
@@ -189,7 +192,10 @@ def _both_ways(image: Image, true: Image, seen: Bools, found: Displacements) -> 
     first = found.centres_px + np.rint(found.displacement_px) - _PATCH_PX / 2.0
     at = first[:, ::-1].astype(np.int64)
     back = measure_displacements(
-        true, image, seen, seen, at, patch_px=_PATCH_PX, search_px=_SEARCH_PX, max_sd_px=_BACK_SD_PX
+        MaskedImage(true, seen),
+        MaskedImage(image, seen),
+        at,
+        PatchMatching(_PATCH_PX, _SEARCH_PX, max_sd_px=_BACK_SD_PX),
     )
     came = {tuple(c): d for c, d in zip(back.centres_px.tolist(), back.displacement_px, strict=True)}
     nowhere = np.full(2, np.inf)

@@ -9,17 +9,18 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.arrays import Bools, Floats
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.matching.displacement import measure_displacements, patch_corners
+from geomosaic.matching.displacement import PatchMatching, measure_displacements, patch_corners
+from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import GroundWindow, ground_window
 from geomosaic.survey.model import Band, Frame, Survey
@@ -105,19 +106,14 @@ def band_poses(poses: Poses, band: BandPose) -> Poses:
 def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i: int) -> Matches:
     """Matches of a band with frame i."""
     window, pose = _window(captures, i), band_poses(captures.poses, so_far)[i]
-    own, own_valid = _edges(window, captures.poses[i], captures.cameras[i], captures.survey.frames[i])
-    other, other_valid = _edges(window, pose, so_far.camera, band.frames[i])
-    step_px = max(_LEAST_STEP_PX, int(np.sqrt(own.size / _PATCHES)))
+    own = _edges(window, captures.poses[i], captures.cameras[i], captures.survey.frames[i])
+    other = _edges(window, pose, so_far.camera, band.frames[i])
+    step_px = max(_LEAST_STEP_PX, int(np.sqrt(own.pixels.size / _PATCHES)))
     found = measure_displacements(
         other,
         own,
-        other_valid,
-        own_valid,
-        patch_corners(own.shape, _PATCH_PX, step_px),
-        patch_px=_PATCH_PX,
-        search_px=search_px,
-        min_correlation=_LEAST_CORRELATION,
-        max_sd_px=_MOST_SD_PX,
+        patch_corners(own.pixels.shape, _PATCH_PX, step_px),
+        PatchMatching(_PATCH_PX, search_px, _LEAST_CORRELATION, _MOST_SD_PX),
     )
     points = window.points_m()
     there_m = _bilinear(points, found.centres_px + found.displacement_px)
@@ -136,12 +132,11 @@ def _window(captures: Captures, i: int) -> GroundWindow:
     west, south = on_map.min(axis=0)
     east, north = on_map.max(axis=0)
     size = int((east - west) / gsd_m) + 1, int((north - south) / gsd_m) + 1
-    return ground_window(survey.map_crs, survey.work_frame, captures.ground, west, north, gsd_m, *size)
+    grid = MapGrid(survey.map_crs, west, north, gsd_m, *size)
+    return ground_window(grid, survey.work_frame, captures.ground)
 
 
-def _edges(
-    window: GroundWindow, pose: Pose, camera: Camera, frame: Frame | None
-) -> tuple[NDArray[np.float32], Bools]:
+def _edges(window: GroundWindow, pose: Pose, camera: Camera, frame: Frame | None) -> MaskedImage:
     """Gradient magnitude of a frame's log grey values on the window, and where it is valid."""
     if frame is None:
         raise ValueError("a capture without this band")
@@ -150,7 +145,7 @@ def _edges(
     smooth = cv2.GaussianBlur(on_ground, (0, 0), _EDGE_SIGMA_PX)
     edges = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
     valid = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
-    return np.where(valid, edges * 100.0, np.float32(0.0)).astype(np.float32), valid
+    return MaskedImage(np.where(valid, edges * 100.0, np.float32(0.0)).astype(np.float32), valid)
 
 
 def _bilinear(points: Floats, pixel: Floats) -> Floats:
