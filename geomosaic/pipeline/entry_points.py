@@ -17,7 +17,7 @@ OWN: Final = {
     "matching.flying_height": "matching_flying_height:matching_flying_height",
     "matching.sift": "matching_sift:MatchingSift",
     "adjustment.solve": "adjustment_solve:AdjustmentSolve",
-    "survey.strips": "survey_strips:SurveyStrips",
+    "survey.strips": "survey_strips:survey_strips",
     "ccd.offsets": "ccd_offsets:ccd_offsets",
     "ccd.radiometry": "ccd_radiometry:ccd_radiometry",
     "mosaic.strips": "mosaic_strips:MosaicStrips",
@@ -35,7 +35,7 @@ OWN: Final = {
     "mosaic.seams": "mosaic_seams:MosaicSeams",
     "mosaic.compose": "mosaic_compose:MosaicCompose",
     "export.cog": "export_cog:export_cog",
-    "export.surface": "export_surface:ExportSurface",
+    "export.surface": "export_surface:export_surface",
     "export.layers": "exports_for_gis:export_layers",
     "export.report": "export_report:ExportReport",
     "export.offsets": "exports_of_strips:export_offsets",
@@ -56,8 +56,8 @@ OWN: Final = {
     "export.pmtiles": "exports_for_web:export_pmtiles",
     "export.map": "exports_of_strips:export_map",
     "export.orthos": "export_orthos:export_orthos",
-    "quality.compare": "quality_compare:QualityCompare",
-    "quality.surface": "quality_surface:QualitySurface",
+    "quality.compare": "quality_compare:quality_compare",
+    "quality.surface": "quality_surface:quality_surface",
 }
 """By id the module in geomosaic.stages and the stage in it."""
 

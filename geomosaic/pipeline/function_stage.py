@@ -5,8 +5,8 @@ from __future__ import annotations
 import inspect
 import types
 import typing
-from collections.abc import Callable, Mapping
-from dataclasses import is_dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypedDict, Unpack
 
@@ -37,18 +37,25 @@ class Declaration(TypedDict, total=False):
     shortcoming: Callable[[Mapping[str, Any]], str]
 
 
+@dataclass(frozen=True)
+class InputGroup:
+    """Inputs that stages take together. A subclass is a frozen dataclass whose fields are inputs."""
+
+
 class FunctionStage(Stage):
     """A stage made of a function by `stage`; `function` is that function, to be called in a test."""
 
     function: ClassVar[Callable[..., Any]]
     _roles: ClassVar[Mapping[str, str]]
+    _groups: ClassVar[Mapping[str, type[InputGroup]]]
+    _single: ClassVar[tuple[str, ...]]
     _outputs: ClassVar[str | tuple[str, ...]]
 
     def run(self, inputs: Mapping[str, Any], params: Any, context: Context) -> dict[str, Any]:
         """The function's result under the names of its outputs."""
         roles = {"params": params, "context": context}
-        given = {name: inputs[name] for name in self.inputs}
-        given |= {name: inputs.get(name) for name in self.optional_inputs}
+        given = {name: inputs.get(name) for name in self._single}
+        given |= {name: _group_of(group, inputs) for name, group in self._groups.items()}
         given |= {name: roles[role] for name, role in self._roles.items()}
         made = self.function(**given)
         if isinstance(self._outputs, str):
@@ -67,8 +74,9 @@ def stage(
     """Makes a stage of a function. The function's docstring describes the stage.
 
     A parameter annotated with a subclass of `StageParams` takes the parameters, one annotated `Context` the
-    context. Every other one is an input under its name, of the type in its annotation; `X | None = None` is
-    an optional input.
+    context, with one of `InputGroup` the inputs that are its fields. Every other one is an input under its
+    name, of the type in its annotation; `X | None = None` is an optional input. An optional group is None
+    unless all its inputs without a default are there.
 
     Args: outputs: the name of what the function returns; several names for a tuple, as annotated.
     Raises: `PluginError` for a function whose annotations don't say this.
@@ -93,17 +101,13 @@ def _unfit(id: str, problem: str) -> PluginError:
 
 def _taken(id: str, function: Callable[..., Any]) -> dict[str, Any]:
     """Inputs, optional inputs and the class of the parameters, as attributes of a `FunctionStage`."""
-    hints = _hints(id, function)
     inputs: dict[str, type] = {}
     optional: dict[str, type] = {}
     roles: dict[str, str] = {}
+    groups: dict[str, type[InputGroup]] = {}
+    single: list[str] = []
     params: type[StageParams] = StageParams
-    for name, parameter in inspect.signature(function).parameters.items():
-        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
-            raise _unfit(id, f"parameter '{name}' has no name of its own; an input is taken by its name")
-        if name not in hints:
-            raise _unfit(id, f"parameter '{name}' has no annotation; annotate it with its type")
-        hint = hints[name]
+    for name, hint, there in _parameters(id, function):
         role = "context" if _is(hint, Context) else "params" if _is(hint, StageParams) else ""
         if role and role in roles.values():
             raise _unfit(id, f"parameter '{name}' is the second {hint.__name__}; a stage takes one")
@@ -111,13 +115,45 @@ def _taken(id: str, function: Callable[..., Any]) -> dict[str, Any]:
             roles[name] = role
             params = hint if role == "params" else params
             continue
+        if _is(there, InputGroup):
+            groups[name] = there
+            for field, field_hint, kind in _parameters(id, there):
+                needed = there is hint and kind is field_hint
+                (inputs if needed else optional)[field] = _artefact(id, f"field '{field}'", kind)
+            continue
+        single.append(name)
+        (inputs if there is hint else optional)[name] = _artefact(id, f"parameter '{name}'", there)
+    optional = {name: kind for name, kind in optional.items() if name not in inputs}
+    return {
+        "inputs": inputs, "optional_inputs": optional, "Params": params,
+        "_roles": roles, "_groups": groups, "_single": tuple(single),
+    }  # fmt: skip
+
+
+def _parameters(id: str, made: Callable[..., Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Each parameter of a function, or field of a group: its name, its annotation, and that without None."""
+    hints = _hints(id, made)
+    for name, parameter in inspect.signature(made).parameters.items():
+        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            raise _unfit(id, f"parameter '{name}' has no name of its own; an input is taken by its name")
+        if name not in hints:
+            raise _unfit(id, f"parameter '{name}' has no annotation; annotate it with its type")
+        hint = hints[name]
         there = _without_none(hint)
-        if parameter.default not in (parameter.empty if there is hint else None,):
+        role = _is(hint, Context) or _is(hint, StageParams)
+        if not role and parameter.default not in (parameter.empty if there is hint else None,):
             raise _unfit(
                 id, f"parameter '{name}': an optional input is annotated X | None and has the default None"
             )
-        (inputs if there is hint else optional)[name] = _artefact(id, f"parameter '{name}'", there)
-    return {"inputs": inputs, "optional_inputs": optional, "Params": params, "_roles": roles}
+        yield name, hint, there
+
+
+def _group_of(kind: type[InputGroup], inputs: Mapping[str, Any]) -> InputGroup | None:
+    """The group; None where an input without a default is missing."""
+    given = {field.name: (inputs.get(field.name), field.default) for field in fields(kind)}
+    if any(value is None and default is MISSING for value, default in given.values()):
+        return None
+    return kind(**{name: value for name, (value, _) in given.items()})
 
 
 def _given(id: str, function: Callable[..., Any], outputs: str | tuple[str, ...]) -> dict[str, type]:

@@ -6,21 +6,17 @@ from functools import partial
 
 import numpy as np
 
-from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.compose import AUTO
 from geomosaic.composition.model import Mosaic
 from geomosaic.composition.orthos import plan_orthos
-from geomosaic.composition.ownership import Ownership
-from geomosaic.composition.tones import Tones
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS
 from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
-from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import RESAMPLING
-from geomosaic.survey.model import Survey
+from geomosaic.stages.input_groups import AdjustedSurvey, FrameShares
 
 ORTHOS = "orthos"
 VRT = "orthos.vrt"
@@ -46,14 +42,10 @@ class OrthosParams(StageParams):
     results=(ORTHOS,), wants_frames=True,
 )  # fmt: skip
 def export_orthos(
-    survey: Survey,
-    ground: GroundSurface,
-    adjusted: Adjusted,
-    ownership: Ownership,
+    of: AdjustedSurvey,
+    shares: FrameShares,
     params: OrthosParams,
     context: Context,
-    rig: RigPoses | None = None,
-    tones: Tones | None = None,
     mosaic: Mosaic | None = None,
 ) -> RunFile:
     """Writes orthos/FRAME.tif, a COG with a mask of each frame in use, and orthos/orthos.vrt over them.
@@ -64,8 +56,8 @@ def export_orthos(
     resampling = params.resampling
     if resampling == AUTO:
         resampling = "cubic" if mosaic is None else mosaic.resampling
+    survey, ownership, rig = of.survey, shares.ownership, shares.rig or RigPoses()
     names = ortho_names([f.name for f in survey.frames])
-    rig = rig or RigPoses()
     if survey.other_bands and not rig.bands:
         text = (
             f"orthos show only {survey.band} of the rig's bands; add the stage adjustment.rig to the "
@@ -73,8 +65,8 @@ def export_orthos(
         )
         context.warn("bands-left-out", "", text)
     plan = plan_orthos(
-        survey, adjusted, ground, ownership,
-        rig=rig, resampling=resampling, tones=tones,
+        survey, of.adjusted, of.ground, ownership,
+        rig=rig, resampling=resampling, tones=shares.tones,
     )  # fmt: skip
     style = OrthoStyle(
         plan.warping, plan.area, plan.names, params.compression, params.quality, params.threads,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.export.footprints import write_footprints
 from geomosaic.export.layers import write_layers
@@ -10,14 +9,12 @@ from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
 from geomosaic.export.project import write_project
 from geomosaic.export.project_layers import project_of
-from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile
 from geomosaic.placement.model import Placement
-from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.statement import answers, asprs_statement
 from geomosaic.quality.verdict import Verdict
-from geomosaic.survey.model import Survey
+from geomosaic.stages.input_groups import AdjustedBlock
 
 LAYERS, POSITIONS = "layers.gpkg", "positions.csv"
 FOOTPRINTS, PROJECT = "footprints.geojson", "project.qgz"
@@ -30,23 +27,20 @@ TITLE = "Mosaic"
     outputs=("layers_file", "positions_file"), results=(POSITIONS, LAYERS), beside=True,
 )  # fmt: skip
 def export_layers(
-    survey: Survey,
-    ground: GroundSurface,
+    block: AdjustedBlock,
     placement: Placement,
-    ties: TiePoints,
-    adjusted: Adjusted,
     mosaic: Mosaic,
     context: Context,
     verdict: Verdict | None = None,
 ) -> tuple[RunFile, RunFile]:
     """Writes where every frame, tie point and seam lies."""
     with context.writing(POSITIONS) as path:
-        poses = orientations(survey, placement.poses, adjusted)
-        write_positions(path, poses, [out.name for out in survey.left_out])
+        poses = orientations(block.survey, placement.poses, block.adjusted)
+        write_positions(path, poses, [out.name for out in block.survey.left_out])
     context.check_cancelled()
     with context.writing(LAYERS) as path:
         stated = None if verdict is None else _stated(verdict, mosaic.grid.gsd_m)
-        write_layers(path, survey, placement, ties, adjusted, mosaic, stated)
+        write_layers(path, block.survey, placement, block.ties, block.adjusted, mosaic, stated)
     return context.run_file(LAYERS), context.run_file(POSITIONS)
 
 

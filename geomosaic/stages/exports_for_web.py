@@ -8,8 +8,6 @@ from typing import Literal
 import numpy as np
 
 from geomosaic.ccd.outlines import Outlines
-from geomosaic.composition.model import Mosaic
-from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.errors import InputError
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
@@ -17,8 +15,7 @@ from geomosaic.export.tile_pyramid import FORMATS
 from geomosaic.export.web import on_map, write_kmz, write_tiles, write_vrt
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
-from geomosaic.survey.model import Survey
-from geomosaic.survey.strips import StripGeometry
+from geomosaic.stages.input_groups import FrameMosaic, StripScene
 
 TILES, MBTILES, PMTILES = "tiles", "mosaic.mbtiles", "mosaic.pmtiles"
 KMZ, VRT, ITEM = "mosaic.kmz", "mosaic.vrt", "mosaic.stac.json"
@@ -114,21 +111,20 @@ def export_vrt(mosaic_file: RunFile, context: Context) -> RunFile:
 def export_stac(
     mosaic_file: RunFile,
     context: Context,
-    survey: Survey | None = None,
-    mosaic: Mosaic | None = None,
-    strips: StripGeometry | None = None,
-    strip_mosaic: StripMosaic | None = None,
+    frames: FrameMosaic | None = None,
+    scene: StripScene | None = None,
     outlines: Outlines | None = None,
 ) -> RunFile:
     """Writes mosaic.stac.json, a STAC item whose assets are the run's files."""
     times: list[float] = []
-    if mosaic is not None and survey is not None:
-        coverage = coverage_of_mosaic(mosaic)
-        times = [time for i in mosaic.frames_used if (time := survey.frames[i].time_s) is not None]
-    elif strips is not None and strip_mosaic is not None:
+    if frames is not None:
+        coverage = coverage_of_mosaic(frames.mosaic)
+        exposed_s = [frames.survey.frames[i].time_s for i in frames.mosaic.frames_used]
+        times = [time_s for time_s in exposed_s if time_s is not None]
+    elif scene is not None:
         ring = np.zeros((0, 2)) if outlines is None else outlines.scene
-        size_px = strip_mosaic.height_px, strip_mosaic.width_px
-        coverage = coverage_of_scene(ring, strips.ground_pixel_m, *size_px)
+        size_px = scene.strip_mosaic.height_px, scene.strip_mosaic.width_px
+        coverage = coverage_of_scene(ring, scene.strips.ground_pixel_m, *size_px)
     else:
         raise InputError("the recipe composes no mosaic", fix="put mosaic.compose before export.stac")
     made_s = context.path_of(mosaic_file).stat().st_mtime

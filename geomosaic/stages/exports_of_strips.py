@@ -9,7 +9,6 @@ from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.model import StripOffsets
 from geomosaic.ccd.outlines import Outlines
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.offsets_csv import write_offsets_csv
 from geomosaic.export.scene_map import (
@@ -22,8 +21,8 @@ from geomosaic.export.scene_map import (
 from geomosaic.export.strip_layers import write_strip_layers
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
-from geomosaic.quality.strips import StripQuality
 from geomosaic.report.strips import render_strips_report
+from geomosaic.stages.input_groups import AssessedScene
 from geomosaic.stages.reporting import run_name
 from geomosaic.survey.strips import StripGeometry
 
@@ -46,19 +45,14 @@ def export_offsets(offsets: StripOffsets, context: Context) -> RunFile:
     results=(LAYERS,),
 )  # fmt: skip
 def export_strip_layers(
-    strips: StripGeometry,
-    strip_mosaic: StripMosaic,
-    outlines: Outlines,
-    strip_quality: StripQuality,
-    mosaic_file: RunFile,
-    context: Context,
+    scene: AssessedScene, outlines: Outlines, mosaic_file: RunFile, context: Context
 ) -> RunFile:
     """Writes where the scene, the strips and their seams lie."""
     with open_raster(context.path_of(mosaic_file), OWN) as mosaic:
         tags = mosaic.tags(ns="RPC")
     rpc = Rpc.from_metadata(tags) if tags else None
     with context.writing(LAYERS) as path:
-        write_strip_layers(path, strips, strip_mosaic, outlines, rpc, strip_quality)
+        write_strip_layers(path, scene.strips, scene.strip_mosaic, outlines, rpc, scene.strip_quality)
     return context.run_file(LAYERS)
 
 
@@ -103,21 +97,19 @@ def export_map(strips: StripGeometry, mosaic_file: RunFile, params: MapParams, c
     results=(REPORT,), cached=False,
 )  # fmt: skip
 def export_strip_report(
-    strips: StripGeometry,
+    scene: AssessedScene,
     offsets: StripOffsets,
     radiometry: Radiometry,
-    strip_mosaic: StripMosaic,
-    strip_quality: StripQuality,
     mosaic_file: RunFile,
     context: Context,
 ) -> RunFile:
     """Runs every time, since it also reports what run.json holds so far."""
     page = render_strips_report(
-        geometry=strips,
+        geometry=scene.strips,
         offsets=offsets,
-        quality=strip_quality,
+        quality=scene.strip_quality,
         radiometry=radiometry,
-        mosaic=strip_mosaic,
+        mosaic=scene.strip_mosaic,
         mosaic_file=context.path_of(mosaic_file),
         summary=context.summary(),
         name=run_name(context),

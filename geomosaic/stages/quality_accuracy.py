@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.ownership import Ownership
 from geomosaic.export.accuracy import write_accuracy
 from geomosaic.export.cog import write_cog
-from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.accuracy_grid import (
@@ -24,9 +23,9 @@ from geomosaic.quality.accuracy_grid import (
 )
 from geomosaic.quality.ground_accuracy import HeightSource
 from geomosaic.quality.ground_doubt import MATCHED
+from geomosaic.stages.input_groups import AdjustedBlock
 from geomosaic.surface.dtm import TERRAIN, TerrainModel
 from geomosaic.surface.model import DenseSurface
-from geomosaic.survey.model import Survey
 
 ACCURACY = "accuracy.tif"
 
@@ -38,30 +37,35 @@ class AccuracyParams(StageParams):
     threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
 
 
+@dataclass(frozen=True)
+class MatchedHeights(InputGroup):
+    """The surface that was matched, and the bare ground below it, of a recipe that makes them."""
+
+    surface: DenseSurface | None = None
+    terrain: TerrainModel | None = None
+
+
 @stage(
     "quality.accuracy", "Write the accuracy raster", group="Quality", version=2, outputs="accuracy_file",
     results=(ACCURACY,),
 )  # fmt: skip
 def quality_accuracy(
-    survey: Survey,
-    ground: GroundSurface,
-    ties: TiePoints,
-    adjusted: Adjusted,
+    block: AdjustedBlock,
     ownership: Ownership,
+    heights: MatchedHeights,
     params: AccuracyParams,
     context: Context,
-    surface: DenseSurface | None = None,
-    terrain: TerrainModel | None = None,
 ) -> RunFile:
     """Writes accuracy.tif on the mosaic's grid, coarser."""
+    survey = block.survey
     cells = AccuracyCells(
         ownership,
         params.cell_px,
         survey.work_frame,
-        adjusted,
-        ground,
-        held_by_ties(adjusted, ties, survey.work_frame, survey.map_crs),
-        _matched(ground, surface, terrain),
+        block.adjusted,
+        block.ground,
+        held_by_ties(block.adjusted, block.ties, survey.work_frame, survey.map_crs),
+        _matched(block.ground, heights),
     )
 
     def blocks() -> Iterator[AccuracyBlock]:
@@ -85,11 +89,9 @@ def quality_accuracy(
     return context.run_file(ACCURACY)
 
 
-def _matched(
-    ground: GroundSurface, surface: DenseSurface | None, terrain: TerrainModel | None
-) -> MatchedCells | None:
+def _matched(ground: GroundSurface, heights: MatchedHeights) -> MatchedCells | None:
     """Of the ground that the mosaic lies on, if that was matched."""
-    kind = ground.kind
+    kind, surface, terrain = ground.kind, heights.surface, heights.terrain
     if surface is None or kind not in MATCHED:
         return None
     matched = surface.views > 0

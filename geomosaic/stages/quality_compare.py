@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
-from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import InputGroup, stage
+from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.misalignment import frame_ground_errors, trend
@@ -23,84 +24,91 @@ from geomosaic.survey.model import Survey
 _LITTLE = 0.5
 
 
-class QualityCompare(Stage):
+@dataclass(frozen=True)
+class FlownFrames(InputGroup):
+    """A survey's frames, where they were reported, in order of flight, and where the adjustment puts them."""
+
+    survey: Survey
+    placement: Placement
+    adjusted: Adjusted
+
+
+class CompareParams(StageParams):
+    """See each parameter's help."""
+
+    reference: Path = param(help="true ortho or satellite image of the same place")
+    truth: Path | None = param(None, help="positions.csv with the frames' true positions and attitudes")
+    patch_px: int = param(64, help="side of the patches that are matched", unit="px", ge=16, le=512)
+    step_px: int = param(64, help="distance between patches", unit="px", ge=1, le=4096)
+    search_px: int = param(128, help="longest displacement looked for", unit="px", ge=1, le=4096)
+    min_correlation: float = param(0.5, help="weakest match that counts", ge=0.0, le=1.0)
+    match_tone: bool = param(False, help="bring the mosaic's brightness to the reference's before SSIM")
+
+
+def _check(params: CompareParams) -> None:
+    """The reference is a raster with a place on the map."""
+    open_map(params.reference).close()
+
+
+def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How true the map is."""
+    found = summary["metrics"].get("quality", {})
+    rmse_m, ce90_m = found.get("absolute_rmse_m"), found.get("ce90_m")
+    if rmse_m is None or ce90_m is None:
+        return []
+    places = f"at {found['measured']} places of the reference"
+    return [("reference", f"{rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, {places}")]
+
+
+@stage(
+    "quality.compare", "Compare with a reference", group="Quality", version=4, outputs=("comparison",
+    "reference_seen"), check=_check, conclusions=_conclusions,
+)  # fmt: skip
+def quality_compare(
+    mosaic_file: RunFile,
+    params: CompareParams,
+    context: Context,
+    flown: FlownFrames | None = None,
+    mosaic: Mosaic | None = None,
+) -> tuple[Comparison, ReferenceSeen]:
     """Measures the mosaic; it judges and changes nothing."""
-
-    id = "quality.compare"
-    display_name = "Compare with a reference"
-    group = "Quality"
-    version = 4
-    inputs: ClassVar[dict[str, type]] = {"mosaic_file": RunFile}
-    optional_inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "placement": Placement, "adjusted": Adjusted, "mosaic": Mosaic,
-    }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {"comparison": Comparison, "reference_seen": ReferenceSeen}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        reference: Path = param(help="true ortho or satellite image of the same place")
-        truth: Path | None = param(None, help="positions.csv with the frames' true positions and attitudes")
-        patch_px: int = param(64, help="side of the patches that are matched", unit="px", ge=16, le=512)
-        step_px: int = param(64, help="distance between patches", unit="px", ge=1, le=4096)
-        search_px: int = param(128, help="longest displacement looked for", unit="px", ge=1, le=4096)
-        min_correlation: float = param(0.5, help="weakest match that counts", ge=0.0, le=1.0)
-        match_tone: bool = param(False, help="bring the mosaic's brightness to the reference's before SSIM")
-
-    @classmethod
-    def check(cls, params: Params) -> None:
-        """The reference is a raster with a place on the map."""
-        open_map(params.reference).close()
-
-    @classmethod
-    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """How true the map is."""
-        found = summary["metrics"].get("quality", {})
-        rmse_m, ce90_m = found.get("absolute_rmse_m"), found.get("ce90_m")
-        if rmse_m is None or ce90_m is None:
-            return []
-        places = f"at {found['measured']} places of the reference"
-        return [("reference", f"{rmse_m:.3g} m RMSE, 90 % within {ce90_m:.3g} m, {places}")]
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Compares, reports the figures, and warns where too little could be measured."""
-        comparison = compare(
-            context.path_of(inputs["mosaic_file"]),
-            params.reference,
-            patch_px=params.patch_px,
-            step_px=params.step_px,
-            search_px=params.search_px,
-            min_correlation=params.min_correlation,
-            match_tone=params.match_tone,
-            progress=context.progress,
+    comparison = compare(
+        context.path_of(mosaic_file),
+        params.reference,
+        patch_px=params.patch_px,
+        step_px=params.step_px,
+        search_px=params.search_px,
+        min_correlation=params.min_correlation,
+        match_tone=params.match_tone,
+        progress=context.progress,
+    )
+    figures = asdict(comparison.figures)
+    for name, value in {**figures, "overlap_share": comparison.overlap_share}.items():
+        context.metric(f"quality.{name}", value)
+    context.metric("quality.ssim", asdict(comparison.ssim))
+    if comparison.ssim_registered is not None:
+        context.metric("quality.ssim_registered", asdict(comparison.ssim_registered))
+    if comparison.figures.share_measured < _LITTLE:
+        context.warn(
+            "little-measured",
+            "",
+            f"only {100 * comparison.figures.share_measured:.0f} % of the patches match "
+            f"{comparison.reference}; the figures hold for those alone; another season or "
+            "resolution lowers the share",
         )
-        figures = asdict(comparison.figures)
-        for name, value in {**figures, "overlap_share": comparison.overlap_share}.items():
-            context.metric(f"quality.{name}", value)
-        context.metric("quality.ssim", asdict(comparison.ssim))
-        if comparison.ssim_registered is not None:
-            context.metric("quality.ssim_registered", asdict(comparison.ssim_registered))
-        if comparison.figures.share_measured < _LITTLE:
-            context.warn(
-                "little-measured",
-                "",
-                f"only {100 * comparison.figures.share_measured:.0f} % of the patches match "
-                f"{comparison.reference}; the figures hold for those alone; another season or "
-                "resolution lowers the share",
-            )
-        if params.truth is not None and "adjusted" in inputs:
-            _report_frame_errors(inputs, params.truth, context)
-        seen = reference_image(inputs["mosaic"].grid, params.reference) if "mosaic" in inputs else None
-        return {"comparison": comparison, "reference_seen": ReferenceSeen(seen)}
+    if params.truth is not None and flown is not None:
+        _report_frame_errors(flown, params.truth, context)
+    seen = None if mosaic is None else reference_image(mosaic.grid, params.reference)
+    return comparison, ReferenceSeen(seen)
 
 
-def _report_frame_errors(inputs: Mapping[str, Any], truth: Path, context: Context) -> None:
+def _report_frame_errors(flown: FlownFrames, truth: Path, context: Context) -> None:
     """How far each frame's middle lands from its true place, in order of flight, and whether that grows."""
-    survey, adjusted, placement = inputs["survey"], inputs["adjusted"], inputs["placement"]
+    survey, adjusted = flown.survey, flown.adjusted
     true_poses = read_poses(truth, [f.name for f in survey.frames], survey.work_frame)
     given = [survey.camera_of(i) for i in range(len(survey.frames))]
     errors = frame_ground_errors(adjusted.poses, adjusted.cameras, true_poses, given, adjusted.ground)
-    length = np.linalg.norm(errors, axis=1)[list(placement.sequence)]
+    length = np.linalg.norm(errors, axis=1)[list(flown.placement.sequence)]
     line = trend(np.arange(len(length)), length)
     context.metric("quality.frames.error_m", length)
     context.metric("quality.frames.rmse_m", float(np.sqrt(np.nanmean(length**2))))

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 
 from geomosaic.export.cog import write_cog
 from geomosaic.export.surface import write_difference
-from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.quality.reference_heights import check_reference
 from geomosaic.quality.surface import SurfaceComparison, compare_surface
 from geomosaic.report.surface import difference_picture
@@ -20,62 +21,58 @@ from geomosaic.report.surface import difference_picture
 DIFFERENCE, PICTURE = "surface_difference.tif", "surface_difference.png"
 
 
-class QualitySurface(Stage):
+class SurfaceCompareParams(StageParams):
+    """See each parameter's help."""
+
+    reference: Path = param(help="elevation model of the surface (a raster), or a point cloud (LAS, LAZ)")
+    offset_m: float | None = param(
+        None, help="what to add to its heights [by its vertical datum]", unit="m", ge=-12000.0, le=12000.0
+    )
+    threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
+
+
+def _check(params: SurfaceCompareParams) -> None:
+    """The reference is an elevation model or a point cloud with a place on the map."""
+    check_reference(params.reference)
+
+
+def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How true the surface is."""
+    found = summary["metrics"].get("quality", {}).get("surface", {}).get("over_all")
+    if not found:
+        return []
+    text = f"{found['nmad_m']:.3g} m NMAD, median {found['median_m']:+.3g} m, 95 % within"
+    return [("heights", f"{text} {found['abs_95_m']:.3g} m, at {found['n']:,} points of the reference")]
+
+
+@stage(
+    "quality.surface", "Compare the surface with a reference", group="Quality", version=2,
+    outputs="surface_comparison", results=(DIFFERENCE, PICTURE), check=_check, conclusions=_conclusions,
+)  # fmt: skip
+def quality_surface(
+    surface_file: RunFile, confidence_file: RunFile, params: SurfaceCompareParams, context: Context
+) -> SurfaceComparison:
     """Measures the surface; it judges and changes nothing."""
-
-    id = "quality.surface"
-    display_name = "Compare the surface with a reference"
-    group = "Quality"
-    version = 2
-    inputs: ClassVar[dict[str, type]] = {"surface_file": RunFile, "confidence_file": RunFile}
-    outputs: ClassVar[dict[str, type]] = {"surface_comparison": SurfaceComparison}
-    results: ClassVar[tuple[str, ...]] = (DIFFERENCE, PICTURE)
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        reference: Path = param(help="elevation model of the surface (a raster), or a point cloud (LAS, LAZ)")
-        offset_m: float | None = param(
-            None, help="what to add to its heights [by its vertical datum]", unit="m", ge=-12000.0, le=12000.0
-        )
-        threads: int = param(2, help="threads that compress", ge=1, le=256, affects_output=False)
-
-    @classmethod
-    def check(cls, params: Params) -> None:
-        """The reference is an elevation model or a point cloud with a place on the map."""
-        check_reference(params.reference)
-
-    @classmethod
-    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """How true the surface is."""
-        found = summary["metrics"].get("quality", {}).get("surface", {}).get("over_all")
-        if not found:
-            return []
-        text = f"{found['nmad_m']:.3g} m NMAD, median {found['median_m']:+.3g} m, 95 % within"
-        return [("heights", f"{text} {found['abs_95_m']:.3g} m, at {found['n']:,} points of the reference")]
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Compares, reports the figures, writes the difference and a picture of it."""
-        surface = context.path_of(inputs["surface_file"])
-        comparison, difference_m = compare_surface(
-            surface,
-            context.path_of(inputs["confidence_file"]),
-            params.reference,
-            params.offset_m,
-            lambda text: context.warn("reference-datum-assumed", "", text),
-        )
-        with TemporaryDirectory(dir=context.work_folder) as scratch:
-            plain = Path(scratch) / DIFFERENCE
-            write_difference(plain, surface, difference_m)
-            with context.writing(DIFFERENCE) as out:
-                write_cog(plain, out, threads=params.threads)
-        with context.writing(PICTURE) as out:
-            cv2.imwrite(str(out), difference_picture(comparison.difference_m))
-        for name in ("over_all", "after_fit", "fit"):
-            context.metric(f"quality.surface.{name}", asdict(getattr(comparison, name)))
-        for name in ("by_slope", "by_kind", "by_support"):
-            classes = {text: asdict(figures) for text, figures in getattr(comparison, name)}
-            context.notes.metrics["quality"]["surface"][name] = classes
-        context.metric("quality.surface.reference", comparison.reference)
-        context.metric("quality.surface.datum", comparison.datum)
-        return {"surface_comparison": comparison}
+    surface = context.path_of(surface_file)
+    comparison, difference_m = compare_surface(
+        surface,
+        context.path_of(confidence_file),
+        params.reference,
+        params.offset_m,
+        lambda text: context.warn("reference-datum-assumed", "", text),
+    )
+    with TemporaryDirectory(dir=context.work_folder) as scratch:
+        plain = Path(scratch) / DIFFERENCE
+        write_difference(plain, surface, difference_m)
+        with context.writing(DIFFERENCE) as out:
+            write_cog(plain, out, threads=params.threads)
+    with context.writing(PICTURE) as out:
+        cv2.imwrite(str(out), difference_picture(comparison.difference_m))
+    for name in ("over_all", "after_fit", "fit"):
+        context.metric(f"quality.surface.{name}", asdict(getattr(comparison, name)))
+    for name in ("by_slope", "by_kind", "by_support"):
+        classes = {text: asdict(figures) for text, figures in getattr(comparison, name)}
+        context.notes.metrics["quality"]["surface"][name] = classes
+    context.metric("quality.surface.reference", comparison.reference)
+    context.metric("quality.surface.datum", comparison.datum)
+    return comparison

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from rasterio import Env
 
 from geomosaic.ccd.parallel import each
 from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, reading, unreferenced_is_fine
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.params import file_values
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
 from geomosaic.survey.strips import StripGeometry, read_geometry
@@ -18,59 +19,55 @@ from geomosaic.survey.strips import StripGeometry, read_geometry
 _THUMBNAIL_LINES = 600
 
 
-class SurveyStrips(Stage):
+class StripParams(StageParams):
+    """See each parameter's help."""
+
+    geometry: Path = param(help="GEOMETRY.yaml: the CCDs' strips, rows and overlaps")
+
+
+def _check(params: StripParams) -> None:
+    """The geometry, every strip's header, and what is named beside them."""
+    read_geometry(params.geometry)
+
+
+def _files(params: StripParams) -> dict[str, Path]:
+    """The geometry and all files it names, the model's tables too."""
+    geometry = read_geometry(params.geometry)
+    named = {f"ccd{k}": ccd.path for k, ccd in enumerate(geometry.ccds, 1)}
+    named |= {"dem": geometry.dem, "rpc": geometry.rpc, "model": geometry.model}
+    if geometry.model is not None:
+        named |= {f"model.{name}": path for name, path in model_tables(geometry.model).items()}
+    return file_values(params) | {name: path for name, path in named.items() if path is not None}
+
+
+@stage(
+    "survey.strips", "Read the strips' geometry", group="Survey", version=1, outputs="strips", check=_check,
+    files=_files,
+)  # fmt: skip
+def survey_strips(params: StripParams, context: Context) -> StripGeometry:
     """Reads the focal plane's geometry and holds it against the strips; reads headers only."""
-
-    id = "survey.strips"
-    display_name = "Read the strips' geometry"
-    group = "Survey"
-    version = 1
-    outputs: ClassVar[dict[str, type]] = {"strips": StripGeometry}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        geometry: Path = param(help="GEOMETRY.yaml: the CCDs' strips, rows and overlaps")
-
-    @classmethod
-    def check(cls, params: Params) -> None:
-        """The geometry, every strip's header, and what is named beside them."""
-        read_geometry(params.geometry)
-
-    @classmethod
-    def files(cls, params: Params) -> dict[str, Path]:
-        """The geometry and all files it names, the model's tables too."""
-        geometry = read_geometry(params.geometry)
-        named = {f"ccd{k}": ccd.path for k, ccd in enumerate(geometry.ccds, 1)}
-        named |= {"dem": geometry.dem, "rpc": geometry.rpc, "model": geometry.model}
-        if geometry.model is not None:
-            named |= {f"model.{name}": path for name, path in model_tables(geometry.model).items()}
-        return super().files(params) | {name: path for name, path in named.items() if path is not None}
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Says what is missing, and records what the strips look like."""
-        geometry = read_geometry(params.geometry)
-        if geometry.dem is not None and geometry.model is None:
-            text = (
-                "is not used, because only a rigorous model places the strips on it; give 'model' in "
-                "the geometry file"
-            )
-            context.warn("dem-unused", geometry.dem.name, text)
-        longest = max(geometry.lines)
-        for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True), 1):
-            if ccd.path is None:
-                context.warn("ccd-missing", f"CCD {k}", "has no strip: its columns of the scene stay empty")
-                continue
-            if lines < longest:
-                text = f"has {lines} lines, the longest strip {longest}; the rest of its columns stays empty"
-                context.warn("strip-short", ccd.path.name, text)
-        paths = [ccd.path for ccd in geometry.ccds if ccd.path is not None]
-        with unreferenced_is_fine(), Env(GDAL_CACHEMAX=READ_CACHE_BYTES):
-            seen = each(_glance, paths)
-        context.check_cancelled()
-        for path, image in zip(paths, seen, strict=True):
-            context.recorder.image("/strips", path.name, thumbnail(image))
-        return {"strips": geometry}
+    geometry = read_geometry(params.geometry)
+    if geometry.dem is not None and geometry.model is None:
+        text = (
+            "is not used, because only a rigorous model places the strips on it; give 'model' in "
+            "the geometry file"
+        )
+        context.warn("dem-unused", geometry.dem.name, text)
+    longest = max(geometry.lines)
+    for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True), 1):
+        if ccd.path is None:
+            context.warn("ccd-missing", f"CCD {k}", "has no strip: its columns of the scene stay empty")
+            continue
+        if lines < longest:
+            text = f"has {lines} lines, the longest strip {longest}; the rest of its columns stays empty"
+            context.warn("strip-short", ccd.path.name, text)
+    paths = [ccd.path for ccd in geometry.ccds if ccd.path is not None]
+    with unreferenced_is_fine(), Env(GDAL_CACHEMAX=READ_CACHE_BYTES):
+        seen = each(_glance, paths)
+    context.check_cancelled()
+    for path, image in zip(paths, seen, strict=True):
+        context.recorder.image("/strips", path.name, thumbnail(image))
+    return geometry
 
 
 def _glance(path: Path) -> Any:

@@ -27,7 +27,7 @@ from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.pipeline.stage import Context
 from geomosaic.requests.mosaic_request import STAGES
 from geomosaic.requests.run_request import recipe_of
-from geomosaic.stages.export_surface import ExportSurface
+from geomosaic.stages.export_surface import export_surface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.dtm import TerrainModel
 from geomosaic.surface.model import DenseSurface
@@ -105,7 +105,7 @@ def export(scene: dict, work: Path, **params) -> Path:
     context = Context(folder, stage_id="export.surface", work_folder=work)
     inputs = {name: scene[name] for name in ("survey", "surface", "terrain", "mosaic")}
     inputs["mosaic_file"] = context.run_file(scene["file"].name)
-    ExportSurface().run(inputs, ExportSurface.Params(**params), context)
+    export_surface().run(inputs, export_surface.Params(**params), context)
     return folder
 
 
@@ -238,7 +238,7 @@ def test_a_geoid_without_its_grid_is_one_clear_error(scene, tmp_path):
 @pytest.mark.parametrize("wrong", ["EPSG:32632", "EPSG:9999999", "geoid", "EPSG:32632+5773"])
 def test_what_is_no_vertical_crs_is_refused_before_the_run(wrong):
     with pytest.raises(InputError, match=r"vertical|no vertical reference system"):
-        ExportSurface.check(ExportSurface.Params(heights=wrong))
+        export_surface.check(export_surface.Params(heights=wrong))
 
 
 def test_over_another_ellipsoid_no_crs_says_what_heights_count_from():

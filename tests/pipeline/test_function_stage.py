@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from geomosaic.errors import PluginError
-from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.params import check_params
 from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.registry import Registry, check_stage
@@ -83,6 +83,40 @@ def test_it_runs_by_itself_and_as_a_function(tmp_path: Path) -> None:
         assert made["counts"] == Counts((3,)) and made["note"].name == "note.txt"
         assert (tmp_path / "RUN" / "note.txt").read_text() == note
     assert count.function() == Counts((1, 2, 3))
+
+
+@dataclass(frozen=True)
+class TwoCounts(InputGroup):
+    counts: Counts
+    more: Counts | None = None
+
+
+@stage("toy.add", "Add", group="Toys", outputs="sum")
+def add(both: TwoCounts) -> Counts:
+    """Adds up two counts."""
+    return Counts((*both.counts.numbers, *(both.more or Counts(())).numbers))
+
+
+@stage("toy.add_some", "Add some", group="Toys", outputs="sum")
+def add_some(more: Counts, both: TwoCounts | None = None) -> Counts:
+    """Adds up what is there."""
+    return more if both is None else Counts((*both.counts.numbers, *more.numbers))
+
+
+def test_a_group_takes_its_fields_as_inputs(tmp_path: Path) -> None:
+    assert add.inputs == {"counts": Counts} and add.optional_inputs == {"more": Counts}
+    assert add_some.inputs == {"more": Counts} and add_some.optional_inputs == {"counts": Counts}
+    one, two = Counts((1,)), Counts((2,))
+    for step, inputs, numbers in (
+        (add, {"counts": one}, (1,)),
+        (add, {"counts": one, "more": two}, (1, 2)),
+        (add_some, {"more": two}, (2,)),
+        (add_some, {"counts": one, "more": two}, (1, 2)),
+    ):
+        folder = RunFolder(tmp_path / "RUN", overwrite=True)
+        params = check_params(step.Params, {}, stage=step.id)
+        made, _ = run_stage(step, params, folder, inputs, work_folder=tmp_path)
+        assert made["sum"] == Counts(numbers)
 
 
 def test_a_recipe_runs_declared_functions(tmp_path: Path) -> None:

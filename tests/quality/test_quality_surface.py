@@ -21,7 +21,7 @@ from geomosaic.pipeline.artefacts import encode, type_name
 from geomosaic.pipeline.stage import Context, RunFile
 from geomosaic.quality.heights import height_figures
 from geomosaic.quality.surface import compare_surface
-from geomosaic.stages.quality_surface import QualitySurface
+from geomosaic.stages.quality_surface import quality_surface
 
 UTM = "EPSG:32632"
 EAST, NORTH, PIXEL_M = 660_000.0, 5_210_000.0, 1.0
@@ -220,13 +220,13 @@ def test_strange_references_are_one_clear_line_before_the_run(tmp_path):
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FileError, match=words):
-            QualitySurface.check(QualitySurface.Params(reference=tmp_path / name))
+            quality_surface.check(quality_surface.Params(reference=tmp_path / name))
     nowhere = cloud(tmp_path / "nowhere.laz", scattered(50), np.zeros(50, dtype=np.uint8), crs=None)
     with pytest.raises(FileError, match="no coordinate reference system"):
-        QualitySurface.check(QualitySurface.Params(reference=nowhere))
+        quality_surface.check(quality_surface.Params(reference=nowhere))
     degrees = cloud(tmp_path / "degrees.las", scattered(50), np.zeros(50, dtype=np.uint8), crs="EPSG:4326")
     with pytest.raises(FileError, match="no map in metres"):
-        QualitySurface.check(QualitySurface.Params(reference=degrees))
+        quality_surface.check(quality_surface.Params(reference=degrees))
 
 
 def test_a_cloud_that_ends_early_is_no_fault_of_ours(run, tmp_path):
@@ -242,7 +242,7 @@ def test_the_stage_writes_the_difference_and_tells_the_figures(run, tmp_path):
     context = Context(run, stage_id="quality.surface", work_folder=tmp_path / "work")
     files = {"surface_file": "surface.tif", "confidence_file": "surface_confidence.tif"}
     inputs = {name: context.run_file(file) for name, file in files.items()}
-    out = QualitySurface().run(inputs, QualitySurface.Params(reference=reference), context)
+    out = quality_surface().run(inputs, quality_surface.Params(reference=reference), context)
     assert validate(str(run / "surface_difference.tif"), full_check=True)[:2] == ([], [])
     with rasterio.open(run / "surface_difference.tif") as tiff:
         values = tiff.read(1, masked=True)
@@ -253,7 +253,7 @@ def test_the_stage_writes_the_difference_and_tells_the_figures(run, tmp_path):
     assert metrics["by_support"]["matched"]["n"] == 120 * SIDE
     json.dumps(metrics, allow_nan=False)
     assert [w["code"] for w in context.notes.warnings] == ["reference-datum-assumed"]
-    text = dict(QualitySurface.conclusions({"metrics": context.notes.metrics}))["heights"]
+    text = dict(quality_surface.conclusions({"metrics": context.notes.metrics}))["heights"]
     assert "median +0.5 m" in text and "25,200 points" in text
     assert out["surface_comparison"].difference_m.shape == (SIDE, SIDE)
 

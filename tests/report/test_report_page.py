@@ -26,7 +26,7 @@ from geomosaic.report.parts import frame_table
 from geomosaic.report.warnings import warnings_of
 from geomosaic.stages.export_cog import export_cog
 from geomosaic.stages.export_report import ExportReport
-from geomosaic.stages.quality_compare import QualityCompare
+from geomosaic.stages.quality_compare import quality_compare
 
 
 class Page(HTMLParser):
@@ -214,9 +214,9 @@ def test_both_stages_in_a_run_folder(run, tmp_path):
     folder = run["mosaic_file"].parent
     context = Context(folder, stage_id="quality.compare", work_folder=tmp_path / "work")
     mosaic_file = context.run_file("mosaic.tif")
-    params = QualityCompare.Params(reference=folder / "ortho <true>.tif", search_px=16)
+    params = quality_compare.Params(reference=folder / "ortho <true>.tif", search_px=16)
     given = {"mosaic_file": mosaic_file, "mosaic": run["mosaic"]}
-    compared = QualityCompare().run(given, params, context)
+    compared = quality_compare().run(given, params, context)
     comparison, seen = compared["comparison"], compared["reference_seen"]
     metrics = context.notes.metrics["quality"]
     assert metrics["absolute_rmse_m"] == pytest.approx(comparison.figures.absolute_rmse_m)
@@ -247,9 +247,9 @@ def test_frame_errors_against_the_truth_enter_the_metrics(run, tmp_path):
     truth.write_text("\n".join(lines))
     folder = run["mosaic_file"].parent
     context = Context(folder, stage_id="quality.compare", work_folder=tmp_path / "work")
-    params = QualityCompare.Params(reference=folder / "ortho <true>.tif", truth=truth, search_px=16)
+    params = quality_compare.Params(reference=folder / "ortho <true>.tif", truth=truth, search_px=16)
     given = {k: run[k] for k in ("survey", "placement", "adjusted")}
-    QualityCompare().run({**given, "mosaic_file": context.run_file("mosaic.tif")}, params, context)
+    quality_compare().run({**given, "mosaic_file": context.run_file("mosaic.tif")}, params, context)
     frames = context.notes.metrics["quality"]["frames"]
     assert len(frames["error_m"]) == 12 and frames["rmse_m"] < 0.02
 
