@@ -23,7 +23,7 @@ from geomosaic.errors import (
 )
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePair, TiePoints
-from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
@@ -56,6 +56,7 @@ __all__ = [
     "GeomosaicError",
     "GroundSurface",
     "InputError",
+    "InputGroup",
     "LocalFrame",
     "Mosaic",
     "NotSolvableError",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -141,16 +142,17 @@ class SolveStep:
 @dataclass(frozen=True)
 class SharedUnknowns:
     """Numbers that frames share and a solve estimated. of: a camera's name or `platform`. names: ending in
-    the unit. given, found, sd (k,): prior, estimate, deviation. correlation (k, k). held (k,): not determined
-    by the block, kept as given."""
+    the unit. given, found, sd (k,): prior, estimate, deviation. correlation (k, k). fixed (k,): kept as
+    given, since the block does not determine it."""
 
+    FORMERLY: ClassVar[dict[str, str]] = {"held": "fixed"}
     of: tuple[str, ...]
     names: tuple[str, ...]
     given: Floats
     found: Floats
     sd: Floats
     correlation: Floats
-    held: Bools
+    fixed: Bools
 
 
 @dataclass(frozen=True)

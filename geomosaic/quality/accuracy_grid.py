@@ -88,7 +88,7 @@ def accuracy_grid(mosaic: OutputGrid, by: int) -> OutputGrid:
 class AccuracyCells:
     """Accuracy of the mosaic that an ownership describes, in cells of by x by pixels.
 
-    ground: what the mosaic lies on. held: where tie points hold the ground, see `held_by_ties`. matched: of a
+    ground: what the mosaic lies on. held: where tie points hold the ground, see `tied_area`. matched: of a
     ground that was matched.
     """
 
@@ -162,7 +162,7 @@ def standing_m(surface_m: Floats32, terrain_m: Floats32, matched: Bools) -> floa
     return float(np.sqrt(np.square(over_m, dtype=np.float64).mean())) if over_m.size else 0.0
 
 
-def held_by_ties(adjusted: Adjusted, ties: TiePoints, work_frame: LocalFrame, crs: str) -> Area:
+def tied_area(adjusted: Adjusted, ties: TiePoints, work_frame: LocalFrame, crs: str) -> Area:
     """Where tie points hold the ground: of each frame the convex hull of its tie points that count."""
     frame, image_px = _tie_images(adjusted, ties)
     order = np.argsort(frame, kind="stable")

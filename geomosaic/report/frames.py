@@ -43,7 +43,7 @@ _GROUND = {"flat": "flat ground", "dem": "the DEM", "tie_surface": "the tie poin
 
 
 @dataclass(frozen=True)
-class Beside:
+class OtherImages:
     """Other images of the mosaic's ground, to be swiped over it: by POS alone, and the reference.
 
     accuracy: accuracy.tif, a layer of the map.
@@ -67,7 +67,7 @@ def render_report(
     comparison: Comparison | None = None,
     verdict: Verdict | None = None,
     surface: SurfaceSection | None = None,
-    beside: Beside = Beside(),
+    others: OtherImages = OtherImages(),
     image: Glance | None = None,
 ) -> str:
     """The page's HTML.
@@ -106,7 +106,7 @@ def render_report(
             "m",
             True,
             box_of(image, origin),
-            _images(image, origin, footprints_m, comparison, surface, beside),
+            _images(image, origin, footprints_m, comparison, surface, others),
             [
                 *drawn.all(mosaic, None if verdict is None else verdict.seams, comparison),
                 *control_layers(mapped, scale, origin),
@@ -146,7 +146,7 @@ def _images(
     footprints_m: list[parts.Floats],
     comparison: Comparison | None,
     surface: SurfaceSection | None,
-    beside: Beside,
+    others: OtherImages,
 ) -> list[MapImage]:
     box = box_of(image, origin)
     counts = "red 1, orange 2, yellow 3, light green 4, green 5 and more footprints"
@@ -155,7 +155,7 @@ def _images(
             "overlap", "Overlap count", overlap_image(image, footprints_m), box, note=counts, opacity=0.6
         )
     ]
-    accuracy = None if beside.accuracy is None else accuracy_image(beside.accuracy, origin)
+    accuracy = None if others.accuracy is None else accuracy_image(others.accuracy, origin)
     if accuracy is not None:
         out.append(accuracy)
     if surface is not None:
@@ -174,8 +174,8 @@ def _images(
             )
         )
     for name, title, other in (
-        ("given", "by POS only", beside.given),
-        ("reference", "the reference", beside.reference),
+        ("given", "by POS only", others.given),
+        ("reference", "the reference", others.reference),
     ):
         if other is not None:
             out.append(MapImage(name, title, other.uri, box_of(other, origin), "compare"))

@@ -92,7 +92,7 @@ def _row(shared: SharedUnknowns, k: int) -> UnknownRow:
     given, found, sd = float(shared.given[k]), float(shared.found[k]), float(shared.sd[k])
     word, unit = unknown_name(shared.names[k])
     name = f"{word} [{unit}]" if unit else word
-    if shared.held[k] or not (np.isfinite(sd) and sd > 0.0):
+    if shared.fixed[k] or not (np.isfinite(sd) and sd > 0.0):
         return UnknownRow(name, f"{given:.6g}", "", "", "", "", True)
     decimals = by_deviation(sd)
     change = f"{found - given:+.{decimals}f}"
@@ -112,7 +112,7 @@ def unknown_name(name: str) -> tuple[str, str]:
 
 def solved_names(shared: SharedUnknowns) -> tuple[list[str], Floats]:
     """Names and correlations (k, k) of the numbers that were solved for; with the owner where it matters."""
-    solved = np.flatnonzero(~shared.held)
+    solved = np.flatnonzero(~shared.fixed)
     words = [unknown_name(shared.names[k])[0] for k in solved]
     several = len({shared.of[k] for k in solved if words.count(unknown_name(shared.names[k])[0]) > 1}) > 1
     names = [f"{shared.of[k]}: {word}" if several else word for k, word in zip(solved, words, strict=True)]

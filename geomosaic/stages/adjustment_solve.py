@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any, ClassVar
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from geomosaic.adjustment.procedure.control_points import ground_control
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import InputGroup, stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
@@ -26,120 +27,89 @@ from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
 
 
-class AdjustmentSolve(Stage):
+@dataclass(frozen=True)
+class MatchedFrames(InputGroup):
+    """A survey's frames where they were reported, the ground below, and the tie points between them."""
+
+    survey: Survey
+    prior_ground: GroundSurface
+    placement: Placement
+    ties: TiePoints
+
+
+class SolveParams(StageParams):
+    """See each parameter's help."""
+
+    method: str = param("bundle", help="adjustment method", choices=METHODS)
+    epsilon_px: float = param(
+        10.0,
+        help="error sharing stops when no misalignment is larger",
+        unit="ground px",
+        ge=0.01,
+        le=1000.0,
+    )
+    max_rounds: int = param(12, help="most rounds of error sharing", unit="rounds", ge=1, le=1000)
+    ground: str = param(
+        "auto",
+        help="without a DEM, what a bundle makes of its points",
+        choices=("auto", "flat", "tie_surface"),
+    )
+    boresight: bool = param(False, help="a bundle solves for the attitude between platform and camera")
+    lever_arm: bool = param(False, help="a bundle solves for where positions are given, from the camera")
+    gps_lag: bool = param(False, help="a bundle solves for how late positions are, along the flight")
+    model: str = param(
+        "auto",
+        help="lens and shutter: what tie points left out of the solve speak for, or as given",
+        choices=("auto", "given"),
+    )
+    turning: bool = param(False, help="a bundle solves for how frames turn while their rows are read")
+    rolling_shutter: bool = param(False, help="a bundle solves for the time from first to last row")
+
+
+def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How many frames are tied, and how well they agree."""
+    frames = ", ".join(f"{count} {name}" for name, count in summary.get("frames", {}).items())
+    error_px = summary["metrics"].get("adjustment", {}).get("reprojection_mean_px")
+    if error_px is None:
+        return [("frames", frames)]
+    return [("frames", frames), ("agreement", f"{error_px:.2f} px mean reprojection error")]
+
+
+@stage(
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=73, outputs=("adjusted", "ground"),
+    conclusions=_conclusions,
+)  # fmt: skip
+def adjustment_solve(
+    matched: MatchedFrames, params: SolveParams, context: Context
+) -> tuple[Adjusted, GroundSurface]:
     """Moves the frames so that they agree."""
-
-    id = "adjustment.solve"
-    display_name = "Adjust the frames"
-    group = "Adjustment"
-    version = 73
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints,
-    }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {"adjusted": Adjusted, "ground": GroundSurface}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        method: str = param("bundle", help="adjustment method", choices=METHODS)
-        epsilon_px: float = param(
-            10.0,
-            help="error sharing stops when no misalignment is larger",
-            unit="ground px",
-            ge=0.01,
-            le=1000.0,
-        )
-        max_rounds: int = param(12, help="most rounds of error sharing", unit="rounds", ge=1, le=1000)
-        ground: str = param(
-            "auto",
-            help="without a DEM, what a bundle makes of its points",
-            choices=("auto", "flat", "tie_surface"),
-        )
-        boresight: bool = param(False, help="a bundle solves for the attitude between platform and camera")
-        lever_arm: bool = param(False, help="a bundle solves for where positions are given, from the camera")
-        gps_lag: bool = param(False, help="a bundle solves for how late positions are, along the flight")
-        model: str = param(
-            "auto",
-            help="lens and shutter: what tie points left out of the solve speak for, or as given",
-            choices=("auto", "given"),
-        )
-        turning: bool = param(False, help="a bundle solves for how frames turn while their rows are read")
-        rolling_shutter: bool = param(False, help="a bundle solves for the time from first to last row")
-
-    @classmethod
-    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """How many frames are tied, and how well they agree."""
-        frames = ", ".join(f"{count} {name}" for name, count in summary.get("frames", {}).items())
-        error_px = summary["metrics"].get("adjustment", {}).get("reprojection_mean_px")
-        if error_px is None:
-            return [("frames", frames)]
-        return [("frames", frames), ("agreement", f"{error_px:.2f} px mean reprojection error")]
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Builds the block, adjusts it, reports what happened."""
-        survey: Survey = inputs["survey"]
-        placement: Placement = inputs["placement"]
-        ties: TiePoints = inputs["ties"]
-        block = block_of(survey, inputs["prior_ground"], placement, ties)
-        settings = Settings(**params.model_dump(exclude={"method"}))
-        adjusted = METHODS[params.method](block, settings, context)
-        held = {i for c in block.control if not c.check for i, _, _ in c.observations}
-        parts = connected_parts(len(block.names), ties.frames)
-        nowhere = {i for part in unplaced_parts(block) for i in part}
-        if nowhere:
-            left = [block.names[i] for i in sorted(nowhere)]
-            text = (
-                "no position, and no tie points with a frame that has one: left out of the mosaic; give "
-                "its position with --pos"
-            )
-            few = f" ({some(left)})" if len(left) > 1 else ""
-            context.warn("not-placed", left[0] if len(left) == 1 else "", text + few)
-        parts = [part for part in parts if part[0] not in nowhere]
-        reasons = dict(ties.reasons)
-        for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
-            how = " and by control points" if params.method == "bundle" and frame in held else ""
-            moved = adjusted.poses.positions_m[frame] - block.poses.positions_m[frame]
-            if not how and moved.any():
-                sd_m = float(np.linalg.norm(adjusted.poses.positions_sd_m[frame, :2])) / np.sqrt(2.0)
-                how = f", corrected by {np.linalg.norm(moved):.1f} m as the frames around it"
-                how += f" (standard deviation in plan {sd_m:.1f} m)"
-            why = f" ({reasons[frame]})" if frame in reasons else ""
-            text = (
-                f"no tie points with other frames{why}: placed by its position and attitude{how}, so "
-                "seams may show there"
-            )
-            context.warn("no-tie-points", block.names[frame], text)
-        large = [part for part in parts if len(part) > 1]
-        for part in large[1:]:
-            context.warn(
-                "separate-part",
-                block.names[part[0]],
-                f"{len(part)} frames from here on have tie points with each other but none with the rest; "
-                "placed by their own positions: fly more overlap, or give control points with --gcp",
-            )
-        residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
-        residual = residual[np.isfinite(residual).all(axis=1)]
-        context.metric("adjustment.method", params.method)
-        context.metric("adjustment.rounds", len(adjusted.rounds))
-        context.metric(
-            "adjustment.ground_residual_rms_m",
-            float(np.sqrt((residual**2).mean())) if residual.size else None,
-        )
-        lens_found, lens_warnings = lens_notes(block, adjusted.cameras)
-        for note in lens_found:
-            context.inform(note)
-        for warning in (*lens_warnings, *adjusted.warnings):
-            context.warn(warning.code, warning.frame, warning.text)
-        _report_control(context, adjusted)
-        _report_shared(context, adjusted)
-        if adjusted.model is not None:
-            context.metric("adjustment.model", asdict(adjusted.model))
-        for name, value in adjusted.figures.items():
-            context.metric(f"adjustment.{name}", value)
-        context.metric("ground.kind", adjusted.ground.kind)
-        context.metric("ground.reason", ground_reason(adjusted, params.ground))
-        record_adjusted(context, survey, block, adjusted, params.method)
-        return {"adjusted": adjusted, "ground": adjusted.ground}
+    block = block_of(matched.survey, matched.prior_ground, matched.placement, matched.ties)
+    settings = Settings(**params.model_dump(exclude={"method"}))
+    adjusted = METHODS[params.method](block, settings, context)
+    _warn_of_loose_frames(context, block, adjusted, params.method == "bundle")
+    residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
+    residual = residual[np.isfinite(residual).all(axis=1)]
+    context.metric("adjustment.method", params.method)
+    context.metric("adjustment.rounds", len(adjusted.rounds))
+    context.metric(
+        "adjustment.ground_residual_rms_m",
+        float(np.sqrt((residual**2).mean())) if residual.size else None,
+    )
+    lens_found, lens_warnings = lens_notes(block, adjusted.cameras)
+    for note in lens_found:
+        context.inform(note)
+    for warning in (*lens_warnings, *adjusted.warnings):
+        context.warn(warning.code, warning.frame, warning.text)
+    _report_control(context, adjusted)
+    _report_shared(context, adjusted)
+    if adjusted.model is not None:
+        context.metric("adjustment.model", asdict(adjusted.model))
+    for name, value in adjusted.figures.items():
+        context.metric(f"adjustment.{name}", value)
+    context.metric("ground.kind", adjusted.ground.kind)
+    context.metric("ground.reason", ground_reason(adjusted, params.ground))
+    record_adjusted(context, matched.survey, block, adjusted, params.method)
+    return adjusted, adjusted.ground
 
 
 def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: TiePoints) -> Block:
@@ -161,6 +131,45 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
     )
 
 
+def _warn_of_loose_frames(context: Context, block: Block, adjusted: Adjusted, by_control: bool) -> None:
+    """Names frames and parts of the block without tie points to the rest. by_control: whether the method
+    places frames by control points."""
+    controlled = {i for c in block.control if not c.check for i, _, _ in c.observations}
+    parts = connected_parts(len(block.names), block.ties.frames)
+    nowhere = {i for part in unplaced_parts(block) for i in part}
+    if nowhere:
+        left = [block.names[i] for i in sorted(nowhere)]
+        text = (
+            "no position, and no tie points with a frame that has one: left out of the mosaic; give "
+            "its position with --pos"
+        )
+        few = f" ({some(left)})" if len(left) > 1 else ""
+        context.warn("not-placed", left[0] if len(left) == 1 else "", text + few)
+    parts = [part for part in parts if part[0] not in nowhere]
+    reasons = dict(block.ties.reasons)
+    for frame in (part[0] for part in parts if len(part) == 1 and len(block.names) > 1):
+        how = " and by control points" if by_control and frame in controlled else ""
+        moved = adjusted.poses.positions_m[frame] - block.poses.positions_m[frame]
+        if not how and moved.any():
+            sd_m = float(np.linalg.norm(adjusted.poses.positions_sd_m[frame, :2])) / np.sqrt(2.0)
+            how = f", corrected by {np.linalg.norm(moved):.1f} m as the frames around it"
+            how += f" (standard deviation in plan {sd_m:.1f} m)"
+        why = f" ({reasons[frame]})" if frame in reasons else ""
+        text = (
+            f"no tie points with other frames{why}: placed by its position and attitude{how}, so "
+            "seams may show there"
+        )
+        context.warn("no-tie-points", block.names[frame], text)
+    large = [part for part in parts if len(part) > 1]
+    for part in large[1:]:
+        context.warn(
+            "separate-part",
+            block.names[part[0]],
+            f"{len(part)} frames from here on have tie points with each other but none with the rest; "
+            "placed by their own positions: fly more overlap, or give control points with --gcp",
+        )
+
+
 def _report_control(context: Context, adjusted: Adjusted) -> None:
     """Figures of control and of check points apart."""
     for kind, check in (("control", False), ("check", True)):
@@ -170,10 +179,10 @@ def _report_control(context: Context, adjusted: Adjusted) -> None:
 
 
 def _report_shared(context: Context, adjusted: Adjusted) -> None:
-    """What frames share, each with what was given, found, its deviation, and whether it was held."""
+    """What frames share, each with what was given, found, its deviation, and whether it was kept as given."""
     shared = adjusted.shared
     if shared is not None:
-        columns = (shared.of, shared.names, shared.given, shared.found, shared.sd, shared.held)
+        columns = (shared.of, shared.names, shared.given, shared.found, shared.sd, shared.fixed)
         unknowns = [
             {
                 "of": of,
@@ -181,8 +190,8 @@ def _report_shared(context: Context, adjusted: Adjusted) -> None:
                 "given": float(given),
                 "found": float(found),
                 "sd": float(sd),
-                "held": bool(held),
+                "held": bool(fixed),
             }
-            for of, name, given, found, sd, held in zip(*columns, strict=True)
+            for of, name, given, found, sd, fixed in zip(*columns, strict=True)
         ]
         context.metric("adjustment.shared", unknowns)

@@ -1,4 +1,4 @@
-"""RUN/report.html: the run for people; beside it its accuracy for programs, and a PDF if asked for."""
+"""RUN/report.html: the run for people; with it its accuracy for programs, and a PDF if asked for."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from geomosaic.quality.compare import Comparison
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report.control import CHECK_POINTS, point_figures
-from geomosaic.report.frames import Beside, render_report
+from geomosaic.report.frames import OtherImages, render_report
 from geomosaic.report.given import GivenMosaic
 from geomosaic.report.glance import Glance
 from geomosaic.report.map_images import ReferenceSeen
@@ -26,7 +26,6 @@ from geomosaic.report.surface import SurfaceSection, surface_section
 from geomosaic.stages.reporting import run_name
 from geomosaic.survey.model import Survey
 
-_BESIDE: Final = ("given", "reference_seen")
 ACCURACY_REPORT: Final = "accuracy_report.json"
 PDF: Final = "report.pdf"
 
@@ -70,7 +69,7 @@ class ExportReport(Stage):
             comparison=inputs.get("comparison"),
             verdict=inputs.get("verdict"),
             surface=_surface(inputs, context),
-            beside=_beside(inputs, context),
+            others=_other_images(inputs, context),
             summary=context.summary(),
             name=run_name(context),
         )
@@ -125,7 +124,9 @@ def _surface(inputs: Mapping[str, Any], context: Context) -> SurfaceSection | No
     return surface_section(surface, confidence, terrain, context.summary(), inputs.get("surface_comparison"))
 
 
-def _beside(inputs: Mapping[str, Any], context: Context) -> Beside:
-    given, reference = (inputs[name].image if name in inputs else None for name in _BESIDE)
+def _other_images(inputs: Mapping[str, Any], context: Context) -> OtherImages:
+    given, reference = (
+        inputs[name].image if name in inputs else None for name in ("given", "reference_seen")
+    )
     accuracy = inputs.get("accuracy_file")
-    return Beside(given, reference, None if accuracy is None else context.path_of(accuracy))
+    return OtherImages(given, reference, None if accuracy is None else context.path_of(accuracy))

@@ -98,7 +98,7 @@ def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
 
 @dataclass(frozen=True)
 class PairItem:
-    """A pair of frames, where it is believed to match, and by how much its keypoints' images were shrunk."""
+    """A pair of frames, where it is expected to match, and by how much its keypoints' images were shrunk."""
 
     left: StoredResult[Features]
     right: StoredResult[Features]
@@ -134,7 +134,7 @@ def frame_windows(shown: PlacesAsked) -> Windows:
 
 @dataclass(frozen=True)
 class Sought:
-    """Some windows of a frame, where (n, 2) another is believed to show them, and how it turns and stretches
+    """Some windows of a frame, where (n, 2) another is expected to show them, and how it turns and stretches
     them (n, 2, 2), in pixels of both frames."""
 
     windows: StoredResult[Windows]

@@ -1,12 +1,12 @@
 """SIFT tie points between frames that may overlap, moved to where the pixels agree; frames turned after the
-flight are righted."""
+flight are turned back."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ from geomosaic.matching.planes import Guess
 from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import corrected_poses, found_turned, reheaded, seen_pairs
 from geomosaic.matching.untied import MOSTLY
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
@@ -37,176 +38,167 @@ _LEAST_RADIUS_PX = 300.0
 """The paper's coarse misplacement."""
 
 
-class MatchingSift(Stage):
+class SiftParams(StageParams):
+    """See each parameter's help."""
+
+    longest_px: int = param(
+        3000,
+        help="frames are halved until no side is longer; tie points are placed in those pixels",
+        unit="px",
+        ge=300,
+        le=20000,
+    )
+    keypoints_px: int = param(
+        1000, help="longest side of the images that keypoints are found in", unit="px", ge=200, le=20000
+    )
+    keypoints: int = param(6000, help="most keypoints of a frame", ge=100, le=50000)
+    band: int | None = param(None, help="band to match, counted from 1; luma if none is given", ge=1, le=1000)
+    radius_m: float | Literal["auto"] = param(
+        "auto",
+        help="how far apart two frames may place a point; auto: at least 300 ground px",
+        unit="m",
+        ge=0.0,
+    )
+    ratio: float = param(0.8, help="Lowe's ratio of the best to the second distance", ge=0.1, le=1.0)
+    tolerance_px: float = param(
+        2.0,
+        help="tolerance of the geometric check, in pixels of the images that keypoints are found in",
+        unit="px",
+        ge=0.1,
+        le=50,
+    )
+    check: str = param("auto", help="geometric check", choices=CHECKS)
+    least: int = param(16, help="fewest tie points that tie a pair", ge=4, le=1000)
+    refine: bool = param(True, help="tie points are moved to where windows about them agree")
+
+
+@stage(
+    "matching.sift", "Match frames with SIFT", group="Matching", version=17, outputs=("ties", "placement"),
+    wants_frames=True,
+)  # fmt: skip
+def matching_sift(
+    survey: Survey,
+    prior_ground: GroundSurface,
+    prior_placement: Placement,
+    params: SiftParams,
+    context: Context,
+) -> tuple[TiePoints, Placement]:
     """Finds the same ground in two images."""
-
-    id = "matching.sift"
-    display_name = "Match frames with SIFT"
-    group = "Matching"
-    version = 17
-    wants_frames: ClassVar[bool] = True
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "prior_ground": GroundSurface, "prior_placement": Placement,
-    }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {"ties": TiePoints, "placement": Placement}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        longest_px: int = param(
-            3000,
-            help="frames are halved until no side is longer; tie points are placed in those pixels",
-            unit="px",
-            ge=300,
-            le=20000,
+    placement, ground = prior_placement, prior_ground
+    cameras = [survey.camera_of(i) for i in range(len(survey.frames))]
+    reach_m = misplacement_m(placement.poses, cameras, ground)
+    reach_m = np.where(survey.located, reach_m, np.inf)
+    sizes = [(f.width_px, f.height_px) for f in survey.frames]
+    expected = _expected(params, placement, cameras, ground, reach_m)
+    pairs, pairing = _tied(survey, placement, expected, params, context)
+    untied = pairing.untied
+    record_tried(context, [f.name for f in survey.frames], pairing, pairs, params.least)
+    cap_m = _LEAST_RADIUS_PX * placement.ground_pixel_m
+    if any(survey.located):
+        cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
+    seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
+    turns, headings = found_turned(seen, placement.poses, sizes, cap_m)
+    _report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
+    faint = [features.look().faint for features in pairing.features]
+    mostly = sum(share >= MOSTLY for share in faint)
+    context.metric("matching.faint_frames", mostly)
+    if mostly:
+        context.inform(
+            f"{mostly} of {len(faint)} frames are faint; their contrast is raised for matching alone"
         )
-        keypoints_px: int = param(
-            1000, help="longest side of the images that keypoints are found in", unit="px", ge=200, le=20000
+    context.metric("matching.pairs_tried", len(pairs) + len(untied))
+    context.metric("matching.pairs_tied", len(pairs))
+    context.metric("matching.tie_points", int(pairs.counts.sum()))
+    placement = replace(
+        placement,
+        poses=reheaded(corrected_poses(placement.poses, turns), headings),
+        turned=tuple(turns.get(i, 0) for i in range(len(survey.frames))),
+    )
+    return pairing.ties(pairs, faint), placement
+
+
+def _tied(
+    survey: Survey,
+    placement: Placement,
+    expected: Callable[[int, int], Guess],
+    params: SiftParams,
+    context: Context,
+) -> tuple[TiePairs, Pairing]:
+    """The pairs that hold together, and how all were tried."""
+    sight = FrameReduction(params.longest_px, params.keypoints_px, params.band)
+    sizes = [(f.width_px, f.height_px) for f in survey.frames]
+    with pictured(context, sight, survey.frames) as pictures:
+        features = context.stored(
+            "keypoints", partial(frame_features, params.keypoints_px, params.keypoints), pictures
         )
-        keypoints: int = param(6000, help="most keypoints of a frame", ge=100, le=50000)
-        band: int | None = param(
-            None, help="band to match, counted from 1; luma if none is given", ge=1, le=1000
+        pairing = Pairing(
+            context,
+            Matching(params.ratio, params.check, params.tolerance_px, params.least),
+            features,
+            sizes,
+            [sight.pixel_px(f) for f in survey.frames],
+            expected,
+            placement.sequence,
         )
-        radius_m: float | Literal["auto"] = param(
-            "auto",
-            help="how far apart two frames may place a point; auto: at least 300 ground px",
-            unit="m",
-            ge=0.0,
+        lost = np.flatnonzero(~np.array(survey.located)).tolist()
+        pairs = pairing.match([*placement.pairs, *_without_positions(context, features, lost)])
+        if params.refine:
+            pairs = refined(context, pictures, sizes, pairs, params.least)
+    return pairs, pairing
+
+
+def _expected(
+    params: SiftParams,
+    placement: Placement,
+    cameras: Sequence[Camera],
+    ground: GroundSurface,
+    reach_m: Floats,
+) -> Callable[[int, int], Guess]:
+    """Where pairs are expected to match: by poses, to within how far these may be off."""
+    overlap = ExpectedOverlap.of(placement.poses, cameras, ground)
+
+    def of(a: int, b: int) -> Guess:
+        if params.radius_m != "auto":
+            return overlap.guess(a, b, params.radius_m / placement.ground_pixel_m)
+        off_m = float(np.hypot(reach_m[a], reach_m[b]))
+        return overlap.guess(a, b, max(_LEAST_RADIUS_PX, off_m / placement.ground_pixel_m))
+
+    return of
+
+
+def _without_positions(
+    context: Context, features: Sequence[StoredResult[Features]], frames: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Candidate pairs of frames that have no position, by what their images have in common."""
+    if not frames:
+        return []
+    few = [coarse(f.load()) for f in features]
+    compared = to_compare(len(features), frames)
+    jobs = [FrameComparison(few[i], tuple(few[j] for j in others)) for i, others in compared]
+    found = context.map("frames without position", alike, jobs, keys=[i for i, _ in compared])
+    context.metric("matching.pairs_compared", sum(len(others) for _, others in compared))
+    return likely_pairs(compared, found)
+
+
+def _report(
+    context: Context,
+    names: Sequence[str],
+    poses: Poses,
+    turns: Mapping[int, int],
+    headings: Mapping[int, float],
+) -> None:
+    """Names wrong headings and turned images."""
+    yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
+    for frame, heading in headings.items():
+        context.warn(
+            "yaw-wrong",
+            names[frame],
+            f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and is about "
+            f"{np.degrees(heading):.0f} by its neighbours' images; set by them",
         )
-        ratio: float = param(0.8, help="Lowe's ratio of the best to the second distance", ge=0.1, le=1.0)
-        tolerance_px: float = param(
-            2.0,
-            help="tolerance of the geometric check, in pixels of the images that keypoints are found in",
-            unit="px",
-            ge=0.1,
-            le=50,
+    for frame, quarters in turns.items():
+        context.warn(
+            "frame-turned",
+            names[frame],
+            f"its pixels were turned by {quarters * 90} degrees after the flight; turned back here",
         )
-        check: str = param("auto", help="geometric check", choices=CHECKS)
-        least: int = param(16, help="fewest tie points that tie a pair", ge=4, le=1000)
-        refine: bool = param(True, help="tie points are moved to where windows about them agree")
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Keypoints per frame, tie points per pair, their places in the pixels, then turned frames."""
-        survey: Survey = inputs["survey"]
-        placement: Placement = inputs["prior_placement"]
-        ground: GroundSurface = inputs["prior_ground"]
-        cameras = [survey.camera_of(i) for i in range(len(survey.frames))]
-        reach_m = misplacement_m(placement.poses, cameras, ground)
-        reach_m = np.where(survey.located, reach_m, np.inf)
-        sizes = [(f.width_px, f.height_px) for f in survey.frames]
-        believed = self._believed(params, placement, cameras, ground, reach_m)
-        pairs, pairing = self._tied(survey, placement, believed, params, context)
-        untied = pairing.untied
-        record_tried(context, [f.name for f in survey.frames], pairing, pairs, params.least)
-        cap_m = _LEAST_RADIUS_PX * placement.ground_pixel_m
-        if any(survey.located):
-            cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
-        seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
-        turns, headings = found_turned(seen, placement.poses, sizes, cap_m)
-        self._report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
-        faint = [features.look().faint for features in pairing.features]
-        mostly = sum(share >= MOSTLY for share in faint)
-        context.metric("matching.faint_frames", mostly)
-        if mostly:
-            context.inform(
-                f"{mostly} of {len(faint)} frames are faint; their contrast is raised for matching alone"
-            )
-        context.metric("matching.pairs_tried", len(pairs) + len(untied))
-        context.metric("matching.pairs_tied", len(pairs))
-        context.metric("matching.tie_points", int(pairs.counts.sum()))
-        return {
-            "ties": pairing.ties(pairs, faint),
-            "placement": replace(
-                placement,
-                poses=reheaded(corrected_poses(placement.poses, turns), headings),
-                turned=tuple(turns.get(i, 0) for i in range(len(survey.frames))),
-            ),
-        }
-
-    @classmethod
-    def _tied(
-        cls,
-        survey: Survey,
-        placement: Placement,
-        believed: Callable[[int, int], Guess],
-        params: Params,
-        context: Context,
-    ) -> tuple[TiePairs, Pairing]:
-        """The pairs that hold together, and how all were tried."""
-        sight = FrameReduction(params.longest_px, params.keypoints_px, params.band)
-        sizes = [(f.width_px, f.height_px) for f in survey.frames]
-        with pictured(context, sight, survey.frames) as pictures:
-            features = context.stored(
-                "keypoints", partial(frame_features, params.keypoints_px, params.keypoints), pictures
-            )
-            pairing = Pairing(
-                context,
-                Matching(params.ratio, params.check, params.tolerance_px, params.least),
-                features,
-                sizes,
-                [sight.pixel_px(f) for f in survey.frames],
-                believed,
-                placement.sequence,
-            )
-            lost = np.flatnonzero(~np.array(survey.located)).tolist()
-            pairs = pairing.match([*placement.pairs, *cls._without_positions(context, features, lost)])
-            if params.refine:
-                pairs = refined(context, pictures, sizes, pairs, params.least)
-        return pairs, pairing
-
-    @staticmethod
-    def _believed(
-        params: Params,
-        placement: Placement,
-        cameras: Sequence[Camera],
-        ground: GroundSurface,
-        reach_m: Floats,
-    ) -> Callable[[int, int], Guess]:
-        """Where pairs are believed to match: by poses, to within how far these may be off."""
-        believed = ExpectedOverlap.of(placement.poses, cameras, ground)
-
-        def of(a: int, b: int) -> Guess:
-            if params.radius_m != "auto":
-                return believed.guess(a, b, params.radius_m / placement.ground_pixel_m)
-            off_m = float(np.hypot(reach_m[a], reach_m[b]))
-            return believed.guess(a, b, max(_LEAST_RADIUS_PX, off_m / placement.ground_pixel_m))
-
-        return of
-
-    @staticmethod
-    def _without_positions(
-        context: Context, features: Sequence[StoredResult[Features]], frames: Sequence[int]
-    ) -> list[tuple[int, int]]:
-        """Candidate pairs of frames that have no position, by what their images have in common."""
-        if not frames:
-            return []
-        few = [coarse(f.load()) for f in features]
-        compared = to_compare(len(features), frames)
-        jobs = [FrameComparison(few[i], tuple(few[j] for j in others)) for i, others in compared]
-        found = context.map("frames without position", alike, jobs, keys=[i for i, _ in compared])
-        context.metric("matching.pairs_compared", sum(len(others) for _, others in compared))
-        return likely_pairs(compared, found)
-
-    @staticmethod
-    def _report(
-        context: Context,
-        names: Sequence[str],
-        poses: Poses,
-        turns: Mapping[int, int],
-        headings: Mapping[int, float],
-    ) -> None:
-        """Names wrong headings and turned images."""
-        yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
-        for frame, heading in headings.items():
-            context.warn(
-                "yaw-wrong",
-                names[frame],
-                f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and is about "
-                f"{np.degrees(heading):.0f} by its neighbours' images; set by them",
-            )
-        for frame, quarters in turns.items():
-            context.warn(
-                "frame-turned",
-                names[frame],
-                f"its pixels were turned by {quarters * 90} degrees after the flight; turned back here",
-            )

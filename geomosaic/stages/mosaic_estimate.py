@@ -17,7 +17,7 @@ from geomosaic.stages.mosaic_compose import MosaicCompose
 from geomosaic.stages.mosaic_grid import Seeing, laid_extent, laid_pixel
 from geomosaic.stages.mosaic_seams import MosaicSeams
 from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
-from geomosaic.stages.surface_dense import SurfaceDense
+from geomosaic.stages.surface_dense import surface_dense
 from geomosaic.survey.model import Survey
 
 
@@ -56,7 +56,7 @@ def mosaic_estimate(
     memory = float(context.workers * max(map(decoded_bytes, survey.frames)))
     sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
     before = before_composing(sizes_px, len(prior_placement.pairs), context.workers, memory)
-    dense = in_recipe(context, SurfaceDense)
+    dense = in_recipe(context, surface_dense)
     expected = estimate(
         grid.width_px,
         grid.height_px,
@@ -64,7 +64,7 @@ def mosaic_estimate(
         filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
         pixel_bytes=pixel_bytes,
         sources=compose.sources,
-        surface_cell_px=params_of(context, SurfaceDense).cell_px if dense else None,
+        surface_cell_px=params_of(context, surface_dense).cell_px if dense else None,
         before=before,
         threads=context.workers,
     )

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from geomosaic.errors import InputError
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.graph import flight_lines, overlapping_pairs
 from geomosaic.placement.heights import FrameHeights, frame_heights_m, possible_heights, with_missing_heights
 from geomosaic.placement.model import Placement
@@ -26,82 +27,77 @@ from geomosaic.survey.names import some
 Floats = NDArray[np.float64]
 
 
-class PlacementPos(Stage):
+class PlacementParams(StageParams):
+    """See each parameter's help."""
+
+    formula: str = param("rigorous", help="how longitude and latitude become metres", choices=FORMULAS)
+    attitude: str = param(
+        "yaw_pitch_roll",
+        help="how the three angles turn a frame; the paper's is phi_omega_kappa",
+        choices=ATTITUDES,
+    )
+    neighbours: int = param(12, help="most neighbours a frame is compared with", ge=1, le=200)
+
+
+def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How many pairs may have ground in common."""
+    found = summary["metrics"]["placement"]
+    return [("pairs", f"{found['candidate_pairs']} to compare, in {found['flight_lines']} flight lines")]
+
+
+@stage(
+    "placement.pos", "Place frames by POS", group="Placement", version=9, outputs="prior_placement",
+    plans=_plans,
+)  # fmt: skip
+def placement_pos(
+    levelled_survey: Survey, prior_ground: GroundSurface, params: PlacementParams, context: Context
+) -> Placement:
     """Brings the survey's positions and attitudes into the work frame and finds who may overlap whom."""
-
-    id = "placement.pos"
-    display_name = "Place frames by POS"
-    group = "Placement"
-    version = 9
-    inputs: ClassVar[dict[str, type]] = {"levelled_survey": Survey, "prior_ground": GroundSurface}
-    outputs: ClassVar[dict[str, type]] = {"prior_placement": Placement}
-    formerly: ClassVar[dict[str, str]] = {"prior_placement": "placement"}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        formula: str = param("rigorous", help="how longitude and latitude become metres", choices=FORMULAS)
-        attitude: str = param(
-            "yaw_pitch_roll",
-            help="how the three angles turn a frame; the paper's is phi_omega_kappa",
-            choices=ATTITUDES,
-        )
-        neighbours: int = param(12, help="most neighbours a frame is compared with", ge=1, le=200)
-
-    @classmethod
-    def plans(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """How many pairs may have ground in common."""
-        told = summary["metrics"]["placement"]
-        return [("pairs", f"{told['candidate_pairs']} to compare, in {told['flight_lines']} flight lines")]
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Prior poses, flight lines, footprints, overlap graph."""
-        survey: Survey = inputs["levelled_survey"]
-        ground: GroundSurface = inputs["prior_ground"]
-        names = [f.name for f in survey.frames]
-        cameras = [survey.camera_of(i) for i in range(len(names))]
-        level = FORMULAS[params.formula](
-            survey.work_frame,
-            np.array([[f.position.lon_deg, f.position.lat_deg, 0.0] for f in survey.frames]),
-        )[0]
-        below = survey.work_frame.geodetic_from_enu(
-            np.column_stack([level[:, :2], ground.up_at(*level[:, :2].T)])
-        )
-        heights = _heights(context, survey, below[:, 2])
-        lines = flight_lines(level)
-        poses = prior_poses(survey, heights, lines, params.formula, params.attitude)
-        outlines = [footprint(poses[i], cameras[i], ground) for i in range(len(names))]
-        for name, outline in zip(names, outlines, strict=True):
-            if np.isnan(outline).any():
-                context.warn(
-                    "horizon",
-                    name,
-                    "part of the frame shows sky or land beyond the horizon: that part is not used",
-                )
-        outlines = [o[np.isfinite(o).all(axis=1)] for o in outlines]
-        located = np.array(survey.located)
-        outlines = [o if known else o[:0] for o, known in zip(outlines, located, strict=True)]
-        reach_m = float(np.median(misplacement_m(poses, cameras, ground)[located])) if located.any() else 0.0
-        if located.all():
-            _warn_of_control_outside(context, survey, outlines, reach_m)
-        placement = Placement(
-            poses=poses,
-            sequence=tuple(range(len(names))),
-            lines=lines,
-            pairs=overlapping_pairs(outlines, reach_m, params.neighbours),
-            ground_pixel_m=survey_pixel_m(poses, cameras, [True] * len(names), ground),
-            formula=params.formula,
-        )
-        record_origin(context, survey)
-        record_locations(context, survey, names, poses, ["placed"] * len(names))
-        nowhere = ["" if known else "no position" for known in survey.located]
-        context.recorder.table("frames.placed", names, pose_columns(poses), notes=nowhere)
-        context.recorder.outlines("placed", names, outlines)
-        record_footprints(context, survey.work_frame, "placed", names, outlines)
-        context.metric("placement.ground_pixel_m", placement.ground_pixel_m)
-        context.metric("placement.flight_lines", max(lines) + 1)
-        context.metric("placement.candidate_pairs", len(placement.pairs))
-        return {"prior_placement": placement}
+    survey, ground = levelled_survey, prior_ground
+    names = [f.name for f in survey.frames]
+    cameras = [survey.camera_of(i) for i in range(len(names))]
+    level = FORMULAS[params.formula](
+        survey.work_frame,
+        np.array([[f.position.lon_deg, f.position.lat_deg, 0.0] for f in survey.frames]),
+    )[0]
+    below = survey.work_frame.geodetic_from_enu(
+        np.column_stack([level[:, :2], ground.up_at(*level[:, :2].T)])
+    )
+    heights = _heights(context, survey, below[:, 2])
+    lines = flight_lines(level)
+    poses = prior_poses(survey, heights, lines, params.formula, params.attitude)
+    outlines = [footprint(poses[i], cameras[i], ground) for i in range(len(names))]
+    for name, outline in zip(names, outlines, strict=True):
+        if np.isnan(outline).any():
+            context.warn(
+                "horizon",
+                name,
+                "part of the frame shows sky or land beyond the horizon: that part is not used",
+            )
+    outlines = [o[np.isfinite(o).all(axis=1)] for o in outlines]
+    located = np.array(survey.located)
+    outlines = [o if known else o[:0] for o, known in zip(outlines, located, strict=True)]
+    reach_m = float(np.median(misplacement_m(poses, cameras, ground)[located])) if located.any() else 0.0
+    if located.all():
+        _warn_of_control_outside(context, survey, outlines, reach_m)
+    placement = Placement(
+        poses=poses,
+        sequence=tuple(range(len(names))),
+        lines=lines,
+        pairs=overlapping_pairs(outlines, reach_m, params.neighbours),
+        ground_pixel_m=survey_pixel_m(poses, cameras, [True] * len(names), ground),
+        formula=params.formula,
+    )
+    record_origin(context, survey)
+    record_locations(context, survey, names, poses, ["placed"] * len(names))
+    nowhere = ["" if known else "no position" for known in survey.located]
+    context.recorder.table("frames.placed", names, pose_columns(poses), notes=nowhere)
+    context.recorder.outlines("placed", names, outlines)
+    record_footprints(context, survey.work_frame, "placed", names, outlines)
+    context.metric("placement.ground_pixel_m", placement.ground_pixel_m)
+    context.metric("placement.flight_lines", max(lines) + 1)
+    context.metric("placement.candidate_pairs", len(placement.pairs))
+    return placement
 
 
 def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:

@@ -18,8 +18,8 @@ from geomosaic.quality.accuracy_grid import (
     AccuracyBlock,
     AccuracyCells,
     MatchedCells,
-    held_by_ties,
     standing_m,
+    tied_area,
 )
 from geomosaic.quality.ground_accuracy import HeightSource
 from geomosaic.quality.ground_doubt import MATCHED
@@ -64,7 +64,7 @@ def quality_accuracy(
         survey.work_frame,
         block.adjusted,
         block.ground,
-        held_by_ties(block.adjusted, block.ties, survey.work_frame, survey.map_crs),
+        tied_area(block.adjusted, block.ties, survey.work_frame, survey.map_crs),
         _matched(block.ground, heights),
     )
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.limits import limits_of
 from geomosaic.composition.views import seen_part
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.matching.features import grey
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.input_groups import AdjustedSurvey
 from geomosaic.stages.reporting import first_capture_s
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.consistency_filter import RIM_CELLS, FilteredTile, MatchCounts, consistent_heights
@@ -28,107 +29,101 @@ from geomosaic.surface.plane_sweep import SweepView
 from geomosaic.surface.pyramid import PyramidLevel, TileTask, cells_covering, pyramid_levels
 from geomosaic.surface.tile_mosaic import mosaic_tiles, with_rim
 from geomosaic.surface.tile_sgm import CensusImage, HeightSearch, TileHeights, census_image, match_tile
-from geomosaic.survey.model import Frame, Survey
+from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import REDUCTIONS, read_pixels
 from geomosaic.survey.small import Small, Spare
 
 _SHOWN_POINTS = tuned(40_000, "points", "of the surface in a recording: fewer hide roofs; more are megabytes")
 
 
-class SurfaceDense(Stage):
+class DenseParams(StageParams):
+    """See each parameter's help."""
+
+    cell_px: float = param(4.0, help="side of a cell of the surface", unit="ground px", ge=2.0, le=64.0)
+
+
+def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How fine the surface is, and how much of it was seen."""
+    found = summary["metrics"].get("surface", {})
+    if "cell_m" not in found:
+        return []
+    return [
+        ("surface", f"cells of {found['cell_m']:.3g} m, {100.0 * found['matched']:.0f} % of them matched")
+    ]
+
+
+@stage(
+    "surface.dense", "Match the surface", group="Surface", version=16, outputs=("ground", "surface"),
+    wants_frames=True, conclusions=_conclusions,
+)  # fmt: skip
+def surface_dense(
+    of: AdjustedSurvey, params: DenseParams, context: Context
+) -> tuple[GroundSurface, DenseSurface]:
     """Matches heights between the adjusted frames."""
-
-    id = "surface.dense"
-    display_name = "Match the surface"
-    group = "Surface"
-    version = 16
-    wants_frames: ClassVar[bool] = True
-    inputs: ClassVar[dict[str, type]] = {"survey": Survey, "adjusted": Adjusted, "ground": GroundSurface}
-    outputs: ClassVar[dict[str, type]] = {"ground": GroundSurface, "surface": DenseSurface}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        cell_px: float = param(4.0, help="side of a cell of the surface", unit="ground px", ge=2.0, le=64.0)
-
-    @classmethod
-    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """How fine the surface is, and how much of it was seen."""
-        told = summary["metrics"].get("surface", {})
-        if "cell_m" not in told:
-            return []
-        return [
-            ("surface", f"cells of {told['cell_m']:.3g} m, {100.0 * told['matched']:.0f} % of them matched")
-        ]
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """From coarse cells to fine ones, tile by tile."""
-        survey: Survey = inputs["survey"]
-        adjusted: Adjusted = inputs["adjusted"]
-        base: GroundSurface = inputs["ground"]
-        used = [i for i, status in enumerate(adjusted.status) if status != "rejected"]
-        gsd_m = {i: ground_sampling_distance_m(adjusted.poses[i], adjusted.cameras[i], base) for i in used}
-        used = [i for i in used if np.isfinite(gsd_m[i])]
-        of_all = [status != "rejected" for status in adjusted.status]
-        pixel_m = survey_pixel_m(adjusted.poses, adjusted.cameras, of_all, base)
-        limits = limits_of(adjusted.poses, adjusted.cameras, of_all, base, pixel_m)
-        parts = {i: seen_part(adjusted.poses[i], adjusted.cameras[i], base, limits) for i in used}
-        used = [i for i in used if len(parts[i].points_m)] or used
-        outlines = [
-            footprint(adjusted.poses[i], adjusted.cameras[i], base)[:, :2]
-            if parts[i].quality is None
-            else parts[i].points_m[:, :2]
-            for i in used
-        ]
-        seen = np.vstack([np.zeros((0, 2)), *outlines])
-        seen = seen[np.isfinite(seen).all(axis=1)]
-        if not len(seen):
-            raise InputError(
-                "no frame sees the ground, so there is no dense surface", fix="run without --surface dense"
-            )
-        wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
-        cells = cells_covering(seen.min(axis=0), seen.max(axis=0), wanted_m)
-        if cells.cell_m > wanted_m:
-            text = (
-                f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: a surface may have no "
-                "more; details smaller than that are smoothed"
-            )
-            context.warn("surface-coarse", "", text)
-        context.metric("surface.cell_m", cells.cell_m)
-        if len(used) < 2:
-            context.warn(
-                "surface-not-matched",
-                "",
-                "one frame alone gives no surface: the ground is used as without --surface dense",
-            )
-            surface = mosaic_tiles(cells, base, ())
-            return {"ground": surface.ground(), "surface": surface}
-        places = adjusted.poses.positions_m[used]
-        flying_m = float(np.median(places[:, 2] - base.up_at(places[:, 0], places[:, 1])))
-        both = pyramid_levels(cells, flying_m)
-        sighted = [
-            [SweepView(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
-            for level in both
-        ]
-        looks = [
-            _LevelReductions(
-                survey.frames[i],
-                int(coarse.reduction),
-                int(fine.reduction),
-                fine.turn_rad,
-                context.optional_cache(Small, survey.frames[i].path),
-            )
-            for i, coarse, fine in zip(used, *sighted, strict=True)
-        ]
-        kept = context.stored("pictures", _pictures, looks)
-        surface, counted = _matched(context, both, base, sighted, kept)
-        for pictures in kept:
-            pictures.forget()
-        for code, text in match_warnings(counted, both[-1], base.kind):
-            context.warn(code, "", text)
-        context.metric("surface.matched", counted.share)
-        context.recorder.points("surface", surface.sampled_m(_SHOWN_POINTS), {}, first_capture_s(survey))
-        return {"ground": surface.ground(), "surface": surface}
+    survey, adjusted, base = of.survey, of.adjusted, of.ground
+    used = [i for i, status in enumerate(adjusted.status) if status != "rejected"]
+    gsd_m = {i: ground_sampling_distance_m(adjusted.poses[i], adjusted.cameras[i], base) for i in used}
+    used = [i for i in used if np.isfinite(gsd_m[i])]
+    of_all = [status != "rejected" for status in adjusted.status]
+    pixel_m = survey_pixel_m(adjusted.poses, adjusted.cameras, of_all, base)
+    limits = limits_of(adjusted.poses, adjusted.cameras, of_all, base, pixel_m)
+    parts = {i: seen_part(adjusted.poses[i], adjusted.cameras[i], base, limits) for i in used}
+    used = [i for i in used if len(parts[i].points_m)] or used
+    outlines = [
+        footprint(adjusted.poses[i], adjusted.cameras[i], base)[:, :2]
+        if parts[i].quality is None
+        else parts[i].points_m[:, :2]
+        for i in used
+    ]
+    seen = np.vstack([np.zeros((0, 2)), *outlines])
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    if not len(seen):
+        raise InputError(
+            "no frame sees the ground, so there is no dense surface", fix="run without --surface dense"
+        )
+    wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
+    cells = cells_covering(seen.min(axis=0), seen.max(axis=0), wanted_m)
+    if cells.cell_m > wanted_m:
+        text = (
+            f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: a surface may have no "
+            "more; details smaller than that are smoothed"
+        )
+        context.warn("surface-coarse", "", text)
+    context.metric("surface.cell_m", cells.cell_m)
+    if len(used) < 2:
+        context.warn(
+            "surface-not-matched",
+            "",
+            "one frame alone gives no surface: the ground is used as without --surface dense",
+        )
+        surface = mosaic_tiles(cells, base, ())
+        return surface.ground(), surface
+    places = adjusted.poses.positions_m[used]
+    flying_m = float(np.median(places[:, 2] - base.up_at(places[:, 0], places[:, 1])))
+    both = pyramid_levels(cells, flying_m)
+    sighted = [
+        [SweepView(adjusted.poses[i], adjusted.cameras[i], _reduction(level, gsd_m[i])) for i in used]
+        for level in both
+    ]
+    looks = [
+        _LevelReductions(
+            survey.frames[i],
+            int(coarse.reduction),
+            int(fine.reduction),
+            fine.turn_rad,
+            context.optional_cache(Small, survey.frames[i].path),
+        )
+        for i, coarse, fine in zip(used, *sighted, strict=True)
+    ]
+    kept = context.stored("pictures", _pictures, looks)
+    surface, counted = _matched(context, both, base, sighted, kept)
+    for pictures in kept:
+        pictures.forget()
+    for code, text in match_warnings(counted, both[-1], base.kind):
+        context.warn(code, "", text)
+    context.metric("surface.matched", counted.share)
+    context.recorder.points("surface", surface.sampled_m(_SHOWN_POINTS), {}, first_capture_s(survey))
+    return surface.ground(), surface
 
 
 def _reduction(level: PyramidLevel, gsd_m: float) -> int:

@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 class Pairing:
     """The pairs of a survey, matched where it costs least first.
 
-    believed: where a pair is believed to match. pixel_px: of each frame, its pixels in one of the image
+    expected: where a pair is expected to match. pixel_px: of each frame, its pixels in one of the image
     that keypoints are of. sequence: frames in order of flight.
     """
 
@@ -46,21 +46,21 @@ class Pairing:
     features: Sequence[StoredResult[Features]]
     sizes_px: Sequence[Pair]
     pixel_px: Sequence[float]
-    believed: Callable[[int, int], Guess]
+    expected: Callable[[int, int], Guess]
     sequence: Sequence[int]
     looks: dict[Pair, PairMatch] = field(default_factory=dict)
     _planes: SeenPlanes = field(default_factory=SeenPlanes)
     _places: dict[int, Floats] = field(default_factory=dict)
 
     def match(self, pairs: Iterable[Pair]) -> TiePairs:
-        """The pairs that hold together: about where they are believed to match; then, where their neighbours
+        """The pairs that hold together: about where they are expected to match; then, where their neighbours
         show that they should; last, all keypoints of frames that hang together with no one else's."""
         pairs = list(pairs)
-        self._round("pairs", self.how, [(p, self.believed(*p)) for p in pairs])
+        self._round("pairs", self.how, [(p, self.expected(*p)) for p in pairs])
         self._by_neighbours()
         apart = self._apart()
         if apart:
-            said = [(p, self.believed(*p)) for p in apart]
+            said = [(p, self.expected(*p)) for p in apart]
             self._round("pairs of lonely frames", replace(self.how, search="all"), said)
             self._by_neighbours()
         return self._found()
@@ -112,7 +112,7 @@ class Pairing:
                 return
 
     def _apart(self) -> list[Pair]:
-        """Untied pairs of frames that don't hang together, and of lonely frames those flown beside them."""
+        """Untied pairs of frames that don't hang together, and of lonely frames those flown next to them."""
         tied = self.tied
         part: dict[int, int] = {}
         for k, members in enumerate(connected_parts(len(self.features), tied)):

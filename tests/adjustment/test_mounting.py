@@ -96,7 +96,7 @@ def test_derivatives_are_those_of_finite_differences() -> None:
 def _found(adjusted: Adjusted, name: str) -> tuple[float, float, bool]:
     assert adjusted.shared is not None
     k = adjusted.shared.names.index(name)
-    return adjusted.shared.found[k], adjusted.shared.sd[k], bool(adjusted.shared.held[k])
+    return adjusted.shared.found[k], adjusted.shared.sd[k], bool(adjusted.shared.fixed[k])
 
 
 SHARP = np.array([0.1, 0.1, 0.15])

@@ -24,7 +24,7 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.accuracy_grid import AccuracyCells, MatchedCells, held_by_ties, standing_m
+from geomosaic.quality.accuracy_grid import AccuracyCells, MatchedCells, standing_m, tied_area
 from geomosaic.quality.ground_accuracy import GroundPropagation, HeightSource
 from geomosaic.surface.cells import Cells
 
@@ -343,9 +343,9 @@ def test_tie_points_that_count_hold_the_ground_between_them() -> None:
     weight = np.array([1.0, 1.0, 1.0, 1.0, 0.1])
     residuals = ImageResiduals(np.zeros(5, np.intp), px, 0.0 * px, weight)
     none = TiePoints(())
-    held = held_by_ties(replace(adjusted(ground, None), image_residuals=residuals), none, HOME, CRS)
+    held = tied_area(replace(adjusted(ground, None), image_residuals=residuals), none, HOME, CRS)
     corners = ground_from_image(POSE, CAMERA, ground, px[:4])[:, :2]
     x, y = corners.T
     area = 0.5 * abs(float(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))))
     assert held.geometry.area == pytest.approx(area, rel=2e-3)
-    assert not held_by_ties(adjusted(ground, None), none, HOME, CRS).polygons
+    assert not tied_area(adjusted(ground, None), none, HOME, CRS).polygons

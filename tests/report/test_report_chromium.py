@@ -11,7 +11,7 @@ import pytest
 from browser import Page, browser
 from report_survey import HOSTILE, made_up_run
 
-from geomosaic.report.frames import Beside, render_report
+from geomosaic.report.frames import OtherImages, render_report
 from geomosaic.report.glance import glance
 
 
@@ -29,7 +29,7 @@ def page(tmp_path_factory) -> Path:
     run["summary"]["warnings"].append({"code": "frame-damaged", "frame": bad, "text": bad})
     other = glance(folder / "ortho <true>.tif")
     file = folder / "report.html"
-    file.write_text(render_report(**run, name="May", beside=Beside(other, other)), encoding="utf-8")
+    file.write_text(render_report(**run, name="May", others=OtherImages(other, other)), encoding="utf-8")
     return file
 
 

@@ -14,7 +14,6 @@ from test_report_page import Page
 
 from geomosaic.adjustment.model import ImageResiduals, SharedUnknowns
 from geomosaic.camera.interior import Camera
-from geomosaic.pipeline.stage import Context
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.report.frames import render_report
 from geomosaic.report.plots import Axis, histogram
@@ -28,7 +27,6 @@ from geomosaic.report.solved_figures import (
 )
 from geomosaic.report.solved_plots import correlation_map, image_vectors
 from geomosaic.report.svg import COLOURS
-from geomosaic.stages.reporting import record_adjusted
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -51,7 +49,7 @@ def shared() -> SharedUnknowns:
         found=np.array([1005.4595, -0.0218102, 0.0031113, 297.0, 0.2017]),
         sd=np.array([4.9616, 0.0041546, 0.0315238, np.nan, 0.0112]),
         correlation=correlation,
-        held=np.array([False, False, False, True, False]),
+        fixed=np.array([False, False, False, True, False]),
     )
 
 
@@ -99,14 +97,11 @@ def test_strong_correlations_come_first_and_held_numbers_not_at_all():
         ("flat", None, "auto", "no DEM was given; images and attitudes agree with level ground"),
     ],
 )  # fmt: skip
-def test_the_ground_has_a_reason(solved, tmp_path, kind, relief_px, asked, reason):
+def test_the_ground_has_a_reason(solved, kind, relief_px, asked, reason):
     figures = {} if relief_px is None else {"ground_relief_px": relief_px}
     surface = GroundSurface(kind, 0.0, 0.0, 1.0, np.zeros((1, 1)))
     adjusted = replace(solved.adjusted, ground=surface, figures=figures)
     assert ground_reason(adjusted, asked) == reason
-    context = Context(tmp_path, stage_id="adjustment.solve")
-    record_adjusted(context, solved.survey, solved.block, adjusted, asked)
-    assert context.notes.metrics["ground"]["reason"] == reason
 
 
 def test_a_lens_fault_shows_also_where_half_of_the_images_were_turned(solved):
@@ -177,9 +172,9 @@ def test_the_marked_value_stands_at_its_place():
 
 def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
     run = made_up_run(tmp_path, with_comparison=False)
-    held = solved.adjusted.shared.held.copy()
-    held[list(solved.adjusted.shared.names).index("k3")] = True
-    adjusted = replace(solved.adjusted, shared=replace(solved.adjusted.shared, held=held))
+    fixed = solved.adjusted.shared.fixed.copy()
+    fixed[list(solved.adjusted.shared.names).index("k3")] = True
+    adjusted = replace(solved.adjusted, shared=replace(solved.adjusted.shared, fixed=fixed))
     summary = {**run["summary"], "metrics": {"ground": {"kind": "flat", "reason": "chosen by <b>parameter"}}}
     html = render_report(
         survey=solved.survey, placement=solved.placement, ties=solved.ties, adjusted=adjusted,

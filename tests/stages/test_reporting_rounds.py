@@ -29,7 +29,7 @@ def test_pairs_that_see_no_ground_together_have_no_misalignment(
     context: Any = MagicMock()
     survey: Any = SimpleNamespace(map_crs="", work_frame=None, left_out=(), frames=())
     adjusted = METHODS[method](block, Settings(), context)
-    reporting.record_adjusted(context, survey, block, adjusted, "auto", method)
+    reporting.record_adjusted(context, survey, block, adjusted, method)
     told = context.recorder.offsets.call_args.args[2]
     names = {name for left, right, *_ in told for name in (left, right)}
     assert names == set(block.names) - {block.names[4]}

@@ -17,7 +17,7 @@ from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages import surface_dense as stage_module
-from geomosaic.stages.surface_dense import SurfaceDense
+from geomosaic.stages.surface_dense import surface_dense
 from geomosaic.surface import pyramid as levels_module
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.consistency_filter import consistent_heights
@@ -236,7 +236,7 @@ def test_a_killed_run_goes_on_with_the_tile_it_was_at(flown: Path, monkeypatch: 
 
     def run(folder: str) -> DenseSurface:
         context = Context(flown / folder, key="some", work_folder=flown / folder / "work")
-        found = SurfaceDense().run(inputs, SurfaceDense.Params(), context)["surface"]
+        found = surface_dense().run(inputs, surface_dense.Params(), context)["surface"]
         assert isinstance(found, DenseSurface)
         return found
 

@@ -225,8 +225,8 @@ def undetermined_unknowns(shared: SharedUnknowns, cameras: Sequence[Camera]) -> 
     text = "this block does not determine it; kept as given. It takes lines flown there, back and across"
     return [
         Warn("not-determined", "", f"{name}: {text}")
-        for of, name, held in zip(shared.of, shared.names, shared.held, strict=True)
-        if held and name not in INTERIOR[:-1] and not (name == INTERIOR[-1] and of in reported)
+        for of, name, fixed in zip(shared.of, shared.names, shared.fixed, strict=True)
+        if fixed and name not in INTERIOR[:-1] and not (name == INTERIOR[-1] and of in reported)
     ]
 
 

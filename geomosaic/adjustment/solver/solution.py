@@ -213,5 +213,5 @@ class Solution(Start):
             found=self.estimate.shared[rows] / unit,
             sd=self.stated.shared_sd[rows] / unit,
             correlation=self.stated.shared_correlation[np.ix_(rows, rows)],
-            held=self.fixed[rows],
+            fixed=self.fixed[rows],
         )
