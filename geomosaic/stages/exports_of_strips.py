@@ -22,7 +22,7 @@ from geomosaic.export.strip_layers import write_strip_layers
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.report.strips import render_strips_report
-from geomosaic.stages.input_groups import AssessedScene
+from geomosaic.stages.input_groups import JudgedScene
 from geomosaic.stages.reporting import run_name
 from geomosaic.survey.strips import StripGeometry
 
@@ -45,7 +45,7 @@ def export_offsets(offsets: StripOffsets, context: Context) -> RunFile:
     results=(LAYERS,),
 )  # fmt: skip
 def export_strip_layers(
-    scene: AssessedScene, outlines: Outlines, mosaic_file: RunFile, context: Context
+    scene: JudgedScene, outlines: Outlines, mosaic_file: RunFile, context: Context
 ) -> RunFile:
     """Writes where the scene, the strips and their seams lie."""
     with open_raster(context.path_of(mosaic_file), OWN) as mosaic:
@@ -97,7 +97,7 @@ def export_map(strips: StripGeometry, mosaic_file: RunFile, params: MapParams, c
     results=(REPORT,), cached=False,
 )  # fmt: skip
 def export_strip_report(
-    scene: AssessedScene,
+    scene: JudgedScene,
     offsets: StripOffsets,
     radiometry: Radiometry,
     mosaic_file: RunFile,

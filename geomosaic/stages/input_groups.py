@@ -60,7 +60,7 @@ class StripScene(InputGroup):
 
 
 @dataclass(frozen=True)
-class AssessedScene(StripScene):
+class JudgedScene(StripScene):
     """That scene and how good it is."""
 
     strip_quality: StripQuality

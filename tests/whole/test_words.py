@@ -60,6 +60,7 @@ PRIVATE = {
 """Words that no identifier of a clean room contains."""
 CLEAN = (
     "camera",
+    "ccd",
     "composition",
     "doors",
     "export",
