@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from geomosaic import __version__
+from geomosaic.cli.control import control
 from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
 from geomosaic.cli.help import HeadedCommand, HeadedGroup, with_help_all
@@ -44,7 +45,7 @@ _REPLAY = RequestCommand(
 
 _COMMANDS: Mapping[str, Sequence[RequestCommand | Callable[..., Any]]] = {
     "Make a mosaic": (_MOSAIC, _STRIPS, _RUN),
-    "Before a run": (fetch, recipes, stages),
+    "Before a run": (fetch, control, recipes, stages),
     "After a run": (inspect, view, measure, evaluate, _REPLAY, diff, misplacement),
     "Installation and simulation": (doctor, qgis_script),
 }

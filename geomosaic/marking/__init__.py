@@ -1,0 +1,1 @@
+"""Control points marked in a browser: predicted places, marks, their files, and the page that shows them."""

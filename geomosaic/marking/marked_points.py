@@ -1,0 +1,87 @@
+"""Surveyed points with their marks: read from the file given and the one saved, written after every mark."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from geomosaic.errors import InputError
+from geomosaic.export.references import write_odm_control
+from geomosaic.marking.oriented_frames import OrientedFrames
+from geomosaic.pipeline import files
+from geomosaic.survey.control import read_control
+from geomosaic.survey.model import ControlPoint, Warn
+from geomosaic.survey.names import FrameNames
+from geomosaic.survey.observations import lonlat_of
+
+TABLE: Final = "gcp.csv"
+LIST: Final = "gcp_list.txt"
+_COLUMNS: Final = (
+    "name", "kind", "lon_deg", "lat_deg", "height_ellipsoidal_m", "sd_horizontal_m", "sd_vertical_m", "image",
+    "col", "row",
+)  # fmt: skip
+_CHECK: Final = "CHK"
+"""What names of check points begin with in OpenDroneMap's list."""
+
+
+def read_points(
+    path: Path, folder: Path, frames: OrientedFrames
+) -> tuple[tuple[ControlPoint, ...], tuple[Warn, ...]]:
+    """The points of a file, with the marks and kinds that the folder's gcp.csv has for them, and what was
+    assumed of the file. Points that only gcp.csv has come last.
+
+    Raises: `InputError` for a file that cannot be read, or without points.
+    """
+    names = FrameNames(frame.name for frame in frames.frames)
+    near = lonlat_of([frame.position for frame in frames.frames])
+    given = read_control(path, names, near)
+    points = {point.name: point for point in given.points}
+    if not points:
+        raise InputError("holds no point", file=path, fix="give a table of name, position and height")
+    if (folder / TABLE).is_file():
+        saved = read_control(folder / TABLE, names, near)
+        if saved.absent:
+            problem = f"has {len(saved.absent)} marks in images that are not in the folder of frames"
+            fix = "give the folder of all frames, or another folder for the marks with -o"
+            raise InputError(problem, file=folder / TABLE, fix=fix)
+        for point in saved.points:
+            known = points.get(point.name, point)
+            points[point.name] = replace(known, images=point.images, check=point.check)
+    return tuple(points.values()), given.notes
+
+
+def save_points(folder: Path, points: Sequence[ControlPoint], crs: str) -> None:
+    """Writes gcp.csv and gcp_list.txt, each as a whole. crs: of the list's x and y, a map's.
+
+    Raises: `OutputError` where they cannot be written.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(_COLUMNS)
+    table.writerows(row for point in points for row in _rows(point))
+    files.write_bytes(folder / TABLE, text.getvalue().encode())
+    with files.writing(folder / LIST) as temporary:
+        write_odm_control(temporary, [replace(p, name=_name_in_list(p)) for p in points], crs)
+
+
+def _rows(point: ControlPoint) -> list[list[str]]:
+    """A line per mark, or one without; what was not given stays empty."""
+    height = "" if point.plan_only else f"{point.height_ellipsoidal_m:.4f}"
+    horizontal = "" if point.sd_assumed else f"{point.sd_horizontal_m:g}"
+    vertical = "" if point.sd_assumed or point.plan_only else f"{point.sd_vertical_m:g}"
+    kind = "check" if point.check else "control"
+    place = [f"{point.lon_deg:.10f}", f"{point.lat_deg:.10f}", height, horizontal, vertical]
+    marks = [[image, f"{col:.3f}", f"{row:.3f}"] for image, col, row in point.images]
+    return [[point.name, kind, *place, *mark] for mark in marks or [["", "", ""]]]
+
+
+def _name_in_list(point: ControlPoint) -> str:
+    """A name that says of itself whether the point is a check point: the list has no column for it."""
+    begins = point.name.upper().startswith(_CHECK)
+    if point.check:
+        return point.name if begins else f"{_CHECK}-{point.name}"
+    return f"GCP-{point.name}" if begins else point.name

@@ -1,0 +1,103 @@
+"""Poses corrected by marks: a correction in common, and one of each marked frame.
+
+A correction is a shift of the projection centre and a turn about the camera's axes, 6 numbers in units of
+their prior deviations, so that one mark in a frame moves it and three determine it (space resection).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomosaic.arrays import Floats
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation, exp_turn
+from geomosaic.constants import tuned
+from geomosaic.estimation.robust import cauchy_weight
+
+MARK_SD_PX = tuned(1.5, "px", "of a mark and a lens; less: marks look wrong; more: wrong marks look right")
+_OWN = tuned(0.5, "share of the stated deviations", "of one frame beside all; more: nothing is in common")
+_STEP = tuned(0.01, "deviations", "for derivatives; less: rounding decides; more: curvature does")
+_EQUAL_ROUNDS = tuned(3, "rounds", "before weights are robust; less: all marks of a wrong start are rejected")
+_MOST_ROUNDS = tuned(12, "rounds", "of Gauss and Newton: five converge, more for turns of tens of degrees")
+_SMALL_STEP = tuned(1e-3, "deviations", "of a last step: less changes no pixel")
+
+
+@dataclass(frozen=True)
+class FrameMarks:
+    """The marks of one frame: places_m (m, 3) of its points in the work frame, image_px (m, 2); pose_sd (6,)
+    as in `OrientedFrames`."""
+
+    pose: Pose
+    camera: Camera
+    pose_sd: Floats
+    places_m: Floats
+    image_px: Floats
+
+    def linearised(self, pose: Pose, sd: Floats) -> tuple[Floats, Floats]:
+        """Marks minus predicted places (m, 2) in px, and derivatives of the places (m, 2, 6) by a correction
+        in units of sd (6,), those of the middle row; 0 where a point is not seen."""
+        off = self.image_px - pose.image_from_ground(self.camera, self.places_m)
+        steps = np.concatenate([np.diag(_STEP * sd), np.diag(-_STEP * sd)])
+        in_camera = (self.places_m - pose.position_m - steps[:, None, :3]) @ pose.rotation.matrix
+        seen = self.camera.image_from_camera(in_camera @ exp_turn(steps[:, 3:]))
+        slopes = np.moveaxis(seen[: len(sd)] - seen[len(sd) :], 0, -1) / (2.0 * _STEP)
+        known = np.isfinite(off).all(axis=-1) & np.isfinite(slopes).all(axis=(-1, -2))
+        return np.where(known[:, None], off, 0.0), np.where(known[:, None, None], slopes, 0.0)
+
+
+@dataclass(frozen=True)
+class CorrectedFrame:
+    """A frame's pose by all marks. off_px (m,): how far each of its marks lies from where the other marks
+    predict it; deviations (m,): the same over what is expected."""
+
+    pose: Pose
+    off_px: Floats
+    deviations: Floats
+
+
+def moved(pose: Pose, correction: Floats) -> Pose:
+    """A pose shifted by correction[:3] in m and turned about its camera's axes by correction[3:] in rad."""
+    turned = Rotation(pose.rotation.matrix @ exp_turn(correction[None, 3:])[0])
+    return replace(pose, position_m=pose.position_m + correction[:3], rotation=turned)
+
+
+def common_correction(frames: Sequence[FrameMarks]) -> Floats:
+    """The correction (6,) in m and rad that all frames share: 0 without marks."""
+    if not frames:
+        return np.zeros(6)
+    sd = np.median([of.pose_sd for of in frames], axis=0)
+    return _fitted(frames, sd, _OWN)[0] * sd
+
+
+def corrected_frame(frame: FrameMarks) -> CorrectedFrame:
+    """A frame whose pose has the common correction, by its own marks."""
+    sd = _OWN * frame.pose_sd
+    correction, normal, weights = _fitted([frame], sd, 0.0)
+    pose = moved(frame.pose, correction * sd)
+    off, slopes = frame.linearised(pose, sd)
+    leverage = slopes @ np.linalg.inv(normal) @ np.swapaxes(slopes, 1, 2) * weights[:, None, None]
+    left_out = np.linalg.solve(np.eye(2) - leverage, off[..., None])[..., 0]
+    chi_squared = np.sum(off * left_out, axis=1) / MARK_SD_PX**2
+    return CorrectedFrame(pose, np.linalg.norm(left_out, axis=1), np.sqrt(np.maximum(chi_squared, 0.0)))
+
+
+def _fitted(frames: Iterable[FrameMarks], sd: Floats, own: float) -> tuple[Floats, Floats, Floats]:
+    """Correction (6,) in units of sd, its normal matrix (6, 6), and the marks' weights (m,) per px squared.
+    own: share of a frame's deviations that its marks scatter by."""
+    correction, normal, weights = np.zeros(6), np.eye(6), np.zeros(0)
+    for done in range(_MOST_ROUNDS):
+        found = [of.linearised(moved(of.pose, correction * sd), sd) for of in frames]
+        off, slopes = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        variance = MARK_SD_PX**2 + own**2 * np.sum(slopes**2, axis=(1, 2)) / 2.0
+        robust = cauchy_weight(np.linalg.norm(off, axis=1) / np.sqrt(variance))
+        weights = np.where(done < _EQUAL_ROUNDS, 1.0, robust) / variance
+        normal = np.eye(6) + np.einsum("m,mij,mik->jk", weights, slopes, slopes)
+        step = np.linalg.solve(normal, np.einsum("m,mij,mi->j", weights, slopes, off) - correction)
+        correction = correction + step
+        if done > _EQUAL_ROUNDS and np.abs(step).max() < _SMALL_STEP:
+            break
+    return correction, normal, weights

@@ -1,0 +1,74 @@
+"""Where surveyed points are expected in the frames, by poses that the marks made so far have corrected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from geomosaic.arrays import Floats
+from geomosaic.constants import tuned
+from geomosaic.marking.oriented_frames import OrientedFrames
+from geomosaic.marking.pose_correction import FrameMarks, common_correction, corrected_frame, moved
+from geomosaic.survey.model import ControlPoint
+
+_BEYOND = tuned(0.08, "share of a side", "outside, listed; less: poor poses hide frames; more: too many")
+SUSPECT = tuned(4.0, "deviations", "between marks that look wrong; less: good ones do; more: slips stay")
+
+
+@dataclass(frozen=True)
+class PredictedPlaces:
+    """image_px (frames, points, 2): where each frame shows each point, NaN where it does not. off_px: of each
+    mark, by point and frame, the distance from where the other marks predict it; suspect: marks that are
+    farther off than expected."""
+
+    image_px: Floats
+    off_px: dict[tuple[int, int], float] = field(default_factory=dict)
+    suspect: frozenset[tuple[int, int]] = frozenset()
+
+    def expected(self, point: int, sizes_px: Floats) -> list[int]:
+        """Frames that show a point inside them or close to them, by its distance from their middle. sizes_px
+        (frames, 2)."""
+        away = self.image_px[:, point] / sizes_px - 0.5
+        inside = (np.abs(np.nan_to_num(away, nan=np.inf)) <= 0.5 + _BEYOND).all(axis=1)
+        away = np.linalg.norm(away, axis=1)
+        return [int(i) for i in np.argsort(np.where(inside, away, np.inf), kind="stable")[: inside.sum()]]
+
+
+def predicted_places(frames: OrientedFrames, points: tuple[ControlPoint, ...]) -> PredictedPlaces:
+    """Places of all points in all frames, corrected by the points' marks."""
+    places_m = frames.places_m(points)
+    number = {frame.name: i for i, frame in enumerate(frames.frames)}
+    marks: dict[int, list[tuple[int, float, float]]] = {}
+    for k, point in enumerate(points):
+        for name, col, row in point.images:
+            marks.setdefault(number[name], []).append((k, col, row))
+    marked = {i: _marks(frames, i, of, places_m) for i, of in marks.items()}
+    common = common_correction([*marked.values()])
+    poses = [moved(pose, common) for pose in frames.poses]
+    off_px, suspect = {}, set()
+    for i, of in marks.items():
+        found = corrected_frame(_marks(frames, i, of, places_m, common))
+        poses[i] = found.pose
+        for (k, _, _), off, deviations in zip(of, found.off_px, found.deviations, strict=True):
+            off_px[k, i] = float(off)
+            if deviations > SUSPECT:
+                suspect.add((k, i))
+    image_px = [
+        pose.image_from_ground(camera, places_m) for pose, camera in zip(poses, frames.cameras, strict=True)
+    ]
+    return PredictedPlaces(np.stack(image_px), off_px, frozenset(suspect))
+
+
+def _marks(
+    frames: OrientedFrames,
+    i: int,
+    marks: list[tuple[int, float, float]],
+    places_m: Floats,
+    common: Floats | None = None,
+) -> FrameMarks:
+    """The marks of frame i. marks: number of the point, col and row; common: a correction of its pose."""
+    pose = frames.poses[i] if common is None else moved(frames.poses[i], common)
+    of = np.array([k for k, _, _ in marks])
+    image_px = np.array([(col, row) for _, col, row in marks])
+    return FrameMarks(pose, frames.cameras[i], frames.pose_sd[i], places_m[of], image_px)
