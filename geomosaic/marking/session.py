@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -18,7 +18,9 @@ from geomosaic.marking.predicted_places import predicted_places
 from geomosaic.marking.target_refinement import refined
 from geomosaic.survey.model import ControlPoint
 
-_NO_CORNER = "no corner of a target within a few pixels; the mark stays where it is"
+_DECIMALS: Final = 3
+"""Of col and row, as they are saved."""
+_NO_CORNER: Final = "no corner of a target within a few pixels; the mark stays where it is"
 
 
 class MarkingSession:
@@ -94,6 +96,7 @@ class MarkingSession:
             if refine:
                 found = self._refined(frame, at)
                 at, said = (found, "") if found is not None else (at, _NO_CORNER)
+            at = round(at[0], _DECIMALS), round(at[1], _DECIMALS)
         with self._lock:
             old = self._point(point)
             others = tuple(image for image in old.images if image[0] != name)

@@ -96,12 +96,16 @@ export class FrameView extends PanZoom {
   }
 
   paintMark(x, y) {
-    this.stroke("#ffd23f", 1.5, c => arms(c, x, y, 4, 22));
+    this.stroke("#ffd23f", 2, c => {
+      arms(c, x, y, 4, 24);
+      c.moveTo(x + 14, y);
+      c.arc(x, y, 14, 0, 7);
+    });
   }
 
   paintMiddle() {
     const [x, y] = [this.width / 2, this.height / 2];
-    this.stroke("#fff", 1, c => arms(c, x, y, 7, 13));
+    this.stroke("#fff", 1, c => arms(c, x, y, 32, 42));
   }
 }
 

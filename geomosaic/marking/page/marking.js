@@ -77,7 +77,7 @@ function element(tag, of = {}, ...inside) {
 function render() {
   const marks = state.points.map(p => p.frames.filter(f => f.mark).length);
   const checks = state.points.filter((p, k) => p.check && marks[k]).length, marked = marks.filter(Boolean).length;
-  $("count").textContent = `${marks.reduce((a, b) => a + b, 0)} marks, ${marked} of ${marks.length} points, ${checks} to check`;
+  $("count").textContent = `${marks.reduce((a, b) => a + b, 0)} marks, ${marked} of ${marks.length} points, ${checks} check`;
   $("points").replaceChildren(...survey.points.map(({ name }, k) => {
     const { check, frames } = state.points[k], suspect = frames.some(f => f.suspect);
     const row = element("div", { className: "point" },

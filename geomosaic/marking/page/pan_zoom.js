@@ -71,20 +71,19 @@ export class PanZoom {
     const before = this.fingers.get(event.pointerId);
     if (!before) return;
     const now = [event.offsetX, event.offsetY], other = [...this.fingers].find(([id]) => id !== event.pointerId)?.[1];
-    if (other) this.zoom(distance(now, other) / (distance(before, other) || 1), ...other);
     this.moved += distance(now, before);
-    if (this.moved < STILL_PX) { this.start ??= before; return; }
-    const from = this.start ?? before, share = other ? 0.5 : 1;
-    this.start = undefined;
+    if (this.moved < STILL_PX) return;
     this.fingers.set(event.pointerId, now);
-    this.show(this.x - share * (now[0] - from[0]) / this.scale, this.y - share * (now[1] - from[1]) / this.scale);
+    const from = middle(before, other), to = middle(now, other);
+    if (other) this.zoom(distance(now, other) / (distance(before, other) || 1), ...from);
+    this.show(this.x - (to[0] - from[0]) / this.scale, this.y - (to[1] - from[1]) / this.scale);
   }
 
   up(event) {
     const known = this.fingers.delete(event.pointerId);
-    this.start = undefined;
     if (known && event.type === "pointerup" && this.moved < STILL_PX) this.tap(...this.unit(event.offsetX, event.offsetY), event);
   }
 }
 
+const middle = (a, b = a) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
 const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
