@@ -45,8 +45,9 @@ class FrameMarks:
         in_camera = (self.places_m - pose.position_m - steps[:, None, :3]) @ pose.rotation.matrix
         seen = self.camera.image_from_camera(in_camera @ exp_turn(steps[:, 3:]))
         slopes = np.moveaxis(seen[: len(sd)] - seen[len(sd) :], 0, -1) / (2.0 * _STEP)
-        known = np.isfinite(off).all(axis=-1) & np.isfinite(slopes).all(axis=(-1, -2))
-        return np.where(known[:, None], off, 0.0), np.where(known[:, None, None], slopes, 0.0)
+        lost = ~np.isfinite(off).all(axis=1) | ~np.isfinite(slopes).all(axis=(1, 2))
+        off[lost], slopes[lost] = 0.0, 0.0
+        return off, slopes
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def common_correction(frames: Sequence[FrameMarks]) -> Floats:
     if not frames:
         return np.zeros(6)
     sd = np.median([of.pose_sd for of in frames], axis=0)
-    return _fitted(frames, sd, _OWN)[0] * sd
+    return np.asarray(_fitted(frames, sd, _OWN)[0] * sd)
 
 
 def corrected_frame(frame: FrameMarks) -> CorrectedFrame:

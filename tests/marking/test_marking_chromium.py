@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import signal
+import subprocess
+import sys
 import threading
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,15 +19,18 @@ from browser import Page, browser
 from small_surveys import mosaic, summary
 from target_survey import TargetSurvey, target_survey
 
+from geomosaic.errors import InputError
 from geomosaic.marking.marked_points import LIST, TABLE, read_points
-from geomosaic.marking.oriented_frames import OrientedFrames, frames_by_tags
+from geomosaic.marking.oriented_frames import OrientedFrames, frames_by_tags, frames_of_run
 from geomosaic.marking.page_server import PageServer
+from geomosaic.marking.predicted_places import predicted_places
 from geomosaic.marking.session import MarkingSession
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.survey.control import read_control
 from geomosaic.survey.names import FrameNames
 
+ROOT = Path(__file__).parents[2]
 CHIP = "document.querySelector('#frames [aria-current=true]')"
 SAVED = "document.querySelector('#status').textContent === 'Saved'"
 
@@ -191,5 +199,35 @@ def test_a_mosaic_takes_the_marks(survey: TargetSurvey, oriented: OrientedFrames
         mosaic(survey.frames, tmp_path / "run", "--camera", survey.camera, "--gcp", tmp_path / TABLE, "-q")
         == 0
     )
-    found = summary(tmp_path / "run")["metrics"]["adjustment"]["control"]
-    assert found
+    found = summary(tmp_path / "run")["metrics"]["adjustment"]
+    assert found["control"]["n"] == 4 and found["check"]["n"] == 2
+    assert found["check"]["rmse_horizontal_m"] < 0.1
+
+    adjusted = frames_of_run(survey.frames, tmp_path / "run")
+    points, _ = read_points(survey.rover, tmp_path / "none", adjusted)
+    places = predicted_places(adjusted, points).image_px
+    off = [
+        np.hypot(*(places[names.index(name), k] - at))
+        for k, point in enumerate(points)
+        for name, at in survey.truth[point.name].items()
+    ]
+    assert np.median(off) < 1.0
+    with pytest.raises(InputError, match="none of the run's frames is in this folder"):
+        frames_of_run(ROOT / "docs" / "img", tmp_path / "run")
+
+
+def test_the_command_serves_saves_and_ends(survey: TargetSurvey, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "geomosaic.cli.main", "control", survey.frames, "--points", survey.rover]
+    command += ["--camera", survey.camera, "-o", tmp_path / "marks", "-q"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        word, url = process.stdout.readline().split()
+        body = json.dumps({"point": 0, "frame": 0, "at": [5, 5], "refine": False}).encode()
+        request = urllib.request.Request(f"{url}mark", body, {"Content-Type": "application/json"})
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            assert word == "open" and json.load(answer)["points"]
+        process.send_signal(signal.SIGINT)
+        said = process.stdout.read()
+    assert process.returncode == 130
+    assert f"--gcp {tmp_path / 'marks' / TABLE}" in said
+    assert "F0001.jpg,5.000,5.000" in (tmp_path / "marks" / TABLE).read_text()
