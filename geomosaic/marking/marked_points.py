@@ -34,14 +34,21 @@ def read_points(
     """The points of a file, with the marks and kinds that the folder's gcp.csv has for them, and what was
     assumed of the file. Points that only gcp.csv has come last.
 
-    Raises: `InputError` for a file that cannot be read, or without points.
+    Raises: `InputError` for a file that cannot be read, or marks of gcp.csv in frames that are not there.
     """
     names = FrameNames(frame.name for frame in frames.frames)
-    near = lonlat_of([frame.position for frame in frames.frames])
-    given = read_control(path, names, near)
+    positions = [frame.position for frame in frames.frames]
+    near = lonlat_of([p for p in positions if p.known] or positions)
+    try:
+        given = read_control(path, names, near)
+    except InputError as error:
+        error.reword(lambda text: text.replace("--gcp", "--points"))
+        raise
+    notes = [*given.notes]
+    if given.absent:
+        text = f"{len(given.absent)} marks are in images that are not in the folder and are left out"
+        notes.append(Warn("control-image-missing", "", f"{path.name}: {text}"))
     points = {point.name: point for point in given.points}
-    if not points:
-        raise InputError("holds no point", file=path, fix="give a table of name, position and height")
     if (folder / TABLE).is_file():
         saved = read_control(folder / TABLE, names, near)
         if saved.absent:
@@ -51,7 +58,7 @@ def read_points(
         for point in saved.points:
             known = points.get(point.name, point)
             points[point.name] = replace(known, images=point.images, check=point.check)
-    return tuple(points.values()), given.notes
+    return tuple(points.values()), tuple(notes)
 
 
 def save_points(folder: Path, points: Sequence[ControlPoint], crs: str) -> None:

@@ -145,6 +145,22 @@ def test_marks_in_frames_that_are_not_there_are_not_dropped(scene: MarkingScene,
         read_points(given, tmp_path, scene.frames)
 
 
+def test_points_that_cannot_be_read_are_errors_and_marks_of_other_frames_are_named(
+    scene: MarkingScene, tmp_path: Path
+) -> None:
+    given = tmp_path / "rover.csv"
+    for text, said in (
+        (ROVER, "header and no lines"),
+        ("name,x,y,height\nA,400000,5650000,5\n", "first line of the --points file"),
+    ):
+        given.write_text(text)
+        with pytest.raises(InputError, match=said):
+            read_points(given, tmp_path, scene.frames)
+    given.write_text("name,lon_deg,lat_deg,height,image,col,row\nA,7.0,51.0,100,other.jpg,5,6\n")
+    points, notes = read_points(given, tmp_path, scene.frames)
+    assert not points[0].images and any("1 marks are in images" in note.text for note in notes)
+
+
 def test_a_place_outside_the_frame_is_no_mark(scene: MarkingScene, tmp_path: Path) -> None:
     session = MarkingSession(scene.frames, scene.points, tmp_path)
     for at in ((-1.0, 5.0), (5.0, 601.0), (float("nan"), 5.0)):
