@@ -33,7 +33,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 19
+    version = 20
     wants_frames: ClassVar[bool] = True
     beside: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {

@@ -235,6 +235,14 @@ def test_places_that_show_nothing_say_nothing() -> None:
     assert grade(outcome(), seams_of(np.nan, np.nan)) == "good"
 
 
+def test_a_few_places_in_woods_condemn_no_map() -> None:
+    """The median of 0.4 to 9 px at six of sixty places may be below a pixel; that of sixty such may not."""
+    few = (0.4, 0.9, 3.1, 3.4, 5.0, 9.0)
+    assert grade(outcome(), seams_of(*few, *[np.nan] * 54)) == "doubtful"
+    assert grade(outcome(), seams_of(*few * 10)) == "bad"
+    assert grade(outcome(), seams_of(3.1, 3.4)) == "bad"
+
+
 def test_the_worst_figure_gives_cause_and_fix() -> None:
     verdict = judged(outcome(figures={"sigma_px": 14.7}), seams_of(1.5))
     assert verdict.cause.endswith("(image deviation 14.70 px)") and verdict.fix
