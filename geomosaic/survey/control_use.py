@@ -111,7 +111,7 @@ def _without_marks(file: ControlFile) -> _Unusable | None:
     if not file.absent:
         return _Unusable(
             f"none of its {count} points has an image mark, so none can be found in the images",
-            "give image, col and row of the points in the --gcp file",
+            "mark them with geomosaic control, or give image, col and row in the --gcp file",
         )
     return _Unusable(
         f"all {len(file.absent)} image marks of its {count} points are in images that are not in the survey "

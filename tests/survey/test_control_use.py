@@ -103,7 +103,10 @@ def test_files_that_can_be_used_are_used_without_a_word(flown: SimulatedSurvey) 
 
 def test_a_rovers_file_without_image_marks(flown: SimulatedSurvey, rover: Path) -> None:
     said = "none of its 6 points has an image mark, so none can be found in the images"
-    assert f"{said}; give image, col and row of the points in the --gcp file" in refused(flown, rover)
+    assert (
+        f"{said}; mark them with geomosaic control, or give image, col and row in the --gcp file"
+        in refused(flown, rover)
+    )
     assert said in gone_on(flown, rover)
 
 

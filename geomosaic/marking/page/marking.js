@@ -86,7 +86,8 @@ function render() {
     if (k === point) row.setAttribute("aria-current", "true");
     return row;
   }));
-  order.push(...(point === null ? [] : state.points[point].frames.map(f => f.frame).filter(i => !order.includes(i))));
+  const shown = point === null ? [] : state.points[point].frames.map(f => f.frame);
+  order = [...order.filter(i => shown.includes(i) || i === frame), ...shown.filter(i => !order.includes(i))];
   $("frames").replaceChildren(...(order.length ? order.map(chip) : [element("p", {}, point === null ? "Choose a point." : "No frame is expected to show this point.")]));
   const now = point === null || frame === null ? {} : entry();
   picture.places(now.predicted, now.mark);
