@@ -17,6 +17,7 @@ from geomosaic.survey.control import read_control
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames
 from geomosaic.survey.observations import lonlat_of
+from geomosaic.survey.places import NOWHERE
 
 TABLE: Final = "gcp.csv"
 LIST: Final = "gcp_list.txt"
@@ -38,7 +39,7 @@ def read_points(
     """
     names = FrameNames(frame.name for frame in frames.frames)
     positions = [frame.position for frame in frames.frames]
-    near = lonlat_of([p for p in positions if p.known] or positions)
+    near = lonlat_of([p for p in positions if p.known] or positions) if frames.on_earth else NOWHERE
     try:
         given = read_control(path, names, near)
     except InputError as error:

@@ -52,6 +52,11 @@ class OrientedFrames:
         """The frames, in the order of the poses."""
         return self.survey.frames
 
+    @property
+    def on_earth(self) -> bool:
+        """Whether anything says where the frames lie; else no point can be predicted."""
+        return not is_local(self.survey.map_crs)
+
     def places_m(self, points: tuple[ControlPoint, ...]) -> Floats:
         """Surveyed points (k, 3) in the work frame."""
         at = np.array([(p.lon_deg, p.lat_deg, p.height_ellipsoidal_m) for p in points]).reshape(-1, 3)
@@ -69,7 +74,7 @@ class OrientedFrames:
 def frames_by_tags(request: MosaicRequest, reporter: Reporter) -> OrientedFrames:
     """Frames where their tags or the POS file put them, by the first stages of a mosaic.
 
-    Raises: what the stages raise; `InputError` where no frame has a position.
+    Raises: what the stages raise.
     """
     stages = [id for id in request.stages() if id in _STAGES]
     recipe = recipe_of(("control", f"frames of {request.frames.name}"), stages, request.parameters())
@@ -78,9 +83,6 @@ def frames_by_tags(request: MosaicRequest, reporter: Reporter) -> OrientedFrames
         survey = load_artefact(Path(folder), summary, "levelled_survey", Survey)
         ground = load_artefact(Path(folder), summary, "prior_ground", GroundSurface)
         placement = load_artefact(Path(folder), summary, "prior_placement", Placement)
-    if is_local(survey.map_crs):
-        fix = "give their positions with --pos, or a finished run with --run"
-        raise InputError("no frame has a position", file=request.frames, fix=fix)
     every = range(len(survey.frames))
     cameras = tuple(survey.camera_of(i) for i in every)
     source = "the frames' tags" if request.pos is None else request.pos.name
@@ -91,15 +93,11 @@ def frames_by_tags(request: MosaicRequest, reporter: Reporter) -> OrientedFrames
 def frames_of_run(folder: Path, run_folder: Path) -> OrientedFrames:
     """The frames in a folder with the adjusted poses and cameras of a run.
 
-    Raises: `FileError` for what is no finished run, `InputError` where the run has none of the frames, or no
-    place on the Earth.
+    Raises: `FileError` for what is no finished run, `InputError` where the run has none of the frames.
     """
     summary = read_summary(run_folder)
     survey = load_artefact(run_folder, summary, "survey", Survey)
     adjusted = load_artefact(run_folder, summary, "adjusted", Adjusted)
-    if is_local(survey.map_crs):
-        fix = "give the frames' positions with --pos instead"
-        raise InputError("the run has no place on the Earth", file=run_folder, fix=fix)
     there = {name: path for path, name in frame_files(folder).items()}
     kept = [i for i, frame in enumerate(survey.frames) if frame.name in there]
     if not kept:

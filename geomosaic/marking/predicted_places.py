@@ -36,7 +36,10 @@ class PredictedPlaces:
 
 
 def predicted_places(frames: OrientedFrames, points: tuple[ControlPoint, ...]) -> PredictedPlaces:
-    """Places of all points in all frames, corrected by the points' marks."""
+    """Places of all points in all frames, corrected by the points' marks; NaN where frames have no place on
+    the Earth."""
+    if not frames.on_earth:
+        return PredictedPlaces(np.full((len(frames.frames), len(points), 2), np.nan))
     places_m = frames.places_m(points)
     number = {frame.name: i for i, frame in enumerate(frames.frames)}
     marks: dict[int, list[tuple[int, float, float]]] = {}

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import utm_crs
 from geomosaic.marking.frame_tiles import TILE_PX, FrameTiles
 from geomosaic.marking.marked_points import save_points
 from geomosaic.marking.oriented_frames import OrientedFrames
@@ -51,6 +52,8 @@ class MarkingSession:
             for i, frame in enumerate(self.frames.frames)
         ]
         places = np.round(self.frames.places_m(self._points)[:, :2], 3).tolist()
+        if not self.frames.on_earth:
+            places = [None] * len(places)
         points = [{"name": p.name, "at": at} for p, at in zip(self._points, places, strict=True)]
         return {
             "frames": frames,
@@ -62,7 +65,8 @@ class MarkingSession:
 
     def state(self) -> dict[str, Any]:
         """Of each point its kind and, by falling nearness to the frame's middle, the frames that show it:
-        predicted place, mark, and how far the mark is from where the others predict it."""
+        predicted place, mark, and how far the mark is from where the others predict it. All frames where
+        nothing can be predicted."""
         points, frames = self._points, self.frames.frames
         places = predicted_places(self.frames, points)
         sizes = np.array([(f.width_px, f.height_px) for f in frames], dtype=np.float64)
@@ -70,7 +74,8 @@ class MarkingSession:
         listed = []
         for k, point in enumerate(points):
             marks = {number[name]: [col, row] for name, col, row in point.images}
-            expected = places.expected(k, sizes)
+            every = [*range(len(frames))]
+            expected = places.expected(k, sizes) if self.frames.on_earth else every
             shown = [
                 {
                     "frame": i,
@@ -111,8 +116,15 @@ class MarkingSession:
 
     def _change(self, k: int, point: ControlPoint) -> None:
         points = (*self._points[:k], point, *self._points[k + 1 :])
-        save_points(self.folder, points, self.frames.survey.map_crs)
+        save_points(self.folder, points, self._list_crs())
         self._points = points
+
+    def _list_crs(self) -> str:
+        """The map's CRS; the UTM zone of the points where frames have no place on the Earth."""
+        if self.frames.on_earth:
+            return self.frames.survey.map_crs
+        lon, lat = np.median([(p.lon_deg, p.lat_deg) for p in self._points], axis=0).tolist()
+        return utm_crs(lon, lat)
 
     def _point(self, k: int) -> ControlPoint:
         if not 0 <= k < len(self._points):

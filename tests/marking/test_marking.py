@@ -18,6 +18,7 @@ from marking_scene import MarkingScene, marking_scene, write_frames
 from target_survey import with_target
 
 from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.marking.marked_points import LIST, TABLE, read_points, save_points
 from geomosaic.marking.page_server import PageServer
 from geomosaic.marking.predicted_places import predicted_places
@@ -159,6 +160,19 @@ def test_points_that_cannot_be_read_are_errors_and_marks_of_other_frames_are_nam
     given.write_text("name,lon_deg,lat_deg,height,image,col,row\nA,7.0,51.0,100,other.jpg,5,6\n")
     points, notes = read_points(given, tmp_path, scene.frames)
     assert not points[0].images and any("1 marks are in images" in note.text for note in notes)
+
+
+def test_frames_without_any_position_are_listed_and_marked(scene: MarkingScene, tmp_path: Path) -> None:
+    local = replace(scene.frames, survey=replace(scene.frames.survey, map_crs=LOCAL_CRS))
+    points, _ = read_points(rover(tmp_path, scene.points), tmp_path, local)
+    session = MarkingSession(local, points, tmp_path)
+    session.mark(0, 1, (5.0, 6.0))
+    state = session.state()["points"]
+    assert [[f["frame"] for f in of["frames"]] for of in state] == [[*range(8)]] * 7
+    assert {f["predicted"] for of in state for f in of["frames"]} == {None}
+    assert [p["at"] for p in session.survey()["points"]] == [None] * 7
+    assert (tmp_path / LIST).read_text().startswith("EPSG:32632\n")
+    assert read_points(tmp_path / "rover.csv", tmp_path, local)[0] == session.points
 
 
 def test_a_place_outside_the_frame_is_no_mark(scene: MarkingScene, tmp_path: Path) -> None:

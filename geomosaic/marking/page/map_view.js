@@ -9,7 +9,7 @@ export class MapView extends PanZoom {
   constructor(canvas, survey, { choosePoint, chooseFrame }) {
     super(canvas, { limits: [1e-4, 1e3], draw: c => this.paint(c), tap: (...at) => this.clicked(...at) });
     Object.assign(this, { survey, choosePoint, chooseFrame, state: null, point: null, frame: null });
-    const at = [...survey.frames.flatMap(f => f.outline), ...survey.points.map(p => p.at)].map(up);
+    const at = [...survey.frames.flatMap(f => f.outline), ...survey.points.flatMap(p => p.at ? [p.at] : [])].map(up);
     const [xs, ys] = [0, 1].map(k => at.map(p => p[k]));
     this.bounds = [least(xs), least(ys), -least(xs.map(x => -x)), -least(ys.map(y => -y))];
     this.resized = () => this.fit(this.bounds);
@@ -22,7 +22,7 @@ export class MapView extends PanZoom {
 
   clicked(x, y) {
     const away = at => this.scale * Math.hypot(at[0] - x, -at[1] - y);
-    const nearest = places => places.reduce((best, at, k) => (best < 0 || away(at) < away(places[best]) ? k : best), -1);
+    const nearest = places => places.reduce((best, at, k) => (at && (best < 0 || away(at) < away(places[best])) ? k : best), -1);
     const point = nearest(this.survey.points.map(p => p.at));
     if (point >= 0 && away(this.survey.points[point].at) <= NEAR_PX) this.choosePoint(point);
     else this.chooseFrame(nearest(this.survey.frames.map(f => f.at)));
@@ -34,7 +34,7 @@ export class MapView extends PanZoom {
     this.survey.frames.forEach((_, i) => shown.has(i) || i === this.frame || this.outline(context, i, "#ffffff30"));
     for (const i of shown) if (i !== this.frame) this.outline(context, i, "#5cc8ffb0");
     if (this.frame !== null) this.outline(context, this.frame, "#ffd23f", "#ffd23f26");
-    this.survey.points.forEach((_, k) => this.symbol(context, k));
+    this.survey.points.forEach(({ at }, k) => at && this.symbol(context, k));
   }
 
   outline(context, i, stroke, fill) {
