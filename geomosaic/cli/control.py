@@ -54,9 +54,9 @@ def control(
     from geomosaic.marking.oriented_frames import frames_by_tags, frames_of_run
     from geomosaic.marking.page_server import PageServer
     from geomosaic.marking.session import MarkingSession
-    from geomosaic.requests.run_request import beside
+    from geomosaic.requests.run_request import default_folder
 
-    folder = output or beside(frames, "control")
+    folder = output or default_folder(frames, "control")
     with progress(quiet=quiet) as reporter:
         if run is not None:
             oriented = frames_of_run(frames, run)

@@ -69,7 +69,7 @@ def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
     listening: Any = _Listening(reporter)
     summary: dict[str, Any] = {"metrics": {}, "warnings": []}
     if ahead:
-        with _beside(output) as folder:
+        with _near(output) as folder:
             summary = run(begun, folder, workers=job.how.workers, dask=job.how.dask, reporter=listening)
     if as_json:
         plan = {
@@ -82,20 +82,20 @@ def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
         print(json.dumps(plan, indent=2))
         return
     names = [step.stage.display_name for step in recipe.steps]
-    told = [
+    lines = [
         ("stages", f"{len(names)}: {', '.join(names)}"),
         ("results", ", ".join(sorted(recipe.results()))),
         *(line for step in begun.steps for line in step.stage.plans(summary)),
         *(("expected", text) for text in listening.notes),
     ]
     if summary["warnings"]:
-        told.append(("warnings", f"{len(summary['warnings'])}, see above"))
-    print_named(told)
+        lines.append(("warnings", f"{len(summary['warnings'])}, see above"))
+    print_named(lines)
     print(f"nothing was written; without --dry-run the run goes to {output}")
 
 
 @contextmanager
-def _beside(output: Path) -> Iterator[Path]:
+def _near(output: Path) -> Iterator[Path]:
     """A folder for a while on the disk that the run would be written to."""
     near = next(p for p in (output.absolute(), *output.absolute().parents) if p.is_dir())
     if not os.access(near, os.W_OK):

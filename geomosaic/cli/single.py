@@ -259,8 +259,8 @@ def _referring(id: str, reference: Path | None, set: Sets) -> tuple[type[Stage],
 
 
 def _print_json(of: dict[str, Path | None], notes: Notes) -> None:
-    told = {name: str(path) for name, path in of.items()}
-    print(json.dumps({**told, **notes.metrics, "warnings": notes.warnings}, indent=2))
+    named = {name: str(path) for name, path in of.items()}
+    print(json.dumps({**named, **notes.metrics, "warnings": notes.warnings}, indent=2))
 
 
 def _leaves(metrics: dict[str, Any], above: str = "") -> list[tuple[str, Any]]:

@@ -96,7 +96,7 @@ def file_manifest(
 def lineage_of(manifest: Manifest, inputs: Iterable[ArtefactHandle] = ()) -> Lineage:
     """The lineage of what a stage makes of files and of earlier artefacts."""
     own = {fingerprint_of_json({n: dict(hashes) for n, hashes in manifest.items()})} if manifest else set()
-    return frozenset(own).union(*(held.lineage for held in inputs))
+    return frozenset(own).union(*(one.lineage for one in inputs))
 
 
 def stage_key(
@@ -110,7 +110,7 @@ def stage_key(
             "version": step.stage.version,
             "params": output_values(step.params),
             "seed": seed,
-            "inputs": {name: held.fingerprint for name, held in inputs.items()},
+            "inputs": {name: handle.fingerprint for name, handle in inputs.items()},
             "files": sorted(lineage),
         }
     )
@@ -151,10 +151,10 @@ class StageCache:
             with files.open_own(calls) as file:
                 if fingerprint_of_file(file) != entry["calls"]:
                     return None
-            beside = [self._folder.within(name) for name in (*written, *entry["items"])]
+            stored = [self._folder.within(name) for name in (*written, *entry["items"])]
             notes = Notes.from_plain(entry["notes"])
             self._folder.note(written)
-            return CachedOutcome(outputs, notes, calls, (folder, *beside), written, lineage)
+            return CachedOutcome(outputs, notes, calls, (folder, *stored), written, lineage)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, MemoryError):
             return None
 

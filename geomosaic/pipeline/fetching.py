@@ -62,7 +62,7 @@ def fetch(wanted: Iterable[Address], folder: Path, reporter: Reporter, *, overwr
     """
     started = time.monotonic()
     reporter.stage_started(0, 1, "Fetch")
-    found, skipped = _told(_named_once(wanted), reporter)
+    found, skipped = _remote_files(_named_once(wanted), reporter)
     files.make_folder(folder)
     with _locked(folder):
         files.sweep(folder)
@@ -88,8 +88,8 @@ def _named_once(wanted: Iterable[Address]) -> list[Address]:
     return list({address.vsi: address for address in wanted}.values())
 
 
-def _told(wanted: Sequence[Address], reporter: Reporter) -> tuple[list[Remote], list[str]]:
-    """What the servers tell of files that are wanted, and the names of the others."""
+def _remote_files(wanted: Sequence[Address], reporter: Reporter) -> tuple[list[Remote], list[str]]:
+    """What the servers report of wanted files, and the names of the others."""
     found: list[Remote] = []
     asked: list[Address] = []
     skipped: list[str] = []

@@ -133,11 +133,11 @@ def remove(path: Path) -> None:
 
 
 def _remove_temporary(path: Path) -> None:
-    """A half-written file, with what its driver left beside it (`-journal`, `-wal`)."""
+    """A half-written file, with what its driver left next to it (`-journal`, `-wal`)."""
     with suppress(OSError):
-        for beside in path.parent.iterdir():
-            if beside.name.startswith(f"{path.name}-"):
-                remove(beside)
+        for journal in path.parent.iterdir():
+            if journal.name.startswith(f"{path.name}-"):
+                remove(journal)
     remove(path)
 
 

@@ -25,7 +25,7 @@ class Declaration(TypedDict, total=False):
     version: int
     formerly: dict[str, str]
     cached: bool
-    beside: bool
+    concurrent: bool
     looks_ahead: bool
     wants_frames: bool
     results: tuple[str, ...]

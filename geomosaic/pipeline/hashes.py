@@ -18,7 +18,7 @@ from geomosaic.recording.file.fingerprints import fingerprint_of_json
 
 _CHUNK_BYTES = 1 << 20
 _MOST_MEMORY_BYTES = 64 << 20
-SETTLED_NS = 2_000_000_000
+UNTOUCHED_NS = 2_000_000_000
 """A file changed so shortly before it was hashed could change again without another time of change: 2 s is
 the coarsest clock of a file system in use (FAT). Git's index has the same rule ("racily clean")."""
 
@@ -46,7 +46,7 @@ class FileHashes:
         self._known: dict[str, list[Any]] = {}
         self._now: dict[str, tuple[Mark, str]] = {}
         self._read: dict[Path, str] = {}
-        self._beside: dict[Path, list[Path]] = {}
+        self._companions: dict[Path, list[Path]] = {}
         self._new = False
         if memory is not None:
             with suppress(OSError, ValueError, RecursionError):
@@ -79,7 +79,7 @@ class FileHashes:
             ) from error
         self._now[name] = (mark, digest.hexdigest())
         self._known.pop(name, None)
-        if time.time_ns() - max(mark[1], mark[2]) > SETTLED_NS:
+        if time.time_ns() - max(mark[1], mark[2]) > UNTOUCHED_NS:
             self._known[name] = [*mark, digest.hexdigest()]
         self._new = True
         return digest.hexdigest()
@@ -88,7 +88,7 @@ class FileHashes:
         """Hash of a file that the run reads; `check_unchanged` then watches over it."""
         digest = self.of_file(path)
         if path not in self._read:
-            self._beside.setdefault(path.with_suffix(""), []).append(path)
+            self._companions.setdefault(path.with_suffix(""), []).append(path)
         self._read[path] = digest
         return digest
 
@@ -98,7 +98,7 @@ class FileHashes:
         for text in texts:
             path = Path(text)
             if path in self._read:
-                found |= {p: self.of_input(p) for p in self._beside[path.with_suffix("")]}
+                found |= {p: self.of_input(p) for p in self._companions[path.with_suffix("")]}
             elif os.sep in text and _is_file(path):
                 found[path] = self.of_file(path)
         return found
@@ -126,8 +126,10 @@ class FileHashes:
         if path.is_dir():
             found = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
         else:
-            beside = (p for p in path.parent.iterdir() if p.name.startswith(f"{path.stem}.") and p.is_file())
-            found = [*sorted({path, *beside}), *sources_of(path.absolute())]
+            companions = (
+                p for p in path.parent.iterdir() if p.name.startswith(f"{path.stem}.") and p.is_file()
+            )
+            found = [*sorted({path, *companions}), *sources_of(path.absolute())]
         near = path if path.is_dir() else path.parent
         hashes = {}
         for i, file in enumerate(found):

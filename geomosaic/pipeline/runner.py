@@ -144,7 +144,7 @@ class _Run:
         self._reporter = reporter
         self._cancelled = cancelled
         self._cache = StageCache(folder, hashes)
-        self._held: dict[str, ArtefactHandle] = {}
+        self._artefacts: dict[str, ArtefactHandle] = {}
         self._lineages: list[Lineage] = []
         self._used: list[Path] = []
         self._begun: dict[int, CachedOutcome | StageTask] = {}
@@ -159,11 +159,11 @@ class _Run:
                 stage = step.stage.id
                 self._reporter.stage_started(i, total, step.stage.display_name)
                 started = time.monotonic()
-                marks = {name: self._mark(held) for name, held in self._inputs(step.stage).items()}
+                marks = {name: self._mark(handle) for name, handle in self._inputs(step.stage).items()}
                 version = given[i].record.version if i in given else step.stage.version
                 params = step.params.model_dump(mode="json")
                 self._recorder.stage_started(stage, version, params, marks, reads_run=not step.stage.cached)
-                self._begin_beside(i, given)
+                self._begin_concurrent(i, given)
                 finished, source, early_s = self._step(i, given.get(i))
                 self._end_stage(step.stage, finished, early_s or time.monotonic() - started, source)
                 self._release(self._recipe.steps[i + 1 : i + 2])
@@ -184,8 +184,8 @@ class _Run:
     def _release(self, then: Sequence[RecipeStep]) -> None:
         """What the next step doesn't take stays on the disk alone, until a later one does."""
         taken = {name for step in then for name in (*step.stage.inputs, *step.stage.optional_inputs)}
-        for name in self._held.keys() - taken:
-            self._held[name].release()
+        for name in self._artefacts.keys() - taken:
+            self._artefacts[name].release()
         release_memory()
 
     def _begin(self, given: Mapping[int, ReplayedStage]) -> None:
@@ -249,10 +249,12 @@ class _Run:
 
     def _inputs(self, stage: type[Stage]) -> dict[str, ArtefactHandle]:
         return {
-            name: self._held[name] for name in (*stage.inputs, *stage.optional_inputs) if name in self._held
+            name: self._artefacts[name]
+            for name in (*stage.inputs, *stage.optional_inputs)
+            if name in self._artefacts
         }
 
-    def _begin_beside(self, i: int, given: Mapping[int, ReplayedStage]) -> None:
+    def _begin_concurrent(self, i: int, given: Mapping[int, ReplayedStage]) -> None:
         """Begins the stages that other processes can work on while step i is worked on."""
         for k in concurrent_steps(self._recipe.steps, i) if self._workers.elsewhere else ():
             if k not in self._begun and k not in given:
@@ -295,7 +297,7 @@ class _Run:
 
     def _lineage(self, i: int) -> Lineage:
         inputs = self._inputs(self._recipe.steps[i].stage)
-        return self._lineages[i].union(*(held.lineage for held in inputs.values()))
+        return self._lineages[i].union(*(handle.lineage for handle in inputs.values()))
 
     def _task(self, i: int, *, early: bool) -> CachedOutcome | StageTask:
         """What a step's stage has to do: nothing, if its outcome is in the cache."""
@@ -336,13 +338,13 @@ class _Run:
             self._reporter.warning(line)
 
     def _end_stage(self, stage: type[Stage], finished: CachedOutcome, seconds: float, source: Source) -> None:
-        for name, held in finished.outputs.items():
-            self._record_artefact(stage, name, held, finished)
-            self._held[name] = held
+        for name, handle in finished.outputs.items():
+            self._record_artefact(stage, name, handle, finished)
+            self._artefacts[name] = handle
             self._summary["artefacts"][name] = {
-                "file": held.path.relative_to(self._folder.path).as_posix(),
-                "type": type_name(held.type),
-                "fingerprint": held.fingerprint,
+                "file": handle.path.relative_to(self._folder.path).as_posix(),
+                "type": type_name(handle.type),
+                "fingerprint": handle.fingerprint,
             }
         self._warn(finished.notes.warnings)
         finished.notes.add_to(self._summary)
@@ -353,7 +355,7 @@ class _Run:
         self._summary["memory_mb"][stage.id] = peak_mb
         if source != "work":
             self._summary["cached_stages" if source == "cache" else "recorded_stages"].append(stage.id)
-        marks = {name: self._mark(held) for name, held in finished.outputs.items()}
+        marks = {name: self._mark(handle) for name, handle in finished.outputs.items()}
         self._recorder.stage_finished(
             stage.id,
             marks,
@@ -373,21 +375,21 @@ class _Run:
         self._reporter.stage_finished(seconds, source)
 
     def _record_artefact(
-        self, stage: type[Stage], name: str, held: ArtefactHandle, finished: CachedOutcome
+        self, stage: type[Stage], name: str, handle: ArtefactHandle, finished: CachedOutcome
     ) -> None:
         """Its bytes, or in private those without folders, which have a fingerprint of their own."""
-        with held.open() as file:
+        with handle.open() as file:
             data: BinaryIO = file
             if self._privacy is not None:
                 private = with_texts(file.read(), self._privacy.text)
                 content, data = fingerprint_of_bytes(private), io.BytesIO(private)
                 mark = artefact_fingerprint(content, finished.written, finished.lineage)
-                self._marks[held.fingerprint] = mark
-            self._recorder.artefact(stage.id, name, type_name(held.type), self._mark(held), data)
+                self._marks[handle.fingerprint] = mark
+            self._recorder.artefact(stage.id, name, type_name(handle.type), self._mark(handle), data)
 
-    def _mark(self, held: ArtefactHandle) -> str:
+    def _mark(self, handle: ArtefactHandle) -> str:
         """What the recording calls an artefact."""
-        return self._marks.get(held.fingerprint, held.fingerprint)
+        return self._marks.get(handle.fingerprint, handle.fingerprint)
 
     def _peak_memory_mb(self) -> float:
         return (peak_memory_bytes() + sum([*self._workers.peak_memory_bytes.values()])) / 1e6

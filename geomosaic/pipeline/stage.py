@@ -40,8 +40,8 @@ class Stage(ABC):
     formerly: by output, the name it had in recordings of earlier versions.
     cached: False for a stage that reads more than its inputs (the report reads the run's summary);
     it runs every time.
-    beside: True for a stage that shares nothing with other stages but its inputs and may be run in a thread
-    beside those that come before it, as soon as these inputs are there.
+    concurrent: True for a stage that shares nothing with other stages but its inputs and may run in a thread
+    of its own as soon as these are there.
     looks_ahead: True for a stage that says what the later ones will take (`context.inform`): with the last of
     these a dry run ends.
     wants_frames: True for a stage that makes nothing of thumbnails: a replay without frames leaves it out.
@@ -58,7 +58,7 @@ class Stage(ABC):
     outputs: ClassVar[dict[str, type]] = {}
     formerly: ClassVar[dict[str, str]] = {}
     cached: ClassVar[bool] = True
-    beside: ClassVar[bool] = False
+    concurrent: ClassVar[bool] = False
     looks_ahead: ClassVar[bool] = False
     wants_frames: ClassVar[bool] = False
     results: ClassVar[tuple[str, ...]] = ()

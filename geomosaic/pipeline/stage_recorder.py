@@ -83,7 +83,7 @@ def _left_out(schema: str) -> None: ...
 
 
 @functools.cache
-def _told_classes() -> tuple[type, ...]:
+def _recorded_classes() -> tuple[type, ...]:
     """The classes that a stage's calls may hold."""
     found: dict[str, type] = {}
     for call in CALLS.values():
@@ -101,7 +101,7 @@ def replay_calls(spool: Path, target: Recorder) -> None:
             left -= _LENGTH_BYTES + size
             if left < 0:
                 raise FileError("the recorded calls are cut short", file=spool)
-            call: tuple[str, dict[str, Any]] = decode(file.read(size), tuple, also=_told_classes())
+            call: tuple[str, dict[str, Any]] = decode(file.read(size), tuple, also=_recorded_classes())
             method, arguments = call
             if method not in STAGE_CALLS:
                 raise FileError(f"'{method}' is no call of a recorder", file=spool)

@@ -1,6 +1,6 @@
 """A stage at work: when its turn comes, or earlier, concurrently with the stages before it in the recipe.
 
-A stage that shares only its inputs with others (`Stage.beside`) may run early. Its messages, progress and
+A stage that shares only its inputs with others (`Stage.concurrent`) may run early. Its messages, progress and
 notes are spooled until its turn, so that the recording does not depend on which stage finished first.
 """
 
@@ -140,7 +140,7 @@ class StageTask:
             self.log.spool.unlink(missing_ok=True)
 
     def _take(self) -> None:
-        self._values = {name: held.value() for name, held in self._inputs.items()}
+        self._values = {name: handle.value() for name, handle in self._inputs.items()}
 
     def _go(self) -> None:
         started = time.monotonic()
@@ -166,7 +166,7 @@ def concurrent_steps(steps: Sequence[RecipeStep], i: int) -> list[int]:
         stage = step.stage
         taken = {*stage.inputs, *stage.optional_inputs}
         apart = stage.id not in named and written.isdisjoint(stage.results)
-        if k > i and stage.beside and stage.cached and apart and given.isdisjoint(taken):
+        if k > i and stage.concurrent and stage.cached and apart and given.isdisjoint(taken):
             found.append(k)
         given |= stage.outputs.keys()
         named.add(stage.id)

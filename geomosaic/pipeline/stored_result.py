@@ -187,8 +187,8 @@ class SharedFunction(Generic[Item, Result]):
     def of(cls, function: Callable[[Item], Result], path: Path) -> Callable[[Item], Result]:
         """The function as it goes to the workers: itself, or what lies at `path` where it is large."""
         arrays: list[pickle.PickleBuffer] = []
-        told = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
-        parts = [memoryview(told), *(a.raw() for a in arrays)]
+        pickled = pickle.dumps(function, protocol=pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
+        parts = [memoryview(pickled), *(a.raw() for a in arrays)]
         if sum(len(part) for part in parts) <= _SHARED_BYTES:
             return function
         pieces: list[bytes | memoryview] = [_LENGTH.pack(len(parts)), *(_LENGTH.pack(len(p)) for p in parts)]
@@ -216,8 +216,8 @@ class SharedFunction(Generic[Item, Result]):
             at += -at % _ALIGNED_BYTES
             ends.append((at, at + length))
             at += length
-        told, arrays = head[ends[0][0] :], [data[first:last] for first, last in ends[1:]]
-        return pickle.loads(told, buffers=arrays), len(told)  # noqa: S301  written by this run, as its mark says
+        pickled, arrays = head[ends[0][0] :], [data[first:last] for first, last in ends[1:]]
+        return pickle.loads(pickled, buffers=arrays), len(pickled)  # noqa: S301  written by this run, as its mark says
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from geomosaic.requests.option import (
     length_given,
     required,
 )
-from geomosaic.requests.run_request import beside, recipe_of
+from geomosaic.requests.run_request import default_folder, recipe_of
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
@@ -280,5 +280,5 @@ class MosaicRequest(FramesRequest):
         return recipe_of(named, stages, given, self.seed, self.set)
 
     def folder(self, recipe: Recipe) -> Path:
-        """Where the run goes: what is asked for, or a folder beside the frames."""
-        return self.output or beside(self.frames, "mosaic")
+        """Where the run goes: what is asked for, or a folder next to the frames."""
+        return self.output or default_folder(self.frames, "mosaic")

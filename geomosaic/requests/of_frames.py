@@ -1,4 +1,4 @@
-"""What runs of frames can be asked for beside all others."""
+"""What runs of frames can be asked for besides all others."""
 
 from __future__ import annotations
 

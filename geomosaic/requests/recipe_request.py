@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from geomosaic.requests.of_frames import FramesRequest, crs_of
 from geomosaic.requests.option import INPUTS, Option, asked, required
-from geomosaic.requests.run_request import beside
+from geomosaic.requests.run_request import default_folder
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
@@ -72,12 +72,12 @@ class RecipeRequest(FramesRequest):
         return replace(loaded, seed=self.seed) if self.seed is not None else loaded
 
     def folder(self, recipe: Recipe) -> Path:
-        """Where the run goes: what is asked for, or a folder beside the input or the recipe's first file."""
+        """Where the run goes: what is asked for, or a folder next to the input or the recipe's first file."""
         from geomosaic.pipeline.params import file_values
 
         if self.output is not None:
             return self.output
         if self.input is not None:
-            return beside(self.input, self._file.stem.replace("_", "-"))
+            return default_folder(self.input, self._file.stem.replace("_", "-"))
         named = [path for step in recipe.steps for path in file_values(step.params).values()]
-        return beside((named or [self._file])[0], self._file.stem.replace("_", "-"))
+        return default_folder((named or [self._file])[0], self._file.stem.replace("_", "-"))

@@ -117,7 +117,7 @@ class RunRequest(ABC):
 
     @abstractmethod
     def folder(self, recipe: Recipe) -> Path:
-        """Where its run goes: what is asked for, or a folder beside the input."""
+        """Where its run goes: what is asked for, or a folder next to the input."""
 
     def job(self) -> Job:
         """What the request comes to. Raises: `InputError` for what cannot be used."""
@@ -219,8 +219,8 @@ def recipe_of(
     return recipe_from(plain, installed(), sets)
 
 
-def beside(given: Path, what: str) -> Path:
-    """The run folder where none is given: `FRAMES-mosaic` beside `FRAMES`."""
+def default_folder(given: Path, what: str) -> Path:
+    """The run folder where none is given: `FRAMES-mosaic` next to `FRAMES`."""
     place = given if given.name not in ("", "..") else given.resolve()
     if not place.name:
         raise InputError("no run folder can lie next to it", file=given, fix="give the run folder with -o")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from geomosaic.requests.option import ACCURACY, OUTPUT, Option, asked, required
-from geomosaic.requests.run_request import NewRunRequest, beside, recipe_of
+from geomosaic.requests.run_request import NewRunRequest, default_folder, recipe_of
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
@@ -57,5 +57,5 @@ class StripsRequest(NewRunRequest):
         return recipe_of(named, stages, self.parameters(), self.seed, self.set)
 
     def folder(self, recipe: Recipe) -> Path:
-        """Where the run goes: what is asked for, or a folder beside the geometry."""
-        return self.output or beside(self.geometry, "scene")
+        """Where the run goes: what is asked for, or a folder next to the geometry."""
+        return self.output or default_folder(self.geometry, "scene")

@@ -24,7 +24,7 @@ TITLE = "Mosaic"
 
 @stage(
     "export.layers", "Write layers and positions", group="Export", version=9,
-    outputs=("layers_file", "positions_file"), results=(POSITIONS, LAYERS), beside=True,
+    outputs=("layers_file", "positions_file"), results=(POSITIONS, LAYERS), concurrent=True,
 )  # fmt: skip
 def export_layers(
     block: AdjustedBlock,

@@ -25,7 +25,7 @@ class GivenParams(StageParams):
 
 
 @stage(
-    "mosaic.given", "Compose by positions alone", group="Mosaic", version=3, outputs="given", beside=True,
+    "mosaic.given", "Compose by positions alone", group="Mosaic", version=3, outputs="given", concurrent=True,
     wants_frames=True,
 )  # fmt: skip
 def mosaic_given(

@@ -35,7 +35,7 @@ class QualityVerdict(Stage):
     group = "Quality"
     version = 20
     wants_frames: ClassVar[bool] = True
-    beside: ClassVar[bool] = True
+    concurrent: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
         "ownership": Ownership,

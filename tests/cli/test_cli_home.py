@@ -15,7 +15,7 @@ from small_surveys import geomosaic, small_survey, summary
 
 from geomosaic.cli.running import print_named
 from geomosaic.pipeline.recipe_names import recipe_names
-from geomosaic.requests.run_request import beside
+from geomosaic.requests.run_request import default_folder
 from geomosaic_simulate.survey import SimulatedSurvey
 
 COMMAND = [sys.executable, "-m", "geomosaic.cli.main"]
@@ -140,9 +140,9 @@ def test_the_run_folder_lies_beside_what_is_read(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("geometry.yaml").touch()
-    assert beside(Path("geometry.yaml"), "scene") == Path("geometry-scene")
-    assert beside(Path("flight.1/"), "mosaic") == Path("flight.1-mosaic")
-    assert beside(Path(), "mosaic") == tmp_path.with_name(f"{tmp_path.name}-mosaic")
+    assert default_folder(Path("geometry.yaml"), "scene") == Path("geometry-scene")
+    assert default_folder(Path("flight.1/"), "mosaic") == Path("flight.1-mosaic")
+    assert default_folder(Path(), "mosaic") == tmp_path.with_name(f"{tmp_path.name}-mosaic")
     assert geomosaic("mosaic", "/") == 2
     assert "/: no run folder can lie next to it; give the run folder with -o" in capsys.readouterr().err
 

@@ -44,7 +44,7 @@ def count() -> Counts:
     version=3,
     outputs=("counts", "note"),
     results=("note.txt",),
-    beside=True,
+    concurrent=True,
 )
 def raised(
     counts: Counts, params: RaiseParams, context: Context, more: Counts | None = None
@@ -71,7 +71,12 @@ def test_a_function_is_declared_by_its_annotations() -> None:
     assert raised.outputs == {"counts": Counts, "note": RunFile}
     assert raised.Params is RaiseParams and judge.Params is StageParams
     assert raised.__doc__ is not None and raised.__doc__.startswith("Adds to each number.")
-    assert (raised.beside, raised.results, judge.cached, judge.outputs) == (True, ("note.txt",), False, {})
+    assert (raised.concurrent, raised.results, judge.cached, judge.outputs) == (
+        True,
+        ("note.txt",),
+        False,
+        {},
+    )
     assert f"{raised.__module__}:{raised.__qualname__}" == f"{__name__}:raised"
 
 

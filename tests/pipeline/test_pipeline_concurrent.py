@@ -66,7 +66,7 @@ class Beside(Stage):
     id = "toy.beside"
     display_name = "Beside"
     group = "Toy"
-    beside = True
+    concurrent = True
     inputs: ClassVar = {"numbers": Numbers}
     outputs: ClassVar = {"powers": Numbers}
 

@@ -252,7 +252,7 @@ def test_what_a_killed_run_left_half_written_goes(toys: Toys) -> None:
 
 
 def test_hashes_of_files_nobody_asks_for_are_forgotten(toys: Toys, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hashes, "SETTLED_NS", 0)
+    monkeypatch.setattr(hashes, "UNTOUCHED_NS", 0)
     toys.run()
     toys.folder.joinpath("others.txt").write_text("5 6")
     toys.run(f"toy.read.file={toys.folder / 'others.txt'}")

@@ -121,7 +121,7 @@ def test_a_replay_over_other_images_is_refused(
 
 def test_an_edit_that_keeps_size_and_time_is_found(toys: Toys, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     numbers = toys.folder / "numbers.txt"
-    monkeypatch.setattr(hashes, "SETTLED_NS", 0)
+    monkeypatch.setattr(hashes, "UNTOUCHED_NS", 0)
     toys.run()
     toys.done()
     before = numbers.stat()

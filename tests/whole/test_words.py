@@ -61,14 +61,19 @@ PRIVATE = {
 CLEAN = (
     "camera",
     "ccd",
+    "cli",
     "composition",
     "doors",
     "export",
     "geodesy",
     "matching",
+    "pipeline",
     "placement",
     "projection",
+    "recording",
+    "requests",
     "surface",
+    "survey",
 )
 OTHERS = ("adjustment", "recording")
 """Rooms whose words are kept elsewhere."""

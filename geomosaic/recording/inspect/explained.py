@@ -55,15 +55,15 @@ def causes(
         return []
     by_name = {f["frame"]: f for f in frames}
     mine = [by_name.get(name, {}) for name in adjusted.row]
-    held = placed_by_pairs(np.array([f.get("pairs_tied") or 0 for f in mine]))
+    shares_placed = placed_by_pairs(np.array([f.get("pairs_tied") or 0 for f in mine]))
     return [
-        *_of_headings(placed, adjusted, held, accused),
-        *_of_positions(placed, adjusted, held, accused),
+        *_of_headings(placed, adjusted, shares_placed, accused),
+        *_of_positions(placed, adjusted, shares_placed, accused),
     ]
 
 
 def _of_headings(
-    placed: FigureTable, adjusted: FigureTable, held: Floats, accused: AbstractSet[tuple[str, str]]
+    placed: FigureTable, adjusted: FigureTable, shares_placed: Floats, accused: AbstractSet[tuple[str, str]]
 ) -> Iterator[Cause]:
     """Wrong headings and turned images."""
     names, found_sd = adjusted.row, adjusted.column("sd_yaw_deg")
@@ -92,13 +92,13 @@ def _of_headings(
         off_deg = _apart_deg(given[i], found[i] + 90.0 * quarters)
         if quarters:
             turned = float(shares[i, [quarters, WRONG + quarters]].sum())
-            yield Cause(TURNED, name, turned * held[i], off_deg)
+            yield Cause(TURNED, name, turned * shares_placed[i], off_deg)
         if best >= WRONG:
-            yield Cause(HEADING, name, float(shares[i, WRONG:].sum()) * held[i], off_deg)
+            yield Cause(HEADING, name, float(shares[i, WRONG:].sum()) * shares_placed[i], off_deg)
 
 
 def _of_positions(
-    placed: FigureTable, adjusted: FigureTable, held: Floats, accused: AbstractSet[tuple[str, str]]
+    placed: FigureTable, adjusted: FigureTable, shares_placed: Floats, accused: AbstractSet[tuple[str, str]]
 ) -> Iterator[Cause]:
     """Wrong positions, of those that the run names."""
     names = adjusted.row
@@ -111,7 +111,7 @@ def _of_positions(
     sd_m = np.hypot(np.fmin(stated_m, scatter_m), found_m)
     place = np.column_stack([adjusted.column("east_m"), adjusted.column("north_m")])
     reach_m = max(float(np.linalg.norm(np.ptp(place, axis=0))), float(np.nanmax(off_m)))
-    probability = wrong_positions(off_m, sd_m, reach_m) * held
+    probability = wrong_positions(off_m, sd_m, reach_m) * shares_placed
     for i, name in enumerate(names):
         if (POSITION, name) in accused:
             yield Cause(POSITION, name, float(probability[i]), float(off_m[i]))

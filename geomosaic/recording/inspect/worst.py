@@ -53,7 +53,9 @@ class Fault:
     probability: float | None = None
 
 
-_LAID = "no need: the images placed it right; correct it in the positions' table if they are used elsewhere"
+_PLACED_RIGHT = (
+    "no need: the images placed it right; correct it in the positions' table if they are used elsewhere"
+)
 _MENDS: dict[str, tuple[float, str]] = {
     "bundle-failed": (95.0, "more overlap, or positions of more frames"),
     "self-calibration-failed": (85.0, "a calibrated lens (--camera), or more overlap"),
@@ -62,8 +64,8 @@ _MENDS: dict[str, tuple[float, str]] = {
     "separate-part": (68.0, "frames between the parts, or control points in each"),
     "pose-not-determined": (66.0, "look at the frame; more overlap there"),
     "frame-contradicted": (64.0, "look at the frame: another flight's, or a copy under another time"),
-    "position-wrong": (40.0, _LAID),
-    "yaw-wrong": (38.0, _LAID),
+    "position-wrong": (40.0, _PLACED_RIGHT),
+    "yaw-wrong": (38.0, _PLACED_RIGHT),
     "frame-turned": (36.0, "no need: it was righted; don't let viewers turn frames when they save them"),
     "frame-flung": (34.0, "look at the frame; leave it out if it is of another place"),
     "frame-damaged": (32.0, "copy it from the camera's card again"),
@@ -166,13 +168,13 @@ def _of_causes(
     for cause in known:
         frame, (weight, mend) = frames.get(cause.frame, {}), _MENDS[cause.code]
         text = said.get((cause.code, cause.frame)) or _TEXTS[cause.code]
-        held = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
+        tied = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
         if frame.get("rms_px") is not None:
-            held += f", to {frame['rms_px']:.2f} px"
+            tied += f", to {frame['rms_px']:.2f} px"
         off = f"{cause.off:.1f} m" if cause.code == POSITION else f"{cause.off:.0f} degrees"
         fits = f"its heading then fits to {off}" if cause.code == TURNED else f"{off} off"
         size = cause.off / (1.0 + cause.off)
-        sure = f"{how_sure(cause.probability)}; {fits}; {held}"
+        sure = f"{how_sure(cause.probability)}; {fits}; {tied}"
         yield Fault(
             cause.code, (cause.frame,), text, sure, mend, weight + cause.probability * size, cause.probability
         )

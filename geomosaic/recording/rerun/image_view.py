@@ -106,9 +106,9 @@ def draw_picks(recording: Recording, stream: Any) -> None:
     adjusted = recording.table("frames.adjusted")
     rings = dict(recording.outlines.get("adjusted", ()))
     said: dict[str, list[str]] = {}
-    for told in recording.log:
-        if told.frame and told.level != "info":
-            said.setdefault(told.frame, []).append(told.text)
+    for entry in recording.log:
+        if entry.frame and entry.level != "info":
+            said.setdefault(entry.frame, []).append(entry.text)
     for place, row in enumerate(worst_frames(recording)):
         name = adjusted.row[row]
         stream.set_time(PICK, sequence=place)

@@ -45,8 +45,8 @@ def draw_plan(recording: Recording, stream: Any) -> None:
         ("adjusted", (80, 110, 160), 0.8),
         ("seams", _FAINT, 0.6),
     ):
-        told = recording.outlines.get(what, ())
-        rings = [_drawn(np.concatenate([ring, ring[:1]])) for _, ring in told if len(ring)]
+        outlines = recording.outlines.get(what, ())
+        rings = [_drawn(np.concatenate([ring, ring[:1]])) for _, ring in outlines if len(ring)]
         lines = rerun.LineStrips2D(rings, colors=[colour], radii=_ui(width / 2), draw_order=1.0)
         stream.log(f"{PLAN}/footprints_{what}" if what != "seams" else f"{PLAN}/seams", lines, static=True)
     bare = [_drawn(ring) for _, ring in recording.outlines.get("bare", ()) if len(ring)]
