@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from geomosaic.pipeline.params import ParamDescription, StageParams, describe_params
+from geomosaic.pipeline.params import ParamDescription, describe_params
+from geomosaic.pipeline.recipe import Recipe, unwired_recipe
 from geomosaic.pipeline.stage import Stage
 
 
@@ -82,11 +84,9 @@ def command_of(
     return command
 
 
-def params_from(stage: type[Stage], options: Mapping[str, Any]) -> StageParams:
-    """The checked parameters of a stage from command-line options."""
-    from geomosaic.pipeline.recipe import recipe_from
+def recipe_of_options(stage: type[Stage], options: Mapping[str, Any], seed: int) -> Recipe:
+    """The checked recipe of one stage from command-line options."""
     from geomosaic.pipeline.registry import installed
 
     plain = {"stages": [{"stage": stage.id, "params": option_values(stage, options)}]}
-    there = {**stage.inputs, **stage.optional_inputs}
-    return recipe_from(plain, installed(), given=there).steps[0].params
+    return replace(unwired_recipe(plain, installed()), seed=seed)

@@ -57,6 +57,7 @@ def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
 
     Raises: what the run itself would raise up to there, `OutputError` for a place that can't be written to.
     """
+    from geomosaic.pipeline.run_options import RunOptions
     from geomosaic.pipeline.runner import run
 
     recipe, output = job.recipe, job.folder
@@ -70,7 +71,8 @@ def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
     summary: dict[str, Any] = {"metrics": {}, "warnings": []}
     if ahead:
         with _near(output) as folder:
-            summary = run(begun, folder, workers=job.how.workers, dask=job.how.dask, reporter=listening)
+            how = RunOptions(workers=job.how.workers, dask=job.how.dask)
+            summary = run(begun, folder, how, reporter=listening)
     if as_json:
         plan = {
             "stages": [step.stage.id for step in recipe.steps],

@@ -18,8 +18,8 @@ from geomosaic.requests.run_request import cores
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.context import Notes
-    from geomosaic.pipeline.params import StageParams
-    from geomosaic.pipeline.run_folder import RunFolder
+    from geomosaic.pipeline.recipe import Recipe
+    from geomosaic.pipeline.single_stage import StageInputs
     from geomosaic.pipeline.stage import Stage
 
 _Seed = Annotated[
@@ -69,17 +69,18 @@ def _runner(stage: type[Stage]) -> Any:
         quiet: bool = False,
         **options: Any,
     ) -> None:
-        from geomosaic.cli.declared import params_from
+        from geomosaic.cli.declared import recipe_of_options
         from geomosaic.pipeline.run_folder import RunFolder
+        from geomosaic.pipeline.single_stage import StageInputs
         from geomosaic.pipeline.stage import RunFile
         from geomosaic.requests.naming import named_as_options
 
         before = _files(folder)
         summary, inputs = _inputs(stage, folder)
         with named_as_options(stage.id):
-            params = params_from(stage, options)
+            recipe = recipe_of_options(stage, options, seed or 0)
             place = RunFolder(folder) if stage.inputs else RunFolder.opened(folder, overwrite=overwrite)
-            values, _ = _run(stage, params, place, inputs, summary, seed or 0, workers, quiet)
+            values, _ = _run(recipe, StageInputs(place, inputs, summary), workers, quiet)
         if quiet:
             return
         names = {*stage.results, *(value.name for value in values.values() if isinstance(value, RunFile))}
@@ -109,30 +110,14 @@ def _inputs(stage: type[Stage], folder: Path) -> tuple[dict[str, Any], dict[str,
 
 
 def _run(
-    stage: type[Stage],
-    params: StageParams,
-    folder: RunFolder,
-    inputs: dict[str, Any],
-    summary: dict[str, Any],
-    seed: int = 0,
-    workers: int | None = None,
-    quiet: bool = False,
+    recipe: Recipe, given: StageInputs, workers: int | None = None, quiet: bool = False
 ) -> tuple[dict[str, Any], Notes]:
     from geomosaic.cli.progress import progress
     from geomosaic.pipeline.single_stage import run_stage
 
+    count = workers or cores()
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work, progress(quiet=quiet) as reporter:
-        return run_stage(
-            stage,
-            params,
-            folder,
-            inputs,
-            work_folder=Path(work),
-            workers=workers or cores(),
-            seed=seed,
-            reporter=reporter,
-            summary=summary,
-        )
+        return run_stage(recipe, given, work_folder=Path(work), workers=count, reporter=reporter)
 
 
 def evaluate(
@@ -204,15 +189,18 @@ def _scores(files: list[Path], as_json: bool) -> None:
 def _compare(target: Path, reference: Path | None, set: Sets, as_json: bool) -> None:
     from geomosaic.pipeline.context import Context
     from geomosaic.pipeline.run_folder import RunFolder
+    from geomosaic.pipeline.single_stage import StageInputs
 
-    stage, params = _referring("quality.compare", reference, set)
+    recipe = _referring("quality.compare", reference, set)
     path = target / "mosaic.tif" if target.is_dir() else target
     if not path.is_file():
         raise FileError("no such file", file=path, fix="give a finished run's folder or a GeoTIFF")
     with tempfile.TemporaryDirectory(prefix="geomosaic-") as work:
         file = Context(path.absolute().parent, work_folder=Path(work)).run_file(path.name)
+    stage = recipe.steps[0].stage
     summary, inputs = _inputs(stage, target) if (target / "run.json").is_file() else ({}, {})
-    _, notes = _run(stage, params, RunFolder(path.parent), {**inputs, "mosaic_file": file}, summary)
+    given = StageInputs(RunFolder(path.parent), {**inputs, "mosaic_file": file}, summary)
+    _, notes = _run(recipe, given)
     if as_json:
         _print_json({"mosaic": path, "reference": reference}, notes)
         return
@@ -224,12 +212,14 @@ def _compare_surface(run: Path, reference: Path, set: Sets, as_json: bool) -> No
     """A table by slope, class and support, and the files that show where the differences are."""
     from geomosaic.pipeline.run_folder import RunFolder
     from geomosaic.pipeline.run_results import read_summary
+    from geomosaic.pipeline.single_stage import StageInputs
 
-    stage, params = _referring("quality.surface", reference, set)
+    recipe = _referring("quality.surface", reference, set)
+    stage = recipe.steps[0].stage
     if "surface_file" not in read_summary(run)["artefacts"]:
         raise FileError("this run has no surface to compare", file=run, fix="run it with --surface dense")
     summary, inputs = _inputs(stage, run)
-    values, notes = _run(stage, params, RunFolder(run), inputs, summary)
+    values, notes = _run(recipe, StageInputs(RunFolder(run), inputs, summary))
     if as_json:
         _print_json({"run": run, "reference": reference}, notes)
         return
@@ -248,14 +238,13 @@ def _compare_surface(run: Path, reference: Path, set: Sets, as_json: bool) -> No
         print(run / name)
 
 
-def _referring(id: str, reference: Path | None, set: Sets) -> tuple[type[Stage], StageParams]:
-    """A stage that takes a reference, with its parameters."""
-    from geomosaic.pipeline.recipe import recipe_from
+def _referring(id: str, reference: Path | None, set: Sets) -> Recipe:
+    """A stage that takes a reference."""
+    from geomosaic.pipeline.recipe import unwired_recipe
     from geomosaic.pipeline.registry import installed
 
-    stage = installed().get(id)
     plain = {"stages": [{"stage": id, "params": {"reference": reference}}]}
-    return stage, recipe_from(plain, installed(), set or (), given=stage.inputs).steps[0].params
+    return unwired_recipe(plain, installed(), set or ())
 
 
 def _print_json(of: dict[str, Path | None], notes: Notes) -> None:

@@ -16,6 +16,7 @@ from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.pipeline.reporter import Reporter
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.pipeline.runner import run
 from geomosaic.placement.model import Placement
@@ -79,7 +80,7 @@ def frames_by_tags(request: MosaicRequest, reporter: Reporter) -> OrientedFrames
     stages = [id for id in request.stages() if id in _STAGES]
     recipe = recipe_of(("control", f"frames of {request.frames.name}"), stages, request.parameters())
     with tempfile.TemporaryDirectory(prefix="geomosaic-control-") as folder:
-        summary = run(recipe, Path(folder), workers=cores(), reporter=reporter)
+        summary = run(recipe, Path(folder), RunOptions(workers=cores()), reporter=reporter)
         survey = load_artefact(Path(folder), summary, "levelled_survey", Survey)
         ground = load_artefact(Path(folder), summary, "prior_ground", GroundSurface)
         placement = load_artefact(Path(folder), summary, "prior_placement", Placement)

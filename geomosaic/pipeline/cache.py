@@ -168,14 +168,13 @@ class StageCache:
     def keep(
         self,
         stage: type[Stage],
-        key: str,
         values: Mapping[str, Any],
         context: Context,
         lineage: Lineage,
         calls: Path,
     ) -> CachedOutcome:
         """Stores the outcome of a stage that ran in a context; `calls` moves into the cache."""
-        folder = self._folder.within(f"{WORK}/{stage.id}/{key}")
+        folder = self._folder.within(f"{WORK}/{stage.id}/{context.key}")
         with files.refusals_named(folder / _ENTRY):
             folder.mkdir(parents=True, exist_ok=True)
             (folder / _ENTRY).unlink(missing_ok=True)

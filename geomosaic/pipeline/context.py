@@ -89,6 +89,7 @@ class Context:
     """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test.
 
     seed: the recipe's, for a stage that reports it; randomness comes from `rng`.
+    key: the fingerprint of the stage's work; nothing is kept without one.
     lasting_items: where `map` keeps results that outlive the stage's own outcome.
     """
 
@@ -124,7 +125,7 @@ class Context:
         self.kept: list[Path] = []
         self._workers = workers or Workers()
         self._hashes = hashes or FileHashes()
-        self._key = key
+        self.key = key
         self.seed = seed
         self._on_progress = on_progress
         self._on_note = on_note
@@ -261,11 +262,11 @@ class Context:
         A `StoredResult` may stand in the items of a later `map` instead of the result. Only its file's name
         is sent, and identifies the item. The function calls `recall`, which reads the file once per worker.
         """
-        return self._items.mapped(name, function, items, None, without_bytes, stay=True)
+        return self._items.mapped(name, function, items, None, without_bytes)
 
     def optional_cache(self, returns: type[Result], path: str) -> OptionalCache[Result]:
         """A cache entry for a result of this type and this file's content, shared between stages of a run."""
-        if not self._key:
+        if not self.key:
             return OptionalCache(returns, None)
         mark = fingerprint_of_json([returns.__name__, self._hashes.of_file(Path(path))])
         return OptionalCache(returns, self._folder.within(f"{WORK}/spared/items/{mark[:2]}/{mark[2:]}"))
@@ -278,7 +279,7 @@ class Context:
 
         They are there until the block ends; if it fails, the next run finds them.
         """
-        kept = self._items.mapped(name, function, items, keys, without_bytes, stay=True)
+        kept = self._items.mapped(name, function, items, keys, without_bytes)
         yield kept
         for one in kept:
             one.forget()

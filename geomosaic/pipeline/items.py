@@ -18,7 +18,13 @@ from geomosaic.pipeline import files
 from geomosaic.pipeline.artefacts import content_of
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
-from geomosaic.pipeline.stored_result import EncodedFunction, SharedFunction, SpoolingFunction, StoredResult
+from geomosaic.pipeline.stored_result import (
+    EncodedFunction,
+    SharedFunction,
+    SpoolingFunction,
+    StoredResult,
+    without_bytes,
+)
 from geomosaic.recording.file.fingerprints import fingerprint_of_json
 
 Item = TypeVar("Item")
@@ -62,10 +68,9 @@ class Items:
         items: Iterable[Item],
         keys: Sequence[Any] | None,
         take: Callable[[StoredResult[Result]], Taken],
-        *,
-        stay: bool = False,
     ) -> list[Taken]:
-        """What is taken of each result. stay: other processes leave results on the disk themselves."""
+        """What is taken of each result. With `without_bytes` other processes leave results on the disk."""
+        stay = take is without_bytes
         if keys is None:
             items = list(items)
         returns = _returns(function)

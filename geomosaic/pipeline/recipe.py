@@ -12,7 +12,7 @@ stages:
 from __future__ import annotations
 
 import typing
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,11 @@ class Recipe:
     seed: int
     steps: tuple[RecipeStep, ...]
     file: str | None = None
+
+    @classmethod
+    def of_stage(cls, stage: type[Stage], params: StageParams) -> Recipe:
+        """One stage by itself."""
+        return cls("", "", 0, (RecipeStep(stage, params),))
 
     def plain(self) -> dict[str, Any]:
         """The recipe with every parameter as plain values, defaults included and paths absolute."""
@@ -140,14 +145,27 @@ def recipe_from(
     *,
     file: str | None = None,
     base: Path | None = None,
-    given: Mapping[str, type] | None = None,
 ) -> Recipe:
     """A recipe from plain values, everything checked but whether its files exist (`check_files`).
 
     overrides: `stage.id.param=value`; the value is a YAML scalar. base: the folder that relative paths
-    start from (default: the current one). given: artefacts that are there before the first stage.
+    start from (default: the current one).
     Raises `InputError` and its kin with one line that names the file, the stage and the fix.
     """
+    recipe = unwired_recipe(plain, registry, overrides, file=file, base=base)
+    check_wiring([step.stage for step in recipe.steps], file)
+    return recipe
+
+
+def unwired_recipe(
+    plain: Any,
+    registry: Registry,
+    overrides: Iterable[str] = (),
+    *,
+    file: str | None = None,
+    base: Path | None = None,
+) -> Recipe:
+    """As `recipe_from`, of stages whose inputs may come from a finished run."""
     if not isinstance(plain, dict) or not isinstance(plain.get("stages"), list) or not plain["stages"]:
         raise InputError("has no list 'stages'", file=file, fix=_FIX)
     if unknown := [key for key in plain if key not in _KEYS]:
@@ -167,7 +185,6 @@ def recipe_from(
         RecipeStep(stage, check_params(stage.Params, v, stage=stage.id, file=file))
         for stage, v in zip(stages, values, strict=True)
     )
-    check_wiring(stages, given or {}, file)
     name, description = (printable(str(plain.get(key, ""))) for key in ("name", "description"))
     return Recipe(name, description, seed, steps, file)
 
@@ -222,9 +239,9 @@ def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[st
             params[name] = _absolute(stage, name, value, Path.cwd())
 
 
-def check_wiring(stages: Sequence[type[Stage]], given: Mapping[str, type], file: str | None = None) -> None:
+def check_wiring(stages: Sequence[type[Stage]], file: str | None = None) -> None:
     """`InputError` unless each stage finds its inputs, of the right types, among earlier outputs."""
-    there = {name: (kind, "what is given") for name, kind in given.items()}
+    there: dict[str, tuple[Any, str]] = {}
     for i, stage in enumerate(stages):
         for name, wanted in {**stage.inputs, **stage.optional_inputs}.items():
             if name not in there:

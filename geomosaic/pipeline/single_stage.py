@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import PluginError
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.executor import Workers
-from geomosaic.pipeline.params import StageParams
 from geomosaic.pipeline.plugin import blamed
-from geomosaic.pipeline.recipe import Recipe, RecipeStep
+from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Reporter, Silent, warning_lines
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.stage import Stage
@@ -30,24 +30,31 @@ def check_outputs(stage: type[Stage], values: Any) -> None:
             )
 
 
+@dataclass(frozen=True)
+class StageInputs:
+    """What a stage takes of a run. folder: of the run, into which it writes. artefacts: by name. summary: of
+    run.json."""
+
+    folder: RunFolder
+    artefacts: Mapping[str, Any] = field(default_factory=dict)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+
 def run_stage(
-    stage: type[Stage],
-    params: StageParams,
-    folder: RunFolder,
-    inputs: Mapping[str, Any] | None = None,
+    recipe: Recipe,
+    given: StageInputs,
     *,
     work_folder: Path,
     workers: int = 1,
-    seed: int = 0,
     reporter: Reporter | None = None,
-    summary: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, Any], Notes]:
-    """One stage by itself, without recording or cache: its outputs and what it noted.
+    """The one stage of a recipe, without recording or cache: its outputs and what it noted.
 
     `work_folder` is the caller's to delete.
     """
-    reporter = reporter or Silent()
-    Recipe("", "", seed, (RecipeStep(stage, params),)).check_files()
+    reporter, folder = reporter or Silent(), given.folder
+    ((stage, params),) = ((step.stage, step.params) for step in recipe.steps)
+    recipe.check_files()
     reporter.stage_started(0, 1, stage.display_name)
     started = time.monotonic()
     with Workers(workers) as team:
@@ -57,14 +64,14 @@ def run_stage(
             version=stage.version,
             work_folder=work_folder,
             workers=team,
-            seed=seed,
+            seed=recipe.seed,
             on_progress=reporter.progress,
             on_note=reporter.note,
-            summary=summary,
+            summary=given.summary,
         )
         try:
             with blamed(stage):
-                values = stage().run(inputs or {}, params, context)
+                values = stage().run(given.artefacts, params, context)
         finally:
             for line in warning_lines(context.notes.warnings):
                 reporter.warning(line)

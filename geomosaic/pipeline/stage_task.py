@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from geomosaic.errors import GeomosaicError
@@ -17,76 +16,14 @@ from geomosaic.pipeline.cache import ArtefactHandle
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.plugin import blamed
 from geomosaic.pipeline.recipe import RecipeStep
-from geomosaic.pipeline.reporter import Reporter
 from geomosaic.pipeline.single_stage import check_outputs
-from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
-from geomosaic.recording.file.writer import Recorder
-
-
-class StageLog:
-    """The messages of a running stage: passed on at once, or spooled until its turn.
-
-    spool: where its calls of the recorder are kept. early: whether it begins before its turn.
-    """
-
-    def __init__(
-        self,
-        recorder: Recorder,
-        reporter: Reporter,
-        spool: Path,
-        stage_id: str,
-        cancelled: Callable[[], bool] | None,
-        *,
-        early: bool,
-    ) -> None:
-        self._recorder, self._reporter, self._cancelled = recorder, reporter, cancelled
-        self._early, self._live, self._ended = early, not early, False
-        self._notes: list[str] = []
-        self._lock = threading.Lock()
-        self.spool = spool
-        self.calls = StageRecorder(recorder, spool, stage_id, spooled_only=early)
-
-    def progress(self, done: int, total: int, text: str) -> None:
-        """How far it is, if it is its turn."""
-        if self._live:
-            self._recorder.progress(done, total, text)
-            self._reporter.progress(done, total, text)
-
-    def note(self, text: str) -> None:
-        """A line for the user."""
-        with self._lock:
-            if self._live:
-                self._reporter.note(text)
-            else:
-                self._notes.append(text)
-
-    def cancelled(self) -> bool:
-        """Whether the user wants the run to stop, or the run this stage."""
-        return self._ended or (self._cancelled is not None and self._cancelled())
-
-    def turn(self) -> None:
-        """Passes on the spooled notes; later ones are passed on at once."""
-        with self._lock:
-            for text in self._notes:
-                self._reporter.note(text)
-            self._live = True
-
-    def end(self) -> None:
-        """The stage is to stop."""
-        self._ended = True
-
-    def close(self) -> None:
-        """Ends the log: what the stage recorded before its turn is copied into the recording."""
-        self.calls.close()
-        if self._early and self._live:
-            self._early = False
-            replay_calls(self.spool, self._recorder)
+from geomosaic.pipeline.stage_log import StageLog
 
 
 class StageTask:
     """The execution of a stage, in this thread or in one of its own.
 
-    key, lineage: of its outcome.
+    lineage: of its outcome.
     """
 
     def __init__(
@@ -95,10 +32,9 @@ class StageTask:
         inputs: Mapping[str, ArtefactHandle],
         context: Context,
         log: StageLog,
-        key: str,
         lineage: frozenset[str],
     ) -> None:
-        self.context, self.log, self.key, self.lineage = context, log, key, lineage
+        self.context, self.log, self.lineage = context, log, lineage
         self.seconds = 0.0
         self._step, self._inputs = step, inputs
         self._values: dict[str, Any] = {}

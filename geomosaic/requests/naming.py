@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
-from dataclasses import fields
-from functools import cache, partial
+from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, Final
 
 from geomosaic.errors import GeomosaicError
@@ -36,7 +37,7 @@ def named_as_typed(request: type[RunRequest], given: Mapping[str, Any]) -> Itera
     own = {sets: flag_of(its) for its in fields(request) if (sets := option_of(its).sets)}
     typed = {sets for its in fields(request) if (sets := _given(its.name, option_of(its).sets, given))}
     by_set = {text.partition("=")[0].strip() for text in given.get("set") or ()}
-    with _reworded(partial(_of_command, request=request, own=own, typed=typed, sets=by_set)):
+    with _reworded(_TypedOptions(request, own, typed, by_set).named):
         yield
 
 
@@ -107,29 +108,32 @@ def in_python(text: str, request: type[RunRequest]) -> str:
     return _FAULT.sub(lambda f: f"{own[name]} = " if (name := f"{f[1]}.{f[2]}") in own else f[0], text)
 
 
-def _of_command(
-    text: str,
-    file: str,
-    *,
-    request: type[RunRequest],
-    own: Mapping[str, str],
-    typed: set[str],
-    sets: set[str],
-) -> str:
-    def option(found: re.Match[str]) -> str:
-        if found[1] in sets or found[1] not in own:
-            return found[0]
-        return f"{own[found[1]]} {found[2] or ''}".strip()
+@dataclass(frozen=True)
+class _TypedOptions:
+    """How a command was typed. own: its options by the parameter that they set; typed: parameters set by
+    options; sets: those set by `--set`."""
 
-    flags = {flag_of(its) for its in fields(request)}
-    fault = _FAULT.search(text)
-    name = f"{fault[1]}.{fault[2]}" if fault else ""
-    if name in typed | sets:
-        start = f"--set {name}=" if name in sets else f"{own[name]} "
-        text = _FAULT.sub(lambda _: start, text.removeprefix(file))
-    else:
-        text = _SET.sub(option, text)
-    return _FLAG.sub(lambda found: found[0] if found[1] in flags else _set_instead(found), text)
+    request: type[RunRequest]
+    own: Mapping[str, str]
+    typed: AbstractSet[str]
+    sets: AbstractSet[str]
+
+    def named(self, text: str, file: str) -> str:
+        """A message with parameters named as they were typed. file: the prefix of it that names the file."""
+        flags = {flag_of(its) for its in fields(self.request)}
+        fault = _FAULT.search(text)
+        name = f"{fault[1]}.{fault[2]}" if fault else ""
+        if name in self.typed or name in self.sets:
+            start = f"--set {name}=" if name in self.sets else f"{self.own[name]} "
+            text = _FAULT.sub(lambda _: start, text.removeprefix(file))
+        else:
+            text = _SET.sub(self._option, text)
+        return _FLAG.sub(lambda found: found[0] if found[1] in flags else _set_instead(found), text)
+
+    def _option(self, found: re.Match[str]) -> str:
+        if found[1] in self.sets or found[1] not in self.own:
+            return found[0]
+        return f"{self.own[found[1]]} {found[2] or ''}".strip()
 
 
 def _set_instead(found: re.Match[str]) -> str:

@@ -17,17 +17,7 @@ def perform(job: Job, reporter: Reporter) -> dict[str, Any]:
     from geomosaic.pipeline.runner import run
 
     try:
-        return run(
-            job.recipe,
-            job.folder,
-            overwrite=job.how.overwrite,
-            workers=job.how.workers,
-            dask=job.how.dask,
-            fixed_time=job.how.fixed_time,
-            given=job.given,
-            reporter=reporter,
-            record=job.recorded,
-        )
+        return run(job.recipe, job.folder, job.how, given=job.given, reporter=reporter)
     except FileError as error:
         if job.given:
             _name_missing(job, error)
@@ -44,6 +34,6 @@ def _name_missing(job: Job, error: FileError) -> None:
 
 def check_result(job: Job, summary: Mapping[str, Any]) -> None:
     """Raises: if strict, `PoorResultError` for the first shortcoming of a stage."""
-    for text in (step.stage.shortcoming(summary) for step in job.recipe.steps if job.how.strict):
+    for text in (step.stage.shortcoming(summary) for step in job.recipe.steps if job.strict):
         if text:
             raise PoorResultError(text)

@@ -75,7 +75,7 @@ class ReplayRequest(RunRequest):
         if places:
             given = at_places(given, places)
         recipe, given, left_out = _on_thumbnails(recorded, recipe, given, sets, self.output)
-        return Job(recipe, self.output, self.recorded(), self.how(), given, left_out)
+        return Job(recipe, self.output, self.how(), self.is_strict, given, left_out)
 
 
 def _recipe(recorded: Recording, sets: list[str]) -> Recipe:

@@ -25,6 +25,7 @@ from geomosaic.requests.option import (
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
     from geomosaic.pipeline.replayed_stage import ReplayedStage
+    from geomosaic.pipeline.run_options import RunOptions
     from geomosaic.recording.file.levels import RecordOptions
 
 Parameters = dict[str, dict[str, Any]]
@@ -37,26 +38,17 @@ def cores() -> int:
 
 
 @dataclass(frozen=True)
-class How:
-    """How a run works. dask: the address of a cluster that computes instead of this machine; strict: whether
-    a poor result is an error."""
-
-    workers: int
-    dask: str | None
-    fixed_time: bool
-    overwrite: bool
-    strict: bool
-
-
-@dataclass(frozen=True)
 class Job:
-    """A checked recipe, the folder of its run, how it is recorded and works. given: results of its first
-    stages from a recording, by their number; left_out: what cannot be done, and why."""
+    """A checked recipe, the folder of its run, and how it works. strict: whether a poor result is an error.
+
+    given: results of its first stages from a recording, by their number. left_out: what cannot be done, and
+    why.
+    """
 
     recipe: Recipe
     folder: Path
-    recorded: RecordOptions
-    how: How
+    how: RunOptions
+    strict: bool
     given: Mapping[int, ReplayedStage] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
@@ -121,13 +113,20 @@ class RunRequest(ABC):
 
     def job(self) -> Job:
         """What the request comes to. Raises: `InputError` for what cannot be used."""
-        recorded, recipe = self.recorded(), self.recipe()
-        return Job(recipe, self.folder(recipe), recorded, self.how())
+        how, recipe = self.how(), self.recipe()
+        return Job(recipe, self.folder(recipe), how, self.is_strict)
 
-    def how(self) -> How:
-        """How the run works."""
-        workers = self.workers or cores()
-        return How(workers, self.cluster, self.fixed_time, self.overwrite, self.is_strict)
+    def how(self) -> RunOptions:
+        """How the run works. Raises: `UnknownNameError` for another level of recording."""
+        from geomosaic.pipeline.run_options import RunOptions
+
+        return RunOptions(
+            workers=self.workers or cores(),
+            dask=self.cluster,
+            fixed_time=self.fixed_time,
+            overwrite=self.overwrite,
+            record=self.recorded(),
+        )
 
     @property
     def is_strict(self) -> bool:

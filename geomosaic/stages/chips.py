@@ -92,6 +92,6 @@ class Chips:
                 continue
             pair, both = self._pairs[p], (self._halves[p, 0], self._halves[p, 1])
             off_m, weights = self._residuals_m[p], self._weights[p]
-            made = chip(both, self._where[p], pair.left_px, pair.right_px, off_m, weights)
+            made = chip(both, self._where[p], (pair.left_px, pair.right_px), off_m, weights)
             names = self._frames[pair.left].name, self._frames[pair.right].name
             self._context.recorder.chip(rank, *names, made)

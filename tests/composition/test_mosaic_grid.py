@@ -33,8 +33,9 @@ from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.context import Notes
+from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
-from geomosaic.pipeline.single_stage import run_stage
+from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
 from geomosaic.stages.mosaic_compose import MosaicCompose
@@ -59,10 +60,7 @@ def given_for(folder: Path, **survey: Any) -> dict[str, Any]:
 
 def seams(folder: Path, given: dict[str, Any], **params: Any) -> tuple[Ownership, Notes]:
     inputs = {name: given[name] for name in MosaicSeams.inputs}
-    outputs, notes = run_stage(
-        MosaicSeams, MosaicSeams.Params(**params), RunFolder(folder / "RUN"), inputs,
-        work_folder=folder / "work",
-    )  # fmt: skip
+    outputs, notes = run_stage(Recipe.of_stage(MosaicSeams, MosaicSeams.Params(**params)), StageInputs(RunFolder(folder / "RUN"), inputs), work_folder=folder / "work")  # fmt: skip
     return outputs["ownership"], notes
 
 
@@ -110,10 +108,7 @@ def written(
 ) -> tuple[np.ndarray, np.ndarray, OutputGrid, Any]:
     """Pixels, mask and grid of the mosaic, and its artefact."""
     own, _ = seams(folder, given, **params)
-    outputs, _ = run_stage(
-        MosaicCompose, MosaicCompose.Params(blend=blend), RunFolder(folder / "RUN"),
-        {**given, "ownership": own}, work_folder=folder / "work",
-    )  # fmt: skip
+    outputs, _ = run_stage(Recipe.of_stage(MosaicCompose, MosaicCompose.Params(blend=blend)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
     with rasterio.open(folder / "RUN" / outputs["mosaic"].raster) as tiff:
         return np.moveaxis(tiff.read(), 0, -1), tiff.dataset_mask() > 0, own.grid, outputs["mosaic"]
 

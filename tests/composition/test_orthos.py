@@ -20,8 +20,9 @@ from geomosaic.composition.tones import Tones
 from geomosaic.errors import CancelledError
 from geomosaic.export.orthos import ortho_names
 from geomosaic.pipeline.context import Context
+from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
-from geomosaic.pipeline.single_stage import run_stage
+from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.stages.export_orthos import export_orthos
 from geomosaic.stages.mosaic_compose import MosaicCompose
 
@@ -29,10 +30,7 @@ from geomosaic.stages.mosaic_compose import MosaicCompose
 def exported(folder: Path, given: dict[str, Any], own: Any) -> Path:
     """The mosaic, hard at its seams, and the orthos."""
     for stage, params in ((MosaicCompose, {"blend": "hard"}), (export_orthos, {})):
-        run_stage(
-            stage, stage.Params(**params), RunFolder(folder / "RUN"), {**given, "ownership": own},
-            work_folder=folder / "work",
-        )  # fmt: skip
+        run_stage(Recipe.of_stage(stage, stage.Params(**params)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
     return folder / "RUN"
 
 

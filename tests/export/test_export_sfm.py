@@ -13,8 +13,9 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation as Turn
 from solved_block import ALONE, solved_block
 
+from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
-from geomosaic.pipeline.single_stage import run_stage
+from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.stages.exports_of_block import (
     export_colmap,
     export_metashape,
@@ -34,7 +35,11 @@ def run(solved, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sfm")
     for stage in (export_colmap, export_opensfm, export_metashape, export_pix4d, export_odm):
         inputs = {name: getattr(solved, name) for name in stage.inputs}
-        run_stage(stage, stage.Params(), RunFolder(folder / "RUN"), inputs, work_folder=folder / "work")
+        run_stage(
+            Recipe.of_stage(stage, stage.Params()),
+            StageInputs(RunFolder(folder / "RUN"), inputs),
+            work_folder=folder / "work",
+        )
     return folder / "RUN"
 
 

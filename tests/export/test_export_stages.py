@@ -16,8 +16,9 @@ from stac_schema import check_schema
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
-from geomosaic.pipeline.single_stage import run_stage
+from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.stages.export_cog import export_cog
 from geomosaic.stages.exports_for_gis import export_layers
@@ -52,7 +53,10 @@ def run(tmp_path_factory):
         taken = stage.inputs.keys() | stage.optional_inputs.keys()
         inputs = {name: given[name] for name in taken if name in given}
         outputs, notes[stage.id] = run_stage(
-            stage, params, RunFolder(folder / "RUN"), inputs, work_folder=folder / "work", workers=1
+            Recipe.of_stage(stage, params),
+            StageInputs(RunFolder(folder / "RUN"), inputs),
+            work_folder=folder / "work",
+            workers=1,
         )
         given.update(outputs)
     return folder / "RUN", given, notes
@@ -100,7 +104,11 @@ def test_without_work_the_mosaic_is_kept_otherwise(run, tmp_path):
     for compression in ("zstd", "deflate"):
         params = export_cog.Params(compression=compression)
         inputs = {"raster_file": given["raster_file"]}
-        run_stage(export_cog, params, RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w")
+        run_stage(
+            Recipe.of_stage(export_cog, params),
+            StageInputs(RunFolder(tmp_path / "RUN"), inputs),
+            work_folder=tmp_path / "w",
+        )
         with (
             rasterio.open(folder / "mosaic.tif") as old,
             rasterio.open(tmp_path / "RUN" / "mosaic.tif") as new,
@@ -111,5 +119,7 @@ def test_without_work_the_mosaic_is_kept_otherwise(run, tmp_path):
     (tmp_path / "RUN" / "mosaic.tif").unlink()
     with pytest.raises(FileError, match="the file is gone"):
         run_stage(
-            export_cog, export_cog.Params(), RunFolder(tmp_path / "RUN"), inputs, work_folder=tmp_path / "w"
+            Recipe.of_stage(export_cog, export_cog.Params()),
+            StageInputs(RunFolder(tmp_path / "RUN"), inputs),
+            work_folder=tmp_path / "w",
         )

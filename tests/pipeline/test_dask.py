@@ -17,6 +17,7 @@ from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
 from geomosaic.requests.run_request import recipe_of
@@ -49,7 +50,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
 @pytest.fixture(scope="module")
 def local(survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("local")
-    run(recipe(survey), folder, fixed_time=True)
+    run(recipe(survey), folder, RunOptions(fixed_time=True))
     return folder
 
 
@@ -74,7 +75,7 @@ def test_a_worker_that_is_killed_leaves_the_pixels_as_they_are(
     at: str, team: Team, survey: SimulatedSurvey, local: Path, tmp_path: Path
 ) -> None:
     striking = Striking(at, team.kill)
-    run(recipe(survey), tmp_path / "run", dask=team.address, fixed_time=True, reporter=striking)
+    run(recipe(survey), tmp_path / "run", RunOptions(dask=team.address, fixed_time=True), reporter=striking)
     assert striking.struck
     for name in RESULTS:
         assert (tmp_path / "run" / name).read_bytes() == (local / name).read_bytes()

@@ -12,11 +12,12 @@ import pytest
 from geomosaic.errors import PluginError
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.params import check_params
-from geomosaic.pipeline.recipe import load_recipe
+from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.registry import Registry, check_stage
 from geomosaic.pipeline.run_folder import RunFolder
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
-from geomosaic.pipeline.single_stage import run_stage
+from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 
 
@@ -84,7 +85,11 @@ def test_it_runs_by_itself_and_as_a_function(tmp_path: Path) -> None:
     params = check_params(raised.Params, {"by": 2}, stage=raised.id)
     for more, note in ({}, "2"), ({"more": Counts((4, 5))}, "11"):
         folder = RunFolder(tmp_path / "RUN", overwrite=True)
-        made, _ = run_stage(raised, params, folder, {"counts": Counts((1,)), **more}, work_folder=tmp_path)
+        made, _ = run_stage(
+            Recipe.of_stage(raised, params),
+            StageInputs(folder, {"counts": Counts((1,)), **more}),
+            work_folder=tmp_path,
+        )
         assert made["counts"] == Counts((3,)) and made["note"].name == "note.txt"
         assert (tmp_path / "RUN" / "note.txt").read_text() == note
     assert count.function() == Counts((1, 2, 3))
@@ -120,7 +125,7 @@ def test_a_group_takes_its_fields_as_inputs(tmp_path: Path) -> None:
     ):
         folder = RunFolder(tmp_path / "RUN", overwrite=True)
         params = check_params(step.Params, {}, stage=step.id)
-        made, _ = run_stage(step, params, folder, inputs, work_folder=tmp_path)
+        made, _ = run_stage(Recipe.of_stage(step, params), StageInputs(folder, inputs), work_folder=tmp_path)
         assert made["sum"] == Counts(numbers)
 
 
@@ -133,7 +138,7 @@ def test_a_recipe_runs_declared_functions(tmp_path: Path) -> None:
         "name: toys\nstages:\n  - toy.count\n  - stage: toy.raise\n    params: {by: 5}\n  - toy.judge\n"
     )
     for cached in ([], ["toy.count", "toy.raise"]):
-        summary = run(load_recipe(recipe, registry), tmp_path / "RUN", workers=1)
+        summary = run(load_recipe(recipe, registry), tmp_path / "RUN", RunOptions(workers=1))
         assert summary["metrics"]["sum"] == 21
         assert summary["cached_stages"] == cached
     assert (tmp_path / "RUN" / "note.txt").read_text() == "5"
@@ -192,4 +197,8 @@ def test_a_function_that_gives_too_little_is_named(tmp_path: Path) -> None:
         return (Counts(()),)  # type: ignore[return-value]
 
     with pytest.raises(PluginError, match=r"^stage toy.little gave \['a'\] instead of \['a', 'b'\]$"):
-        run_stage(little, little.Params(), RunFolder(tmp_path / "RUN"), work_folder=tmp_path)
+        run_stage(
+            Recipe.of_stage(little, little.Params()),
+            StageInputs(RunFolder(tmp_path / "RUN")),
+            work_folder=tmp_path,
+        )

@@ -16,7 +16,8 @@ from pipeline_toy import Numbers, ReadNumbers, powered, recipe_file, told
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.registry import Registry
-from geomosaic.pipeline.reporter import Silent
+from geomosaic.pipeline.reporter import Reporter, Silent
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.pipeline.stage_task import concurrent_steps
@@ -109,7 +110,7 @@ class Heard(Silent):
         self.lines.append(text)
 
 
-def run_two(folder: Path, *overrides: str, **options: Any) -> dict[str, Any]:
+def run_two(folder: Path, *overrides: str, workers: int, reporter: Reporter | None = None) -> dict[str, Any]:
     """A run of both stages, and of the reading before them."""
     stages = Registry()
     for stage in (ReadNumbers, Wait, Beside):
@@ -117,7 +118,7 @@ def run_two(folder: Path, *overrides: str, **options: Any) -> dict[str, Any]:
     path = recipe_file(folder.parent, "1 2 3")
     path.write_text(RECIPE)
     recipe = load_recipe(path, stages, overrides)
-    return run(recipe, folder, fixed_time=True, **options)
+    return run(recipe, folder, RunOptions(fixed_time=True, workers=workers), reporter=reporter)
 
 
 @pytest.fixture

@@ -33,8 +33,9 @@ from geomosaic.pipeline.artefacts import decode
 from geomosaic.pipeline.context import Context, Notes, RunFile
 from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.replayed_stage import replayed_stage
-from geomosaic.pipeline.reporter import Silent
+from geomosaic.pipeline.reporter import Reporter, Silent
 from geomosaic.pipeline.run_folder import MARKER
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.pipeline.runner import run
 from geomosaic.recording.file.reader import read_recording
@@ -55,8 +56,8 @@ class Toys:
     def recipe(self, *overrides: str) -> Recipe:
         return load_recipe(self.recipe_path, registry(), overrides)
 
-    def run(self, *overrides: str, **options: Any) -> dict[str, Any]:
-        return run(self.recipe(*overrides), self.run_folder, **options)
+    def run(self, *overrides: str, reporter: Reporter | None = None, **options: Any) -> dict[str, Any]:
+        return run(self.recipe(*overrides), self.run_folder, RunOptions(**options), reporter=reporter)
 
     def done(self) -> list[str]:
         """What was done since the last question, items of parallel work in order of value."""
@@ -273,7 +274,7 @@ def test_randomness_comes_from_the_seed_alone(toys: Toys) -> None:
 
 def test_equal_runs_record_equal_bytes(toys: Toys) -> None:
     for name in ("a", "b"):
-        run(toys.recipe(), toys.folder / name, fixed_time=True, workers=1 if name == "a" else 2)
+        run(toys.recipe(), toys.folder / name, RunOptions(fixed_time=True, workers=1 if name == "a" else 2))
     a, b = ((toys.folder / name / "run.mcap").read_bytes() for name in ("a", "b"))
     assert a == b
 
@@ -480,7 +481,7 @@ def test_the_work_is_the_same_wherever_it_is_done(toys: Toys) -> None:
         manners: dict[str, Any] = {"one": {}, "two": {"workers": 2}}
         manners["dask"] = {"dask": cluster.scheduler_address}
         for name, options in manners.items():
-            run(toys.recipe(), toys.folder / name, **options)
+            run(toys.recipe(), toys.folder / name, RunOptions(**options))
             totals.append((toys.folder / name / "total.txt").read_bytes())
             assert toys.done() == ALL
     assert len(set(totals)) == 1

@@ -18,6 +18,7 @@ from small_surveys import small_survey
 from geomosaic.errors import FileError, OutputError
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
 from geomosaic.requests.run_request import recipe_of
@@ -67,7 +68,7 @@ def die(frames: str, camera: str, to: str, at: str, tell: str) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
     counting = Counting(at, strike)
-    run(recipe(Path(frames), Path(camera)), Path(to), fixed_time=True, reporter=counting)
+    run(recipe(Path(frames), Path(camera)), Path(to), RunOptions(fixed_time=True), reporter=counting)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +81,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
 @pytest.fixture(scope="module")
 def fresh(survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fresh")
-    run(recipe(survey.frames, survey.camera), folder, fixed_time=True)
+    run(recipe(survey.frames, survey.camera), folder, RunOptions(fixed_time=True))
     return folder
 
 
@@ -101,7 +102,7 @@ def test_a_killed_run_goes_on_where_it_was(survey: SimulatedSurvey, fresh: Path,
         assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
         told.append(json.loads((tmp_path / at).read_text()))
     counting = Counting()
-    run(recipe(*given), tmp_path / "run", fixed_time=True, reporter=counting)
+    run(recipe(*given), tmp_path / "run", RunOptions(fixed_time=True), reporter=counting)
     runs = itertools.pairwise([*told, [counting.found, counting.done]])
     for moment, ((_, done), (found, _)) in zip(moments, runs, strict=True):
         (at,) = (name for name in done if name.endswith(f": {moment}"))
@@ -117,11 +118,11 @@ def test_new_frames_bring_their_own_work_alone(survey: SimulatedSurvey, fresh: P
     names = sorted(path.name for path in survey.frames.glob("*.jpg"))
     for name in names[:-2]:
         shutil.copy2(survey.frames / name, frames / name)
-    run(recipe(frames, survey.camera), tmp_path / "run", fixed_time=True)
+    run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True))
     for name in names[-2:]:
         shutil.copy2(survey.frames / name, frames / name)
     counting = Counting()
-    run(recipe(frames, survey.camera), tmp_path / "run", fixed_time=True, reporter=counting)
+    run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=counting)
     for name in ("Read the survey: looking for damage", "Match frames with SIFT: keypoints"):
         assert counting.found[name] == (4, 6)
     assert counting.found["Match frames with SIFT: pairs"] == (6, 15)
@@ -150,10 +151,20 @@ def test_a_disk_that_fills_while_composing_is_one_line_and_costs_nothing_done(
 
     filled = Counting("frames on the map", fill)
     with pytest.raises(OutputError, match="no space left on the disk; free some or choose another output"):
-        run(recipe(survey.frames, survey.camera), small_disk / "run", fixed_time=True, reporter=filled)
+        run(
+            recipe(survey.frames, survey.camera),
+            small_disk / "run",
+            RunOptions(fixed_time=True),
+            reporter=filled,
+        )
     ballast.unlink()
     counting = Counting()
-    run(recipe(survey.frames, survey.camera), small_disk / "run", fixed_time=True, reporter=counting)
+    run(
+        recipe(survey.frames, survey.camera),
+        small_disk / "run",
+        RunOptions(fixed_time=True),
+        reporter=counting,
+    )
     at = "Compose the mosaic: frames on the map"
     assert 0 < filled.done[at] == counting.found[at][0] < counting.found[at][1]
     assert_same(small_disk / "run", fresh)
@@ -167,10 +178,10 @@ def test_a_frame_that_vanishes_is_named_and_costs_nothing_done(
     last = sorted(frames.glob("*.jpg"))[-1]
     vanished = Counting("brightness", last.unlink)
     with pytest.raises(FileError, match=last.name):
-        run(recipe(frames, survey.camera), tmp_path / "run", fixed_time=True, reporter=vanished)
+        run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=vanished)
     shutil.copy2(survey.frames / last.name, last)
     counting = Counting()
-    run(recipe(frames, survey.camera), tmp_path / "run", fixed_time=True, reporter=counting)
+    run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=counting)
     at = "Match frames with SIFT: brightness"
     assert 0 < vanished.done[at] == counting.found[at][0] < 6
     assert_same(tmp_path / "run", fresh)

@@ -11,6 +11,7 @@ from recording_scene import FRAMES, written
 
 from geomosaic.cli.main import main
 from geomosaic.recording import Recorder
+from geomosaic.recording.file.writer import StageEnd
 
 
 @pytest.fixture(autouse=True)
@@ -126,7 +127,9 @@ def test_the_environment_is_listed_but_does_not_count(
         with Recorder(tmp_path / f"{name}.mcap") as recorder:
             recorder.begin_run("name: x\n", {"numpy": version}, {})
             recorder.stage_started("toy.one", 1, {}, {})
-            recorder.stage_finished("toy.one", {}, 1.0 if name == "a" else 2.0, name == "b")
+            recorder.stage_finished(
+                "toy.one", StageEnd(seconds=1.0 if name == "a" else 2.0, cached=name == "b")
+            )
     code, found = as_json(capsys, "diff", tmp_path / "a.mcap", tmp_path / "b.mcap")
     assert code == 0 and found["environment"] == {"numpy": ["2.4.6", "2.5.0"]}
 
@@ -137,7 +140,7 @@ def test_a_stage_more_and_a_changed_input_count(tmp_path: Path, capsys: pytest.C
             recorder.begin_run("name: x\n", {}, {"frames": {"1.jpg": name}})
             for id in ids:
                 recorder.stage_started(id, 1, {}, {})
-                recorder.stage_finished(id, {}, None, False)
+                recorder.stage_finished(id, StageEnd())
     code, found = as_json(capsys, "diff", tmp_path / "a.mcap", tmp_path / "b.mcap")
     assert code == 1
     assert found["stages"] == [{"stage": "t.two", "only_in": "b"}]
@@ -163,7 +166,10 @@ def test_tables_fit_a_hundred_columns_and_cut_no_name(
         params = {"frames": "/a/folder/with/a/long/name/" + 9 * "x", "pos": None, "ratio": 0.8}
         recorder.stage_started("survey.read", 1, params | {f"parameter_{i}": i for i in range(9)}, {})
         recorder.log("warning", "word " * 40)
-        recorder.stage_finished("survey.read", {"survey": "ab" * 20, "more": "cd" * 20}, 1.5, True)
+        recorder.stage_finished(
+            "survey.read",
+            StageEnd(outputs={"survey": "ab" * 20, "more": "cd" * 20}, seconds=1.5, cached=True),
+        )
     code, out, _ = output(capsys, "inspect", tmp_path)
     lines = out.splitlines()
     assert code == 0 and "warning: " + "word " * 39 + "word" in out

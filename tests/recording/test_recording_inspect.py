@@ -18,6 +18,7 @@ from recording_scene import written
 from geomosaic.cli.main import main
 from geomosaic.quality.ranking import worst_pairs
 from geomosaic.recording import Recorder, read_recording
+from geomosaic.recording.file.writer import StageEnd
 from geomosaic.recording.inspect.canvas import RED, Canvas
 from geomosaic.recording.inspect.inspection import Inspection
 from geomosaic.recording.inspect.worst import worst_frames
@@ -144,7 +145,7 @@ def test_a_killed_run_tells_where_it_was_and_is_made_whole(
     recorder = Recorder(tmp_path / "run.mcap")
     recorder.begin_run("name: x\n", {"geomosaic": "1"}, {})
     recorder.stage_started("survey.read", 1, {}, {})
-    recorder.stage_finished("survey.read", {}, 1.0, False)
+    recorder.stage_finished("survey.read", StageEnd(seconds=1.0))
     recorder.stage_started("matching.sift", 1, {}, {})
     recorder.log("info", "half way", stage="matching.sift")
     recorder.flush()

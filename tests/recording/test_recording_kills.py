@@ -18,11 +18,13 @@ from geomosaic.cli.main import main
 from geomosaic.errors import CancelledError
 from geomosaic.pipeline.recipe import parse_recipe
 from geomosaic.pipeline.registry import installed
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
 from geomosaic.recording import Recorder, read_recording
 from geomosaic.recording.file.heartbeat import EVERY_S
 from geomosaic.recording.file.repair import repaired
+from geomosaic.recording.file.writer import StageEnd
 from geomosaic.recording.inspect.inspection import Inspection
 from geomosaic.recording.inspect.worst import faults
 
@@ -92,7 +94,7 @@ def test_a_run_that_ends_while_inputs_are_read_leaves_its_recipe(
         "name: x\nstages: [survey.read]\n", installed(), [f"survey.read.frames={frames}"], file="x"
     )
     with pytest.raises(CancelledError):
-        run(recipe, tmp_path / "run", cancelled=lambda: True)
+        run(recipe, tmp_path / "run", RunOptions(cancelled=lambda: True))
     left = read_recording(tmp_path / "run" / "run.mcap")
     assert str(frames) in left.recipe_yaml and left.environment["geomosaic"] and not left.stages
 
@@ -117,7 +119,7 @@ def test_a_run_killed_between_two_stages_is_not_finished_once_repaired(tmp_path:
     recorder = Recorder(tmp_path / "run.mcap")
     recorder.begin_run("name: x\nstages: [survey.read, projection.ground]\n", {}, {})
     recorder.stage_started("survey.read", 1, {}, {})
-    recorder.stage_finished("survey.read", {}, 1.0, False)
+    recorder.stage_finished("survey.read", StageEnd(seconds=1.0))
     assert repaired(read_recording(tmp_path / "run.mcap"), tmp_path / "whole.mcap") == 2
     recorder.close()
     for name in ("run.mcap", "whole.mcap"):

@@ -16,6 +16,7 @@ from geomosaic.errors import FileError
 from geomosaic.pipeline import registry as registry_module
 from geomosaic.pipeline.recipe import parse_recipe
 from geomosaic.pipeline.registry import Registry
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.recording import read_recording
@@ -137,7 +138,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     frames.mkdir()
     for i, height in enumerate((10.0, 20.0, 40.0)):
         (frames / f"{i}.txt").write_text(str(height))
-    run(parse_recipe(RECIPE, stages, base=tmp_path), tmp_path / "RUN", fixed_time=True)
+    run(parse_recipe(RECIPE, stages, base=tmp_path), tmp_path / "RUN", RunOptions(fixed_time=True))
     assert (tmp_path / "RUN" / "sum.txt").read_text() == "71.5\n"
     RUNS.clear()
     return tmp_path / "RUN"

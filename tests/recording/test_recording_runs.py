@@ -24,12 +24,14 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.artefacts import texts_in
 from geomosaic.pipeline.recipe import load_recipe
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 from geomosaic.recording import Recorder, artefact_data, messages, read_recording
 from geomosaic.recording.file.fingerprints import altered_artefacts
 from geomosaic.recording.file.levels import LEVELS, RecordOptions
 from geomosaic.recording.file.privacy import Privacy
 from geomosaic.recording.file.run_kinds import Metric, Progress
+from geomosaic.recording.file.writer import StageEnd
 from geomosaic.requests.option import option_of
 from geomosaic.requests.run_request import RunRequest
 
@@ -38,7 +40,7 @@ def run_toys(folder: Path, *overrides: str, **options: Any) -> Path:
     folder.mkdir(exist_ok=True)
     path = folder / "recipe.yaml"
     recipe = load_recipe(path if path.exists() else recipe_file(folder), registry(), overrides)
-    run(recipe, folder / "run", **options)
+    run(recipe, folder / "run", RunOptions(**options))
     return folder / "run"
 
 
@@ -156,7 +158,7 @@ def test_places_are_moved_together(tmp_path: Path) -> None:
             recorder.location("f", *place, 1.0, 1.0, 1.0, "tied")
         recorder.geojson("/footprints/placed", [shape])
         recorder.artefact("a", "survey", "t", "ab" * 20, io.BytesIO(b"places"))
-        recorder.stage_finished("a", {}, 0.0, False)
+        recorder.stage_finished("a", StageEnd(seconds=0.0))
     from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
@@ -204,7 +206,7 @@ def test_a_view_follows_a_recording_as_it_grows_and_ends_with_its_run(tmp_path: 
         seen.append(list(canvas.entities))
         if len(seen) == 2:
             recorder.log("info", "first line", stage="a")
-            recorder.stage_finished("a", {}, 0.1, False)
+            recorder.stage_finished("a", StageEnd(seconds=0.1))
             recorder.stage_started("b", 1, {}, {})
         return len(seen) < 8
 

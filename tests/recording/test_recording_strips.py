@@ -15,6 +15,7 @@ from rich.console import Console
 from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
 from geomosaic.recording import Recorder, compare, read_recording, summary
 from geomosaic.recording.file.reader import stage_messages
+from geomosaic.recording.file.writer import StageEnd
 from geomosaic.recording.inspect.difference_tables import show_difference
 from geomosaic.recording.inspect.tables import show_summary
 
@@ -33,7 +34,7 @@ def write(path: Path, pairs: tuple[int, ...] = (0, 2), more: float = 0.0, label:
             names = f"ccd{k + 1}.tif", f"ccd{k + 2}.tif"
             recorder.strip_offsets(k, *names, LINE, DCOL + k, DLINE + more, sd, 2 * sd, label)
         recorder.log("warning", "CCD 2 is dead", stage="ccd.offsets")
-        recorder.stage_finished("ccd.offsets", {}, None, False)
+        recorder.stage_finished("ccd.offsets", StageEnd())
     return path
 
 
@@ -99,7 +100,7 @@ def test_a_replay_tells_them_again(tmp_path: Path) -> None:
         recorder.stage_started("ccd.offsets", 1, {"method": "joint"}, {})
         for topic, schema, data in stage_messages(recording, 0):
             recorder.copy(topic, schema, data)
-        recorder.stage_finished("ccd.offsets", {}, None, False)
+        recorder.stage_finished("ccd.offsets", StageEnd())
         recorder.stage_started("spooled", 1, {}, {})
         replay_calls(tmp_path / "spool", recorder)
     again = read_recording(tmp_path / "b.mcap")
@@ -144,14 +145,14 @@ def write_left(path: Path, left_px: np.ndarray = LEFT) -> Path:
             sd = np.full(LINE.size, 0.05)
             names = f"ccd{k + 1}.tif", f"ccd{k + 2}.tif"
             recorder.strip_offsets(k, *names, LINE, DCOL, DLINE, sd, sd, LABEL)
-        recorder.stage_finished("ccd.offsets", {}, None, False)
+        recorder.stage_finished("ccd.offsets", StageEnd())
         recorder.stage_started("quality.strips", 2, {}, {})
         for k, px in ((0, left_px), (2, np.full((6, 2), np.nan))):
             names = f"ccd{k + 1}.tif", f"ccd{k + 2}.tif"
             recorder.strip_residuals(k, *names, BLOCKS, px[:, 0], px[:, 1], np.full(6, 0.02))
         recorder.jitter("found", FREQUENCY_HZ, 0.5 * ALONG_PX, ALONG_PX)
         recorder.jitter("left", [], [], [])
-        recorder.stage_finished("quality.strips", {}, None, False)
+        recorder.stage_finished("quality.strips", StageEnd())
     return path
 
 

@@ -123,7 +123,7 @@ def test_a_chip_shows_the_worst_tie_points_and_lays_the_right_frame_like_the_lef
         for col, row in px.astype(int):
             frame[row - 2 : row + 3, col - 2 : col + 3] = 255
     halves = tuple(np.repeat(cut.pixels(f), 3, axis=2) for cut, f in zip(where, frames, strict=True))
-    made = chip((halves[0], halves[1]), where, left, right, residual, np.ones(200))
+    made = chip((halves[0], halves[1]), where, (left, right), residual, np.ones(200))
     bad = made.residual_m[:, 0] == 0.5
     assert bad.sum() > 0.8 * (residual[:, 0] == 0.5).sum() and len(made.weight) < 60
     np.testing.assert_allclose(made.right_xy - made.left_xy, [[SIDE_PX, 0]] * len(bad), atol=1.1)

@@ -44,6 +44,7 @@ from geomosaic.recording import (
     thumbnail,
 )
 from geomosaic.recording.file.run_kinds import Progress
+from geomosaic.recording.file.writer import StageEnd
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +252,7 @@ def test_no_signs_of_life_with_fixed_times(tmp_path: Path) -> None:
         recorder.begin_run("", {}, {})
         recorder.stage_started("toy.slow", 1, {}, {})
         time.sleep(1.3)
-        recorder.stage_finished("toy.slow", {}, 1.3, False, peak_memory_bytes=5)
+        recorder.stage_finished("toy.slow", StageEnd(seconds=1.3, peak_memory_bytes=5))
     assert not list(messages(tmp_path / "run.mcap", "geomosaic.Progress"))
     assert not decoded(tmp_path / "run.mcap", "/stages")[1].HasField("peak_memory_bytes")
 
@@ -288,7 +289,7 @@ def told(recorder: Recorder) -> None:
     recorder.metric("toy.figure", 2.5)
     recorder.log("info", "a line")
     recorder.artefact("toy", "out", "toy:Out", "ab" * 20, io.BytesIO(b"bytes"))
-    recorder.stage_finished("toy", {"out": "ab" * 20}, 0.1, False)
+    recorder.stage_finished("toy", StageEnd(outputs={"out": "ab" * 20}, seconds=0.1))
 
 
 def test_a_table_holds_its_columns_one_after_the_other(tmp_path: Path) -> None:

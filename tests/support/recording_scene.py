@@ -11,6 +11,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.recording import Recorder, thumbnail
 from geomosaic.recording.file.chips import SIDE_PX, chip, cuts
+from geomosaic.recording.file.writer import StageEnd
 
 FRAMES = ("DJI_0001.JPG", "DJI_0002.JPG", "DJI_0003.JPG")
 CAMERA = Camera(
@@ -45,7 +46,7 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
     )
     recorder.log("info", "3 frames", stage="survey.read")
     notes = {"warnings": [], "metrics": {"frames": 3}}
-    recorder.stage_finished("survey.read", {"survey": "ab" * 20}, 1.25, False, notes)
+    recorder.stage_finished("survey.read", StageEnd(outputs={"survey": "ab" * 20}, seconds=1.25, notes=notes))
     recorder.stage_started(
         "adjustment.solve", 2, {"method": method, "epsilon_px": 10.0}, {"survey": "ab" * 20}
     )
@@ -68,7 +69,7 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
     halves = tuple(np.full((SIDE_PX, SIDE_PX, 3), grey, np.uint8) for grey in (60, 90))
     residual = np.array([[0.02, -0.03], [0.01, 0.04]])
     recorder.chip(
-        0, FRAMES[0], FRAMES[1], chip(halves, where, points, points - [0.0, 180.0], residual, [1.0, np.nan])
+        0, FRAMES[0], FRAMES[1], chip(halves, where, (points, points - [0.0, 180.0]), residual, [1.0, np.nan])
     )
     ring = [[-91.25, 46.5], [-91.249, 46.5], [-91.249, 46.501], [-91.25, 46.5]]
     polygon = {"type": "Polygon", "coordinates": [ring]}
@@ -82,7 +83,9 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
     recorder.points("ties", POINTS_M, {"residual_m": [0.01, 0.02, 0.03, 0.04]}, captured_s(0))
     if warn:
         recorder.log("warning", "turned: righted by 180 degrees", stage="adjustment.solve", frame=FRAMES[2])
-    recorder.stage_finished("adjustment.solve", {"adjusted": f"{len(method):040x}"}, 0.5, False)
+    recorder.stage_finished(
+        "adjustment.solve", StageEnd(outputs={"adjusted": f"{len(method):040x}"}, seconds=0.5)
+    )
 
 
 def written(path: Path, **changes: object) -> Path:

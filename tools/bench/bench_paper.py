@@ -39,12 +39,13 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.recipe import recipe_from
+from geomosaic.pipeline.recipe import Recipe, recipe_from
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.run_folder import RunFolder
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.pipeline.runner import run
-from geomosaic.pipeline.single_stage import run_stage
+from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare
@@ -161,7 +162,7 @@ class Bench:
             },
             installed(),
         )
-        summary = run(recipe, folder / "match", workers=os.cpu_count() or 1)
+        summary = run(recipe, folder / "match", RunOptions(workers=os.cpu_count() or 1))
         self.ties: TiePoints = load_artefact(folder / "match", summary, "ties", TiePoints)
         self.outcomes: dict[str, Outcome] = {}
 
@@ -193,10 +194,8 @@ class Bench:
     def _stage(self, id: str, params: dict[str, Any], inputs: dict[str, Any]) -> dict[str, Any]:
         stage = installed().get(id)
         values, _ = run_stage(
-            stage,
-            stage.Params(**params),
-            RunFolder(self.folder / "run"),
-            inputs,
+            Recipe.of_stage(stage, stage.Params(**params)),
+            StageInputs(RunFolder(self.folder / "run"), inputs),
             work_folder=self.folder / "work",
         )
         return {**inputs, **values}

@@ -85,16 +85,15 @@ def shown(image: NDArray[Any]) -> NDArray[np.uint8]:
 def chip(
     halves: tuple[NDArray[np.uint8], NDArray[np.uint8]],
     where: tuple[Cut, Cut],
-    left_px: Floats,
-    right_px: Floats,
+    points_px: tuple[Floats, Floats],
     residual_m: Floats,
     weight: ArrayLike,
 ) -> Chip:
-    """Args: halves, as `Cut.pixels` and `shown` give them; all tie points of the pair, of which those are
-    kept that lie in both halves."""
+    """Args: halves: as `Cut.pixels` and `shown` give them; points_px: all tie points (n, 2) of a pair in the
+    left and the right frame, of which those are kept that lie in both halves."""
     done, jpeg = cv2.imencode(".jpg", np.concatenate(halves, axis=1), [cv2.IMWRITE_JPEG_QUALITY, 85])
     assert done
-    left, right = (cut.places(px) for cut, px in zip(where, (left_px, right_px), strict=True))
+    left, right = (cut.places(px) for cut, px in zip(where, points_px, strict=True))
     inside = ((left >= 0) & (left < SIDE_PX) & (right >= 0) & (right < SIDE_PX)).all(axis=1)
     return Chip(
         jpeg.tobytes(),

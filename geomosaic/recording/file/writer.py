@@ -10,6 +10,7 @@ import functools
 import io
 import time
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -33,6 +34,24 @@ ARTEFACT_PART_BYTES = 1024 * 1024
 _OF_RUNNER = ("geomosaic.StageEvent", "geomosaic.Artefact")
 STAGE_CALLS = (*CALLS, "left_out")
 """What a stage may record; the other calls are the runner's."""
+
+
+@dataclass(frozen=True)
+class StageEnd:
+    """How a stage ended. outputs: their fingerprints by name. seconds: None where it is not recorded.
+
+    cached: whether the outcome was there before. notes: what it adds to run.json, so that a replay can add it
+    again. written, lineage: what the fingerprints hold besides the artefacts' bytes (`artefact_fingerprint`).
+    peak_memory_bytes: the most that all processes held so far.
+    """
+
+    outputs: Mapping[str, str] = field(default_factory=dict)
+    seconds: float | None = None
+    cached: bool = False
+    notes: Mapping[str, Any] | None = None
+    written: Mapping[str, str] = field(default_factory=dict)
+    lineage: Iterable[str] = ()
+    peak_memory_bytes: int = 0
 
 
 class Recorder:
@@ -62,9 +81,9 @@ class Recorder:
     ) -> None:
         self.path = path
         self.level = level
-        self._fixed_time = fixed_time
+        self.fixed_time = fixed_time
         self._memory_bytes = memory_bytes
-        self._privacy = privacy
+        self.privacy = privacy
         self._count = -1
         self._stage, self._index, self._iteration = "", 0, 0
         self._file = MessageFile(path, PROFILE, fixed_time)
@@ -84,9 +103,9 @@ class Recorder:
     def _record(self, call: str, /, *positional: Any, **named: Any) -> None:
         for topic, message in CALLS[call](*positional, **named):
             own = {"stage_id": self._stage, "stage_index": self._index, "iteration": self._iteration}
-            for field in own.keys() & message.DESCRIPTOR.fields_by_name.keys():
-                setattr(message, field, own[field])
-                self._iteration += field == "iteration"
+            for name in own.keys() & message.DESCRIPTOR.fields_by_name.keys():
+                setattr(message, name, own[name])
+                self._iteration += name == "iteration"
             self._write(topic, message)
 
     def begin_run(
@@ -100,24 +119,24 @@ class Recorder:
         `environment` holds versions and the machine, of values that JSON knows. manifest: see `inputs`; None
         if it comes later.
         """
-        described = {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self._fixed_time).lower()}
+        described = {"format": FORMAT, "geomosaic": __version__, "fixed_time": str(self.fixed_time).lower()}
         self._file.describe(PROFILE, described)
-        if self._privacy is not None:
-            recipe_yaml = self._privacy.yaml(recipe_yaml)
-            environment = self._privacy.value(environment)
+        if self.privacy is not None:
+            recipe_yaml = self.privacy.yaml(recipe_yaml)
+            environment = self.privacy.value(environment)
         self._file.attach(RECIPE, "application/yaml", recipe_yaml.encode())
         self._file.attach(ENVIRONMENT, "application/json", json_text(environment).encode())
         self.flush()
         if manifest is not None:
             self.inputs(manifest)
-        elif not self._fixed_time:
+        elif not self.fixed_time:
             self._heartbeat.begin("")
 
     def inputs(self, manifest: Mapping[str, Any]) -> None:
         """The inputs with their hashes, of values that JSON knows: once, before the first stage."""
         self._heartbeat.rest()
-        if self._privacy is not None:
-            manifest = self._privacy.value(manifest)
+        if self.privacy is not None:
+            manifest = self.privacy.value(manifest)
         self._file.attach(MANIFEST, "application/json", json_text(manifest).encode())
         self.flush()
 
@@ -141,7 +160,7 @@ class Recorder:
             event.inputs.add(name=name, fingerprint=fingerprint)
         self._write("/stages", event)
         self._file.flush(sync=False)
-        if not self._fixed_time:
+        if not self.fixed_time:
             self._heartbeat.begin(stage_id)
 
     def progress(self, done: int, total: int, text: str = "") -> None:
@@ -172,42 +191,27 @@ class Recorder:
         self._write("/progress", message)
         self._file.flush(sync=False)
 
-    def stage_finished(
-        self,
-        stage_id: str,
-        output_fingerprints: Mapping[str, str],
-        seconds: float | None,
-        cached: bool,
-        notes: Mapping[str, Any] | None = None,
-        written: Mapping[str, str] | None = None,
-        lineage: Iterable[str] = (),
-        peak_memory_bytes: int = 0,
-    ) -> None:
-        """A stage is done and its artefacts are recorded: all of it is put on the disk.
-
-        `notes` is what it adds to run.json besides, so that a replay can add it again. `written`, `lineage`:
-        what the fingerprints hold besides the artefacts' bytes (`artefact_fingerprint`). `peak_memory_bytes`:
-        the most that all processes held so far.
-        """
+    def stage_finished(self, stage_id: str, end: StageEnd) -> None:
+        """A stage is done and its artefacts are recorded: all of it is put on the disk."""
         self._heartbeat.rest()
-        event = StageEvent(stage_id=stage_id, stage_index=self._index, finished=True, cached=cached)
-        if seconds is not None and not self._fixed_time:
-            event.seconds = seconds
-        if peak_memory_bytes and not self._fixed_time:
-            event.peak_memory_bytes = peak_memory_bytes
-        for name, fingerprint in output_fingerprints.items():
+        event = StageEvent(stage_id=stage_id, stage_index=self._index, finished=True, cached=end.cached)
+        if end.seconds is not None and not self.fixed_time:
+            event.seconds = end.seconds
+        if end.peak_memory_bytes and not self.fixed_time:
+            event.peak_memory_bytes = end.peak_memory_bytes
+        for name, fingerprint in end.outputs.items():
             event.outputs.add(name=name, fingerprint=fingerprint)
-        for name, fingerprint in (written or {}).items():
+        for name, fingerprint in end.written.items():
             event.written.add(name=name, fingerprint=fingerprint)
-        event.lineage.extend(sorted(lineage))
-        if notes is not None:
-            event.notes_json = json_text(notes)
+        event.lineage.extend(sorted(end.lineage))
+        if end.notes is not None:
+            event.notes_json = json_text(end.notes)
         self._write("/stages", event)
         self.flush()
 
     def artefact(self, stage_id: str, name: str, type_name: str, fingerprint: str, data: BinaryIO) -> None:
         """An output of a stage as bytes, from which a replay can go on, in parts of 1 MiB."""
-        if not self.wants("geomosaic.Artefact") or (self._privacy is not None and self._privacy.places):
+        if not self.wants("geomosaic.Artefact") or (self.privacy is not None and self.privacy.places):
             return
         size = data.seek(0, io.SEEK_END)
         data.seek(0)
@@ -229,8 +233,8 @@ class Recorder:
     def _write(self, topic: str, message: Any) -> None:
         if not self.wants(message.DESCRIPTOR.full_name):
             return
-        if self._privacy is not None:
-            self._privacy.message(message)
+        if self.privacy is not None:
+            self.privacy.message(message)
         self._file.write(topic, message)
 
     def copy(self, topic: str, schema: str, data: bytes) -> None:
