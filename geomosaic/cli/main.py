@@ -38,7 +38,7 @@ def _main(argv: Sequence[str] | None, stop: Stop) -> int:
         import typer
 
         from geomosaic.cli.app import build_app
-        from geomosaic.pipeline.executor import ALGEBRA_THREADS
+        from geomosaic.pipeline.worker_process import ALGEBRA_THREADS
 
         for name in ALGEBRA_THREADS:  # many small systems: threads would only wait for each other
             os.environ.setdefault(name, "1")

@@ -12,12 +12,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import (
-    decode,
-    fingerprint_of_file,
-    texts_in,
-    write,
-)
+from geomosaic.pipeline.artefact_reader import decode, texts_in
+from geomosaic.pipeline.artefacts import fingerprint_of_file, write
 from geomosaic.pipeline.context import Context, Notes
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.params import output_values

@@ -1,61 +1,37 @@
-"""Who does the work: this process, local processes or Dask, all in the shape of `concurrent.futures`.
-
-A worker process is started with its thread limits in the environment, so that numpy finds them.
-"""
+"""Who does the work: this process, local processes or Dask, all in the shape of `concurrent.futures`."""
 
 from __future__ import annotations
 
 import importlib
 import logging
-import multiprocessing
-import multiprocessing.util
 import os
 import pickle
-import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from dataclasses import dataclass
-from multiprocessing import forkserver, resource_tracker
-from multiprocessing.context import SpawnContext
+from multiprocessing import resource_tracker
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Final
+from typing import Any
 
 from geomosaic import __version__
-from geomosaic.constants import tuned
 from geomosaic.errors import GeomosaicError, InputError
-from geomosaic.pipeline.memory_release import release_memory
-
-ALGEBRA_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""How many threads numpy and scipy start, read when they are first imported."""
-
-_WORKERS_ENVIRONMENT = (*ALGEBRA_THREADS, "OPENCV_FOR_THREADS_NUM", "PYTHONSAFEPATH")
-"""What is 1 for processes that are started: threads, and that no module is taken from the current folder."""
-
-_REST_S = tuned(2.0, "s", "idle time before a worker frees its caches: less drops them between tasks")
+from geomosaic.pipeline.worker_process import (
+    TASKS,
+    WorkerProcesses,
+    safe_and_single,
+    start_worker,
+    without_interrupts,
+    workers_environment,
+)
 
 DASK_TIMEOUT_S = 10.0
 DASK_PATIENCE_S = 30.0
 """How long a cluster may be without any worker: as long as one takes to be started anew."""
-
-
-@dataclass
-class _Tasks:
-    """How many a worker has begun and done."""
-
-    begun: int = 0
-    done: int = 0
-
-
-_tasks = _Tasks()
 
 
 def _guarded(version: str, function: Callable[[Any], Any], item: Any) -> tuple[Any, int, int]:
@@ -69,14 +45,14 @@ def _guarded(version: str, function: Callable[[Any], Any], item: Any) -> tuple[A
     cv2 = sys.modules.get("cv2")
     if cv2 is not None:
         cv2.setNumThreads(1)
-    _tasks.begun += 1
+    TASKS.begun += 1
     try:
         return function(item), os.getpid(), peak_memory_bytes()
     except Exception as error:
         error.add_note(f"in a worker process:\n{traceback.format_exc()}")
         raise _portable(error) from None
     finally:
-        _tasks.done += 1
+        TASKS.done += 1
 
 
 def _portable(error: Exception) -> Exception:
@@ -130,122 +106,6 @@ class _Here(Executor):
         return future
 
 
-def _start_worker(environment: dict[str, str]) -> None:
-    """Gives a new worker its parent's environment of now (what it is forked from may be older), lets it die
-    with its parent, however that dies, and has it give back its memory whenever it is at rest."""
-    os.environ.update(environment)
-    for name in os.environ.keys() - environment.keys():
-        del os.environ[name]
-    from geomosaic.pipeline import stored_result  # where there are workers; every command imports this module
-
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-
-        def follow() -> None:
-            done, given_back = 0, 0
-            while parent.is_alive():
-                parent.join(_REST_S)
-                if done == _tasks.done == _tasks.begun > given_back:
-                    stored_result.forget_all()
-                    release_memory()
-                    given_back = done
-                done = _tasks.done
-            os._exit(1)
-
-        threading.Thread(target=follow, daemon=True).start()
-
-
-_FIRST = "geomosaic.pipeline.fork_server"
-_FORKS: Final = "forkserver" in multiprocessing.get_all_start_methods()
-
-
-def prepare_workers(modules: Iterable[str]) -> None:
-    """Starts the process that workers are forked from, where the system can: it imports what they need while
-    this one goes on, and they have it from there, in the same memory. Later calls do nothing."""
-    if _FORKS:
-        multiprocessing.get_context("forkserver").set_forkserver_preload([_FIRST, *modules])
-        with _safe_and_single():
-            resource_tracker.ensure_running()  # its start lets interrupts through again
-        with _without_interrupts(), _safe_and_single():
-            forkserver.ensure_running()
-
-
-_CONTEXT: Any = multiprocessing.get_context("forkserver" if _FORKS else "spawn")
-
-
-class _Process(_CONTEXT.Process):  # type: ignore[misc]
-    """A process that doesn't run its parent's script anew: what workers do lies in modules."""
-
-    def start(self) -> None:
-        """As every process, but for the script."""
-        script = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType("__main__")
-        try:
-            super().start()
-        finally:
-            sys.modules["__main__"] = script
-
-
-class _Processes(SpawnContext):
-    """Processes with nothing of this one's state, remembered so that they can be ended."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.started: list[Any] = []
-
-    def Process(self, *args: Any, **kwargs: Any) -> Any:  # type: ignore[override]  # noqa: N802
-        process = _Process(*args, **kwargs)
-        self.started.append(process)
-        return process
-
-
-def _workers_environment() -> dict[str, str]:
-    """This process's environment with `_WORKERS_ENVIRONMENT`."""
-    return {**os.environ, **dict.fromkeys(_WORKERS_ENVIRONMENT, "1")}
-
-
-def _started(path: bytes, args: Sequence[Any], passfds: Sequence[int]) -> int:
-    """Starts a program as `multiprocessing.util.spawnv_passfds` does, with the workers' environment."""
-    process = subprocess.Popen(  # noqa: S603 - this interpreter
-        [*args],
-        executable=path,
-        env=_workers_environment(),
-        pass_fds=tuple(map(int, passfds)),
-        restore_signals=False,
-    )
-    process.returncode = 0  # multiprocessing waits for it, not this object
-    return process.pid
-
-
-@contextmanager
-def _safe_and_single() -> Iterator[None]:
-    """A process started in here has one thread, whatever it imports before its first task, and imports
-    nothing from the current folder, where strangers' files may lie.
-
-    It is handed its environment. This process's own stays as it is: C libraries read it in other threads at
-    any time, and a variable that is set or deleted meanwhile ends the process (getenv(3), setenv(3)).
-    """
-    before = multiprocessing.util.spawnv_passfds
-    multiprocessing.util.spawnv_passfds = _started
-    try:
-        yield
-    finally:
-        multiprocessing.util.spawnv_passfds = before
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Ctrl-C waits, and a process started in here never hears of it: only the parent answers."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 class Workers:
     """Runs module-level functions on items, wherever that is.
 
@@ -260,7 +120,7 @@ class Workers:
         self._dask = dask
         self._client: Any = None
         self._deserted_s: float | None = None
-        self._processes = _Processes()
+        self._processes = WorkerProcesses()
         self._pool: Executor | None = None
         self._submitting = threading.Lock()  # it changes how processes start for a moment
 
@@ -277,7 +137,7 @@ class Workers:
                 self._pool = _Here()
             else:
                 self._pool = ProcessPoolExecutor(
-                    self.workers, self._processes, _start_worker, (_workers_environment(),)
+                    self.workers, self._processes, start_worker, (workers_environment(),)
                 )
         return self._pool
 
@@ -328,10 +188,10 @@ class Workers:
     def submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
         """A future of what `result` understands."""
         if self._pool is None and self._dask is None and self.workers > 1:
-            with self._submitting, _safe_and_single():
+            with self._submitting, safe_and_single():
                 resource_tracker.ensure_running()  # its start lets interrupts through again
         try:
-            with self._submitting, _without_interrupts(), _safe_and_single():
+            with self._submitting, without_interrupts(), safe_and_single():
                 return self._executor().submit(_guarded, __version__, function, item)
         except BrokenProcessPool as error:
             raise _died() from error

@@ -16,7 +16,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from geomosaic.camera.exterior import Poses
 from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError
-from geomosaic.pipeline.artefacts import decode, encode
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import encode
 from geomosaic.pipeline.context import Notes, RunFile
 from geomosaic.pipeline.files import path_within
 from geomosaic.pipeline.recipe import Recipe

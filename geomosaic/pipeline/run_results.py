@@ -8,7 +8,8 @@ from typing import Any
 from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import decode, type_name
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import type_name
 from geomosaic.pipeline.former_names import present_name
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.recording.file.reader import artefact_data, read_recording

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, BinaryIO
 
-from geomosaic.pipeline.artefacts import type_name, with_texts
+from geomosaic.pipeline.artefact_reader import with_texts
+from geomosaic.pipeline.artefacts import type_name
 from geomosaic.pipeline.cache import ArtefactHandle, CachedOutcome
 from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers, peak_memory_bytes

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import FileError
-from geomosaic.pipeline.artefacts import dataclasses_in, decode, encode
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import dataclasses_in, encode
 from geomosaic.recording.file.kinds import CALLS
 from geomosaic.recording.file.writer import STAGE_CALLS, Recorder
 

@@ -23,7 +23,8 @@ from typing import Any, Final, Generic, TypeVar
 from geomosaic.constants import tuned
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
-from geomosaic.pipeline.artefacts import Reference, decode, encode, write
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import Reference, encode, write
 from geomosaic.recording.file.fingerprints import fingerprint_of_bytes
 
 Result = TypeVar("Result")

@@ -155,7 +155,7 @@ class RunRequest(ABC):
     def prepare(self, stages: Iterable[str]) -> None:
         """Has workers made ready, if there are to be some on this machine, while the recipe is read."""
         from geomosaic.pipeline.entry_points import modules_of
-        from geomosaic.pipeline.executor import prepare_workers
+        from geomosaic.pipeline.worker_process import prepare_workers
 
         if self.cluster is None and (self.workers or cores()) > 1:
             prepare_workers(modules_of(stages))

@@ -238,7 +238,7 @@ def test_the_front_door_needs_no_numpy() -> None:
 
 def test_workers_are_made_ready_before_anything_heavy_is_imported() -> None:
     code = (
-        "import sys, geomosaic.pipeline.executor as e\n"
+        "import sys, geomosaic.pipeline.worker_process as e\n"
         "from geomosaic.requests.mosaic_request import MosaicRequest as Request\n"
         "e.prepare_workers = lambda modules: print(*modules, 'numpy' in sys.modules)\n"
         "Request(frames='x', workers=2).prepare(['survey.read', 'matching.sift', 'no.such'])\n"

@@ -18,7 +18,8 @@ from geomosaic.matching.model import TiePair, TiePairs, TiePoints
 from geomosaic.matching.planes import SeenPlanes, guessed, stretched, through, unconstrained_guess
 from geomosaic.matching.refinement import Refinement
 from geomosaic.matching.tracks import join, references
-from geomosaic.pipeline.artefacts import decode, encode
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import encode
 from geomosaic.projection.ground import GroundSurface
 
 

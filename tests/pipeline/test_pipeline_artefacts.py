@@ -23,7 +23,8 @@ from geomosaic.camera.interior import Camera
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import FileError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.pipeline.artefacts import content_of, decode, encode, type_name, with_texts, write
+from geomosaic.pipeline.artefact_reader import decode, with_texts
+from geomosaic.pipeline.artefacts import content_of, encode, type_name, write
 from geomosaic.pipeline.context import RunFile
 from geomosaic.pipeline.former_names import present_name
 from geomosaic.projection.ground import GroundSurface

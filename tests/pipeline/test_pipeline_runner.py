@@ -28,8 +28,8 @@ from geomosaic.errors import (
     PluginError,
     UnknownNameError,
 )
-from geomosaic.pipeline import executor, hashes
-from geomosaic.pipeline.artefacts import decode
+from geomosaic.pipeline import executor, hashes, worker_process
+from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.context import Context, Notes, RunFile
 from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.replayed_stage import replayed_stage
@@ -404,7 +404,7 @@ def told(name: str) -> str | None:
 def test_a_worker_has_the_environment_of_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process that workers are forked from keeps the environment that it was started with."""
     monkeypatch.setenv("TOY_GONE", "before")
-    executor.prepare_workers(["json"])
+    worker_process.prepare_workers(["json"])
     monkeypatch.setenv("TOY_SET", "later")
     monkeypatch.delenv("TOY_GONE")
     with executor.Workers(2) as team:
@@ -416,7 +416,8 @@ def test_workers_need_not_look_through_what_was_imported_for_them() -> None:
     seen = "(__import__('gc').isenabled(), __import__('gc').get_freeze_count() > 1000)"
     script = (
         "import gc\n"
-        "from geomosaic.pipeline.executor import Workers, prepare_workers\n"
+        "from geomosaic.pipeline.executor import Workers\n"
+        "from geomosaic.pipeline.worker_process import prepare_workers\n"
         "prepare_workers(['json'])\n"
         "with Workers(2) as team:\n"
         f'    print(team.result(team.submit(eval, "{seen}")), gc.isenabled())\n'

@@ -12,7 +12,8 @@ import pytest
 from geomosaic.pipeline import executor
 
 SCRIPT = """
-from geomosaic.pipeline.executor import Workers, prepare_workers
+from geomosaic.pipeline.executor import Workers
+from geomosaic.pipeline.worker_process import prepare_workers
 prepare_workers(["geomosaic.matching.sift"])
 with Workers(2) as workers:
     print(workers.result(workers.submit(abs, -7)))

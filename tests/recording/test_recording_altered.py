@@ -22,7 +22,8 @@ from geomosaic.camera.interior import Camera
 from geomosaic.cli.main import main
 from geomosaic.errors import FileError
 from geomosaic.pipeline import replayed_stage
-from geomosaic.pipeline.artefacts import decode, encode
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import encode
 from geomosaic.recording import compare, read_recording, summary
 from geomosaic.recording.file.run_kinds import Artefact, StageEvent
 

@@ -22,7 +22,7 @@ from recording_scene import RECIPE
 from geomosaic.cli.main import main
 from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.pipeline.artefacts import texts_in
+from geomosaic.pipeline.artefact_reader import texts_in
 from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run

@@ -7,7 +7,8 @@ from typing import TypeVar
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.artefacts import decode, type_name
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import type_name
 from geomosaic.pipeline.former_names import present_name
 from geomosaic.placement.model import Placement
 from geomosaic.recording.file.model import Recording
