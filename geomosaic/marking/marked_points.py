@@ -14,9 +14,9 @@ from geomosaic.export.references import write_odm_control
 from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.pipeline import files
 from geomosaic.survey.control import read_control
+from geomosaic.survey.extent import lonlat_of
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames
-from geomosaic.survey.observations import lonlat_of
 from geomosaic.survey.places import NOWHERE
 
 TABLE: Final = "gcp.csv"

@@ -6,14 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import tuned
-from geomosaic.errors import InputError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.focal_lengths import (
     ALIKE,
@@ -38,8 +35,6 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.shutters import shutter
 
-_MAX_ASPECT_DIFFERENCE = tuned(0.003, "share", "of resized sides: more gives crops the whole lens")
-_UNLIKE_TAGS = tuned(1.5, "ratio", "camera file to tags: less rejects tags 5 % off; more accepts other units")
 _TAGS: Final = {
     "dji-dewarp": "DewarpData",
     "xmp-perspective": "PerspectiveDistortion",
@@ -72,7 +67,7 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
     A frame whose focal length can't be, or not among the others of its make, model and size, takes the one
     that most of those have; where none has one it is assumed.
     """
-    reported = [_reported(header) for header in headers]
+    reported = [reported_camera(header) for header in headers]
     known, wrong = _among_others(headers, reported)
     found: dict[str, Camera] = {}
     names: list[str] = []
@@ -98,7 +93,7 @@ def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
     if source in _UNSURE:
         lens = "a fisheye's " if camera.kind == "fisheye" else ""
         text = f"{camera.name}: {_UNSURE[source]}; {lens}{focal} is assumed to begin with{_UNSURE_MEANS}"
-        return [Warn("focal-length-assumed", "", text), *_shutter_reported(header, camera)]
+        return [Warn("focal-length-assumed", "", text), *shutter_warnings(header, camera)]
     text = f"{camera.name}: focal length {focal} (sd {camera.focal_length_sd_px:.0f}) from {source}"
     if source in _TAGS:
         text += f", principal point {camera.principal_col_px:.0f}, {camera.principal_row_px:.0f}"
@@ -106,10 +101,10 @@ def _assumed(header: FrameHeader, camera: Camera, source: str) -> list[Warn]:
     if camera.kind == "fisheye":
         text += " of a fisheye lens"
         text += "" if camera.terms.any() else ", whose distortion the adjustment has to find"
-    return [Warn("camera-assumed", "", text), *_shutter_reported(header, camera)]
+    return [Warn("camera-assumed", "", text), *shutter_warnings(header, camera)]
 
 
-def _shutter_reported(header: FrameHeader, camera: Camera) -> list[Warn]:
+def shutter_warnings(header: FrameHeader, camera: Camera) -> list[Warn]:
     """What a frame's tags or model say of its shutter, where that isn't nothing."""
     source, rolling = shutter(header).source, f"{camera.name}: a rolling shutter that reads all rows in"
     if source == "tag":
@@ -137,17 +132,17 @@ def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
     `contradicting` where none does: that nearest to most cameras', with a deviation that covers all.
     `assumed` where none reports a focal length that can be.
     """
-    camera, source, _ = _reported(header)
+    camera, source, _ = reported_camera(header)
     return _assumed_lens(header) if camera is None else (camera, source)
 
 
 def unreported(headers: Sequence[FrameHeader]) -> list[int]:
     """Frames that report no lens, nor does another of their make, model and size."""
-    known, _ = _among_others(headers, [_reported(header) for header in headers])
+    known, _ = _among_others(headers, [reported_camera(header) for header in headers])
     return [i for i, (_, source) in enumerate(known) if source == "assumed"]
 
 
-def _reported(header: FrameHeader) -> tuple[Camera | None, str, str]:
+def reported_camera(header: FrameHeader) -> tuple[Camera | None, str, str]:
     """The camera that a header reports, by which source, and what it reports before that can't be."""
     exif, width, height = header.exif, header.width_px, header.height_px
     reported = reported_focal_lengths(header)
@@ -248,97 +243,3 @@ def _among_others(
                 known[i] = usual[0][0]
     cameras = [_assumed_lens(h) if c is None else c for h, c in zip(headers, known, strict=True)]
     return cameras, wrong
-
-
-def cameras_from_file(
-    headers: Sequence[FrameHeader], cameras: Sequence[Camera], path: Path, wanted: Sequence[str | None]
-) -> CameraChoice:
-    """The file's camera for each frame, scaled where the frame is a resized whole image.
-
-    With several cameras in the file: the one that the POS file names (`wanted`), else those whose name
-    holds the frame's make and model, else those of the frame's size, else of its shape. Of the shutter, where
-    the file says nothing, the frame's tags and model count.
-
-    Raises: `InputError` when none fits a frame or several do.
-    """
-    found: dict[str, Camera] = {}
-    names: list[str] = []
-    warnings: list[Warn] = []
-    for header, name in zip(headers, wanted, strict=True):
-        camera = _fitting(header, cameras, path, name)
-        scale = header.width_px / camera.width_px
-        if (camera.width_px, camera.height_px) != (header.width_px, header.height_px):
-            scaled = _scaled(camera, header.width_px, header.height_px, len(cameras) > 1 or bool(found))
-            if scaled.name not in found:
-                text = (
-                    f"{camera.name}: of {camera.width_px} x {camera.height_px} pixels, scaled by {scale:.4g}"
-                )
-                warnings.append(Warn("camera-scaled", "", text))
-            camera = scaled
-        if camera.name not in found:
-            warnings += _unlike_tags(header, camera)
-            if not camera.readout_s and camera.readout_sd_s:
-                reported = shutter(header)
-                camera = replace(camera, readout_s=reported.readout_s, readout_sd_s=reported.sd_s)
-                warnings += _shutter_reported(header, camera)
-        found.setdefault(camera.name, camera)
-        names.append(camera.name)
-    return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
-
-
-def _unlike_tags(header: FrameHeader, camera: Camera) -> list[Warn]:
-    """A word where a camera file's focal length is far from what the frame's own tags say: another unit?"""
-    tagged, source, _ = _reported(header)
-    if tagged is None or 1.0 / _UNLIKE_TAGS < camera.focal_length_px / tagged.focal_length_px < _UNLIKE_TAGS:
-        return []
-    text = (
-        f"{camera.name}: the focal length of {camera.focal_length_px:.0f} px is far from the "
-        f"{tagged.focal_length_px:.0f} px of the frames' tags ({source}); the file is followed: "
-        "check its units"
-    )
-    return [Warn("focal-length-differs", "", text)]
-
-
-def _fitting(header: FrameHeader, cameras: Sequence[Camera], path: Path, wanted: str | None) -> Camera:
-    candidates = [c for c in cameras if wanted and (c.name == wanted or wanted.lower() in c.name.lower())]
-    if not candidates:
-        label = f"{header.exif.make} {header.exif.model}".strip().lower()
-        by_label = [c for c in cameras if label and label in c.name.lower()]
-        candidates = by_label or list(cameras)
-    shaped = [c for c in candidates if _same_shape(c, header)]
-    sized = [c for c in shaped if (c.width_px, c.height_px) == (header.width_px, header.height_px)]
-    fitting = sized or shaped
-    if len(fitting) == 1:
-        return fitting[0]
-    size = f"{header.width_px} x {header.height_px} pixels"
-    known = ", ".join(f"{c.name} ({c.width_px} x {c.height_px})" for c in candidates[:5])
-    if fitting:
-        raise InputError(
-            f"several cameras fit frame {header.name} of {size}: {known}",
-            file=path,
-            fix="name each frame's in the POS file's column 'camera'",
-        )
-    raise InputError(
-        f"no camera for frame {header.name} of {size}: {known}",
-        file=path,
-        fix="give --camera FILE of this frame size",
-    )
-
-
-def _same_shape(camera: Camera, header: FrameHeader) -> bool:
-    scales = header.width_px / camera.width_px, header.height_px / camera.height_px
-    return abs(scales[0] / scales[1] - 1.0) <= _MAX_ASPECT_DIFFERENCE
-
-
-def _scaled(camera: Camera, width_px: int, height_px: int, say_size: bool) -> Camera:
-    across, down = width_px / camera.width_px, height_px / camera.height_px
-    return replace(
-        camera,
-        name=f"{camera.name} at {width_px} x {height_px}" if say_size else camera.name,
-        width_px=width_px,
-        height_px=height_px,
-        focal_length_px=camera.focal_length_px * (across + down) / 2.0,
-        focal_length_sd_px=camera.focal_length_sd_px * (across + down) / 2.0,
-        principal_col_px=camera.principal_col_px * across,
-        principal_row_px=camera.principal_row_px * down,
-    )

@@ -11,7 +11,9 @@ from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
-from geomosaic.survey.cameras import CameraChoice, cameras_from_file, cameras_from_headers
+from geomosaic.survey.cameras import CameraChoice, cameras_from_headers
+from geomosaic.survey.cameras_of_file import cameras_from_file
+from geomosaic.survey.extent import lonlat_of
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import (
@@ -24,7 +26,7 @@ from geomosaic.survey.model import (
     UnusedImage,
     Warn,
 )
-from geomosaic.survey.observations import Observations, lonlat_of
+from geomosaic.survey.observations import Observations
 from geomosaic.survey.places import NOWHERE
 from geomosaic.survey.pos_row import PosFile
 from geomosaic.survey.rig import CaptureGroups, incomplete_captures

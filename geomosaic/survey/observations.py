@@ -10,25 +10,23 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
-from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
+from geomosaic.survey.extent import distances_m, lonlat_of
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Attitude, Position, Warn
 from geomosaic.survey.names import FrameNames, some
+from geomosaic.survey.observation_warnings import observation_warnings
 from geomosaic.survey.onboard import (
     UNKNOWN_ATTITUDE,
     onboard_attitude,
-    onboard_heights,
     onboard_position,
 )
 from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos_row import PosFile, PosRow
-from geomosaic.survey.tagged_place import APART, FINER, SIGNED, TaggedPlace, tagged_place
 
 Floats = NDArray[np.float64]
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
 _SWAPPED_M = tuned(50_000.0, "m", "median from GPS that suggests swapped columns: less blames a wrong CRS")
-TOO_FAR_M = tuned(300_000.0, "m", "from the survey's centre: less refuses long corridors; more keeps others'")
 
 
 @dataclass(frozen=True)
@@ -78,19 +76,12 @@ def observe(
             anywhere,
         )
         attitudes = [a if row is None else _attitude(row, a) for row, a in zip(rows, attitudes, strict=True)]
-    warnings += _doubts(headers, positions, attitudes)
+    warnings += observation_warnings(headers, positions, attitudes)
     names = [h.name for h in headers]
     kept, high = plausible_positions(names, positions)
     upright, tilted = plausible_attitudes(names, attitudes, UNKNOWN_ATTITUDE)
     cameras = tuple(None if row is None else row.camera for row in rows)
     return Observations(kept, upright, cameras, (*warnings, *high, *tilted))
-
-
-def lonlat_of(positions: Sequence[Position]) -> Floats:
-    """Longitudes and latitudes (n, 2), longitudes without a jump at 180 degrees."""
-    lonlat = np.array([[p.lon_deg, p.lat_deg] for p in positions])
-    lonlat[:, 0] = lonlat[0, 0] + (lonlat[:, 0] - lonlat[0, 0] + 180.0) % 360.0 - 180.0
-    return lonlat
 
 
 def _with_missing(own: Sequence[Position | None], anywhere: tuple[float, float]) -> list[Position]:
@@ -219,8 +210,8 @@ def _against_exif(
         return []
     given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])
     known = np.array([[p.lon_deg, p.lat_deg] for _, p, _ in both])
-    away = _distances_m(given, known)
-    swapped = _distances_m(given[:, ::-1], known) if (np.abs(given[:, 0]) <= 90.0).all() else away
+    away = distances_m(given, known)
+    swapped = distances_m(given[:, ::-1], known) if (np.abs(given[:, 0]) <= 90.0).all() else away
     if np.median(away) > _SWAPPED_M and np.median(swapped) < _FAR_M:
         raise InputError(
             f"longitude and latitude are swapped: the frames' own GPS says {known[0, 0]:.5f}, "
@@ -236,124 +227,3 @@ def _against_exif(
         "check columns and CRS of the file"
     )
     return [Warn("pos-far-from-exif", both[i][2], text)]
-
-
-def _distances_m(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.linalg.norm(mid_latitude_offset_m(*a.T, *b.T), axis=1))
-
-
-def check_extent(headers: Sequence[FrameHeader], positions: Sequence[Position]) -> None:
-    """No survey reaches so far: `InputError` naming the frame that lies farthest out."""
-    away = away_m(positions)
-    i = int(np.argmax(away))
-    if away[i] > TOO_FAR_M:
-        raise InputError(
-            f"lies {away[i] / 1000.0:.0f} km from the middle of the survey",
-            file=headers[i].path,
-            fix="correct its position, or take the frame out of the folder",
-        )
-
-
-def away_m(positions: Sequence[Position]) -> Floats:
-    """Distances (n,) from the middle of the known positions; 0 for those that aren't."""
-    lonlat, known = lonlat_of(positions), np.array([p.known for p in positions])
-    if not known.any():
-        return np.zeros(len(lonlat))
-    middle = np.broadcast_to(np.median(lonlat[known], axis=0), lonlat.shape)
-    return np.where(known, _distances_m(lonlat, middle), 0.0)
-
-
-def _doubts(
-    headers: Sequence[FrameHeader], positions: Sequence[Position], attitudes: Sequence[Attitude]
-) -> list[Warn]:
-    """What is assumed or doubtful, once each for all frames it concerns."""
-    names = [h.name for h in headers]
-    heights = [onboard_heights(h.exif, h.xmp or {}) for h in headers]
-    from_exif = [
-        p.height_ellipsoidal_m == h.height_m and p.source != "pos"
-        for p, h in zip(positions, heights, strict=True)
-    ]
-    relative = [p.height_above_ground_m == h.above_ground_m for p, h in zip(positions, heights, strict=True)]
-    nowhere = TaggedPlace(np.nan, np.nan)
-    tagged = [
-        (tagged_place(h.exif, h.xmp or {}) if p.source != "pos" else None) or nowhere
-        for h, p in zip(headers, positions, strict=True)
-    ]
-    at = {(p.lon_deg, p.lat_deg) for p in positions if p.known}
-    known = np.array([p.known for p in positions])
-    away = away_m(positions)
-    far = away > np.maximum(5000.0, 20.0 * np.median(away[known] if known.any() else away))
-    cases = {
-        "position-missing": (
-            [not p.known for p in positions],
-            "no position: placed by the images",
-        ),
-        "height-datum-unknown": (
-            [h.datum_unknown and e for h, e in zip(heights, from_exif, strict=True)],
-            "the altitude's vertical datum is unknown, taken as ellipsoidal with its wide sigma",
-        ),
-        "height-unknown": (
-            [
-                p.known and p.height_ellipsoidal_m is None and p.height_above_ground_m is None
-                for p in positions
-            ],
-            "no height at all",
-        ),
-        "height-above-take-off": (
-            [h.above_take_off and r for h, r in zip(heights, relative, strict=True)],
-            "height above the take-off point taken as height above ground",
-        ),
-        "hemisphere-assumed": (
-            [t.hemisphere_assumed for t in tagged],
-            "EXIF doesn't say north or south, east or west: taken as north and east",
-        ),
-        "hemisphere-by-xmp": (
-            [t.by == SIGNED for t in tagged],
-            "EXIF and XMP differ in north or south, east or west: XMP's signs are taken",
-        ),
-        "position-by-xmp": (
-            [t.by == FINER for t in tagged],
-            "EXIF's position is cut to whole seconds or minutes of arc: XMP's is taken",
-        ),
-        "position-contradicts": (
-            [t.by == APART for t in tagged],
-            "EXIF and XMP give different positions: EXIF's is taken; if the map lies wrong, give positions "
-            "by --pos",
-        ),
-        "xmp-unreadable": ([h.xmp is None for h in headers], "the XMP packet is damaged and was not used"),
-        "attitude-unknown": (
-            [a.yaw_deg is None and a.pitch_deg is None for a in attitudes],
-            "no attitude: taken to look down, heading unknown",
-        ),
-        "attitude-in-part": (
-            [(a.yaw_deg is None) != (a.pitch_deg is None) for a in attitudes],
-            "only part of the attitude is known; the rest as for frames without any",
-        ),
-        "attitude-of-aircraft": (
-            [a.source == "dji-flight" for a in attitudes],
-            "only the aircraft's attitude is known, pitch and roll are not the camera's",
-        ),
-        "frame-looks-to-horizon": (
-            [a.pitch_deg is not None and a.pitch_deg > 70.0 for a in attitudes],
-            "the camera looks to the horizon or up",
-        ),
-        "image-edited": (
-            ["viewer" in (h.xmp or {}).get("xap:CreatorTool", "").lower() for h in headers],
-            "saved by an image viewer after the flight: may have been turned",
-        ),
-        "positions-all-alike": (
-            [len(at) == 1 and int(known.sum()) > 1] * len(positions),
-            "all frames have the same position: only their overlaps show how they lie to each other",
-        ),
-        "position-far-away": (
-            [*far],
-            "the position lies far from all others",
-        ),
-    }
-    warnings = []
-    for code, (concerned, text) in cases.items():
-        which = [name for name, c in zip(names, concerned, strict=True) if c]
-        if which:
-            few = f" ({len(which)} of {len(names)} frames: {some(which)})" if len(which) < len(names) else ""
-            warnings.append(Warn(code, which[0] if len(which) == 1 else "", text + few))
-    return warnings

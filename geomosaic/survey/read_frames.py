@@ -8,13 +8,14 @@ from dataclasses import replace
 
 from geomosaic.errors import InputError
 from geomosaic.survey.draft import SurveyDraft
+from geomosaic.survey.extent import check_extent
 from geomosaic.survey.folder import unused_folders
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Band, Frame, Warn
 from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
-from geomosaic.survey.observations import check_extent, observe
+from geomosaic.survey.observations import observe
 from geomosaic.survey.onboard import platform_of
 from geomosaic.survey.rig import captures
 from geomosaic.survey.strays import (

@@ -21,11 +21,11 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.cameras import unreported
 from geomosaic.survey.damage import FrameAppearance
+from geomosaic.survey.extent import TOO_FAR_M, away_m
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
 from geomosaic.survey.model import Position, UnusedImage, Warn
 from geomosaic.survey.names import natural_key, some
-from geomosaic.survey.observations import TOO_FAR_M, away_m
 from geomosaic.survey.plausible import Limit
 
 Floats = NDArray[np.float64]

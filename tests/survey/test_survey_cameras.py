@@ -16,7 +16,8 @@ from survey_files import dji_xmp, drone_frame, exif_block, image, write_jpeg, xm
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.camera_files import read_cameras
-from geomosaic.survey.cameras import camera_from_header, cameras_from_file, cameras_from_headers
+from geomosaic.survey.cameras import camera_from_header, cameras_from_headers
+from geomosaic.survey.cameras_of_file import cameras_from_file
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic.survey.xmp import parse_xmp
