@@ -99,13 +99,19 @@ class RelativeAccuracy:
 class Requirement:
     """What is asked of a map: RMSE horizontally and vertically in m, distances within it in per mille; NaN
     for what nothing is asked of. why: whose demand it is. local_m: how far land may lie off where it should
-    be beside the land around it."""
+    be beside the land around it. scaled: whether lengths are metres; without positions and control they are
+    in a unit of the map's own, and only pixels mean something."""
 
     rmse_h_m: float
     rmse_v_m: float
     permille: float
     why: str
     local_m: float
+    scaled: bool = True
+
+    def length(self, length_m: float, pixel_m: float) -> str:
+        """A length in words: in metres, or in pixels where the map has no scale."""
+        return metres(length_m) if self.scaled else f"{length_m / pixel_m:.1f} px"
 
     def asked(self, rmse_h_m: float | None, rmse_v_m: float | None, permille: float | None) -> Requirement:
         """With what a user asks for, None where nothing; land then lies as well as the least of it."""
@@ -158,7 +164,8 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     by_control = len(control_sd_m) >= LEAST_POINTS
     stated_m = np.array(control_sd_m) if by_control else position_sd_m
     if not len(stated_m):
-        return Requirement(NOT_STATED, NOT_STATED, NOT_STATED, "no frame has a position", _PIXELS * pixel_m)
+        nothing = NOT_STATED, NOT_STATED, NOT_STATED
+        return Requirement(*nothing, "no frame has a position", _PIXELS * pixel_m, scaled=False)
     sd_m = float(np.median(stated_m))
     least_m, least_permille, why = _PIXELS * pixel_m, 1000.0 * _PIXELS * pixel_m / _OVER_M, "control points"
     if not by_control:
@@ -221,3 +228,8 @@ def _relative(places: GroundPlaces | None, local_m2: float) -> RelativeAccuracy:
     plan = joint.reshape(2 * count, 2 * count)
     scale_sd = float(np.sqrt(max(float(scale @ plan @ scale), 0.0)))
     return RelativeAccuracy(1000.0 * scale_sd, rmse_m(_OVER_M), rmse_m(whole_m), whole_m)
+
+
+def metres(length_m: float) -> str:
+    """A length in centimetres below a metre, else in metres."""
+    return f"{100.0 * length_m:.1f} cm" if length_m < 1.0 else f"{length_m:.2f} m"

@@ -16,6 +16,7 @@ from geomosaic.quality.accuracy import (
     Accuracy,
     RelativeAccuracy,
     Requirement,
+    metres,
 )
 from geomosaic.quality.seam_check import SeamCheck
 
@@ -31,7 +32,7 @@ def answers(
     (question, answer)."""
     return [
         ("seams", _seams(seams)),
-        ("relative accuracy", _relative(accuracy.relative, pixel_m)),
+        ("relative accuracy", _relative(accuracy.relative, required, pixel_m)),
         ("absolute accuracy", _absolute(accuracy.absolute)),
         ("required", _required(required)),
     ]
@@ -55,7 +56,7 @@ def _seams(seams: SeamCheck) -> str:
     return f"{median:.2f} px (median), {most:.2f} px (95 %), at {length.size} of {len(seams.left)} places"
 
 
-def _relative(relative: RelativeAccuracy, pixel_m: float) -> str:
+def _relative(relative: RelativeAccuracy, required: Requirement, pixel_m: float) -> str:
     if not math.isfinite(relative.scale_permille):
         return NO_RELATIVE
     over = [(relative.rmse_100m_m, 100.0), (relative.rmse_whole_m, relative.whole_m)]
@@ -64,6 +65,8 @@ def _relative(relative: RelativeAccuracy, pixel_m: float) -> str:
         for rmse_m, length_m in over
         if math.isfinite(rmse_m)
     ]
+    if not required.scaled:
+        distances = [f"{relative.rmse_whole_m / pixel_m:.1f} px over {relative.whole_m / pixel_m:.0f} px"]
     return f"RMSE of distances {', '.join(distances)}; scale {relative.scale_permille:.2f} per mille"
 
 
@@ -85,11 +88,6 @@ def _how(absolute: AbsoluteAccuracy) -> str:
         f"measured at {absolute.check_points} check points: mean shift {east:+.3f} m east, {north:+.3f} m "
         f"north, {up:+.3f} m up; scatter {metres(scatter_m)} horizontally"
     )
-
-
-def metres(length_m: float) -> str:
-    """A length in centimetres below a metre, else in metres."""
-    return f"{100.0 * length_m:.1f} cm" if length_m < 1.0 else f"{length_m:.2f} m"
 
 
 def asprs_class_cm(rmse_m: float) -> float:

@@ -14,12 +14,11 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.procedure.control_points import control_blunders
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import sourced, tuned
-from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement
+from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement, metres
 from geomosaic.quality.check_points import check_points
 from geomosaic.quality.criteria import ASKED, CRITERIA, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
-from geomosaic.quality.statement import metres
 
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
 _ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
@@ -93,10 +92,12 @@ def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, requ
     figures |= _held_together(adjusted, seen.parts, seen.land)
     figures |= _land(seen.doubt)
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
-    asked_px = required.local_m / seen.pixel_m
-    judged = (_judged(name, value, required, asked_px) for name, value in figures.items())
+    judged = (_judged(name, value, required, seen.pixel_m) for name, value in figures.items())
     evidence = (
-        *(e if e.grade == GRADES[0] else replace(e, effect=_effect(e, adjusted, seen)) for e in judged),
+        *(
+            e if e.grade == GRADES[0] else replace(e, effect=_effect(e, adjusted, seen, required))
+            for e in judged
+        ),
         *_against(accuracy, required),
         *(Evidence(code, 1.0, "", *words) for code, words in WARNED.items() if code in warned),
     )
@@ -104,7 +105,7 @@ def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, requ
     noted = worst.grade == NOTED
     return Verdict(
         grade=GRADES[0] if noted else worst.grade,
-        text=_text(adjusted, figures, metres(required.local_m)),
+        text=_text(adjusted, figures, required.length(required.local_m, seen.pixel_m)),
         cause="" if noted else _cause(worst),
         fix="" if noted else worst.fix,
         evidence=evidence,
@@ -120,9 +121,10 @@ def _cause(worst: Evidence) -> str:
     return f"{worst.cause} ({said})" if worst.unit and worst.cause else worst.cause
 
 
-def _effect(of: Evidence, adjusted: Adjusted, seen: VerdictInputs) -> str:
+def _effect(of: Evidence, adjusted: Adjusted, seen: VerdictInputs, required: Requirement) -> str:
     """What a figure that is not good does to the map, and where."""
-    said = [f"{metres(of.value * seen.pixel_m)} on the ground"] * (of.unit == "px" and seen.pixel_m > 0.0)
+    on_ground = of.unit == "px" and seen.pixel_m > 0.0 and required.scaled
+    said = [f"{metres(of.value * seen.pixel_m)} on the ground"] * on_ground
     if of.name in ("seams", "worst tenth of the seams"):
         worst = int(np.nanargmax(seen.seams.length_px))
         ends = [seen.names[int(side[worst])] for side in (seen.seams.left, seen.seams.right) if seen.names]
@@ -143,9 +145,9 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + more
 
 
-def _judged(name: str, value: float, required: Requirement, asked_px: float) -> Evidence:
-    criterion, asked = CRITERIA[name], metres(required.local_m)
-    grade = criterion.grade(value, asked_px)
+def _judged(name: str, value: float, required: Requirement, pixel_m: float) -> Evidence:
+    criterion, asked = CRITERIA[name], required.length(required.local_m, pixel_m)
+    grade = criterion.grade(value, required.local_m / pixel_m)
     words = ("", "") if grade == GRADES[0] else (criterion.cause.replace(ASKED, asked), criterion.fix)
     return Evidence(name, value, criterion.unit, grade, *words)
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement
+from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement, metres
 from geomosaic.quality.seam_check import SeamCheck
-from geomosaic.quality.statement import NO_ABSOLUTE, NO_RELATIVE, metres
+from geomosaic.quality.statement import NO_ABSOLUTE, NO_RELATIVE
 from geomosaic.report.numbers import UNKNOWN
 
 _OVER_M = 100.0
@@ -60,10 +60,10 @@ def _distances(relative: RelativeAccuracy, required: Requirement, pixel_m: float
         return [AccuracyRow(title, NO_RELATIVE, UNKNOWN)]
     rows: list[AccuracyRow] = []
     for rmse_m, length_m in ((relative.rmse_100m_m, _OVER_M), (relative.rmse_whole_m, relative.whole_m)):
-        if math.isfinite(rmse_m):
+        if math.isfinite(rmse_m) and (required.scaled or length_m is relative.whole_m):
             asked_m = required.permille * length_m / 1000.0
-            words = f"RMSE {metres(rmse_m)}, {rmse_m / pixel_m:.2f} px"
-            over = f"distances over {length_m:.0f} m"
+            words = f"RMSE {metres(rmse_m)}, " * required.scaled + f"{rmse_m / pixel_m:.2f} px"
+            over = f"distances over {length_m:.0f} m" if required.scaled else "distances over the whole map"
             rows.append(AccuracyRow("" if rows else title, over, words, "", *_required(rmse_m, asked_m)))
     scale = f"±\u202f{relative.scale_permille:.2f} ‰"
     return [*rows, AccuracyRow("" if rows else title, "scale of the map", scale)]

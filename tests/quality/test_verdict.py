@@ -312,6 +312,14 @@ def test_evidence_says_what_it_does_to_the_map_and_where() -> None:
     )
     assert allowed.grade == "good"  # 30 cm over 100 m is what GNSS positions give
     assert worst.grade == "doubtful" and worst.effect == "7.9 cm on the ground, most between d and e"
+    nowhere = replace(NOTHING_ASKED, local_m=0.06, scaled=False)
+    (unscaled,) = (
+        e
+        for e in verdict_of(outcome(), seen, NOT_STATED, nowhere).evidence
+        if e.name == "worst tenth of the seams"
+    )
+    assert unscaled.effect == "most between d and e"  # the map's unit is no metre
+    assert nowhere.length(0.06, 0.02) == "3.0 px"
     lost = replace(outcome(), status=("tied", "placed", "tied", "tied", "tied"))
     verdict = verdict_of(lost, replace(seen, seams=NO_SEAMS), NOT_STATED, NOTHING_ASKED)
     assert verdict.cause.endswith("(frames not tied 20 %, b)")
