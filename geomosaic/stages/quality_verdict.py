@@ -33,7 +33,7 @@ class QualityVerdict(Stage):
     id = "quality.verdict"
     display_name = "Judge the mosaic"
     group = "Quality"
-    version = 20
+    version = 21
     wants_frames: ClassVar[bool] = True
     concurrent: ClassVar[bool] = True
     inputs: ClassVar[dict[str, type]] = {
