@@ -6,7 +6,7 @@ their prior deviations, so that one mark in a frame moves it and three determine
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,14 +28,21 @@ _SMALL_STEP = tuned(1e-3, "deviations", "of a last step: less changes no pixel")
 
 @dataclass(frozen=True)
 class FrameMarks:
-    """The marks of one frame: places_m (m, 3) of its points in the work frame, image_px (m, 2); pose_sd (6,)
-    as in `OrientedFrames`."""
+    """The marks of one frame: places_m (m, 3) of its points in the work frame, places_sd_m (m,) in plan,
+    image_px (m, 2); pose_sd (6,) as in `OrientedFrames`."""
 
     pose: Pose
     camera: Camera
     pose_sd: Floats
     places_m: Floats
+    places_sd_m: Floats
     image_px: Floats
+
+    @property
+    def variance_px2(self) -> Floats:
+        """Variances (m,) of marks minus predicted places, but for the pose's errors."""
+        away_m = np.linalg.norm(self.places_m - self.pose.position_m, axis=1)
+        return np.asarray(MARK_SD_PX**2 + (self.places_sd_m * self.camera.focal_length_px / away_m) ** 2)
 
     def linearised(self, pose: Pose, sd: Floats) -> tuple[Floats, Floats]:
         """Marks minus predicted places (m, 2) in px, and derivatives of the places (m, 2, 6) by a correction
@@ -82,18 +89,19 @@ def corrected_frame(frame: FrameMarks) -> CorrectedFrame:
     off, slopes = frame.linearised(pose, sd)
     leverage = slopes @ np.linalg.inv(normal) @ np.swapaxes(slopes, 1, 2) * weights[:, None, None]
     left_out = np.linalg.solve(np.eye(2) - leverage, off[..., None])[..., 0]
-    chi_squared = np.sum(off * left_out, axis=1) / MARK_SD_PX**2
+    chi_squared = np.sum(off * left_out, axis=1) / frame.variance_px2
     return CorrectedFrame(pose, np.linalg.norm(left_out, axis=1), np.sqrt(np.maximum(chi_squared, 0.0)))
 
 
-def _fitted(frames: Iterable[FrameMarks], sd: Floats, own: float) -> tuple[Floats, Floats, Floats]:
+def _fitted(frames: Sequence[FrameMarks], sd: Floats, own: float) -> tuple[Floats, Floats, Floats]:
     """Correction (6,) in units of sd, its normal matrix (6, 6), and the marks' weights (m,) per px squared.
     own: share of a frame's deviations that its marks scatter by."""
+    given = np.concatenate([of.variance_px2 for of in frames])
     correction, normal, weights = np.zeros(6), np.eye(6), np.zeros(0)
     for done in range(_MOST_ROUNDS):
         found = [of.linearised(moved(of.pose, correction * sd), sd) for of in frames]
         off, slopes = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        variance = MARK_SD_PX**2 + own**2 * np.sum(slopes**2, axis=(1, 2)) / 2.0
+        variance = given + own**2 * np.sum(slopes**2, axis=(1, 2)) / 2.0
         robust = cauchy_weight(np.linalg.norm(off, axis=1) / np.sqrt(variance))
         weights = np.where(done < _EQUAL_ROUNDS, 1.0, robust) / variance
         normal = np.eye(6) + np.einsum("m,mij,mik->jk", weights, slopes, slopes)

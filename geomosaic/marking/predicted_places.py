@@ -41,17 +41,18 @@ def predicted_places(frames: OrientedFrames, points: tuple[ControlPoint, ...]) -
     if not frames.on_earth:
         return PredictedPlaces(np.full((len(frames.frames), len(points), 2), np.nan))
     places_m = frames.places_m(points)
+    places = np.column_stack([places_m, [point.sd_horizontal_m for point in points]])
     number = {frame.name: i for i, frame in enumerate(frames.frames)}
     marks: dict[int, list[tuple[int, float, float]]] = {}
     for k, point in enumerate(points):
         for name, col, row in point.images:
             marks.setdefault(number[name], []).append((k, col, row))
-    marked = {i: _marks(frames, i, of, places_m) for i, of in marks.items()}
+    marked = {i: _marks(frames, i, of, places) for i, of in marks.items()}
     common = common_correction([*marked.values()])
     poses = [moved(pose, common) for pose in frames.poses]
     off_px, suspect = {}, set()
     for i, of in marks.items():
-        found = corrected_frame(_marks(frames, i, of, places_m, common))
+        found = corrected_frame(_marks(frames, i, of, places, common))
         poses[i] = found.pose
         for (k, _, _), off, deviations in zip(of, found.off_px, found.deviations, strict=True):
             off_px[k, i] = float(off)
@@ -67,11 +68,12 @@ def _marks(
     frames: OrientedFrames,
     i: int,
     marks: list[tuple[int, float, float]],
-    places_m: Floats,
+    places: Floats,
     common: Floats | None = None,
 ) -> FrameMarks:
-    """The marks of frame i. marks: number of the point, col and row; common: a correction of its pose."""
+    """The marks of frame i. marks: number of the point, col and row; places (k, 4): of the points in m, with
+    their deviation in plan; common: a correction of its pose."""
     pose = frames.poses[i] if common is None else moved(frames.poses[i], common)
     of = np.array([k for k, _, _ in marks])
     image_px = np.array([(col, row) for _, col, row in marks])
-    return FrameMarks(pose, frames.cameras[i], frames.pose_sd[i], places_m[of], image_px)
+    return FrameMarks(pose, frames.cameras[i], frames.pose_sd[i], places[of, :3], places[of, 3], image_px)

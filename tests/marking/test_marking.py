@@ -95,6 +95,8 @@ def test_a_wrong_mark_is_farther_off_than_expected(scene: MarkingScene) -> None:
     frame = [f.name for f in scene.frames.frames].index(name)
     assert (4, frame) in found.suspect
     assert found.off_px[4, frame] > 40.0
+    rough = tuple(replace(point, sd_horizontal_m=3.0) for point in wrong)
+    assert not predicted_places(known, rough).suspect, "by a handheld receiver a metre is no mistake"
 
 
 def test_the_frames_of_a_point_begin_with_that_which_shows_it_in_the_middle(
