@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -23,11 +23,31 @@ class Spread(Protocol):
         that is asked for once; else they are told apart by what they hold."""
 
 
-class AtOnce:
-    """In this process, one after the other; check_cancelled raises to stop."""
+class Progress(Protocol):
+    """Shows how far work has come and stops it, as `pipeline.Context` does."""
 
-    def __init__(self, check_cancelled: Callable[[], None] | None = None) -> None:
-        self.check_cancelled = check_cancelled
+    def progress(self, done: int, total: int, text: str = "") -> None:
+        """done of total are ready; text: of what."""
+
+    def check_cancelled(self) -> None:
+        """Raises to stop."""
+
+
+class Unobserved:
+    """Shows nothing and never stops."""
+
+    def progress(self, done: int, total: int, text: str = "") -> None:
+        """See `Progress`."""
+
+    def check_cancelled(self) -> None:
+        """See `Progress`."""
+
+
+UNOBSERVED: Final = Unobserved()
+
+
+class AtOnce(Unobserved):
+    """In this process, one after the other."""
 
     def map(
         self,
@@ -41,6 +61,5 @@ class AtOnce:
 
     def made(self, function: Callable[[Item], Result], item: Item) -> Result:
         """One result, unless this is to stop."""
-        if self.check_cancelled is not None:
-            self.check_cancelled()
+        self.check_cancelled()
         return function(item)

@@ -4,69 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from rasterio.windows import Window as RasterWindow
 
 from geomosaic.adjustment.procedure.rig import RigPoses, band_poses
-from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
 from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.composition.plan import windows
-from geomosaic.composition.pyramid import TILE_PX
-from geomosaic.composition.raster import writing_mosaic
+from geomosaic.composition.raster import MosaicFiles, writing_mosaic
+from geomosaic.composition.tiles import TILE_PX, TileKind
+from geomosaic.composition.views import PosedFrames
 from geomosaic.composition.window import Composed
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.survey.model import Survey
 
-Composing = Callable[[Survey, Poses, Sequence[Camera], Sequence[bool], Path, Path | None], Mosaic]
-"""`compose` with grid and ground: survey, poses, cameras, used, where the raster and the sources go."""
+Composing = Callable[[PosedFrames, MosaicFiles], Mosaic]
+"""`compose` by an ownership, with options."""
 
 
 def compose_bands(
-    composing: Composing,
-    survey: Survey,
-    poses: Poses,
-    cameras: Sequence[Camera],
-    used: Sequence[bool],
-    rig: RigPoses,
-    folder: Path,
-    raster_path: Path,
-    sources_path: Path | None,
+    composing: Composing, frames: PosedFrames, rig: RigPoses, folder: Path, files: MosaicFiles
 ) -> Mosaic:
     """The frames' own band, then every other one by its own files, lens and turn, as one raster.
 
     Args: folder: room for a raster a band, the caller's to delete.
     """
     rasters = [folder / f"{k}.tif" for k in range(1 + len(rig.bands))]
-    mosaic = composing(survey, poses, cameras, used, rasters[0], sources_path)
-    for band, path in zip(other_bands(survey, poses, used, rig), rasters[1:], strict=True):
-        composing(band.survey, band.poses, band.cameras, band.used, path, None)
-    names = band_names(survey)
-    stack_bands(rasters, names, mosaic.grid, mosaic.dtype, raster_path)
-    return replace(mosaic, raster=raster_path.name, bands=len(names), band_names=names)
+    mosaic = composing(frames, replace(files, raster=rasters[0]))
+    for band, path in zip(other_bands(frames, rig), rasters[1:], strict=True):
+        composing(band, MosaicFiles(path))
+    names = band_names(frames.survey)
+    stack_bands(rasters, names, mosaic.grid, mosaic.dtype, files.raster)
+    return replace(mosaic, raster=files.raster.name, bands=len(names), band_names=names)
 
 
-@dataclass(frozen=True)
-class BandOfRig:
-    """What one of a rig's other bands shows, as a survey of its own: used (n,) where it has the capture."""
-
-    survey: Survey
-    poses: Poses
-    cameras: tuple[Camera, ...]
-    used: tuple[bool, ...]
-
-
-def other_bands(survey: Survey, poses: Poses, used: Sequence[bool], rig: RigPoses) -> Iterator[BandOfRig]:
-    """Each of the rig's other bands, with its own files, lens and turn."""
+def other_bands(frames: PosedFrames, rig: RigPoses) -> Iterator[PosedFrames]:
+    """Each of the rig's other bands as a survey of its own, with its own files, lens and turn; used where it
+    has the capture."""
+    survey = frames.survey
     for other, pose in zip(survey.other_bands, rig.bands, strict=True):
         none = (replace(frame, camera=pose.camera.name) for frame in survey.frames)  # not used
-        frames = tuple(f or g for f, g in zip(other.frames, none, strict=True))
-        there = tuple(use and f is not None for use, f in zip(used, other.frames, strict=True))
-        shown = replace(survey, frames=frames, cameras=(pose.camera,))
-        yield BandOfRig(shown, band_poses(poses, pose), (pose.camera,) * len(frames), there)
+        files = tuple(f or g for f, g in zip(other.frames, none, strict=True))
+        there = tuple(use and f is not None for use, f in zip(frames.used, other.frames, strict=True))
+        shown = replace(survey, frames=files, cameras=(pose.camera,))
+        cameras = (pose.camera,) * len(files)
+        yield PosedFrames(shown, band_poses(frames.poses, pose), cameras, there, frames.ground)
 
 
 def with_all_bands(survey: Survey) -> list[bool]:
@@ -89,7 +73,8 @@ def stack_bands(
     shows = False
     with ExitStack() as files:
         bands = [files.enter_context(open_raster(raster, OWN)) for raster in rasters]
-        out = files.enter_context(writing_mosaic(path, grid, len(bands), dtype, None, (), names))
+        kind = TileKind(len(bands), np.dtype(dtype))
+        out = files.enter_context(writing_mosaic(MosaicFiles(path), grid, kind, band_names=names))
         for window in windows(grid, TILE_PX):
             at = RasterWindow(window.col, window.row, window.width, window.height)
             valid = np.all([band.dataset_mask(window=at) for band in bands], axis=0)

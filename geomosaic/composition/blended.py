@@ -14,8 +14,8 @@ from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.frame_part import FramePart
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import OutputGrid
-from geomosaic.composition.pyramid import TILE_PX, PackedTile, TileKind
 from geomosaic.composition.spread import SpooledResult
+from geomosaic.composition.tiles import TILE_PX, PackedTile, TileKind
 from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
 
 

@@ -20,7 +20,7 @@ from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import ground_window
 from geomosaic.spread import Spread
-from geomosaic.survey.model import Frame
+from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
 
 Floats = NDArray[np.float64]
@@ -73,22 +73,20 @@ class _FramePlaces:
 
 
 def agreement(
-    frames: Sequence[Frame],
+    survey: Survey,
     views: Sequence[FrameView],
-    work_frame: LocalFrame,
-    crs: str,
     grounds: tuple[GroundSurface, GroundSurface],
     spread: Spread,
 ) -> Agreement:
     """Of places halfway between neighbours, where seams may run; each frame is decoded once."""
     gsd_m = float(np.median([view.gsd_m for view in views]))
-    land = _Land(work_frame, crs, gsd_m, grounds)
+    land = _Land(survey.work_frame, survey.map_crs, gsd_m, grounds)
     pairs, corners_m = _places(land, views)
     of: dict[int, list[int]] = {}
     for k, pair in enumerate(pairs):
         for i in pair:
             of.setdefault(i, []).append(k)
-    looks = [_FramePlaces(frames[views[i].frame], views[i], corners_m[ks]) for i, ks in of.items()]
+    looks = [_FramePlaces(survey.frames[views[i].frame], views[i], corners_m[ks]) for i, ks in of.items()]
     found = spread.map("grounds", partial(_looked, land), looks, [views[i].frame for i in of])
     shown = {
         (i, k): one

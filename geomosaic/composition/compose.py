@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
 from geomosaic.composition.blended import (
     Blended,
     BlendedBlock,
@@ -27,23 +24,22 @@ from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frame_part import Asked, Warping, frame_part
 from geomosaic.composition.frame_source import FrameSource
-from geomosaic.composition.model import Mosaic, OutputGrid
+from geomosaic.composition.model import Mosaic
 from geomosaic.composition.occlusion import with_occlusion
-from geomosaic.composition.ownership import Ownership, cell_px_of, nearest_nadir
+from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.plan import Asking, Planning, windows
-from geomosaic.composition.pyramid import TileKind
-from geomosaic.composition.raster import Raster, index_kind, writing_mosaic
+from geomosaic.composition.raster import MosaicFiles, Raster, index_kind, writing_mosaic
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.seamlines import SeamLabels
 from geomosaic.composition.spread import InProcessSpooler, SpooledResult, Spooler
+from geomosaic.composition.tiles import TileKind
 from geomosaic.composition.tones import Tones
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.visibility import FrameOnMap, VisibilityTest, visible_cells
 from geomosaic.composition.window import DTYPES, CompositionStep, Window
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
-from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.model import Frame, Survey
 
@@ -52,54 +48,54 @@ AUTO = "auto"
 AUTO_FEATHER_PX = tuned(48, "mosaic px", "default feather: less shows lines; more doubles detail")
 
 
+@dataclass(frozen=True)
+class CompositionOptions:
+    """How frames become a mosaic.
+
+    blend: one of BLENDS; auto: multi_band for images of 8 bits, feather for measured values, which stay as
+    they are where one frame shows the ground. feather_m: width of a feathered blend, AUTO_FEATHER_PX if None.
+    tones: how brightly frames show the ground, evened out; as they are if None. threads: that write.
+    """
+
+    blend: str = AUTO
+    feather_m: float | None = None
+    resampling: str = "cubic"
+    tones: Tones | None = None
+    threads: int = 2
+
+
 def compose(
-    survey: Survey,
-    poses: Poses,
-    cameras: Sequence[Camera],
-    used: Sequence[bool],
-    ground: GroundSurface,
-    grid: OutputGrid,
-    raster_path: Path,
-    *,
-    ownership: Ownership | None = None,
-    blend: str = "auto",
-    feather_m: float | None = None,
-    resampling: str = "cubic",
-    tones: Tones | None = None,
-    sources_path: Path | None = None,
-    threads: int = 2,
+    frames: PosedFrames,
+    ownership: Ownership,
+    files: MosaicFiles,
+    options: CompositionOptions = CompositionOptions(),
     spread: Spooler | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    check_cancelled: Callable[[], None] | None = None,
 ) -> Mosaic:
-    """Warps all frames in use onto the grid and blends them into one raster.
+    """Warps all frames in use onto the ownership's grid and blends them into one raster.
 
-    The same bytes come out whatever the number of threads and workers. `check_cancelled`
-    raises to stop.
+    The same bytes come out whatever the number of threads and workers.
 
-    Args: poses, cameras, used: of each of the survey's frames. ownership: who gives which part, and the area
-    that the mosaic is cut to; the frame that looks down most steeply, and no area, if not given. blend: one
-    of BLENDS; auto: multi_band for images of 8 bits, feather for measured values, which stay as they are
-    where one frame shows the ground. tones: how brightly frames show the ground, evened out; as they are if
-    not given. spread: who brings frames onto the grid and blends windows, each of which takes some 100 MB at
-    a time; the threads, which else only write, if not given. sources_path: where the raster of frame indices
-    goes, if at all (see `raster.writing_mosaic`).
+    Args: ownership: who gives which part, and the area that the mosaic is cut to. spread: who brings frames
+    onto the grid and blends windows, each of which takes some 100 MB at a time; the threads, which else only
+    write, if not given.
     Raises: `InputError` if frames don't go together or can't be resampled, `UnknownNameError` for a strategy.
     """
-    if blend not in (AUTO, *BLENDS):
-        raise UnknownNameError("blend", blend, (AUTO, *BLENDS))
-    if resampling not in RESAMPLING:
-        raise UnknownNameError("resampling", resampling, RESAMPLING)
-    feather_m = AUTO_FEATHER_PX * grid.gsd_m if feather_m is None else feather_m
-    views = frame_views(survey.work_frame, grid.crs, poses, cameras, used, ground)
-    views = views if ownership is None else with_occlusion(views, ownership.hidden)
+    if options.blend not in (AUTO, *BLENDS):
+        raise UnknownNameError("blend", options.blend, (AUTO, *BLENDS))
+    if options.resampling not in RESAMPLING:
+        raise UnknownNameError("resampling", options.resampling, RESAMPLING)
+    spread = spread or InProcessSpooler()
+    survey, grid, area = frames.survey, ownership.grid, ownership.area
+    feather_m = AUTO_FEATHER_PX * grid.gsd_m if options.feather_m is None else options.feather_m
+    views = with_occlusion(frame_views(frames, grid.crs), ownership.hidden)
     kind = common_kind([survey.frames[v.frame] for v in views])
-    scene = Scene(survey.work_frame, ground, grid, views)
-    ownership = ownership or nearest_nadir(scene, used, cell_px_of(scene))[0]
-    name = blend if blend != AUTO else "multi_band" if kind.dtype == "uint8" else "feather"
-    area, reach_px = ownership.area, feather_m / grid.gsd_m
+    name = options.blend
+    if name == AUTO:
+        name = "multi_band" if kind.dtype == "uint8" else "feather"
+    reach_px = feather_m / grid.gsd_m
     labels = SeamLabels(grid, WINDOW_PX, cut=area is not None and area.asked)
     names = [frame.name for frame in survey.frames]
+    tiles = TileKind(kind.bands, np.dtype(kind.dtype))
     blending = Blending(
         name,
         grid,
@@ -107,25 +103,25 @@ def compose(
         reach_px,
         area,
         labels.step_px,
-        TileKind(kind.bands, np.dtype(kind.dtype)),
-        None if sources_path is None else index_kind(len(names)),
+        tiles,
+        None if files.sources is None else index_kind(len(names)),
     )
+    scene = Scene(survey.work_frame, frames.ground, grid, ())
     walk = _Walk(
         survey,
         ownership,
         blending,
-        Warping(replace(scene, views=()), resampling, tones, kind.dtype, reach_px / 2.0),
-        spread or InProcessSpooler(check_cancelled),
-        check_cancelled,
+        Warping(scene, options.resampling, options.tones, kind.dtype, reach_px / 2.0),
+        spread,
     )
     gave_pixels: set[int] = set()
     whole = windows(grid, WINDOW_PX)
     order = whole if area is None else area.touched(grid, whole)
     with (
         unreferenced_is_fine(),
-        ThreadPoolExecutor(threads) as pool,
+        ThreadPoolExecutor(options.threads) as pool,
         walk.windows(order) as made,
-        writing_mosaic(raster_path, grid, kind.bands, kind.dtype, sources_path, names) as raster,
+        writing_mosaic(files, grid, tiles, names) as raster,
     ):
         begun = {place_over(window) for window in order}
         for window in whole:
@@ -136,21 +132,20 @@ def compose(
             for done, one in enumerate(itertools.chain.from_iterable(blocks)):
                 labels.add(one.window, one.labels, one.wanted)
                 gave_pixels.update(one.gave)
-                if progress is not None:
-                    progress(done + 1, len(order))
+                spread.progress(done + 1, len(order), "writing")
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     return Mosaic(
         grid=grid,
-        raster=raster_path.name,
+        raster=files.raster.name,
         bands=kind.bands,
         dtype=kind.dtype,
         nodata=None,
         seamlines=labels.seamlines(),
         frames_used=tuple(sorted(gave_pixels)),
         holes=labels.holes(),
-        resampling=resampling,
+        resampling=options.resampling,
         trimmed=ownership.trimmed,
     )
 
@@ -164,7 +159,6 @@ class _Walk:
     blending: Blending
     warping: Warping
     spread: Spooler
-    check_cancelled: Callable[[], None] | None
 
     @contextmanager
     def windows(self, order: Sequence[Window]) -> Iterator[Sequence[SpooledResult[BlendedBlock]]]:
@@ -212,8 +206,7 @@ class _Walk:
         planning = Planning(self.ownership, sources, lying, halo_px, reach_px)
         plan, asking = [], Asking(lying)
         for planned in planning.steps(order):
-            if self.check_cancelled is not None:
-                self.check_cancelled()
+            self.spread.check_cancelled()
             asking.add(planned)
             plan.append(planned.step)
         return plan, asking.cells()

@@ -27,14 +27,11 @@ def composed(
     supply: Supply,
     pool: Executor,
     ahead: int,
-    check_cancelled: Callable[[], None] | None = None,
 ) -> Iterator[Made]:
     """What is made of all steps in their order, `ahead` of them begun beyond the one that is taken."""
     running: deque[Future[Made]] = deque()
     begun = 0
     while begun < len(steps) or running:
-        if check_cancelled is not None:
-            check_cancelled()
         if begun < len(steps):
             running.append(pool.submit(_given, compose, steps[begun], supply.for_step(begun)))
             begun += 1

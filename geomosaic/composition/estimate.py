@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from geomosaic.composition.model import OutputGrid
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
 
@@ -120,25 +121,26 @@ class SizeEstimate:
         )
 
 
-def estimate(
-    width_px: int,
-    height_px: int,
-    gsd_m: float | None,
-    *,
-    filled_share: float,
-    pixel_bytes: int,
-    sources: bool = False,
-    surface_cell_px: float | None = None,
-    before: Before,
-    threads: int,
-) -> SizeEstimate:
-    """Of a grid: what its pixels take, besides what comes before them. surface_cell_px: the side of the cells
-    of a surface that is matched."""
-    pixels = float(width_px) * float(height_px)
-    filled = filled_share * pixels
-    raw_gb = filled * pixel_bytes / 1e9
-    scratch = _HALVES * raw_gb + filled * (_MASK_BYTES + (_SOURCE_BYTES if sources else 0.0)) / 1e9
-    of_surface = 0.0 if surface_cell_px is None else filled * (_SURFACE_CELL_PX / surface_cell_px) ** 2
+@dataclass(frozen=True)
+class FilledPixels:
+    """The pixels of a grid: the share that images fill, and bytes of one. sources: whether frame indices are
+    kept; surface_cell_px: the side of the cells of a surface that is matched, None without one."""
+
+    share: float
+    pixel_bytes: int
+    sources: bool = False
+    surface_cell_px: float | None = None
+
+
+def estimate(grid: OutputGrid, of: FilledPixels, before: Before, threads: int) -> SizeEstimate:
+    """Of a grid: what its pixels take, besides what comes before them."""
+    pixels = float(grid.width_px) * float(grid.height_px)
+    filled = of.share * pixels
+    raw_gb = filled * of.pixel_bytes / 1e9
+    scratch = _HALVES * raw_gb + filled * (_MASK_BYTES + (_SOURCE_BYTES if of.sources else 0.0)) / 1e9
+    of_surface = 0.0
+    if of.surface_cell_px is not None:
+        of_surface = filled * (_SURFACE_CELL_PX / of.surface_cell_px) ** 2
     scratch += (before.disk_bytes + _SURFACE_BYTES * of_surface) / 1e9
     s = [
         before.core_s[k] + ((compose + write) * filled + surface * of_surface) / 1e6 / threads
@@ -148,10 +150,10 @@ def estimate(
     ]
     memory = (before.memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
     return SizeEstimate(
-        width_px=width_px,
-        height_px=height_px,
-        gsd_m=gsd_m,
-        filled_share=filled_share,
+        width_px=grid.width_px,
+        height_px=grid.height_px,
+        gsd_m=grid.gsd_m,
+        filled_share=of.share,
         scratch_gb=scratch,
         mosaic_gb=(PACKED.least * raw_gb, PACKED.most * raw_gb),
         parts_gb=(PARTS.least * raw_gb, PARTS.most * raw_gb),
@@ -161,16 +163,11 @@ def estimate(
 
 
 def estimate_scene(
-    width_px: int,
-    height_px: int,
-    *,
-    filled_share: float,
-    pixel_bytes: int,
-    max_gigapixels: float,
-    on_map: bool = False,
+    size_px: tuple[int, int], of: FilledPixels, max_gigapixels: float, *, on_map: bool = False
 ) -> SizeEstimate:
     """Of a scene of strips, and of its map if it is laid on one; raises `InputError` where it would be larger
-    than max_gigapixels."""
+    than max_gigapixels. size_px: width and height."""
+    width_px, height_px = size_px
     gigapixels = width_px * height_px / 1e9
     if gigapixels > max_gigapixels:
         raise InputError(
@@ -179,17 +176,17 @@ def estimate_scene(
             fix="check the strips' sizes and row_separation_lines, "
             f"or --set mosaic.strips.max_gigapixels={math.ceil(gigapixels)}",
         )
-    pixels = filled_share * width_px * height_px
+    pixels = of.share * width_px * height_px
     scratch = pixels * _MASK_BYTES
     memory = 2.0 * _PROGRAM_BYTES + SCENE_MEMORY.least * width_px
-    raw_gb = pixels * pixel_bytes / 1e9
+    raw_gb = pixels * of.pixel_bytes / 1e9
     packed_gb = PACKED.least * raw_gb, PACKED.most * raw_gb
     least_s, most_s = STRIPS.least + on_map * ON_MAP.least, STRIPS.most + on_map * ON_MAP.most
     return SizeEstimate(
         width_px=width_px,
         height_px=height_px,
         gsd_m=None,
-        filled_share=filled_share,
+        filled_share=of.share,
         scratch_gb=scratch / 1e9,
         mosaic_gb=packed_gb,
         parts_gb=(3.0 * packed_gb[0], 3.0 * packed_gb[1]) if on_map else (0.0, 0.0),

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
@@ -46,16 +46,14 @@ def far_from_own(gsd_m: float, ground_pixel_m: float) -> str:
 
 
 def output_grid(
-    crs: str,
+    pixels: MapPixels,
     views: Sequence[FrameView],
-    gsd_m: float,
     names: Sequence[str],
     max_gigapixels: float = MAX_GIGAPIXELS,
-    origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> OutputGrid:
-    """The smallest grid that holds every frame's bounds, its corner whole ground pixels from an origin.
+    """The smallest grid that holds every frame's bounds, its corner whole ground pixels from their origin.
 
-    Args: names: of all the survey's frames, for the message. origin_m: easting and northing.
+    Args: names: of all the survey's frames, for the message.
     Raises: `InputError` if there is no frame, or if the mosaic would be larger than max_gigapixels or than
     200 times all the frames' pixels, naming the frame that stretches it or a ground pixel far too fine.
     """
@@ -64,11 +62,14 @@ def output_grid(
             "no frame sees the ground",
             fix=("correct positions, heights and attitudes (--pos, --dem, --ground-height)"),
         )
+    gsd_m, origin_m = pixels.gsd_m, pixels.origin_m
     if not _fits(views, gsd_m, max_gigapixels):
         raise _too_large(views, names, gsd_m, max_gigapixels)
     west, south, east, north = _edges(views, gsd_m, origin_m)
     west_m, north_m = origin_m[0] + west * gsd_m, origin_m[1] + north * gsd_m
-    return OutputGrid(crs, west_m, north_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1))
+    return OutputGrid(
+        pixels.crs, west_m, north_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1)
+    )
 
 
 def coarser(grid: OutputGrid, longest_px: int) -> OutputGrid:

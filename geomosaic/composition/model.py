@@ -13,6 +13,15 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class MapPixels:
+    """Where pixels lie on the map: its CRS, their side, and easting and northing of a corner of theirs."""
+
+    crs: str
+    gsd_m: float
+    origin_m: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class OutputGrid(MapGrid):
     """The raster that a mosaic or another product of the run is written to.
 

@@ -8,24 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.area import Area
-from geomosaic.composition.bands import BandOfRig, band_names, other_bands, stack_bands
+from geomosaic.composition.bands import band_names, other_bands, stack_bands
 from geomosaic.composition.compose import common_kind
 from geomosaic.composition.frame_part import Asked, Patch, Warping, patches
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.occlusion import with_occlusion
 from geomosaic.composition.ownership import Ownership
-from geomosaic.composition.raster import Raster, writing_mosaic
+from geomosaic.composition.raster import MosaicFiles, Raster, writing_mosaic
 from geomosaic.composition.scene import CELL_PX, Scene, bounds_window
+from geomosaic.composition.tiles import TileKind
 from geomosaic.composition.tones import Tones
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.visibility import FrameOnMap, cells_in_view
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.raster import unreferenced_is_fine
-from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.model import Survey
 
 
 @dataclass(frozen=True)
@@ -40,34 +38,25 @@ class OrthoPlan:
 
 
 def plan_orthos(
-    survey: Survey,
-    adjusted: Adjusted,
-    ground: GroundSurface,
-    ownership: Ownership,
-    *,
-    rig: RigPoses,
-    resampling: str,
-    tones: Tones | None,
+    frames: PosedFrames, ownership: Ownership, rig: RigPoses, resampling: str, tones: Tones | None
 ) -> OrthoPlan:
     """The orthos of all frames that may give pixels. Of a rig a frame is a capture with all its bands.
 
     Raises: `InputError` if frames don't go together or can't be resampled.
     """
-    used, grid = ownership.used.tolist(), ownership.grid
-    bands = [BandOfRig(survey, adjusted.poses, adjusted.cameras, ownership.used.tolist())]
-    bands += other_bands(survey, adjusted.poses, used, rig) if rig.bands else []
-    views = [frame_views(b.survey.work_frame, grid.crs, b.poses, b.cameras, b.used, ground) for b in bands]
-    views = [with_occlusion(of, ownership.hidden) for of in views]
+    grid = ownership.grid
+    bands = [frames, *(other_bands(frames, rig) if rig.bands else ())]
+    views = [with_occlusion(frame_views(band, grid.crs), ownership.hidden) for band in bands]
     kinds = [common_kind([b.survey.frames[v.frame] for v in of]) for b, of in zip(bands, views, strict=True)]
     lying: dict[int, list[FrameOnMap]] = {}
     for band, of in zip(bands, views, strict=True):
         for view in of:
             lying.setdefault(view.frame, []).append(FrameOnMap(band.survey.frames[view.frame], view))
-    scene = Scene(survey.work_frame, ground, grid, ())
+    scene = Scene(frames.survey.work_frame, frames.ground, grid, ())
     return OrthoPlan(
         Warping(scene, resampling, tones, kinds[0].dtype, np.inf),
         ownership.area,
-        band_names(survey) if rig.bands else (),
+        band_names(frames.survey) if rig.bands else (),
         {n: tuple(of) for n, of in sorted(lying.items()) if len(of) == len(bands)},
     )
 
@@ -103,10 +92,10 @@ def _write(warping: Warping, area: Area | None, on_map: FrameOnMap, within: Wind
         cells.flags[:] &= area.cells(grid, cells.window, CELL_PX)
     if not cells.flags.any():
         return False
-    bands, dtype = on_map.frame.bands, warping.dtype
+    kind = TileKind(on_map.frame.bands, np.dtype(warping.dtype))
     with (
         unreferenced_is_fine(),
-        writing_mosaic(path, _part(grid, within), bands, dtype, None, ()) as raster,
+        writing_mosaic(MosaicFiles(path), _part(grid, within), kind) as raster,
     ):
         for patch in patches(warping, Asked(on_map, cells)):
             shows |= _written(raster, grid, area, within, patch)

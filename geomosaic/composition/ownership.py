@@ -14,7 +14,7 @@ from geomosaic.composition.area import Area
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.model import OutputGrid, Trimmed
 from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, distances_m, ground_of, margin_px
-from geomosaic.composition.views import FrameView
+from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.window import Window
 from geomosaic.constants import sourced, tuned
 from geomosaic.projection.warp import frame_from_map
@@ -138,16 +138,15 @@ def frame_cells(
     scene: Scene,
     view: FrameView,
     cell_px: int,
-    beyond_px: int = 0,
     *,
     smooth: bool = False,
     part: tuple[slice, slice] | None = None,
 ) -> FrameCells:
-    """The cells of a frame's bounds, as far as beyond_px outside the grid; part: some of their rows and cols.
+    """The cells of a frame's bounds; part: some of their rows and cols.
 
     smooth: places are exact at every fourth cell each way and bilinear between, without the ground's relief.
     """
-    window = bounds_window(scene.grid, view, cell_px, beyond_px)
+    window = bounds_window(scene.grid, view, cell_px)
     down, across = part or (slice(0, window.height // cell_px), slice(0, window.width // cell_px))
     relief_m = None
     places = _between(scene, view, window, cell_px, (down, across)) if smooth else None
@@ -214,6 +213,12 @@ def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Own
             np.copyto(nearest[cells.of_all], cells.distance_m, where=nearer)
             owner[cells.of_all][nearer] = view.frame + 1
     return Ownership(scene.grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
+
+
+def by_nearest_nadir(frames: PosedFrames, grid: OutputGrid) -> Ownership:
+    """Of a whole grid, without an area: see `nearest_nadir`."""
+    scene = Scene(frames.survey.work_frame, frames.ground, grid, frame_views(frames, grid.crs))
+    return nearest_nadir(scene, frames.used, cell_px_of(scene))[0]
 
 
 def _cells_in(window: Window, cell_px: int) -> tuple[slice, slice]:

@@ -19,7 +19,8 @@ from geomosaic.composition.blended import BlendedBlock
 from geomosaic.composition.cog_layout import Tags, directories, write_cog_of
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.palette import frame_colour
-from geomosaic.composition.pyramid import TILE_PX, RasterPyramid, TileKind
+from geomosaic.composition.pyramid import RasterPyramid
+from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
 
@@ -46,11 +47,10 @@ class Raster:
 
     def write(self, composed: Composed) -> None:
         """One window, by any thread; each pixel once. Whoever brings a tile's last pixel packs it."""
-        window = composed.window
-        self._image.add(window.col, window.row, composed.pixels, composed.valid)
+        self._image.add(composed.window, composed.pixels, composed.valid)
         if self._sources is not None:
             given = composed.source(self._sources.kind.dtype)
-            self._sources.add(window.col, window.row, given[..., None], composed.valid)
+            self._sources.add(composed.window, given[..., None], composed.valid)
 
     def put(self, done: BlendedBlock) -> None:
         """Windows that are whole tiles, made elsewhere by the kinds of tiles; by any thread."""
@@ -62,7 +62,7 @@ class Raster:
     def leave_out(self, window: Window) -> None:
         """One in which nothing is shown: what it is part of need not wait for it."""
         for pyramid in filter(None, (self._image, self._sources)):
-            pyramid.add_nothing(window.col, window.row, window.width, window.height)
+            pyramid.add_nothing(window)
 
 
 def index_kind(frames: int) -> TileKind:
@@ -71,51 +71,59 @@ def index_kind(frames: int) -> TileKind:
     return TileKind(1, np.dtype(dtype), masked=False)
 
 
+@dataclass(frozen=True)
+class MosaicFiles:
+    """Where a mosaic's raster goes, and that of its frame indices, if it is wanted: 0 where there is no
+    frame, else the frame's index + 1; its tags name the frames."""
+
+    raster: Path
+    sources: Path | None = None
+
+
 @contextmanager
 def writing_mosaic(
-    path: Path,
+    files: MosaicFiles,
     grid: OutputGrid,
-    bands: int,
-    dtype: str,
-    sources: Path | None,
-    frames: Sequence[str],
+    kind: TileKind,
+    frames: Sequence[str] = (),
     band_names: Sequence[str] = (),
 ) -> Iterator[Raster]:
     """Files on the map to write windows into; there when the block ends.
 
-    band_names: of each band, as a rig's have; then none is a colour. sources: where the frame index raster
-    goes: 0 where there is no frame, else the frame's index + 1; its tags name the frames.
+    frames: names of all of them, for the frame indices. band_names: of each band, as a rig's have; then none
+    is a colour.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
-    colours = _COLOURS.get(bands, ())
+    colours = _COLOURS.get(kind.bands, ())
     if band_names:
-        colours = (gdal.GCI_GrayIndex, *[gdal.GCI_Undefined] * (bands - 1))
-    look = RasterMetadata(TileKind(bands, np.dtype(dtype)), grid, colours, tuple(band_names))
-    with ExitStack() as files:
-        image = files.enter_context(_writing(path, grid.width_px, grid.height_px, look))
+        colours = (gdal.GCI_GrayIndex, *[gdal.GCI_Undefined] * (kind.bands - 1))
+    look = RasterMetadata(kind, grid, colours, tuple(band_names))
+    with ExitStack() as stack:
+        image = stack.enter_context(_writing(files.raster, grid.width_px, grid.height_px, look))
         index = None
-        if sources is not None:
-            kind = index_kind(len(frames))
+        if files.sources is not None:
+            numbers = index_kind(len(frames))
             names = {f"FRAME_{i + 1}": name for i, name in enumerate(frames)}
             descriptions = ("index of the frame that made the pixel, from 1",)
-            colours = (gdal.GCI_PaletteIndex,) if kind.dtype == np.uint8 else _COLOURS[1]
-            of = RasterMetadata(kind, grid, colours, descriptions, names)
-            index = files.enter_context(_writing(sources, grid.width_px, grid.height_px, of))
+            colours = (gdal.GCI_PaletteIndex,) if numbers.dtype == np.uint8 else _COLOURS[1]
+            of = RasterMetadata(numbers, grid, colours, descriptions, names)
+            index = stack.enter_context(_writing(files.sources, grid.width_px, grid.height_px, of))
         yield Raster(image, index)
 
 
 @contextmanager
 def writing_scene(
-    path: Path, width: int, height: int, dtype: str, bit_depth: int, rpc: Mapping[str, str] | None
+    path: Path, size_px: tuple[int, int], dtype: str, bit_depth: int, rpc: Mapping[str, str] | None
 ) -> Iterator[Raster]:
     """A raster of one band without a map, to write windows into; memory is least where they come by rows.
 
+    Args: size_px: width and height.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if it can't be written.
     """
     look = RasterMetadata(
         TileKind(1, np.dtype(dtype)), None, _COLOURS[1], bit_depth=bit_depth, rpc=dict(rpc or {})
     )
-    with _writing(path, width, height, look) as image:
+    with _writing(path, *size_px, look) as image:
         yield Raster(image)
 
 

@@ -26,7 +26,7 @@ class SpooledResult(Protocol[Made]):
         """As load, where it is wanted again and again, in parts."""
 
 
-class Spooler(spread.Spread, Protocol):
+class Spooler(spread.Spread, spread.Progress, Protocol):
     """As `pipeline.Context` does it."""
 
     def spooled(
@@ -64,8 +64,7 @@ class _Later(Generic[Item, Result]):
 class InProcessSpooler(spread.AtOnce):
     """In this process: spooled results are made when they are loaded, and again if they are loaded again."""
 
-    def __init__(self, check_cancelled: Callable[[], None] | None = None) -> None:
-        super().__init__(check_cancelled)
+    def __init__(self) -> None:
         self._latest: OrderedDict[int, _Later[Any, Any]] = OrderedDict()
         self._lock = threading.Lock()
 

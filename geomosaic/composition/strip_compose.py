@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,12 +21,13 @@ from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.composition.blends import BLENDS, STEP_PX, Blend
 from geomosaic.composition.driver import composed
 from geomosaic.composition.raster import BLOCK_ROWS, Raster, writing_scene
-from geomosaic.composition.strip_lines import StripLines
+from geomosaic.composition.strip_lines import StripGreys, StripLines
 from geomosaic.composition.strip_source import StripBlocks, StripSource
 from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
 from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
+from geomosaic.spread import UNOBSERVED, Progress
 from geomosaic.survey.strips import StripGeometry
 
 
@@ -49,53 +50,67 @@ class StripMosaic:
     gaps_px: tuple[tuple[int, int], ...]
 
 
+@dataclass(frozen=True)
+class StripScene:
+    """A scene of strips: its focal plane and strips, where these lie in it, and how they are balanced. rpc:
+    GDAL's metadata of that name."""
+
+    geometry: StripGeometry
+    layout: SceneLayout
+    radiometry: Radiometry | None = None
+    rpc: Mapping[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class StripOptions:
+    """How strips become a scene: one of BLENDS, one of RESAMPLING, and threads at work."""
+
+    blend: str = "feather"
+    resampling: str = "lanczos"
+    threads: int = 2
+
+
 def compose_strips(
-    geometry: StripGeometry,
-    layout: SceneLayout,
-    radiometry: Radiometry | None,
+    scene: StripScene,
     raster_path: Path,
-    *,
-    blend: str = "feather",
-    resampling: str = "lanczos",
-    rpc: Mapping[str, str] | None = None,
-    threads: int = 2,
-    progress: Callable[[int, int], None] | None = None,
-    check_cancelled: Callable[[], None] | None = None,
+    options: StripOptions = StripOptions(),
+    progress: Progress = UNOBSERVED,
 ) -> StripMosaic:
     """Every strip's own pixels resampled once into one raster of the strips' type; in overlaps a blend.
 
     Where one strip alone has a valid pixel that one is used; `multi_band` spreads a difference of brightness
     that lies at its end over some pixels more. Greys are cut to the strips' bits; saturated
-    pixels stay saturated. The same bytes come out whatever the number of threads. `rpc` is GDAL's metadata
-    of that name. `progress` is given rows, `check_cancelled` raises to stop.
+    pixels stay saturated. The same bytes come out whatever the number of threads. `progress` is given rows.
 
     Raises: `UnknownNameError` for a blend or resampling, `FileError` if a strip can't be read, `OSError` if
     the raster can't be written.
     """
-    if blend not in BLENDS:
-        raise UnknownNameError("blend", blend, BLENDS)
-    if resampling not in RESAMPLING:
-        raise UnknownNameError("resampling", resampling, RESAMPLING)
+    if options.blend not in BLENDS:
+        raise UnknownNameError("blend", options.blend, BLENDS)
+    if options.resampling not in RESAMPLING:
+        raise UnknownNameError("resampling", options.resampling, RESAMPLING)
+    geometry, layout, blend = scene.geometry, scene.layout, BLENDS[options.blend]
     height, width = layout.height_px, layout.width_px
     with (
         unreferenced_is_fine(),
         opencv_alone(),
         rasterio.Env(GDAL_CACHEMAX=READ_CACHE_BYTES),
         ExitStack() as files,
-        ThreadPoolExecutor(threads) as pool,
+        ThreadPoolExecutor(options.threads) as pool,
     ):
-        sources, dtype = _sources(geometry, layout, radiometry, resampling, files)
-        columns = _columns(geometry, layout, sources, BLENDS[blend])
-        steps, rows = _steps(columns, sources, layout, BLENDS[blend])
-        manner = Manner(BLENDS[blend], 1, dtype, highest=2**geometry.bit_depth - 1)
-        with writing_scene(raster_path, width, height, dtype, geometry.bit_depth, rpc) as raster:
+        sources, dtype = _sources(scene, options.resampling, files)
+        columns = _columns(geometry, layout, sources, blend)
+        steps, rows = _steps(columns, sources, layout, blend)
+        manner = Manner(blend, 1, dtype, highest=2**geometry.bit_depth - 1)
+        with writing_scene(raster_path, (width, height), dtype, geometry.bit_depth, scene.rpc) as raster:
             blocks = StripBlocks(sources, steps, rows, pool)
             work = partial(_written, raster, manner)
-            ahead = len(columns) + threads
+            ahead = len(columns) + options.threads
             try:
-                for window in composed(steps, work, blocks, pool, ahead, check_cancelled):
-                    if window.col + window.width == width and progress is not None:
-                        progress(window.row + window.height, height)
+                for window in composed(steps, work, blocks, pool, ahead):
+                    progress.check_cancelled()
+                    if window.col + window.width == width:
+                        progress.progress(window.row + window.height, height, "lines")
             except BaseException:
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
@@ -118,14 +133,9 @@ def _written(raster: Raster, manner: Manner, step: CompositionStep, materials: M
     return step.window
 
 
-def _sources(
-    geometry: StripGeometry,
-    layout: SceneLayout,
-    radiometry: Radiometry | None,
-    resampling: str,
-    files: ExitStack,
-) -> tuple[list[StripSource], str]:
+def _sources(scene: StripScene, resampling: str, files: ExitStack) -> tuple[list[StripSource], str]:
     """The living CCDs, and the type of their pixels."""
+    geometry, layout, radiometry = scene.geometry, scene.layout, scene.radiometry
     living = [k for k, ccd in enumerate(geometry.ccds) if ccd.path is not None]
     found: list[StripSource] = []
     dtype = ""
@@ -134,15 +144,13 @@ def _sources(
         assert path is not None
         strip = files.enter_context(open_raster(path, STRIP))
         dtype = dtype or strip.dtypes[0]
-        lines = StripLines(
-            strip,
-            path,
-            nodata=geometry.nodata,
+        greys = StripGreys(
+            geometry.nodata,
+            2**geometry.bit_depth - 1,
             gain=1.0 if radiometry is None else float(radiometry.gain[k]),
             offset=0.0 if radiometry is None else float(radiometry.offset[k]),
-            highest=2**geometry.bit_depth - 1,
-            radius_px=KERNEL_RADIUS_PX[resampling],
         )
+        lines = StripLines(strip, path, greys, KERNEL_RADIUS_PX[resampling])
         left = layout.seams_px[k - 1] if k - 1 in living else -np.inf
         right = layout.seams_px[k] if k + 1 in living else np.inf
         found.append(StripSource(len(found), k, layout, lines, resampling, left, right))

@@ -31,30 +31,28 @@ class LineBlock:
     valid: Flags | None
 
 
-class StripLines:
-    """An open strip (a rasterio dataset); `gain * counts + offset` are its greys.
+@dataclass(frozen=True)
+class StripGreys:
+    """What a strip's counts mean: `gain * counts + offset` are greys. nodata: the counts of an invalid pixel,
+    if any; highest: of a saturated one, which stays saturated."""
 
-    highest: the counts of a saturated pixel, which stays saturated. radius_px: of the kernel to come.
-    lines_read: how many lines came off the disk.
+    nodata: float | None
+    highest: int
+    gain: float = 1.0
+    offset: float = 0.0
+
+
+class StripLines:
+    """An open strip (a rasterio dataset). radius_px: of the kernel to come. lines_read: how many lines came
+    off the disk.
     """
 
-    def __init__(
-        self,
-        strip: Any,
-        path: Path,
-        *,
-        nodata: float | None,
-        gain: float,
-        offset: float,
-        highest: int,
-        radius_px: int,
-    ) -> None:
+    def __init__(self, strip: Any, path: Path, greys: StripGreys, radius_px: int) -> None:
         self.count: int = strip.height
         self.width_px: int = strip.width
         self.lines_read = 0
         self._strip, self._path = strip, path
-        self._nodata, self._gain, self._offset = nodata, gain, offset
-        self._highest, self._radius = highest, radius_px
+        self._greys, self._radius = greys, radius_px
         self._first = 0
         self._kept: NDArray[Any] = np.empty((0, strip.width), dtype=strip.dtypes[0])
 
@@ -89,20 +87,20 @@ class StripLines:
         return np.asarray(found)
 
     def _ready(self, first: int, counts: NDArray[Any]) -> LineBlock:
-        pixels = counts.astype(np.float32)
+        pixels, greys = counts.astype(np.float32), self._greys
         valid = None
-        if self._nodata is not None:
-            valid = counts != self._nodata
+        if greys.nodata is not None:
+            valid = counts != greys.nodata
             if valid.all():
                 valid = None
             else:
                 _fill(pixels, valid, self._radius)
-        if (self._gain, self._offset) != (1.0, 0.0):
-            pixels *= np.float32(self._gain)
-            pixels += np.float32(self._offset)
-            saturated = counts >= self._highest
+        if (greys.gain, greys.offset) != (1.0, 0.0):
+            pixels *= np.float32(greys.gain)
+            pixels += np.float32(greys.offset)
+            saturated = counts >= greys.highest
             if saturated.any():
-                pixels[saturated if valid is None else saturated & valid] = self._highest
+                pixels[saturated if valid is None else saturated & valid] = greys.highest
         return LineBlock(first, pixels, valid)
 
 

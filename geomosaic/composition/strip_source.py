@@ -10,21 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.ccd.layout import SceneLayout, StripLookup
-from geomosaic.composition.strip_lines import LineBlock, StripLines
-from geomosaic.composition.strip_window import part_of_strip
+from geomosaic.ccd.layout import SceneLayout
+from geomosaic.composition.strip_lines import StripLines
+from geomosaic.composition.strip_window import StripBlock, part_of_strip
 from geomosaic.composition.window import CompositionStep, SourcePixels, Window
 
 Floats32 = NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class StripBlock:
-    """What a strip gives a block of rows: from raster row `top` on where they see it, and those lines."""
-
-    top: int
-    places: StripLookup
-    lines: LineBlock | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +44,7 @@ class StripSource:
         first, last = window.row + rows.start, window.row + rows.stop
         top, bottom = max(first, 0), min(last, self.layout.height_px)
         reach = window.col + cols.start, window.col + cols.stop
-        found = part_of_strip(
-            material.lines,
-            self.strip.count,
-            material.places,
-            (material.top, top, bottom),
-            reach,
-            self.resampling,
-        )
+        found = part_of_strip(material, self.strip.count, (top, bottom), reach, self.resampling)
         pixels, margin = found.pixels[..., None], None
         if not found.valid.all() or (top, bottom) != (first, last):
             margin = np.full(shape, -np.inf, dtype=np.float32)

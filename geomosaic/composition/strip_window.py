@@ -29,24 +29,25 @@ class StripPart:
     valid: Flags
 
 
-def part_of_strip(
-    lines: LineBlock | None,
-    count: int,
-    places: StripLookup,
-    rows: tuple[int, int, int],
-    cols: tuple[int, int],
-    resampling: str,
-) -> StripPart:
-    """Raster cols (first, one beyond the last) of a strip of `count` lines.
+@dataclass(frozen=True, eq=False)
+class StripBlock:
+    """What a strip gives a block of rows: from raster row `top` on where they see it, and those lines."""
 
-    rows: the raster row at which `places` begin, the first row wanted, and one beyond the last.
-    """
-    begin, top, bottom = rows
+    top: int
+    places: StripLookup
+    lines: LineBlock | None
+
+
+def part_of_strip(
+    block: StripBlock, count: int, rows: tuple[int, int], cols: tuple[int, int], resampling: str
+) -> StripPart:
+    """Raster rows and cols (first, one beyond the last) of a strip of `count` lines."""
+    (top, bottom), lines, places = rows, block.lines, block.places
     shape = bottom - top, cols[1] - cols[0]
     part = StripPart(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool))
     if lines is None:
         return part
-    knots, image = places.knots_px, places.image_px[:, top - begin : bottom - begin]
+    knots, image = places.knots_px, places.image_px[:, top - block.top : bottom - block.top]
     off = _off(knots, image, lines)
     stretch = _stretch(knots, off)
     # Counted from the CCD's first column, so that a pixel is the same in whatever part.

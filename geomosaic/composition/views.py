@@ -15,10 +15,10 @@ from geomosaic.camera.interior import Camera
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.limits import Limits
 from geomosaic.constants import tuned
-from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m, sightings
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -66,15 +66,19 @@ class FrameView:
         return replace(self, bounds_m=self.bounds_m + spare * np.array([-1.0, -1.0, 1.0, 1.0]))
 
 
-def frame_views(
-    work_frame: LocalFrame,
-    crs: str,
-    poses: Poses,
-    cameras: Sequence[Camera],
-    used: Sequence[bool],
-    ground: GroundSurface,
-    limits: Limits | None = None,
-) -> tuple[FrameView, ...]:
+@dataclass(frozen=True)
+class PosedFrames:
+    """A survey's frames with the poses and cameras (n,) of each, the ground that they show, and which of them
+    may give pixels: used (n,)."""
+
+    survey: Survey
+    poses: Poses
+    cameras: Sequence[Camera]
+    used: Sequence[bool]
+    ground: GroundSurface
+
+
+def frame_views(frames: PosedFrames, crs: str, limits: Limits | None = None) -> tuple[FrameView, ...]:
     """The views of the frames in use, in the frames' order.
 
     A frame whose middle looks past the ground has none. Of a frame that sees the horizon the part below
@@ -82,10 +86,11 @@ def frame_views(
     """
     projection = MapProjection(crs)
     views = []
-    for i, camera in enumerate(cameras):
-        if not used[i]:
+    ground = frames.ground
+    for i, camera in enumerate(frames.cameras):
+        if not frames.used[i]:
             continue
-        pose = poses[i]
+        pose = frames.poses[i]
         part = seen_part(pose, camera, ground, limits)
         gsd_m = ground_sampling_distance_m(pose, camera, ground)
         if part.quality is not None and not gsd_m <= part.pixel_m:
@@ -93,7 +98,7 @@ def frame_views(
         if not np.isfinite(gsd_m) or not len(part.points_m):
             continue
         seen = np.vstack([pose.position_m, part.points_m])
-        geodetic = work_frame.geodetic_from_enu(seen)
+        geodetic = frames.survey.work_frame.geodetic_from_enu(seen)
         on_map = projection.map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
         bounds = np.concatenate([on_map[1:].min(axis=0), on_map[1:].max(axis=0)])
         view = FrameView(i, pose, camera, on_map[0], bounds, gsd_m, quality=part.quality)

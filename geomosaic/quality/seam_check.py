@@ -14,9 +14,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import Pose, Poses
+from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.model import OutputGrid, Seamline
+from geomosaic.composition.views import PosedFrames
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.displacement import PatchMatching, measure_displacements, patch_corners
@@ -163,11 +164,7 @@ def jump_between(place: tuple[Sights, Sights]) -> Jump:
 
 
 def check_seams(
-    frames: Sequence[Frame],
-    poses: Poses,
-    cameras: Sequence[Camera],
-    work_frame: LocalFrame,
-    ground: GroundSurface,
+    frames: PosedFrames,
     grid: OutputGrid,
     seamlines: Sequence[Seamline],
     spread: Spread | None = None,
@@ -181,8 +178,9 @@ def check_seams(
     for k, (left, right, _, _) in enumerate(places):
         of.setdefault(left, []).append(k)
         of.setdefault(right, []).append(k)
-    jobs = {i: Sighting(frames[i], poses[i], cameras[i], at_m[ks]) for i, ks in of.items()}
-    shared = SeamGround(grid.crs, grid.gsd_m, work_frame, ground)
+    survey = frames.survey
+    jobs = {i: Sighting(survey.frames[i], frames.poses[i], frames.cameras[i], at_m[k]) for i, k in of.items()}
+    shared = SeamGround(grid.crs, grid.gsd_m, survey.work_frame, frames.ground)
     sights: dict[tuple[int, int], Sights] = {}
     looks = (
         spread.map("seams", partial(seen_at, shared), list(jobs.values()), list(jobs))

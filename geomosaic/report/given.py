@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from osgeo import gdal
 
 from geomosaic.camera.interior import Camera
-from geomosaic.composition.compose import compose
+from geomosaic.composition.compose import CompositionOptions, compose
 from geomosaic.composition.grid import coarser, output_grid, without_flung
 from geomosaic.composition.limits import limits_of
-from geomosaic.composition.model import OutputGrid
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.model import MapPixels, OutputGrid
+from geomosaic.composition.ownership import by_nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.errors import CancelledError, GeomosaicError
 from geomosaic.placement.model import Placement
@@ -33,8 +35,6 @@ _REDUCTIONS: Final = (8, 4, 2)
 
 Spooled = Callable[..., AbstractContextManager[Sequence[Any]]]
 """`Context.spooled`."""
-Spares = Callable[[Frame], Spare]
-"""Where what a frame shows small may lie."""
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,22 @@ class GivenMosaic:
     image: Glance | None
 
 
+@dataclass(frozen=True)
+class Decoding:
+    """How frames are decoded at reduced size: spooled spreads them, as `Context.spooled`, so that no more
+    than one of them is in hand; spares: where what a frame shows small may lie."""
+
+    spooled: Spooled
+    spares: Callable[[Frame], Spare]
+
+
 def given_image(
-    survey: Survey,
-    placement: Placement,
-    ground: GroundSurface,
-    longest_px: int,
-    spooled: Spooled,
-    spares: Spares,
+    survey: Survey, placement: Placement, ground: GroundSurface, longest_px: int, decoding: Decoding
 ) -> Glance | None:
     """The mosaic as positions and attitudes alone would have it, without tones and blending.
 
     Frames are decoded at reduced size and composed as mosaics are. Nothing where no frame has a position,
     one's file is gone, or nothing can be composed.
-    Args: spooled: spreads the decoding, as `Context.spooled`, so that no more than one of them is in hand.
     """
     if any(not Path(f.path).is_file() for f in survey.frames) or not any(survey.located):
         return None
@@ -64,12 +67,11 @@ def given_image(
     own_m, names = placement.ground_pixel_m, [f.name for f in survey.frames]
     cameras = [survey.camera_of(i) for i in range(len(names))]
     limits = limits_of(placement.poses, cameras, used, ground, own_m)
-    lies = survey.work_frame, survey.map_crs, placement.poses, cameras, used, ground
-    views = frame_views(*lies, limits) or frame_views(*lies)
+    frames = PosedFrames(survey, placement.poses, cameras, used, ground)
+    views = frame_views(frames, survey.map_crs, limits) or frame_views(frames, survey.map_crs)
     try:
-        grid = output_grid(survey.map_crs, without_flung(views, own_m)[0], own_m, names)
-        unseen = [FrameToDecode(frame, spares(frame)) for frame in survey.frames]
-        return _composed(survey, unseen, placement, ground, used, coarser(grid, longest_px), spooled)
+        grid = output_grid(MapPixels(survey.map_crs, own_m), without_flung(views, own_m)[0], names)
+        return _composed(frames, placement, coarser(grid, longest_px), decoding)
     except CancelledError:
         raise
     except GeomosaicError:
@@ -77,21 +79,17 @@ def given_image(
 
 
 def _composed(
-    survey: Survey,
-    unseen: Sequence[FrameToDecode],
-    placement: Placement,
-    ground: GroundSurface,
-    used: list[bool],
-    grid: OutputGrid,
-    spooled: Spooled,
+    frames: PosedFrames, placement: Placement, grid: OutputGrid, decoding: Decoding
 ) -> Glance | None:
+    survey = frames.survey
+    unseen = [FrameToDecode(frame, decoding.spares(frame)) for frame in survey.frames]
     fits = [r for r in _REDUCTIONS if r * placement.ground_pixel_m <= grid.gsd_m]
     reduction = fits[0] if fits else 1
     shrink = partial(small_frame, reduction)
     paths = [f.path for f in survey.frames]
     with TemporaryDirectory(prefix="geomosaic-") as name:
         folder = Path(name)
-        with spooled("reduced frames", shrink, unseen, paths) as reduced:
+        with decoding.spooled("reduced frames", shrink, unseen, paths) as reduced:
             small = tuple(
                 _written(one.load(), frame, folder / f"{i}.tif")
                 for i, (one, frame) in enumerate(zip(reduced, survey.frames, strict=True))
@@ -102,10 +100,10 @@ def _composed(
         quarters = placement.turned or (0,) * len(small)
         cameras = [_reduced(survey.camera_of(i).turned(q), reduction) for i, q in enumerate(quarters)]
         raster = folder / "given.tif"
-        compose(
-            replace(survey, frames=small), placement.poses, cameras, used, ground, grid, raster,
-            blend="hard", resampling="bilinear",
-        )  # fmt: skip
+        reduced_frames = replace(frames, survey=replace(survey, frames=small), cameras=cameras)
+        ownership = by_nearest_nadir(reduced_frames, grid)
+        options = CompositionOptions("hard", resampling="bilinear")
+        compose(reduced_frames, ownership, MosaicFiles(raster), options)
         return glance(raster, max(grid.width_px, grid.height_px))
 
 

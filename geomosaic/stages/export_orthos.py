@@ -10,6 +10,7 @@ from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.compose import AUTO
 from geomosaic.composition.model import Mosaic
 from geomosaic.composition.orthos import plan_orthos
+from geomosaic.composition.views import PosedFrames
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS
 from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt
@@ -64,10 +65,9 @@ def export_orthos(
             "recipe to have all"
         )
         context.warn("bands-left-out", "", text)
-    plan = plan_orthos(
-        survey, of.adjusted, of.ground, ownership,
-        rig=rig, resampling=resampling, tones=shares.tones,
-    )  # fmt: skip
+    adjusted, used = of.adjusted, ownership.used.tolist()
+    posed = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, of.ground)
+    plan = plan_orthos(posed, ownership, rig, resampling, shares.tones)
     style = OrthoStyle(
         plan.warping, plan.area, plan.names, params.compression, params.quality, params.threads,
         context.work_folder,

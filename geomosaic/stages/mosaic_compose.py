@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -11,15 +11,15 @@ from typing import Any, ClassVar, Literal
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.rig import RigPoses
-from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
 from geomosaic.composition.bands import compose_bands
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.compose import AUTO, AUTO_FEATHER_PX, compose
+from geomosaic.composition.compose import AUTO, AUTO_FEATHER_PX, CompositionOptions, compose
 from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.plugins import BLENDS_GROUP
+from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.tones import Tones
+from geomosaic.composition.views import PosedFrames
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import RESAMPLING
@@ -75,54 +75,31 @@ class MosaicCompose(Stage):
         """Composes a COG into RUN/work, and reports to run.json what came out."""
         survey: Survey = inputs["survey"]
         adjusted: Adjusted = inputs["adjusted"]
-        ground = inputs["ground"]
         ownership: Ownership = inputs["ownership"]
-        grid = ownership.grid
+        feather_m = None if params.feather_m == "auto" else params.feather_m
+        options = CompositionOptions(
+            params.blend, feather_m, params.resampling, inputs.get("tones"), params.threads
+        )
 
-        def composing(
-            of: Survey,
-            poses: Poses,
-            cameras: Sequence[Camera],
-            use: Sequence[bool],
-            to: Path,
-            by: Path | None,
-        ) -> Mosaic:
-            return compose(
-                of,
-                poses,
-                cameras,
-                use,
-                ground,
-                grid,
-                to,
-                ownership=ownership,
-                blend=params.blend,
-                feather_m=None if params.feather_m == "auto" else params.feather_m,
-                resampling=params.resampling,
-                tones=tones,
-                sources_path=by,
-                threads=params.threads,
-                spread=context,
-                progress=lambda done, total: context.progress(done, total, "writing"),
-                check_cancelled=context.check_cancelled,
-            )
+        def composing(frames: PosedFrames, files: MosaicFiles) -> Mosaic:
+            return compose(frames, ownership, files, options, context)
 
-        tones: Tones | None = inputs.get("tones")
         rig = inputs.get("rig", RigPoses())
         if survey.other_bands and not rig.bands:
             text = f"only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
             context.warn("bands-left-out", "", text)
-        poses, cameras, used = adjusted.poses, adjusted.cameras, ownership.used.tolist()
-        with ExitStack() as files:
-            sources = files.enter_context(context.writing(SOURCES)) if params.sources else None
-            raster = files.enter_context(context.writing(RASTER))
+        used = ownership.used.tolist()
+        frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, inputs["ground"])
+        with ExitStack() as stack:
+            sources = stack.enter_context(context.writing(SOURCES)) if params.sources else None
+            files = MosaicFiles(stack.enter_context(context.writing(RASTER)), sources)
             if rig.bands:
-                folder = Path(files.enter_context(TemporaryDirectory(dir=context.work_folder)))
-                mosaic = compose_bands(composing, survey, poses, cameras, used, rig, folder, raster, sources)
+                folder = Path(stack.enter_context(TemporaryDirectory(dir=context.work_folder)))
+                mosaic = compose_bands(composing, frames, rig, folder, files)
             else:
-                mosaic = composing(survey, poses, cameras, used, raster, sources)
+                mosaic = composing(frames, files)
         mosaic = replace(mosaic, raster=RASTER)
-        self._report(context, grid, mosaic)
+        self._report(context, ownership.grid, mosaic)
         return {"mosaic": mosaic, "raster_file": context.run_file(RASTER)}
 
     @staticmethod

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from geomosaic.composition.estimate import before_composing, estimate
+from geomosaic.composition.estimate import FilledPixels, before_composing, estimate
 from geomosaic.composition.frames import decoded_bytes
 from geomosaic.composition.grid import output_grid, stretching
 from geomosaic.composition.views import seen_part
@@ -37,7 +37,8 @@ def mosaic_estimate(
         context.inform("no frame has a position: how large the mosaic will be only the images can show")
         return
     own_m = prior_placement.ground_pixel_m
-    gsd_m, origin_m = laid_pixel(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
+    pixels = laid_pixel(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
+    gsd_m = pixels.gsd_m
     seeing = Seeing(survey, prior_placement.poses, cameras, survey.located, prior_ground)
     limits = seeing.limits(seams.edges, max(gsd_m, own_m))
     extent = laid_extent(seams.aoi, survey.map_crs, seeing.views())
@@ -45,7 +46,7 @@ def mosaic_estimate(
     if limits is not None:
         well = seeing.views(limits)
         views = (well if extent.area is None else extent.area.seen_by(well)) or views
-    grid = output_grid(survey.map_crs, views, gsd_m, names, seams.max_gigapixels, origin_m)
+    grid = output_grid(pixels, views, names, seams.max_gigapixels)
     outlines = [seen_part(v.pose, v.camera, prior_ground, limits).points_m[:, :2] for v in views]
     seen = shapely.union_all([shapely.convex_hull(shapely.MultiPoint(o)) for o in outlines])
     seen_m2 = float(seen.area)
@@ -57,16 +58,17 @@ def mosaic_estimate(
     sizes_px = [(f.width_px, f.height_px) for f in survey.frames]
     before = before_composing(sizes_px, len(prior_placement.pairs), context.workers, memory)
     dense = in_recipe(context, surface_dense)
+    filled = FilledPixels(
+        min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
+        pixel_bytes,
+        compose.sources,
+        params_of(context, surface_dense).cell_px if dense else None,
+    )
     expected = estimate(
-        grid.width_px,
-        grid.height_px,
-        gsd_m,
-        filled_share=min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
-        pixel_bytes=pixel_bytes,
-        sources=compose.sources,
-        surface_cell_px=params_of(context, surface_dense).cell_px if dense else None,
-        before=before,
-        threads=context.workers,
+        grid,
+        filled,
+        before,
+        context.workers,
     )
     if (far := stretching(views, gsd_m)) is not None:
         view, share = far

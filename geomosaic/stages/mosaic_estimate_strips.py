@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from geomosaic.composition.estimate import estimate_scene
+from geomosaic.composition.estimate import FilledPixels, estimate_scene
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, Stage
 from geomosaic.stages.exports_of_strips import export_map
@@ -55,11 +55,12 @@ class MosaicEstimateStrips(Stage):
         }
         context.metric("strips", told)
         expected = estimate_scene(
-            width,
-            height,
-            filled_share=min(1.0, sum(geometry.lines) * geometry.width_px / (width * height)),
-            pixel_bytes=1 if geometry.bit_depth <= 8 else 2,
-            max_gigapixels=params_of(context, MosaicStrips).max_gigapixels,
+            (width, height),
+            FilledPixels(
+                min(1.0, sum(geometry.lines) * geometry.width_px / (width * height)),
+                1 if geometry.bit_depth <= 8 else 2,
+            ),
+            params_of(context, MosaicStrips).max_gigapixels,
             on_map=laid,
         )
         report_estimate(context, expected)

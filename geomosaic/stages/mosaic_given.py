@@ -6,7 +6,7 @@ from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.report.given import GivenMosaic, given_image
+from geomosaic.report.given import Decoding, GivenMosaic, given_image
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.small import Small, Spare
 
@@ -42,5 +42,5 @@ def mosaic_given(
     def spare(frame: Frame) -> Spare:
         return context.optional_cache(Small, frame.path)
 
-    image = given_image(survey, placement, prior_ground, params.longest_px, context.spooled, spare)
+    image = given_image(survey, placement, prior_ground, params.longest_px, Decoding(context.spooled, spare))
     return GivenMosaic(image)

@@ -9,16 +9,13 @@ from typing import Final, Literal
 
 import numpy as np
 
-from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
 from geomosaic.composition.alignment import read_alignment
 from geomosaic.composition.area import Area, Outline, area_seen, read_outline
 from geomosaic.composition.grid import auto_gsd_m
 from geomosaic.composition.limits import Limits, limits_of
-from geomosaic.composition.views import FrameView, frame_views
+from geomosaic.composition.model import MapPixels
+from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.projection.footprint import survey_pixel_m
-from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.model import Survey
 
 TRIM: Final = "trim"
 EDGES: Final = (TRIM, "keep")
@@ -44,27 +41,20 @@ def laid_extent(aoi: Path | None, crs: str, views: Sequence[FrameView]) -> Exten
 
 def laid_pixel(
     gsd_m: float | Literal["auto"], align_to: Path | None, crs: str, ground_pixel_m: float
-) -> tuple[float, tuple[float, float]]:
-    """The ground pixel, and a place on the map where four of them meet: the raster's, or the map's zero.
+) -> MapPixels:
+    """The mosaic's pixels: those of the raster, or from the map's zero on.
 
     Raises: as `read_alignment`; `InputError` where the raster is in another CRS.
     """
     if align_to is not None:
         alignment = read_alignment(align_to)
         alignment.check_crs(crs)
-        return alignment.gsd_m, alignment.origin_m
-    return (auto_gsd_m(ground_pixel_m) if gsd_m == "auto" else gsd_m), (0.0, 0.0)
+        return MapPixels(crs, alignment.gsd_m, alignment.origin_m)
+    return MapPixels(crs, auto_gsd_m(ground_pixel_m) if gsd_m == "auto" else gsd_m)
 
 
-@dataclass(frozen=True)
-class Seeing:
-    """The frames of a survey that may give pixels, where each lies, and on what ground."""
-
-    survey: Survey
-    poses: Poses
-    cameras: Sequence[Camera]
-    used: Sequence[bool]
-    ground: GroundSurface
+class Seeing(PosedFrames):
+    """Frames that may give pixels, and up to where they see well."""
 
     @property
     def pixel_m(self) -> float:
@@ -73,8 +63,7 @@ class Seeing:
 
     def views(self, limits: Limits | None = None) -> tuple[FrameView, ...]:
         """Of all that they see, or of what they see within limits."""
-        lies = self.survey.work_frame, self.survey.map_crs
-        return frame_views(*lies, self.poses, self.cameras, self.used, self.ground, limits)
+        return frame_views(self, self.survey.map_crs, limits)
 
     def limits(self, edges: str, pixel_m: float) -> Limits | None:
         """Up to where they see well, by the mosaic's pixel or the frames' own, the larger one; None where all

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.choice import agreement
 from geomosaic.composition.ortho_surface import ortho_surface
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.pipeline.stage import Context, Stage, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.dtm import TerrainModel
@@ -63,10 +63,9 @@ class MosaicGround(Stage):
         chosen = params.ortho
         if chosen == AUTO:
             used = [s != "rejected" for s in adjusted.status]
-            views = frame_views(
-                survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, grounds[1]
-            )
-            found = agreement(survey.frames, views, survey.work_frame, survey.map_crs, grounds, context)
+            frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, grounds[1])
+            views = frame_views(frames, survey.map_crs)
+            found = agreement(survey, views, grounds, context)
             chosen = ORTHOS[found.best]
             context.metric("ortho.disagreement", dict(zip(ORTHOS, found.disagreement, strict=True)))
             context.metric("ortho.squares", found.squares)

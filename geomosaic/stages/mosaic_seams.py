@@ -17,6 +17,7 @@ from geomosaic.composition.bands import with_all_bands
 from geomosaic.composition.grid import MAX_GIGAPIXELS, far_from_own, output_grid, without_flung
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.limits import Limits
+from geomosaic.composition.model import MapPixels
 from geomosaic.composition.occlusion import occluded_parts, occlusion_depth, side_px_of, with_occlusion
 from geomosaic.composition.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.composition.plugins import SEAMS_GROUP
@@ -142,21 +143,21 @@ class MosaicSeams(Stage):
         ground_pixel_m = inputs["placement"].ground_pixel_m
         if not any(survey.located):
             ground_pixel_m = frames.pixel_m
-        pixel = laid_pixel(params.gsd_m, params.align_to, survey.map_crs, ground_pixel_m)
-        if meaning := far_from_own(pixel[0], ground_pixel_m):
+        pixels = laid_pixel(params.gsd_m, params.align_to, survey.map_crs, ground_pixel_m)
+        if meaning := far_from_own(pixels.gsd_m, ground_pixel_m):
             own = f"the frames' own is {ground_pixel_m:.3g} m"
-            context.warn("gsd-far", "", f"the mosaic's pixel is {pixel[0]:.3g} m, {own}: {meaning}")
-        limits = frames.limits(params.edges, max(pixel[0], ground_pixel_m))
+            context.warn("gsd-far", "", f"the mosaic's pixel is {pixels.gsd_m:.3g} m, {own}: {meaning}")
+        limits = frames.limits(params.edges, max(pixels.gsd_m, ground_pixel_m))
         if limits is not None:
             frames = self._without_needless(frames, limits, adjusted, context)
-        laid = self._laid(frames, limits, pixel, params, inputs, context)
+        laid = self._laid(frames, limits, pixels, params, inputs, context)
         if laid is None:
             text = (
                 "no frame sees the area steeply and finely enough: the mosaic shows what oblique or "
                 "coarse views there are; expect distortion"
             )
             context.warn("edges-kept", "", text)
-            laid = self._laid(frames, None, pixel, params, inputs, context)
+            laid = self._laid(frames, None, pixels, params, inputs, context)
             assert laid is not None
         self._tell_left_out(context, frames, laid)
         if laid.extent.outline is not None and laid.extent.outline.corrected:
@@ -199,14 +200,14 @@ class MosaicSeams(Stage):
     def _laid(
         frames: Seeing,
         limits: Limits | None,
-        pixel: tuple[float, tuple[float, float]],
+        pixels: MapPixels,
         params: Params,
         inputs: Mapping[str, Any],
         context: Context,
     ) -> _Laid | None:
         """The scene whose grid holds what is kept; None where nothing is seen within the limits."""
         survey, names = frames.survey, [f.name for f in frames.survey.frames]
-        (gsd_m, origin_m), crs = pixel, survey.map_crs
+        gsd_m, crs = pixels.gsd_m, survey.map_crs
         extent = laid_extent(params.aoi, crs, frames.views())
         area, views, edges, well = extent.area, extent.views, None, frozenset[int]()
         if limits is not None:
@@ -224,7 +225,7 @@ class MosaicSeams(Stage):
                 names[view.frame],
                 f"the adjustment placed it {away}: left out of the mosaic; check its position",
             )
-        grid = output_grid(crs, views, gsd_m, names, params.max_gigapixels, origin_m)
+        grid = output_grid(pixels, views, names, params.max_gigapixels)
         scene = Scene(survey.work_frame, frames.ground, grid, views)
         if limits is not None:
             out = {view.frame for view in flung}
@@ -238,7 +239,7 @@ class MosaicSeams(Stage):
                 return None
             if not edges.lost.is_empty:
                 area, views = edges.area(area), edges.views(views, seeing)
-                grid = output_grid(crs, views, gsd_m, names, params.max_gigapixels, origin_m)
+                grid = output_grid(pixels, views, names, params.max_gigapixels)
                 scene = replace(scene, grid=grid, views=views)
         return _Laid(scene, extent, area, edges, frozenset(view.frame for view in flung), well)
 

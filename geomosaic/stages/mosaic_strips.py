@@ -16,10 +16,10 @@ from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.ccd.scene_rpc import SceneRpc, scene_rpc
 from geomosaic.ccd.virtual_layout import virtual_layout
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.estimate import estimate_scene
+from geomosaic.composition.estimate import FilledPixels, estimate_scene
 from geomosaic.composition.grid import MAX_GIGAPIXELS
 from geomosaic.composition.plugins import BLENDS_GROUP
-from geomosaic.composition.strip_compose import StripMosaic, compose_strips
+from geomosaic.composition.strip_compose import StripMosaic, StripOptions, StripScene, compose_strips
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
@@ -91,26 +91,16 @@ class MosaicStrips(Stage):
             layout = virtual_layout(geometry, space, params.ends)
         else:
             layout = image_space_layout(geometry, offsets, params.ends)
-        estimate_scene(
-            layout.width_px,
-            layout.height_px,
-            filled_share=1.0,
-            pixel_bytes=2,
-            max_gigapixels=params.max_gigapixels,
-        )
+        estimate_scene((layout.width_px, layout.height_px), FilledPixels(1.0, 2), params.max_gigapixels)
         rpc = scene_rpc(geometry, layout, space)
         with context.writing(RASTER) as path:
             mosaic = compose_strips(
-                geometry,
-                layout,
-                inputs["radiometry"],
+                StripScene(
+                    geometry, layout, inputs["radiometry"], None if rpc is None else rpc.rpc.metadata()
+                ),
                 path,
-                blend=params.blend,
-                resampling=params.resampling,
-                rpc=None if rpc is None else rpc.rpc.metadata(),
-                threads=params.threads,
-                progress=lambda done, total: context.progress(done, total, "lines"),
-                check_cancelled=context.check_cancelled,
+                StripOptions(params.blend, params.resampling, params.threads),
+                context,
             )
         if rpc is not None:
             with context.writing(RPC) as path:

@@ -12,6 +12,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.residual_pattern import residual_patterns
 from geomosaic.composition.model import Mosaic
 from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.views import PosedFrames
 from geomosaic.export.on_map import work_from_map
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.params import StageParams, param
@@ -88,17 +89,9 @@ class QualityVerdict(Stage):
         mosaic: Mosaic = inputs["mosaic"]
         ground: GroundSurface = inputs["ground"]
         chips = Chips(context, survey, inputs["ties"], adjusted)
-        seams = check_seams(
-            survey.frames,
-            adjusted.poses,
-            adjusted.cameras,
-            survey.work_frame,
-            ground,
-            mosaic.grid,
-            mosaic.seamlines,
-            context,
-            chips.look,
-        )
+        used = inputs["ownership"].used.tolist()
+        frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, ground)
+        seams = check_seams(frames, mosaic.grid, mosaic.seamlines, context, chips.look)
         image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
         land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, ground, adjusted.ground)
         required = _required(params, survey, adjusted, pixel_m)

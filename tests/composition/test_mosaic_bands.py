@@ -11,6 +11,7 @@ from test_mosaic_grid import given_for, seams
 
 from geomosaic.adjustment.procedure.rig import BandPose, RigPoses
 from geomosaic.composition.bands import other_bands
+from geomosaic.composition.views import PosedFrames
 from geomosaic.survey.model import Band
 
 
@@ -23,5 +24,7 @@ def test_a_capture_that_lacks_a_file_gives_no_pixels(tmp_path: Path) -> None:
     owned, _ = seams(tmp_path / "run", {**given, "survey": rigged})
     assert owned.used.tolist() == [True, False, True] and not (owned.owner == 2).any()
     pose = BandPose("NIR", nir.camera, np.eye(3), 9, 0.5, 0.1)
-    (band,) = other_bands(rigged, given["adjusted"].poses, owned.used.tolist(), RigPoses((pose,)))
+    adjusted = given["adjusted"]
+    frames = PosedFrames(rigged, adjusted.poses, adjusted.cameras, owned.used.tolist(), given["ground"])
+    (band,) = other_bands(frames, RigPoses((pose,)))
     assert band.used == (True, False, True) and {f.camera for f in band.survey.frames} == {"nir"}

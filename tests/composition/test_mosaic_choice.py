@@ -10,7 +10,7 @@ import pytest
 from mosaic_scenes import CAMERA, make_survey
 
 from geomosaic.composition.choice import Agreement, agreement
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import AtOnce
 
@@ -32,17 +32,16 @@ def test_frames_agree_on_the_ground_that_they_saw_and_only_where_grounds_differ(
     for name, true_m, best in (("stands", 8.0, 0), ("flat", 0.0, 1)):
         survey, poses, ground = make_survey(tmp_path / name, ground=hall(true_m), camera=CAMERA_WIDE)
         n = len(poses)
-        views = frame_views(
-            survey.work_frame, survey.map_crs, poses, [CAMERA_WIDE] * n, [True] * n, hall(0.0)
-        )
+        frames = PosedFrames(survey, poses, [CAMERA_WIDE] * n, [True] * n, hall(0.0))
+        views = frame_views(frames, survey.map_crs)
         grounds = hall(8.0), hall(0.0)
-        found = agreement(survey.frames, views, survey.work_frame, survey.map_crs, grounds, AtOnce())
+        found = agreement(survey, views, grounds, AtOnce())
         assert found.squares > 20 and found.places > 3
         assert found.best == best, found
         assert found.disagreement[best] < 0.05 < found.disagreement[1 - best]
         if name == "stands":
             assert found.disagreement[best] < 0.001, "what the hall hides is not asked"
-        alike = agreement(survey.frames, views, survey.work_frame, survey.map_crs, (ground, ground), AtOnce())
+        alike = agreement(survey, views, (ground, ground), AtOnce())
         assert (alike.squares, alike.places, alike.best) == (0, 0, 0)
 
 

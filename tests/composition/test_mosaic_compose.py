@@ -18,12 +18,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mosaic_scenes import CAMERA, CRS, GSD_M, hills, make_survey, paint, truth, truth_of, with_mask
 
-from geomosaic.composition import blended, pyramid, raster
+from geomosaic.composition import blended, pyramid, raster, tiles
 from geomosaic.composition import compose as compose_module
-from geomosaic.composition.compose import compose
+from geomosaic.composition.compose import CompositionOptions, compose
 from geomosaic.composition.grid import auto_gsd_m, far_from_own, output_grid
-from geomosaic.composition.model import OutputGrid
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.model import MapPixels, OutputGrid
+from geomosaic.composition.ownership import by_nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
+from geomosaic.composition.spread import InProcessSpooler
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.errors import CancelledError, FileError, InputError, UnknownNameError
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.executor import Workers
@@ -32,19 +35,23 @@ from geomosaic.pipeline.executor import Workers
 def composed(folder: Path, survey, poses, ground, used=None, **options):
     used = used or [True] * len(poses)
     cameras = [survey.camera_of(i) for i in range(len(poses))]
-    views = frame_views(survey.work_frame, CRS, poses, cameras, used, ground)
-    grid = options.pop("grid", None) or output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
-    raster = folder / "mosaic.tif"
-    options.setdefault("feather_m", 3.0)
-    mosaic = compose(survey, poses, cameras, used, ground, grid, raster, **options)
-    with rasterio.open(raster) as tiff:
+    frames = PosedFrames(survey, poses, cameras, used, ground)
+    views = frame_views(frames, CRS)
+    grid = options.pop("grid", None) or output_grid(
+        MapPixels(CRS, GSD_M), views, [f.name for f in survey.frames]
+    )
+    files = MosaicFiles(folder / "mosaic.tif", options.pop("sources_path", None))
+    spread = options.pop("spread", None)
+    how = CompositionOptions(**{"feather_m": 3.0, **options})
+    mosaic = compose(frames, by_nearest_nadir(frames, grid), files, how, spread)
+    with rasterio.open(files.raster) as tiff:
         return mosaic, np.moveaxis(tiff.read(), 0, -1), tiff.dataset_mask() > 0
 
 
 def small_tiles(monkeypatch: pytest.MonkeyPatch, side_px: int) -> None:
     """Many windows of a small mosaic: each is a tile."""
     monkeypatch.setattr(compose_module, "WINDOW_PX", side_px)
-    for module in (blended, pyramid, raster):
+    for module in (blended, pyramid, raster, tiles):
         monkeypatch.setattr(module, "TILE_PX", side_px)
 
 
@@ -111,13 +118,15 @@ def test_a_composition_that_was_stopped_brings_no_frame_onto_the_grid_twice(tmp_
     (tmp_path / "plain").mkdir()
     composed(tmp_path / "plain", survey, poses, ground)
 
-    def stop(done: int, total: int) -> None:
-        raise CancelledError
+    class Stopped(Context):
+        def progress(self, done: int, total: int, text: str = "") -> None:
+            if text == "writing":
+                raise CancelledError
 
     with Workers(2) as team:
-        context = Context(tmp_path / "run", stage_id="mosaic.compose", key="one", workers=team)
+        context = Stopped(tmp_path / "run", stage_id="mosaic.compose", key="one", workers=team)
         with pytest.raises(CancelledError):
-            composed(tmp_path, survey, poses, ground, spread=context, progress=stop)
+            composed(tmp_path, survey, poses, ground, spread=context)
     for frame in survey.frames:
         Path(frame.path).write_bytes(b"gone")
     context = Context(tmp_path / "run", stage_id="mosaic.compose", key="one")
@@ -196,7 +205,7 @@ def test_holes_are_counted_and_listed(tmp_path):
     mosaic, _, valid = composed(tmp_path, with_mask(survey, 0, mask), poses, ground)
     assert (mosaic.holes.number, len(mosaic.holes.largest)) == (1, 1)
     hole = mosaic.holes.largest[0]
-    views = frame_views(survey.work_frame, CRS, poses, [CAMERA], [True], ground)
+    views = frame_views(PosedFrames(survey, poses, [CAMERA], [True], ground), CRS)
     assert hole.area_m2 == mosaic.holes.area_m2 == pytest.approx(75 * 55 * views[0].gsd_m ** 2, rel=0.1)
     grid = mosaic.grid
     col, row = (hole.easting_m - grid.west_m) / GSD_M, (grid.north_m - hole.northing_m) / GSD_M
@@ -244,17 +253,23 @@ def test_progress_runs_to_its_end_and_cancel_stops(tmp_path, monkeypatch):
     small_tiles(monkeypatch, 64)
     survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=2)
     seen: list[tuple[int, int]] = []
-    composed(tmp_path, survey, poses, ground, progress=lambda d, t: seen.append((d, t)))
+
+    class Counting(InProcessSpooler):
+        def progress(self, done: int, total: int, text: str = "") -> None:
+            seen.append((done, total))
+
+    composed(tmp_path, survey, poses, ground, spread=Counting())
     assert [d for d, _ in seen] == list(range(1, seen[-1][1] + 1))
 
     before = set(threading.enumerate())
 
-    def stop() -> None:
-        if set(threading.enumerate()) - before:
-            raise CancelledError
+    class Stopped(InProcessSpooler):
+        def check_cancelled(self) -> None:
+            if set(threading.enumerate()) - before:
+                raise CancelledError
 
     with pytest.raises(CancelledError):
-        composed(tmp_path, survey, poses, ground, check_cancelled=stop)
+        composed(tmp_path, survey, poses, ground, spread=Stopped())
     assert not set(threading.enumerate()) - before
 
 
@@ -279,14 +294,14 @@ def test_a_wild_position_is_named_before_anything_is_written(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames")
     wild = replace(poses, positions_m=poses.positions_m + np.eye(6, 3, k=-4) * [40_000.0, 0.0, 0.0])
     assert wild.positions_m[4, 0] > 30_000
-    views = frame_views(survey.work_frame, CRS, wild, [CAMERA] * 6, [True] * 6, ground)
+    views = frame_views(PosedFrames(survey, wild, [CAMERA] * 6, [True] * 6, ground), CRS)
     with pytest.raises(
         InputError, match=r"40\.\d x \d\.\d km, .* without frame frame 04.tif: it reaches 40\.0 km"
     ):
-        output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
-    sane = frame_views(survey.work_frame, CRS, poses, [CAMERA] * 6, [True] * 6, ground)
+        output_grid(MapPixels(CRS, GSD_M), views, [f.name for f in survey.frames])
+    sane = frame_views(PosedFrames(survey, poses, [CAMERA] * 6, [True] * 6, ground), CRS)
     with pytest.raises(InputError, match="too fine"):
-        output_grid(CRS, sane, 0.001, [f.name for f in survey.frames])
+        output_grid(MapPixels(CRS, 0.001), sane, [f.name for f in survey.frames])
 
 
 @pytest.mark.parametrize(
@@ -310,8 +325,8 @@ def test_a_ground_pixel_far_from_the_frames_own_is_told() -> None:
 
 def test_the_grid_holds_whole_multiples_of_the_ground_pixel(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=1)
-    views = frame_views(survey.work_frame, CRS, poses, [CAMERA], [True], ground)
-    grid = output_grid(CRS, views, 0.2, ["a"])
+    views = frame_views(PosedFrames(survey, poses, [CAMERA], [True], ground), CRS)
+    grid = output_grid(MapPixels(CRS, 0.2), views, ["a"])
     assert (grid.west_m / 0.2) == pytest.approx(round(grid.west_m / 0.2), abs=1e-6)
     assert (grid.north_m / 0.2) == pytest.approx(round(grid.north_m / 0.2), abs=1e-6)
     west, south, east, north = views[0].bounds_m
@@ -337,10 +352,11 @@ def test_memory_does_not_grow_with_the_mosaic(tmp_path):
 
 def composed_only(folder: Path, survey, poses, ground) -> None:
     cameras, used = [CAMERA] * len(poses), [True] * len(poses)
-    views = frame_views(survey.work_frame, CRS, poses, cameras, used, ground)
-    grid = output_grid(CRS, views, GSD_M / 4, [f.name for f in survey.frames])
+    frames = PosedFrames(survey, poses, cameras, used, ground)
+    views = frame_views(frames, CRS)
+    grid = output_grid(MapPixels(CRS, GSD_M / 4), views, [f.name for f in survey.frames])
     spread = Context(folder / "run", stage_id="mosaic.compose", key=str(len(poses)))
-    compose(survey, poses, cameras, used, ground, grid, folder / "m.tif", spread=spread)
+    compose(frames, by_nearest_nadir(frames, grid), MosaicFiles(folder / "m.tif"), spread=spread)
 
 
 FULL_DISK = """

@@ -28,7 +28,9 @@ from geomosaic.composition.compose import compose
 from geomosaic.composition.frames import Decoded
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
-from geomosaic.composition.views import FrameView
+from geomosaic.composition.raster import MosaicFiles
+from geomosaic.composition.spread import InProcessSpooler
+from geomosaic.composition.views import FrameView, PosedFrames
 from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -168,10 +170,15 @@ def test_windows_at_an_areas_edge_are_cut_to_the_pixel(tmp_path: Path, flown: An
     ring = [(w, s), (e, s), (e, s + 8.0), (w + 6.0, s + 8.0), (w + 6.0, n), (w, n)]
     aoi = polygons(tmp_path / "area.gpkg", CRS, [ring])
     owned, _ = seams(tmp_path, given, aoi=aoi, gsd_m=0.02)
-    told = given["survey"], given["adjusted"].poses, [CAMERA] * 6, [True] * 6, given["ground"], owned.grid
+    frames = PosedFrames(given["survey"], given["adjusted"].poses, [CAMERA] * 6, [True] * 6, given["ground"])
     asked: list[int] = []
+
+    class Counting(InProcessSpooler):
+        def progress(self, done: int, total: int, text: str = "") -> None:
+            asked.append(total)
+
     for name, of in (("cut", owned), ("all", replace(owned, area=None))):
-        compose(*told, tmp_path / f"{name}.tif", ownership=of, progress=lambda _, total: asked.append(total))
+        compose(frames, of, MosaicFiles(tmp_path / f"{name}.tif"), spread=Counting())
     assert asked[0] == 12 and asked[-1] == 20, "windows of 512 px"
     with rasterio.open(tmp_path / "cut.tif") as cut, rasterio.open(tmp_path / "all.tif") as every:
         east = owned.grid.west_m + (np.arange(cut.width) + 0.5) * 0.02

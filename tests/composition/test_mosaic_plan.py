@@ -17,16 +17,17 @@ from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.grid import output_grid
-from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.ownership import Ownership, nearest_nadir, owned_cells
 from geomosaic.composition.plan import Planned, Planning, windows
 from geomosaic.composition.scene import CELL_PX, Scene, ground_of, margin_px
-from geomosaic.composition.views import FrameView, frame_views
+from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.visibility import FrameOnMap, cells_in_view
 from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import frame_from_map
+from geomosaic.survey.model import Survey
 
 GSD_M, REACH_PX, OWNER_CELL_PX = 0.06, 60.0, 8
 
@@ -47,8 +48,8 @@ def test_a_window_of_the_asked_cells_alone_is_that_of_all_frames_whole(tmp_path:
     """Frames of several brightnesses, so that a pixel whose neighbours are missing shows it."""
     survey, poses, ground = make_survey(tmp_path, gains=(0.5, 0.9, 0.7, 0.95, 0.6, 0.8))
     used = [True] * len(poses)
-    views = frame_views(survey.work_frame, survey.map_crs, poses, [CAMERA] * len(poses), used, ground)
-    grid = output_grid(survey.map_crs, views, GSD_M, [f.name for f in survey.frames])
+    views = frame_views(PosedFrames(survey, poses, [CAMERA] * len(poses), used, ground), survey.map_crs)
+    grid = output_grid(MapPixels(survey.map_crs, GSD_M), views, [f.name for f in survey.frames])
     scene = Scene(survey.work_frame, ground, grid, views)
     ownership = nearest_nadir(scene, used, OWNER_CELL_PX)[0]
     halo_px = BLENDS[blend].halo_px(REACH_PX)
@@ -147,9 +148,10 @@ def test_cells_are_known_whatever_the_ground_and_the_tilt(spacing_m: float) -> N
     turned = Rotation.from_yaw_pitch_roll(0.6, 0.3, -0.2).matrix
     poses = Poses(np.array([[0.0, 0.0, 160.0]]), turned[None], np.zeros((1, 3)), np.zeros((1, 3)))
     camera = Camera("c", 1600, 1200, 1600.0, 790.0, 610.0)
-    views = frame_views(LocalFrame(9.0, 48.0, 500.0), "EPSG:32632", poses, [camera], [True], ground)
-    grid = output_grid("EPSG:32632", views, 0.1, ["c"])
-    scene = Scene(LocalFrame(9.0, 48.0, 500.0), ground, grid, views)
+    survey = Survey((), (camera,), LocalFrame(9.0, 48.0, 500.0), "EPSG:32632")
+    views = frame_views(PosedFrames(survey, poses, [camera], [True], ground), "EPSG:32632")
+    grid = output_grid(MapPixels("EPSG:32632", 0.1), views, ["c"])
+    scene = Scene(survey.work_frame, ground, grid, views)
     seen = cells_in_view(scene, views[0])
     down, across = seen.somewhere.shape
     window = Window(seen.col * CELL_PX, seen.row * CELL_PX, across * CELL_PX, down * CELL_PX)

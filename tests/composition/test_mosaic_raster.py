@@ -19,8 +19,9 @@ from geomosaic.composition import cog_layout
 from geomosaic.composition.blended import Blended, BlendedBlock, place_over
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.plan import windows as along_the_curve
-from geomosaic.composition.pyramid import TILE_PX, RasterPyramid, TileKind, halved
-from geomosaic.composition.raster import index_kind, writing_mosaic, writing_scene
+from geomosaic.composition.pyramid import RasterPyramid
+from geomosaic.composition.raster import MosaicFiles, index_kind, writing_mosaic, writing_scene
+from geomosaic.composition.tiles import TILE_PX, TileKind, halved
 from geomosaic.composition.window import Composed, Window
 from geomosaic.export.cog import write_cog
 
@@ -54,9 +55,9 @@ def of(window: Window, pixels: np.ndarray, valid: np.ndarray) -> Composed:
 
 
 def written(path: Path, pixels: np.ndarray, valid: np.ndarray, step: int = TILE_PX, threads: int = 1) -> Path:
-    bands, dtype = pixels.shape[2], str(pixels.dtype)
+    files, kind = MosaicFiles(path, path.with_suffix(".sources")), TileKind(pixels.shape[2], pixels.dtype)
     with (
-        writing_mosaic(path, GRID, bands, dtype, path.with_suffix(".sources"), ["a", "b"]) as raster,
+        writing_mosaic(files, GRID, kind, ["a", "b"]) as raster,
         ThreadPoolExecutor(threads) as pool,
     ):
         list(
@@ -118,7 +119,8 @@ def test_tiles_made_elsewhere_are_the_same_bytes(tmp_path: Path, width: int, hei
     kind, index = TileKind(3, np.dtype("uint8")), index_kind(2)
     paths = [tmp_path / f"{name}.tif" for name in ("whole", "blocks")]
     whole, blocks = (
-        writing_mosaic(path, grid, 3, "uint8", path.with_suffix(".sources"), ["a", "b"]) for path in paths
+        writing_mosaic(MosaicFiles(path, path.with_suffix(".sources")), grid, kind, ["a", "b"])
+        for path in paths
     )
     tiles = along_the_curve(grid, TILE_PX)
     with whole as raster:
@@ -178,10 +180,10 @@ def test_what_is_left_out_or_never_comes_is_empty(tmp_path: Path) -> None:
     pixels, valid = image(1, "uint8")
     with TemporaryFile(dir=tmp_path) as tiles:
         pyramid = RasterPyramid(WIDTH, HEIGHT, TileKind(1, np.dtype("uint8")), tiles, overviews=True)
-        pyramid.add_nothing(0, 0, 1024, 512)
-        pyramid.add_nothing(0, 512, 1024, 100)
+        pyramid.add_nothing(Window(0, 0, 1024, 512))
+        pyramid.add_nothing(Window(0, 512, 1024, 100))
         before = tiles.tell()
-        pyramid.add(0, 612, pixels[612:1024, :1024], valid[612:1024, :1024])
+        pyramid.add(Window(0, 612, 1024, 412), pixels[612:1024, :1024], valid[612:1024, :1024])
         assert tiles.tell() > before and not pyramid.levels[0].places[0].any()
         assert pyramid.levels[1].places[0, 0, 1] > 0, "the overview's tile needed no more"
         pyramid.finish()
@@ -197,7 +199,7 @@ def test_along_the_curve_no_more_than_a_tile_a_level_is_in_hand(tmp_path: Path) 
         most = 0
         for window in along_the_curve(grid, TILE_PX):
             shape = window.height, window.width
-            pyramid.add(window.col, window.row, np.ones((*shape, 1), np.uint8), np.ones(shape, bool))
+            pyramid.add(window, np.ones((*shape, 1), np.uint8), np.ones(shape, bool))
             most = max(most, pyramid.in_hand)
         assert most == len(pyramid.levels) - 1
         assert pyramid.in_hand == 0, "the last window finishes all"
@@ -240,7 +242,7 @@ def test_a_scene_keeps_its_bits_and_its_rpc(tmp_path: Path) -> None:
     rpc |= {
         f"{axis}_{part}_COEFF": " ".join(["1"] + ["0"] * 19) for axis in axes[:2] for part in ("NUM", "DEN")
     }
-    with writing_scene(tmp_path / "a.tif", WIDTH, HEIGHT, "uint16", 10, rpc) as raster:
+    with writing_scene(tmp_path / "a.tif", (WIDTH, HEIGHT), "uint16", 10, rpc) as raster:
         for window in windows(700):
             raster.write(of(window, pixels, valid))
     write_cog(tmp_path / "a.tif", tmp_path / "cog.tif")

@@ -19,17 +19,18 @@ from mosaic_scenes import CRS, GSD_M, make_survey
 from geomosaic.camera.interior import Camera
 from geomosaic.composition import seam_cut
 from geomosaic.composition.blends import BLENDS, Blend, Piece
-from geomosaic.composition.compose import compose
+from geomosaic.composition.compose import CompositionOptions, compose
 from geomosaic.composition.grid import output_grid
-from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.ownership import Ownership, cell_px_of, frame_cells, nearest_nadir
 from geomosaic.composition.plan import windows
 from geomosaic.composition.plugins import BLENDS_GROUP, Named
+from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.seam_cut import Shared, cut_pair, cut_seams
 from geomosaic.composition.seam_figures import seam_figures
 from geomosaic.composition.seam_parts import Glimpse, SeamPart, bands, giving, glimpsed
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.window import Window
 from geomosaic.errors import PluginError
 from geomosaic.projection.ground import GroundSurface
@@ -122,8 +123,8 @@ def test_a_blend_looks_no_farther_than_its_halo(name: str, seed: int) -> None:
 def scene_of(folder: Path, **options) -> tuple:  # type: ignore[no-untyped-def,type-arg]
     survey, poses, ground = make_survey(folder, **options)
     cameras = [survey.camera_of(i) for i in range(len(poses))]
-    views = frame_views(survey.work_frame, CRS, poses, cameras, [True] * len(poses), ground)
-    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
+    views = frame_views(PosedFrames(survey, poses, cameras, [True] * len(poses), ground), CRS)
+    grid = output_grid(MapPixels(CRS, GSD_M), views, [f.name for f in survey.frames])
     return survey, poses, cameras, ground, Scene(survey.work_frame, ground, grid, views)
 
 
@@ -257,15 +258,13 @@ def test_places_between_cells_that_are_exact(tmp_path: Path) -> None:
 
 def test_the_mosaic_is_made_as_it_is_owned(tmp_path: Path) -> None:
     survey, poses, cameras, ground, scene = scene_of(tmp_path / "frames", lines=1, per_line=2)
+    frames = PosedFrames(survey, poses, cameras, [True] * 2, ground)
     nearest, _ = nearest_nadir(scene, [True] * 2, 8)
     swapped = replace(nearest, owner=np.where(nearest.owner > 0, 2, 0).astype(np.int32))
     sources = tmp_path / "sources.tif"
     for ownership, share in ((nearest, (0.35, 0.65)), (swapped, (0.0, 0.4))):
         raster = tmp_path / "mosaic.tif"
-        compose(
-            survey, poses, cameras, [True] * 2, ground, scene.grid, raster, ownership=ownership,
-            blend="hard", sources_path=sources,
-        )  # fmt: skip
+        compose(frames, ownership, MosaicFiles(raster, sources), CompositionOptions("hard"))
         with rasterio.open(sources) as tiff:
             index = tiff.read(1)
         first = (index == 1).sum() / (index > 0).sum()

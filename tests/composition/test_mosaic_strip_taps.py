@@ -9,7 +9,7 @@ import pytest
 from geomosaic.ccd.layout import StripLookup
 from geomosaic.composition.strip_lines import LineBlock
 from geomosaic.composition.strip_taps import between
-from geomosaic.composition.strip_window import part_of_strip
+from geomosaic.composition.strip_window import StripBlock, part_of_strip
 from geomosaic.projection.resample import RESAMPLING
 
 IMAGE = np.random.default_rng(5).uniform(100.0, 900.0, (60, 150)).astype(np.float32)
@@ -69,11 +69,11 @@ def sloping(knots, rows):
 def test_a_pixel_is_the_same_in_whatever_part():
     places = sloping(np.array([10.0, 30.0, 140.0, 160.0]), 40)
     lines = LineBlock(0, IMAGE, None)
-    whole = part_of_strip(lines, 60, places, (0, 0, 40), (10, 160), "lanczos")
+    whole = part_of_strip(StripBlock(0, places, lines), 60, (0, 40), (10, 160), "lanczos")
     assert whole.valid.any()
     assert not whole.valid.all()
     for first, last in ((10, 47), (47, 48), (48, 160)):
-        part = part_of_strip(lines, 60, places, (0, 0, 40), (first, last), "lanczos")
+        part = part_of_strip(StripBlock(0, places, lines), 60, (0, 40), (first, last), "lanczos")
         np.testing.assert_array_equal(part.valid, whole.valid[:, first - 10 : last - 10])
         mine = part.valid, whole.valid[:, first - 10 : last - 10]
         np.testing.assert_allclose(
@@ -89,6 +89,6 @@ def test_sloping_places_are_within_half_of_a_32nd_of_a_pixel():
     for axis, size in ((0, 150), (1, 60)):
         ramp = np.arange(size, dtype=np.float32) if axis == 0 else np.arange(size, dtype=np.float32)[:, None]
         lines = LineBlock(0, np.broadcast_to(ramp, (60, 150)), None)
-        part = part_of_strip(lines, 60, places, (0, 0, 40), (12, 158), "lanczos")
+        part = part_of_strip(StripBlock(0, places, lines), 60, (0, 40), (12, 158), "lanczos")
         inside = part.valid & (truth[0] > 6) & (truth[0] < 144) & (truth[1] > 6) & (truth[1] < 54)
         assert np.abs(part.pixels + 0.5 - truth[axis])[inside].max() < 1.0 / 64.0 + 0.004

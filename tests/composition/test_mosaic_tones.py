@@ -16,7 +16,7 @@ from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, evened, lattice, sampled, solve_tones
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context
 from geomosaic.stages.mosaic_tones import mosaic_tones
@@ -158,7 +158,7 @@ def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
     gains = [1.0, 0.8, 0.9, 0.7, 1.0, 0.85]
     survey, poses, ground = make_survey(tmp_path, dtype="uint16", gains=gains)
     cameras = [survey.camera_of(i) for i in range(6)]
-    views = frame_views(survey.work_frame, CRS, poses, cameras, [True] * 6, ground)
+    views = frame_views(PosedFrames(survey, poses, cameras, [True] * 6, ground), CRS)
     places = lattice(views, CRS, survey.work_frame, ground)
     values = np.full((len(places.frame), survey.frames[0].bands), np.nan, np.float32)
     for i, frame in enumerate(survey.frames):

@@ -19,8 +19,9 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.composition.compose import compose
 from geomosaic.composition.limits import Limits
+from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.trim import REASONS, looked_at, slivers, whole_of
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.projection.footprint import sightings, survey_pixel_m
 from geomosaic.projection.ground import flat_ground
 
@@ -126,10 +127,8 @@ def test_pixels_end_where_the_mosaic_does(tmp_path: Path, flown: dict[str, Any])
     given = turned(flown, {3: 62.0})
     owned, _ = seams(tmp_path, given)
     survey, adjusted, raster = given["survey"], given["adjusted"], tmp_path / "mosaic.tif"
-    made = compose(
-        survey, adjusted.poses, adjusted.cameras, owned.used.tolist(), given["ground"], owned.grid, raster,
-        ownership=owned,
-    )  # fmt: skip
+    frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, owned.used.tolist(), given["ground"])
+    made = compose(frames, owned, MosaicFiles(raster))
     with rasterio.open(raster) as image:
         valid = image.dataset_mask() > 0
     assert valid.any() and not (valid & ~owned.area.mask(owned.grid, whole_of(owned.grid))).any()
@@ -149,9 +148,8 @@ def test_bounds_are_those_of_what_is_seen_well(flown: dict[str, Any]) -> None:
     survey, adjusted = given["survey"], given["adjusted"]
     limits = Limits(np.tan(np.radians(60.0)), 1.0)
     used = [True] + [False] * 7
-    (view,) = frame_views(
-        survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, used, given["ground"], limits
-    )
+    frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, given["ground"])
+    (view,) = frame_views(frames, survey.map_crs, limits)
     reach_m = view.bounds_m[3] - view.nadir_m[1]
     assert reach_m == pytest.approx(50.0 * np.tan(np.radians(60.0)), rel=0.06)
 

@@ -15,7 +15,7 @@ from mosaic_scenes import CAMERA, make_survey, truth
 from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
 from geomosaic.composition.hidden import Clear, Hidden
-from geomosaic.composition.model import OutputGrid
+from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.occlusion import (
     OcclusionDepth,
     occluded,
@@ -25,8 +25,9 @@ from geomosaic.composition.occlusion import (
     with_occlusion,
 )
 from geomosaic.composition.ownership import nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.scene import Scene
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.window import Window
 from geomosaic.projection.ground import GroundSurface
 
@@ -111,8 +112,9 @@ def composed(folder: Path, shade: bool) -> tuple[np.ndarray, np.ndarray, float]:
     camera = replace(camera, principal_row_px=109.0)
     survey, poses, _ = make_survey(folder, ground=ground, lines=2, per_line=3, camera=camera)
     n = len(poses)
-    views = frame_views(survey.work_frame, survey.map_crs, poses, [camera] * n, [True] * n, ground)
-    grid = output_grid(survey.map_crs, views, GSD_M, [f.name for f in survey.frames])
+    frames = PosedFrames(survey, poses, [camera] * n, [True] * n, ground)
+    views = frame_views(frames, survey.map_crs)
+    grid = output_grid(MapPixels(survey.map_crs, GSD_M), views, [f.name for f in survey.frames])
     scene, hidden, share = Scene(survey.work_frame, ground, grid, views), (), 0.0
     if shade:
         hidden, unseen = occluded_parts(
@@ -122,7 +124,7 @@ def composed(folder: Path, shade: bool) -> tuple[np.ndarray, np.ndarray, float]:
         scene = replace(scene, views=with_occlusion(views, hidden))
     ownership = replace(nearest_nadir(scene, [True] * n, 8)[0], hidden=hidden)
     target = folder / "mosaic.tif"
-    compose(survey, poses, [camera] * n, [True] * n, ground, grid, target, ownership=ownership)
+    compose(frames, ownership, MosaicFiles(target))
     with rasterio.open(target) as tiff:
         found, valid = np.moveaxis(tiff.read(), 0, -1).astype(float), tiff.dataset_mask() > 0
     col, row = np.meshgrid(np.arange(grid.width_px) + 0.5, np.arange(grid.height_px) + 0.5)

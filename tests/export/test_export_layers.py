@@ -23,7 +23,10 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.model import MapPixels
+from geomosaic.composition.ownership import by_nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.export import residual_layers
 from geomosaic.export.geopackage import writing_geopackage
 from geomosaic.export.layers import write_layers
@@ -130,9 +133,10 @@ def package(tmp_path_factory):
     """A GeoPackage of six frames, two tied pairs whose residual is 0.3 m east, 0.4 m south."""
     folder = tmp_path_factory.mktemp("layers")
     survey, poses, ground = make_survey(folder / "frames")
-    views = frame_views(HOME, CRS, poses, [CAMERA] * 6, [True] * 6, ground)
-    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
-    mosaic = compose(survey, poses, [CAMERA] * 6, [True] * 6, ground, grid, folder / "raw.tif")
+    frames = PosedFrames(survey, poses, [CAMERA] * 6, [True] * 6, ground)
+    views = frame_views(frames, CRS)
+    grid = output_grid(MapPixels(CRS, GSD_M), views, [f.name for f in survey.frames])
+    mosaic = compose(frames, by_nearest_nadir(frames, grid), MosaicFiles(folder / "raw.tif"))
     pixels = np.array([[50.5, 60.5], [120.25, 90.75], [200.0, 20.0]])
     number = np.arange(3, dtype=np.int32)
     pairs = tuple(TiePair(a, b, pixels, pixels + 7.0, number, number) for a, b in ((0, 1), (2, 5)))

@@ -18,8 +18,10 @@ from geomosaic.adjustment.procedure.residual_pattern import CELLS, residual_patt
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
-from geomosaic.composition.model import Mosaic
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.model import MapPixels, Mosaic
+from geomosaic.composition.ownership import by_nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement
 from geomosaic.quality.criteria import CRITERIA
@@ -43,10 +45,11 @@ def composed(folder: Path, moved_m: tuple[float, float] = (0.0, 0.0)) -> tuple[S
     poses = replace(poses, positions_m=poses.positions_m + off)
     cameras = [survey.camera_of(i) for i in range(len(poses))]
     used = [True] * len(poses)
-    views = frame_views(HOME, CRS, poses, cameras, used, ground)
-    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
-    mosaic = compose(survey, poses, cameras, used, ground, grid, folder / "mosaic.tif")
-    seams = check_seams(survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines)
+    frames = PosedFrames(survey, poses, cameras, used, ground)
+    views = frame_views(frames, CRS)
+    grid = output_grid(MapPixels(CRS, GSD_M), views, [f.name for f in survey.frames])
+    mosaic = compose(frames, by_nearest_nadir(frames, grid), MosaicFiles(folder / "mosaic.tif"))
+    seams = check_seams(frames, grid, mosaic.seamlines)
     return seams, mosaic
 
 
@@ -62,9 +65,10 @@ def test_each_frame_is_decoded_once(tmp_path: Path) -> None:
     """However many places it shows, and whoever does the work."""
     survey, poses, ground = make_survey(tmp_path / "frames")
     cameras = [survey.camera_of(i) for i in range(len(poses))]
-    views = frame_views(HOME, CRS, poses, cameras, [True] * len(poses), ground)
-    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
-    mosaic = compose(survey, poses, cameras, [True] * 6, ground, grid, tmp_path / "mosaic.tif")
+    frames = PosedFrames(survey, poses, cameras, [True] * len(poses), ground)
+    views = frame_views(frames, CRS)
+    grid = output_grid(MapPixels(CRS, GSD_M), views, [f.name for f in survey.frames])
+    mosaic = compose(frames, by_nearest_nadir(frames, grid), MosaicFiles(tmp_path / "mosaic.tif"))
     given: dict[str, list[Any]] = {}
 
     class Backwards(AtOnce):
@@ -72,7 +76,7 @@ def test_each_frame_is_decoded_once(tmp_path: Path) -> None:
             given[name] = list(items)
             return super().map(name, function, items[::-1], keys[::-1])[::-1]
 
-    at = survey.frames, poses, cameras, HOME, ground, grid, mosaic.seamlines
+    at = frames, grid, mosaic.seamlines
     seams = check_seams(*at, Backwards())
     decoded = [job.frame.name for job in given["seams"]]
     assert len(decoded) == len(set(decoded)) and len(seams.left) > len(decoded) / 2

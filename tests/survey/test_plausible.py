@@ -23,8 +23,9 @@ from survey_files import dji_xmp, exif_block, gps, image, write_jpeg
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
-from geomosaic.composition.estimate import estimate_scene
+from geomosaic.composition.estimate import FilledPixels, estimate_scene
 from geomosaic.composition.grid import output_grid, stretching, without_flung
+from geomosaic.composition.model import MapPixels
 from geomosaic.composition.views import FrameView
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
@@ -204,15 +205,15 @@ def test_a_frame_that_the_adjustment_flings_away_is_left_out() -> None:
     flung = [*honest_[:7], view(7, 3e5, -4e5), *honest_[8:]]
     kept, out = without_flung(flung, 0.2)
     assert [v.frame for v in out] == [7] and len(kept) == 19
-    grid = output_grid("EPSG:32632", kept, 0.2, NAMES)
+    grid = output_grid(MapPixels("EPSG:32632", 0.2), kept, NAMES)
     assert (grid.width_px, grid.height_px) == (5750, 1000)
     many = [view(i, 1e5 * i, 1e5 * i) for i in range(20)]
     assert without_flung(many, 0.2) == (tuple(many), ()), "that is no one frame's fault"
     with pytest.raises(InputError, match="nearly all of it empty"):
-        output_grid("EPSG:32632", many, 0.2, NAMES, 1e9)
+        output_grid(MapPixels("EPSG:32632", 0.2), many, NAMES, 1e9)
     wide = [*honest_[:7], view(7, 350.0, 0.0, side_m=9e4), *honest_[8:]]
     with pytest.raises(InputError, match=r"without frame 7\.jpg: it reaches .* and is 180\.0 km wide"):
-        output_grid("EPSG:32632", wide, 0.2, NAMES)
+        output_grid(MapPixels("EPSG:32632", 0.2), wide, NAMES)
 
 
 def test_a_frame_that_stretches_the_mosaic_is_told() -> None:
@@ -227,21 +228,21 @@ def test_an_honest_big_survey_fits() -> None:
     """A line of 300 km at 0.3 m across a diagonal has to ask; 1,000 km² at 0.1 m have not."""
     block_ = [view(20 * i + j, 1500.0 * i, 1500.0 * j, 900.0) for i in range(20) for j in range(20)]
     big = [replace(v, camera=replace(v.camera, width_px=18000, height_px=18000)) for v in block_]
-    assert output_grid("EPSG:32632", big, 0.1, []).width_px == 303_000
+    assert output_grid(MapPixels("EPSG:32632", 0.1), big, []).width_px == 303_000
     line = [replace(v, bounds_m=v.bounds_m * 2) for v in big]
     with pytest.raises(InputError, match=r"max_gigapixels=3\d\d"):
-        output_grid("EPSG:32632", line, 0.1, [f"{i}" for i in range(400)])
-    assert output_grid("EPSG:32632", line, 0.1, [], 400.0).height_px == 606_000
+        output_grid(MapPixels("EPSG:32632", 0.1), line, [f"{i}" for i in range(400)])
+    assert output_grid(MapPixels("EPSG:32632", 0.1), line, [], 400.0).height_px == 606_000
 
 
 def test_a_scene_of_strips_has_the_same_limit() -> None:
-    told = estimate_scene(30_000, 20_000, filled_share=0.9, pixel_bytes=2, max_gigapixels=100.0)
+    told = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0)
     assert told.disk_gb[0] == pytest.approx(0.54 * (2 * 0.6 + 1 / 8), rel=0.01)
-    laid = estimate_scene(30_000, 20_000, filled_share=0.9, pixel_bytes=2, max_gigapixels=100.0, on_map=True)
+    laid = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0, on_map=True)
     assert laid.disk_gb[0] == pytest.approx(0.54 * (4 * 0.6 + 1 / 8), rel=0.01)
     assert laid.minutes[0] > told.minutes[0]
     with pytest.raises(InputError, match="check the strips' sizes"):
-        estimate_scene(260_000, 500_000, filled_share=1.0, pixel_bytes=2, max_gigapixels=100.0)
+        estimate_scene((260_000, 500_000), FilledPixels(1.0, 2), 100.0)
 
 
 def tagged(folder: Path, focal: Fraction, film_mm: int | None, wrong: int = 1, count: int = 4) -> Path:

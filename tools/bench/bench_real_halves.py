@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
+from geomosaic.composition.model import MapPixels
 from geomosaic.composition.occlusion import occluded_parts, occlusion_depth, side_px_of, with_occlusion
 from geomosaic.composition.ownership import cell_px_of, nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.scene import Scene
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import Comparison, compare
@@ -102,8 +104,9 @@ def _composed(run: Path, first: int, path: Path) -> Path:
     adjusted: Adjusted = load_artefact(run, summary, "adjusted", Adjusted)
     ground: GroundSurface = load_artefact(run, summary, "ground", GroundSurface)
     used = [i % 2 == first for i in range(len(survey.frames))]
-    views = frame_views(survey.work_frame, CRS, adjusted.poses, adjusted.cameras, used, ground)
-    grid = output_grid(CRS, views, GSD_M, [f.name for f in survey.frames])
+    frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, ground)
+    views = frame_views(frames, CRS)
+    grid = output_grid(MapPixels(CRS, GSD_M), views, [f.name for f in survey.frames])
     path.unlink(missing_ok=True)
     scene = Scene(survey.work_frame, ground, grid, views)
     if ground.has_walls:
@@ -113,7 +116,7 @@ def _composed(run: Path, first: int, path: Path) -> Path:
     ownership, _ = nearest_nadir(scene, used, cell_px_of(scene))
     if ground.has_walls:
         ownership = replace(ownership, hidden=hidden)
-    compose(survey, adjusted.poses, adjusted.cameras, used, ground, grid, path, ownership=ownership)
+    compose(frames, ownership, MosaicFiles(path))
     return path
 
 

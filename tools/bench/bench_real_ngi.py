@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.model import MapPixels
+from geomosaic.composition.ownership import by_nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.errors import InputError
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
@@ -142,12 +145,11 @@ def agreements(run: Path, orthos: Path) -> list[Agreement]:
     files = []
     for i, name in enumerate(names):
         alone = [k == i for k in range(len(names))]
-        views = frame_views(
-            survey.work_frame, survey.map_crs, adjusted.poses, adjusted.cameras, alone, ground
-        )
-        grid = output_grid(survey.map_crs, views, FRAME_PIXEL_M, names)
+        frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, alone, ground)
+        views = frame_views(frames, survey.map_crs)
+        grid = output_grid(MapPixels(survey.map_crs, FRAME_PIXEL_M), views, names)
         files.append(orthos / f"{Path(name).stem}.tif")
-        compose(survey, adjusted.poses, adjusted.cameras, alone, ground, grid, files[-1])
+        compose(frames, by_nearest_nadir(frames, grid), MosaicFiles(files[-1]))
     out = []
     for a, b in combinations(range(len(names)), 2):
         try:

@@ -23,13 +23,15 @@ from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.compose import WINDOW_PX
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.grid import output_grid
+from geomosaic.composition.model import MapPixels
 from geomosaic.composition.ownership import cell_px_of, nearest_nadir
 from geomosaic.composition.plan import Asking, Planning, windows
 from geomosaic.composition.scene import Scene
-from geomosaic.composition.views import frame_views
+from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.visibility import cells_in_view
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.model import Survey
 
 GSD_M, HEIGHT_M, CRS = 0.025, 100.0, "EPSG:32632"
 WIDE_PX, HIGH_PX = 4000, 3000
@@ -57,9 +59,10 @@ def scene_of(number_of_windows: int) -> tuple[Scene, tuple[bool, ...]]:
     work_frame = LocalFrame(9.0, 48.0, 500.0)
     ground = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
     used = (True,) * n
-    views = frame_views(work_frame, CRS, poses, [camera] * n, used, ground)
+    survey = Survey((), (camera,), work_frame, CRS)
+    views = frame_views(PosedFrames(survey, poses, [camera] * n, used, ground), CRS)
     names = [f"{i:05d}.jpg" for i in range(n)]
-    grid = output_grid(CRS, views, GSD_M, names)
+    grid = output_grid(MapPixels(CRS, GSD_M), views, names)
     return Scene(work_frame, ground, grid, views), used
 
 
