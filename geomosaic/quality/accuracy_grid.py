@@ -88,7 +88,7 @@ def accuracy_grid(mosaic: OutputGrid, by: int) -> OutputGrid:
 class AccuracyCells:
     """Accuracy of the mosaic that an ownership describes, in cells of by x by pixels.
 
-    ground: what the mosaic lies on. held: where tie points hold the ground, see `tied_area`. matched: of a
+    ground: what the mosaic lies on. tied: where tie points fix the ground, see `tied_area`. matched: of a
     ground that was matched.
     """
 
@@ -97,7 +97,7 @@ class AccuracyCells:
     work_frame: LocalFrame
     adjusted: Adjusted
     ground: GroundSurface
-    held: Area
+    tied: Area
     matched: MatchedCells | None = None
 
     @cached_property
@@ -147,12 +147,12 @@ class AccuracyCells:
         return found
 
     def _sources(self, window: Window, points_m: Floats) -> Bytes:
-        held = self.held.mask(self.grid, window)
+        tied = self.tied.mask(self.grid, window)
         if self.matched is None:
-            within = held | (self.ground.kind == "dem")
+            within = tied | (self.ground.kind == "dem")
             return np.where(within, HeightSource.TIE_SURFACE, HeightSource.EXTRAPOLATED).astype(np.uint8)
         found = self.matched.sources(points_m[..., 0], points_m[..., 1])
-        found[~held & (found == HeightSource.FILLED)] = HeightSource.EXTRAPOLATED
+        found[~tied & (found == HeightSource.FILLED)] = HeightSource.EXTRAPOLATED
         return found
 
 
@@ -163,7 +163,7 @@ def standing_m(surface_m: Floats32, terrain_m: Floats32, matched: Bools) -> floa
 
 
 def tied_area(adjusted: Adjusted, ties: TiePoints, work_frame: LocalFrame, crs: str) -> Area:
-    """Where tie points hold the ground: of each frame the convex hull of its tie points that count."""
+    """Where tie points fix the ground: of each frame the convex hull of its tie points that count."""
     frame, image_px = _tie_images(adjusted, ties)
     order = np.argsort(frame, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(frame[order])) + 1) if len(frame) else []

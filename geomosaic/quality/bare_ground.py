@@ -45,8 +45,8 @@ class BareGround:
         known = (np.abs(self.corners_m) < _FARTHEST_M).all(axis=(2, 3))
         bare = shapely.union_all(_squares(self.corners_m[known & self.seen & ~self.tied]))
         tied = _squares(self.corners_m[known & self.tied])
-        beside = shapely.union_all(tied[shapely.STRtree(tied).query(bare, "intersects")])
-        parts = [p for p in shapely.get_parts(bare.difference(beside)) if p.geom_type == "Polygon"]
+        adjacent = shapely.union_all(tied[shapely.STRtree(tied).query(bare, "intersects")])
+        parts = [p for p in shapely.get_parts(bare.difference(adjacent)) if p.geom_type == "Polygon"]
         return sorted(parts, key=lambda p: -float(p.area))
 
     @property

@@ -20,7 +20,7 @@ HeightsAt = Callable[[Floats, Floats], Floats]
 """Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
 _MOST_POINTS = tuned(200_000, "points", "of a fit: more take time and change millimetres")
 _ROUNDS = tuned(20, "rounds", "limit; fits converge in three to eight, and more follow chance")
-_SETTLED = tuned(0.01, "pixels", "plan step that ends it: larger shows in the report")
+_CONVERGED = tuned(0.01, "pixels", "plan step that ends it: larger shows in the report")
 _FARTHEST = tuned(3.0, "robust deviations", "residual of a change: less drops what a shift would fix")
 _STEEPEST = tuned(1.0, "m per m", "slope limit: beyond, heights beside walls and crowns are chance")
 _SHIFT_SD_M = sourced(5.0, "m", "prior of the plan shift, for level land", "usual error of a GPS position")
@@ -70,12 +70,12 @@ def fitted(surface: HeightsAt, x_m: Floats, y_m: Floats, height_m: Floats, pixel
         sd = max(NORMAL_PER_MAD * float(np.median(spread)), 1e-3 * pixel_m)
         known[known] = spread <= _FARTHEST * sd
         terms = np.column_stack([across[known], -slopes[known]])
-        held = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * (sd / _SHIFT_SD_M)
+        prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * (sd / _SHIFT_SD_M)
         step_by = np.linalg.lstsq(
-            np.vstack([terms, held]), np.concatenate([off[known], -held @ found]), rcond=None
+            np.vstack([terms, prior]), np.concatenate([off[known], -prior @ found]), rcond=None
         )[0]
         found += step_by
-        if np.abs(step_by[3:]).max() < _SETTLED * pixel_m:
+        if np.abs(step_by[3:]).max() < _CONVERGED * pixel_m:
             break
     up, tilt_east, tilt_north, east_m, north_m = (float(v) for v in found)
     return HeightFit(east_m, north_m, up, tilt_east / reach_m, tilt_north / reach_m, middle)

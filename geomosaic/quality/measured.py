@@ -62,8 +62,8 @@ def area_of(polygon: Any, sd_m: Floats, scale_sd: float, crs: CRS | None) -> Fig
     variance, first = 0.0, 0
     for ring in rings_of_polygon(polygon):
         sd = sd_m[first : first + len(ring) - 1]
-        beside = np.roll(ring[:-1], -1, axis=0) - np.roll(ring[:-1], 1, axis=0)
-        variance += float((np.square(beside).sum(axis=1) * sd**2).sum() / 4.0)
+        diagonal = np.roll(ring[:-1], -1, axis=0) - np.roll(ring[:-1], 1, axis=0)
+        variance += float((np.square(diagonal).sum(axis=1) * sd**2).sum() / 4.0)
         first += len(ring)
     area = float(polygon.area)
     sd_of_all = float(np.sqrt(variance + (2.0 * scale_sd * area) ** 2))

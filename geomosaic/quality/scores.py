@@ -78,8 +78,8 @@ class RunScores:
 
 def read_opinion(path: Path) -> Opinion:
     """A file of a report's form. Raises: `FileError` where it is anything else."""
-    told = read_json(path, _MOST_BYTES, "scores", _FIX)
-    given = told.get("scores") if isinstance(told, dict) else None
+    content = read_json(path, _MOST_BYTES, "scores", _FIX)
+    given = content.get("scores") if isinstance(content, dict) else None
     if not isinstance(given, dict):
         raise FileError("holds no scores", file=path, fix=_FIX)
     levels, scores = {level.score for level in CCIR_500_1}, {}
@@ -88,7 +88,9 @@ def read_opinion(path: Path) -> Opinion:
         if type(score) is not int or score not in levels:
             raise FileError(f"has no score of 1 to 5 for {criterion.key!r}", file=path, fix=_FIX)
         scores[criterion.key] = score
-    run, viewer, date = (printable(str(told.get(k) or ""))[:_MOST_LETTERS] for k in ("run", "viewer", "date"))
+    run, viewer, date = (
+        printable(str(content.get(k) or ""))[:_MOST_LETTERS] for k in ("run", "viewer", "date")
+    )
     return Opinion(run or printable(path.stem), viewer, date, scores)
 
 

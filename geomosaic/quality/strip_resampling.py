@@ -10,7 +10,9 @@ from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.matching.least_squares_matching import bspline_weights
 
 
-def laid_on(image: Images, valid: Flags, cols: Floats, lines: Floats, wider: int) -> tuple[Images, Flags]:
+def resampled_onto(
+    image: Images, valid: Flags, cols: Floats, lines: Floats, wider: int
+) -> tuple[Images, Flags]:
     """An image (n, w) resampled row by row: row i, col c is the image's row i + lines[i], col c + cols[i].
 
     By cubic B-splines; `wider` columns more on the right. Not valid within a pixel of what isn't.

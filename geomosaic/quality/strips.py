@@ -31,7 +31,7 @@ from geomosaic.quality.strip_figures import (
     segment_rms,
     strip_figures,
 )
-from geomosaic.quality.strip_resampling import laid_on
+from geomosaic.quality.strip_resampling import resampled_onto
 
 BLOCK_LINES = tuned(64, "lines", "of one residual: fewer do not hold two rows of patches; more lose jitter")
 _PIECE_LINES = tuned(64 * BLOCK_LINES, "lines", "read at once: more take memory; fewer read margins twice")
@@ -220,7 +220,9 @@ def _piece(
     nominal = g.read_px - g.overlap_px
     left, right = (flattened(x.astype(np.float32), overlap.valid) for x in (overlap.left, overlap.right))
     whole = overlap.side * g.row_separation_lines
-    laid, laid_valid = laid_on(right, overlap.valid, dcol - nominal, dline + whole - round(whole), nominal)
+    shown, shown_valid = resampled_onto(
+        right, overlap.valid, dcol - nominal, dline + whole - round(whole), nominal
+    )
     inside = (lines >= start) & (lines < stop)
     wide = ((0, 0), (0, nominal))
     left, left_valid = np.pad(left, wide), np.pad(overlap.valid & inside[:, None], wide)
@@ -229,7 +231,7 @@ def _piece(
     if not len(corners) or not left_valid.any():
         return np.full((blocks, 2), np.nan), np.full(blocks, np.nan), np.full((blocks, 2), np.nan)
     found = measure_displacements(
-        MaskedImage(laid, laid_valid),
+        MaskedImage(shown, shown_valid),
         MaskedImage(left, left_valid),
         corners,
         PatchMatching(_PATCH_PX, _SEARCH_PX, _LEAST_CORRELATION),

@@ -89,7 +89,7 @@ class VerdictInputs:
 def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, required: Requirement) -> Verdict:
     """Grades a mosaic: whether a fault was found, and whether it is as accurate as is required."""
     figures = _agreement(adjusted, seen.patterns) | _seams(seen.seams)
-    figures |= _held_together(adjusted, seen.parts, seen.land)
+    figures |= _connection(adjusted, seen.parts, seen.land)
     figures |= _land(seen.doubt)
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     judged = (_judged(name, value, required, seen.pixel_m) for name, value in figures.items())
@@ -180,7 +180,7 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
     return out
 
 
-def _held_together(
+def _connection(
     adjusted: Adjusted, parts: Sequence[Sequence[int]], land: Mapping[int, float]
 ) -> dict[str, float]:
     """Shares of the mosaic's land that frames give which hang on their own positions, or in another part than

@@ -63,9 +63,9 @@ def comparison_rows(c: Comparison) -> list[tuple[str, str, str]]:
 
 def _ssim_rows(c: Comparison) -> list[tuple[str, str, str]]:
     """As the two lie, and after registration: the first falls with a shift of a pixel that nobody sees."""
-    told = [("SSIM as it lies", c.ssim, "falls with any shift against the reference")]
+    similarities = [("SSIM as it lies", c.ssim, "falls with any shift against the reference")]
     if c.ssim_registered is not None:
-        told.insert(
+        similarities.insert(
             0, ("SSIM", c.ssim_registered, "after registration: the best shift, turn and scale taken out")
         )
     return [
@@ -75,5 +75,5 @@ def _ssim_rows(c: Comparison) -> list[tuple[str, str, str]]:
             f"{words}; luminance {short(terms.luminance)}, contrast {short(terms.contrast)}, "
             f"structure {short(terms.structure)}",
         )
-        for name, terms, words in told
+        for name, terms, words in similarities
     ]

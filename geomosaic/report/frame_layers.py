@@ -21,7 +21,7 @@ from geomosaic.projection.footprint import footprint, ground_from_images
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.seam_check import SeamCheck
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
-from geomosaic.report.layers import MapLayer, arrows, flat, labels_of, outlines, thinned, told_thinned
+from geomosaic.report.layers import MapLayer, arrows, flat, labels_of, outlines, thinned, thinning_note
 from geomosaic.report.numbers import short, whole
 from geomosaic.survey.model import Survey
 
@@ -144,8 +144,8 @@ class FrameLayers:
         shift = np.concatenate([nothing, *self.adjusted.residuals_m])
         weights = tie_weights(self.ties, self.adjusted.image_residuals)
         trusted = ~(np.concatenate([np.zeros(0), *weights]) < DOWN_WEIGHTED)
-        told = np.flatnonzero(trusted) if len(shift) == len(left) else np.zeros(0, np.int64)
-        taken = told[thinned(len(told), _MOST_ARROWS)]
+        usable = np.flatnonzero(trusted) if len(shift) == len(left) else np.zeros(0, np.int64)
+        taken = usable[thinned(len(usable), _MOST_ARROWS)]
         a = self.adjusted
         at = ground_from_images(left[taken], px[taken], a.poses, a.cameras, a.ground)
         start = map_from_work(self.survey, at)
@@ -154,7 +154,7 @@ class FrameLayers:
         longest = _LONGEST * float(np.nanmedian(length)) if np.isfinite(length).any() else 1.0
         vectors *= np.minimum(1.0, longest / np.maximum(length, 1e-9))[:, None]
         factor = exaggeration(length, self._at_m, _ARROWS_OF_SPACING)
-        thin = told_thinned(len(taken), len(told))
+        thin = thinning_note(len(taken), len(usable))
         cut = f", cut at {short(longest, 'm')}" if np.nanmax(length, initial=0.0) > longest else ""
         note = f"of tie points that count, left to right frame, {_larger(factor)}{cut}{thin}"
         lines = arrows(start, vectors, factor, self.origin)
@@ -214,7 +214,7 @@ class FrameLayers:
             if not np.isfinite(left).any():
                 continue
             factor = exaggeration(np.linalg.norm(left, axis=1), self._at_m, 2.0 * _ARROWS_OF_SPACING)
-            note = f"mosaic minus reference, {_larger(factor)}{told_thinned(len(taken), len(at))}"
+            note = f"mosaic minus reference, {_larger(factor)}{thinning_note(len(taken), len(at))}"
             lines = arrows(at[taken], left[taken], factor, self.origin)
             out.append(MapLayer(name, title, "#ff6b6b", lines=lines, weight=1.3, note=note))
         return out

@@ -54,51 +54,56 @@ class OtherImages:
     accuracy: Path | None = None
 
 
-def render_report(
-    *,
-    survey: Survey,
-    placement: Placement,
-    ties: TiePoints,
-    adjusted: Adjusted,
-    mosaic: Mosaic,
-    mosaic_file: Path,
-    summary: Mapping[str, Any],
-    name: str = "",
-    comparison: Comparison | None = None,
-    verdict: Verdict | None = None,
-    surface: SurfaceSection | None = None,
-    others: OtherImages = OtherImages(),
-    image: Glance | None = None,
-) -> str:
+@dataclass(frozen=True)
+class FramesReport:
+    """What a report of frames is made of.
+
+    mosaic_file: mosaic.tif, read at reduced size, unless it is given so: image. name: of the run, for the
+    page's head and the files of scores; may be empty. summary: what run.json holds (`frames`, `warnings`,
+    `timings_s`, `peak_memory_mb`, `metrics`, `recipe`, `versions`); missing keys are left out of the page.
+    """
+
+    survey: Survey
+    placement: Placement
+    ties: TiePoints
+    adjusted: Adjusted
+    mosaic: Mosaic
+    mosaic_file: Path
+    summary: Mapping[str, Any]
+    name: str = ""
+    comparison: Comparison | None = None
+    verdict: Verdict | None = None
+    surface: SurfaceSection | None = None
+    others: OtherImages = OtherImages()
+    image: Glance | None = None
+
+
+def render_report(report: FramesReport) -> str:
     """The page's HTML.
 
     Names of files and texts of warnings are strangers' data: the template escapes all that is not
     markup, and the page forbids itself any network by its content security policy.
-
-    Args:
-        mosaic_file: mosaic.tif, read at reduced size, unless it is given so: image.
-        name: of the run, for the page's head and the files of scores; may be empty.
-        summary: what run.json holds (`frames`, `warnings`, `timings_s`, `peak_memory_mb`, `metrics`,
-            `recipe`, `versions`); missing keys are left out of the page.
     """
-    image = image or glance(mosaic_file)
+    survey, placement, ties, adjusted = report.survey, report.placement, report.ties, report.adjusted
+    mosaic, comparison, verdict = report.mosaic, report.comparison, report.verdict
+    image = report.image or glance(report.mosaic_file)
     footprints_m = map_footprints_m(survey, adjusted)
     orientation = orientations(survey, placement.poses, adjusted)
     points = point_figures(adjusted)
     mapped = mapped_points(survey, points)
     judged = verdict_section(survey, verdict, mosaic.grid.gsd_m, points)
-    ground = _ground(adjusted, summary)
+    ground = _ground(adjusted, report.summary)
     origin = np.array([mosaic.grid.west_m, mosaic.grid.south_m])
     pixel_m = mosaic.grid.gsd_m * mosaic.grid.width_px / image.width_px
     scale = arrow_scale(mapped, mosaic.grid.gsd_m * max(mosaic.grid.width_px, mosaic.grid.height_px))
     drawn = FrameLayers(survey, placement, ties, adjusted, orientation, footprints_m, origin, pixel_m)
     begin = PageHead(
         title="Mosaic of " + plural(len(survey.frames), "frame"),
-        run=name,
+        run=report.name,
         judged=judged.judged,
         image=image,
         caption="North is up. The full image is mosaic.tif.",
-        facts=_facts(survey, placement, ties, adjusted, mosaic, summary, image.covered_m2),
+        facts=_facts(report, image.covered_m2),
         map_view=MapView(
             (float(origin[0]), float(origin[1])),
             ("E", "N"),
@@ -106,26 +111,26 @@ def render_report(
             "m",
             True,
             box_of(image, origin),
-            _images(image, origin, footprints_m, comparison, surface, others),
+            _images(report, image, origin, footprints_m),
             [
                 *drawn.all(mosaic, None if verdict is None else verdict.seams, comparison),
                 *control_layers(mapped, scale, origin),
             ],
         ),
-        table=parts.frame_table(placement, ties, adjusted, orientation, warnings_of(summary).frames),
+        table=parts.frame_table(placement, ties, adjusted, orientation, warnings_of(report.summary).frames),
         plate=plate(image, mapped, scale),
     )
     return render(
         "frames.html",
-        summary,
+        report.summary,
         begin,
         form_script=part("score_form.js"),
-        surface=surface,
+        surface=report.surface,
         surface_css=part("surface.css"),
         surface_script=part("surface_profile.js"),
         judged=judged,
         trimmed_rows=parts.trimmed_rows(mosaic.trimmed),
-        composition_rows=parts.composition_rows(summary.get("metrics", {})),
+        composition_rows=parts.composition_rows(report.summary.get("metrics", {})),
         comparison=comparison,
         comparison_rows=comparison_rows(comparison) if comparison else [],
         before=parts.misaligned_px(adjusted, 0, placement.ground_pixel_m) if adjusted.rounds else None,
@@ -141,13 +146,9 @@ def render_report(
 
 
 def _images(
-    image: Glance,
-    origin: np.ndarray[Any, Any],
-    footprints_m: list[parts.Floats],
-    comparison: Comparison | None,
-    surface: SurfaceSection | None,
-    others: OtherImages,
+    report: FramesReport, image: Glance, origin: np.ndarray[Any, Any], footprints_m: list[parts.Floats]
 ) -> list[MapImage]:
+    comparison, surface, others = report.comparison, report.surface, report.others
     box = box_of(image, origin)
     counts = "red 1, orange 2, yellow 3, light green 4, green 5 and more footprints"
     out = [
@@ -182,21 +183,14 @@ def _images(
     return out
 
 
-def _facts(
-    survey: Survey,
-    placement: Placement,
-    ties: TiePoints,
-    adjusted: Adjusted,
-    mosaic: Mosaic,
-    summary: Mapping[str, Any],
-    covered_m2: float,
-) -> list[Fact]:
+def _facts(report: FramesReport, covered_m2: float) -> list[Fact]:
     """What the head of the page says."""
+    survey, ties, adjusted, mosaic = report.survey, report.ties, report.adjusted, report.mosaic
     crs = CRS.from_user_input(mosaic.grid.crs)
     code = crs.to_authority()
     counted = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
     area = (covered_m2 / 1e4, "ha") if covered_m2 < 1e7 else (covered_m2 / 1e6, "km²")
-    method = str(summary.get("metrics", {}).get("adjustment", {}).get("method", ""))
+    method = str(report.summary.get("metrics", {}).get("adjustment", {}).get("method", ""))
     odd = [
         f"{n} {words}"
         for n, words in ((counted["placed"], "placed by POS alone"), (counted["rejected"], "rejected"))
@@ -206,7 +200,7 @@ def _facts(
     return [
         ("frames tied", f"{counted['tied']} of {len(survey.frames)}", ", ".join(odd)),
         ("ground pixel", length(mosaic.grid.gsd_m), size),
-        ("area covered", short(*area), plural(len(set(placement.lines)), "flight line")),
+        ("area covered", short(*area), plural(len(set(report.placement.lines)), "flight line")),
         ("tie points", whole(sum(len(p) for p in ties.pairs)), "in " + plural(len(ties.pairs), "pair")),
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
         ("map", ":".join(code) if code else crs.name, crs.name if code else ""),

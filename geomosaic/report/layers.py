@@ -78,9 +78,11 @@ class MapView:
 
     def plain(self) -> dict[str, Any]:
         """As JSON takes it; layers with nothing in them are left out."""
-        told = asdict(self)
-        told["layers"] = [one for one in told["layers"] if one["areas"] or one["lines"] or one["points"]]
-        return told
+        contents = asdict(self)
+        contents["layers"] = [
+            one for one in contents["layers"] if one["areas"] or one["lines"] or one["points"]
+        ]
+        return contents
 
 
 def box_of(image: Glance, origin: Floats) -> tuple[float, float, float, float]:
@@ -117,7 +119,7 @@ def thinned(number: int, most: int) -> NDArray[np.int64]:
     return np.arange(0, number, max(1, -(-number // most)))
 
 
-def told_thinned(shown: int, number: int) -> str:
+def thinning_note(shown: int, number: int) -> str:
     """Words for a layer that shows fewer than there are."""
     return "" if shown >= number else f", {whole(shown)} of {whole(number)}"
 

@@ -43,7 +43,7 @@ class UnknownRow:
     change: str
     sd: str
     change_sd: str
-    held: bool
+    undetermined: bool
 
 
 @dataclass(frozen=True)

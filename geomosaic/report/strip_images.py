@@ -61,7 +61,7 @@ def scene_layers(
     Places are in cols and, upwards, minus rows of the scene. high_px: its lines.
     """
     half = max(geometry.overlap_px / 2.0, _LEAST_HALF_PX)
-    overlaps, seams, odd, told, of = [], [], [], [], []
+    overlaps, seams, odd, misplacements, of = [], [], [], [], []
     for k, pair in enumerate(quality.pairs):
         col = seam_col(geometry, pair.pair)
         overlaps.append(_rectangle(col - half, 0.0, col + half, float(high_px)))
@@ -71,7 +71,7 @@ def scene_layers(
                 ends = segment * SEGMENT_LINES, min((segment + 1) * SEGMENT_LINES, pair.lines)
                 top, bottom = (scene_row(geometry, pair.pair, end, first_line) for end in ends)
                 odd.append(_rectangle(col - half, top, col + half, bottom))
-                told.append(f"lines {ends[0]} to {ends[1] - 1}: {short(float(value), 'px', 2)}")
+                misplacements.append(f"lines {ends[0]} to {ends[1] - 1}: {short(float(value), 'px', 2)}")
                 of.append(k)
     step = geometry.width_px - geometry.overlap_px
     middles = [k * step + geometry.width_px / 2 for k in range(len(geometry.lines))]
@@ -83,7 +83,7 @@ def scene_layers(
         ),
         MapLayer("seams", "Seams", "#ffe100", lines=seams, weight=1.2, dash="6 5", shown=True),
         MapLayer(
-            "misplaced", "Misplaced segments", "#ff7a1a", areas=odd, rows=of, labels=told, fill=0.5,
+            "misplaced", "Misplaced segments", "#ff7a1a", areas=odd, rows=of, labels=misplacements, fill=0.5,
             shown=True,
             note=f"off by more than {LIMIT_PX:g} px",
         ),

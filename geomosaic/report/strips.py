@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,25 +31,29 @@ _FIXES = {
 }
 
 
-def render_strips_report(
-    *,
-    geometry: StripGeometry,
-    offsets: StripOffsets,
-    quality: StripQuality,
-    radiometry: Radiometry | None,
-    mosaic: StripMosaic,
-    mosaic_file: Path,
-    summary: Mapping[str, Any],
-    name: str = "",
-) -> str:
-    """The page's HTML; what comes from strangers is escaped, and the page forbids itself any network.
+@dataclass(frozen=True)
+class StripsReport:
+    """What a report of strips is made of.
 
-    Args:
-        mosaic_file: mosaic.tif, read at reduced size, and at full size about the seams.
-        name: of the run, for the page's head; may be empty.
-        summary: what run.json holds (`warnings`, `timings_s`, `peak_memory_mb`, `recipe`, `versions`);
-            missing keys are left out of the page.
+    mosaic_file: mosaic.tif, read at reduced size, and at full size about the seams. name: of the run, for the
+    page's head; may be empty. summary: what run.json holds (`warnings`, `timings_s`, `peak_memory_mb`,
+    `recipe`, `versions`); missing keys are left out of the page.
     """
+
+    geometry: StripGeometry
+    offsets: StripOffsets
+    quality: StripQuality
+    radiometry: Radiometry | None
+    mosaic: StripMosaic
+    mosaic_file: Path
+    summary: Mapping[str, Any]
+    name: str = ""
+
+
+def render_strips_report(report: StripsReport) -> str:
+    """The page's HTML; what comes from strangers is escaped, and the page forbids itself any network."""
+    geometry, offsets, quality = report.geometry, report.offsets, report.quality
+    mosaic, mosaic_file = report.mosaic, report.mosaic_file
     image = scene_glance(mosaic_file)
     names = [_pair_name(p.pair) for p in quality.pairs]
     by_pair = {p.pair: p for p in offsets.pairs}
@@ -61,10 +66,10 @@ def render_strips_report(
         seams.append((seam, [(_crop_words(place), markup(crop)) for place, crop in crops]))
     return render(
         "strips.html",
-        summary,
+        report.summary,
         PageHead(
             title="Scene of " + plural(sum(map(bool, geometry.lines)), "CCD strip"),
-            run=name,
+            run=report.name,
             judged=PageVerdict(grade := _grade(quality), strips_verdict(quality), _FIXES.get(grade, "")),
             image=image,
             caption="Lines run downwards in the order they were taken. The full image is mosaic.tif.",
@@ -89,7 +94,7 @@ def render_strips_report(
         curves=[(_pair_name(p.pair), _curve(p)) for p in offsets.pairs],
         spectrum=markup(spectrum_plot(found, left, label="spectrum of the offsets found and left")),
         separation_s=geometry.row_separation_lines / geometry.line_rate_hz,
-        ccds=_ccd_rows(geometry, radiometry),
+        ccds=_ccd_rows(geometry, report.radiometry),
     )
 
 

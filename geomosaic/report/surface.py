@@ -144,17 +144,17 @@ def _profile(surface: Path, terrain: Path) -> Profile:
 
 
 def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) -> list[Row]:
-    told = metrics.get("surface", {})
+    written = metrics.get("surface", {})
     views, _ = _reduced(confidence, 2, _PICTURE_PX, Resampling.nearest)
     sd, _ = _reduced(confidence, 1, _PICTURE_PX, Resampling.nearest)
     sd, seen = sd[np.isfinite(sd)], views[np.isfinite(views)]
     rows: list[Row] = []
     if heights.size:
         ends = f"{short(float(heights.min()), digits=4)} to {short(float(heights.max()), 'm', 4)}"
-        rows.append(("heights", ends, str(told.get("heights", ""))))
-    if "cell_m" in told:
-        pixel = f"written in pixels of {short(told.get('pixel_m'), 'm')}"
-        rows.append(("cells", short(told["cell_m"], "m"), pixel))
+        rows.append(("heights", ends, str(written.get("heights", ""))))
+    if "cell_m" in written:
+        pixel = f"written in pixels of {short(written.get('pixel_m'), 'm')}"
+        rows.append(("cells", short(written["cell_m"], "m"), pixel))
     if seen.size:
         matched = percent(float(np.mean(seen > 0.0)))
         rows.append(
@@ -168,8 +168,8 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
         middle, most = np.quantile(sd, [0.5, 0.9]).tolist()
         text = f"median {short(middle, 'm')}, 90 % below {short(most, 'm')}"
         rows.append(("deviation", text, "as matching states it; surface_confidence.tif has it by place"))
-    if "ground_share" in told:
-        ground = percent(told["ground_share"])
+    if "ground_share" in written:
+        ground = percent(written["ground_share"])
         rows.append(
             ("ground", ground, "of the matched cells show the ground; terrain.tif goes on beneath the rest")
         )
@@ -178,14 +178,14 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
 
 def _ortho(metrics: Mapping[str, Any]) -> list[Row]:
     """What the mosaic stands on, and why, where the run says it."""
-    told = metrics.get("ortho", {})
-    if "laid_on" not in told:
+    chosen = metrics.get("ortho", {})
+    if "laid_on" not in chosen:
         return []
-    found, why = told.get("disagreement"), "as was asked for"
+    found, why = chosen.get("disagreement"), "as was asked for"
     if found is not None:
         each = " and ".join(f"{short(off)} on the {name}" for name, off in found.items())
-        why = f"1 - correlation of neighbouring frames is {each}, median over {told.get('places')} places"
-    return [("the mosaic stands on", f"the {told['laid_on']}", why)]
+        why = f"1 - correlation of neighbouring frames is {each}, median over {chosen.get('places')} places"
+    return [("the mosaic stands on", f"the {chosen['laid_on']}", why)]
 
 
 def _compared(comparison: SurfaceComparison) -> list[tuple[str, list[tuple[str, HeightFigures]]]]:

@@ -27,7 +27,7 @@ _ROUTINE: Final = frozenset(
     )
 )  # fmt: skip
 """What was assumed, or mended by the run itself, and told for the record."""
-_TOLD: Final = frozenset(("verdict-good", "verdict-doubtful", "verdict-bad"))
+_IN_VERDICT: Final = frozenset(("verdict-good", "verdict-doubtful", "verdict-bad"))
 """The page begins with it."""
 
 
@@ -54,7 +54,7 @@ class Warnings:
     @property
     def number(self) -> int:
         """Of the warnings, equal ones counted each, without routine."""
-        return sum(told.count for told in (*self.severe, *self.look))
+        return sum(listed.count for listed in (*self.severe, *self.look))
 
 
 def warnings_of(summary: Mapping[str, Any]) -> Warnings:
@@ -64,7 +64,7 @@ def warnings_of(summary: Mapping[str, Any]) -> Warnings:
     frames: dict[str, int] = {}
     for warning in given:
         code, text, frame = (str(warning.get(k) or "") for k in ("code", "text", "frame"))
-        if code not in _TOLD:
+        if code not in _IN_VERDICT:
             equal.setdefault((code, text), []).append(frame)
             if frame and code not in _ROUTINE:
                 frames[frame] = frames.get(frame, 0) + 1

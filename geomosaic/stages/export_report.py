@@ -17,7 +17,7 @@ from geomosaic.quality.compare import Comparison
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report.control import CHECK_POINTS, point_figures
-from geomosaic.report.frames import OtherImages, render_report
+from geomosaic.report.frames import FramesReport, OtherImages, render_report
 from geomosaic.report.given import GivenMosaic
 from geomosaic.report.glance import Glance
 from geomosaic.report.map_images import ReferenceSeen
@@ -59,19 +59,21 @@ class ExportReport(Stage):
         """Renders the page and writes it."""
         mosaic_file = context.path_of(inputs["mosaic_file"])
         page = render_report(
-            survey=inputs["survey"],
-            placement=inputs["placement"],
-            ties=inputs["ties"],
-            adjusted=inputs["adjusted"],
-            mosaic=inputs["mosaic"],
-            mosaic_file=mosaic_file,
-            image=context.optional_cache(Glance, str(mosaic_file)).found(),
-            comparison=inputs.get("comparison"),
-            verdict=inputs.get("verdict"),
-            surface=_surface(inputs, context),
-            others=_other_images(inputs, context),
-            summary=context.summary(),
-            name=run_name(context),
+            FramesReport(
+                survey=inputs["survey"],
+                placement=inputs["placement"],
+                ties=inputs["ties"],
+                adjusted=inputs["adjusted"],
+                mosaic=inputs["mosaic"],
+                mosaic_file=mosaic_file,
+                image=context.optional_cache(Glance, str(mosaic_file)).found(),
+                comparison=inputs.get("comparison"),
+                verdict=inputs.get("verdict"),
+                surface=_surface(inputs, context),
+                others=_other_images(inputs, context),
+                summary=context.summary(),
+                name=run_name(context),
+            )
         )
         with context.writing("report.html") as path:
             path.write_text(page, encoding="utf-8")

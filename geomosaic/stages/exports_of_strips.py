@@ -21,7 +21,7 @@ from geomosaic.export.scene_map import (
 from geomosaic.export.strip_layers import write_strip_layers
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
-from geomosaic.report.strips import render_strips_report
+from geomosaic.report.strips import StripsReport, render_strips_report
 from geomosaic.stages.input_groups import JudgedScene
 from geomosaic.stages.reporting import run_name
 from geomosaic.survey.strips import StripGeometry
@@ -105,14 +105,16 @@ def export_strip_report(
 ) -> RunFile:
     """Runs every time, since it also reports what run.json holds so far."""
     page = render_strips_report(
-        geometry=scene.strips,
-        offsets=offsets,
-        quality=scene.strip_quality,
-        radiometry=radiometry,
-        mosaic=scene.strip_mosaic,
-        mosaic_file=context.path_of(mosaic_file),
-        summary=context.summary(),
-        name=run_name(context),
+        StripsReport(
+            geometry=scene.strips,
+            offsets=offsets,
+            quality=scene.strip_quality,
+            radiometry=radiometry,
+            mosaic=scene.strip_mosaic,
+            mosaic_file=context.path_of(mosaic_file),
+            summary=context.summary(),
+            name=run_name(context),
+        )
     )
     with context.writing(REPORT) as path:
         path.write_text(page, encoding="utf-8")

@@ -15,6 +15,7 @@ from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison, compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.misalignment import frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
 from geomosaic.quality.rasters import open_map
@@ -75,11 +76,9 @@ def quality_compare(
     comparison = compare(
         context.path_of(mosaic_file),
         params.reference,
-        patch_px=params.patch_px,
-        step_px=params.step_px,
-        search_px=params.search_px,
-        min_correlation=params.min_correlation,
-        match_tone=params.match_tone,
+        ComparisonOptions(
+            params.patch_px, params.step_px, params.search_px, params.match_tone, params.min_correlation
+        ),
         progress=context.progress,
     )
     figures = asdict(comparison.figures)

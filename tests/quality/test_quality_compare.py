@@ -14,6 +14,7 @@ from rasterio.windows import Window
 from geomosaic.errors import FileError, InputError
 from geomosaic.quality import compare as module
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 
 WEST, NORTH, GSD = 500000.0, 5200000.0, 0.1
 
@@ -23,7 +24,7 @@ def test_displacement_in_metres_of_the_map_between_grids_a_fraction_apart(tmp_pa
     reference = write_tif(tmp_path / "ortho.tif", eight_bits(base), WEST, NORTH, GSD)
     shifted = eight_bits(moved(base, 1.5, -2.25))
     mosaic = write_tif(tmp_path / "mosaic.tif", shifted, WEST + 7.25 * GSD, NORTH - 4.5 * GSD, GSD)
-    c = compare(mosaic, reference, search_px=32)
+    c = compare(mosaic, reference, ComparisonOptions(search_px=32))
     # the image shows things 7.25 - 2.25 pixels too far east and 4.5 + 1.5 too far south
     assert c.figures.mean_east_m == pytest.approx(0.5, abs=0.002)
     assert c.figures.mean_north_m == pytest.approx(-0.6, abs=0.002)
@@ -43,11 +44,15 @@ def test_ssim_after_registration_tells_of_the_image_and_not_of_its_place(tmp_pat
     reference = write_tif(tmp_path / "ortho.tif", eight_bits(base), WEST, NORTH, GSD)
     turn = cv2.getRotationMatrix2D((400.0, 350.0), 0.2, 1.004) + [[0.0, 0.0, 3.0], [0.0, 0.0, -2.0]]
     image = cv2.warpAffine(eight_bits(base)[0], turn, (800, 700), flags=cv2.INTER_CUBIC)
-    c = compare(write_tif(tmp_path / "mosaic.tif", image[None], WEST, NORTH, GSD), reference, search_px=32)
+    c = compare(
+        write_tif(tmp_path / "mosaic.tif", image[None], WEST, NORTH, GSD),
+        reference,
+        ComparisonOptions(search_px=32),
+    )
     assert c.figures.similarity.scale == pytest.approx(1.004, abs=1e-4)
     assert c.ssim.ssim < 0.5 and c.ssim_registered.ssim > 0.93
     other = write_tif(tmp_path / "other.tif", eight_bits(texture(700, 800, seed=99)), WEST, NORTH, GSD)
-    alike = compare(other, reference, search_px=32).ssim_registered
+    alike = compare(other, reference, ComparisonOptions(search_px=32)).ssim_registered
     assert alike is None or alike.ssim < 0.5
 
 
@@ -55,11 +60,14 @@ def test_blocks_do_not_show(tmp_path, monkeypatch):
     base = texture(500, 600, seed=9)
     reference = write_tif(tmp_path / "ortho.tif", eight_bits(base), WEST, NORTH, GSD)
     mosaic = write_tif(tmp_path / "mosaic.tif", eight_bits(moved(base, 0.4, 1.7)), WEST, NORTH, GSD)
-    whole = compare(mosaic, reference, patch_px=32, step_px=32, search_px=16)
+    whole = compare(mosaic, reference, ComparisonOptions(patch_px=32, step_px=32, search_px=16))
     seen = []
     monkeypatch.setattr(module, "_BLOCK_PX", 200)
     parts = compare(
-        mosaic, reference, patch_px=32, step_px=32, search_px=16, progress=lambda *a: seen.append(a)
+        mosaic,
+        reference,
+        ComparisonOptions(patch_px=32, step_px=32, search_px=16),
+        progress=lambda *a: seen.append(a),
     )
     assert seen[0] == (0, 12) and seen[-1] == (12, 12)
     assert parts.ssim.pixels == whole.ssim.pixels == 490 * 590
@@ -69,7 +77,7 @@ def test_blocks_do_not_show(tmp_path, monkeypatch):
     np.testing.assert_allclose(parts.ssim_cells, whole.ssim_cells, atol=1e-5)
     assert whole.ssim_cells.shape == (16, 19)
     asked = [Window(64, 96, 160, 96), Window(320, 0, 128, 128)]
-    some = compare(mosaic, reference, patch_px=32, step_px=32, search_px=16, parts=asked)
+    some = compare(mosaic, reference, ComparisonOptions(patch_px=32, step_px=32, search_px=16), parts=asked)
     within = np.zeros(whole.ssim_cells.shape, dtype=bool)
     within[3:6, 2:7] = within[:4, 10:14] = True
     np.testing.assert_allclose(some.ssim_cells[within], whole.ssim_cells[within], atol=1e-5)
@@ -96,7 +104,7 @@ def test_a_reference_in_another_coordinate_system_and_at_another_pixel(tmp_path)
     ones = np.full((900, 900), 255, dtype=np.uint8)
     reproject(ones, valid, resampling=Resampling.nearest, **affines, **crs)
     reference = write_tif(tmp_path / "reference.tif", other, left, top, 0.15, "EPSG:32633", valid == 255)
-    c = compare(mosaic, reference, search_px=16)
+    c = compare(mosaic, reference, ComparisonOptions(search_px=16))
     assert c.figures.share_measured > 0.95
     assert np.abs(c.vectors_m[:, 2:]).max() < 0.05 * 0.2
     assert c.overlap_share > 0.97
@@ -117,7 +125,7 @@ def test_masks_alpha_and_colour(tmp_path):
         transform=north_up(WEST, NORTH, GSD), photometric="RGB", alpha="YES",
     ) as dataset:  # fmt: skip
         dataset.write(alpha)
-    c = compare(mosaic, reference, patch_px=32, step_px=32, search_px=8)
+    c = compare(mosaic, reference, ComparisonOptions(patch_px=32, step_px=32, search_px=8))
     assert c.overlap_share == pytest.approx(200 / 300, abs=0.001)
     assert c.ssim.ssim == pytest.approx(1.0, abs=1e-6)
     assert c.ssim.pixels == (300 - 10) * (200 - 10)
@@ -129,8 +137,8 @@ def test_tone_may_be_matched_before_ssim(tmp_path):
     base = texture(256, 256, seed=17)
     reference = write_tif(tmp_path / "r.tif", eight_bits(base), WEST, NORTH, GSD)
     mosaic = write_tif(tmp_path / "m.tif", eight_bits(0.6 * base + 20.0), WEST, NORTH, GSD)
-    plain = compare(mosaic, reference, search_px=8)
-    matched = compare(mosaic, reference, search_px=8, match_tone=True)
+    plain = compare(mosaic, reference, ComparisonOptions(search_px=8))
+    matched = compare(mosaic, reference, ComparisonOptions(search_px=8, match_tone=True))
     assert plain.ssim.ssim < 0.9 < 0.99 < matched.ssim.ssim
     assert matched.ssim.gain == pytest.approx(1 / 0.6, rel=0.01)
     assert matched.figures.absolute_rmse_m < 0.001
@@ -141,7 +149,7 @@ def test_sixteen_bits(tmp_path):
     values = np.rint(base * 40.0).astype(np.uint16)[None]
     mosaic = write_tif(tmp_path / "m.tif", values, WEST, NORTH, GSD)
     reference = write_tif(tmp_path / "r.tif", values, WEST, NORTH, GSD)
-    c = compare(mosaic, reference, search_px=8)
+    c = compare(mosaic, reference, ComparisonOptions(search_px=8))
     assert c.ssim.ssim == pytest.approx(1.0) and c.figures.share_measured == 1.0
 
 
@@ -164,4 +172,4 @@ def test_errors_name_the_file_and_the_fix(tmp_path):
     with pytest.raises(FileError, match=r"degrees\.tif: is not in a map projection; warp"):
         compare(degrees, good)
     with pytest.raises(InputError, match="out of bounds"):
-        compare(good, good, patch_px=4)
+        compare(good, good, ComparisonOptions(patch_px=4))

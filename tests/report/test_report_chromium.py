@@ -11,7 +11,7 @@ import pytest
 from browser import Page, browser
 from report_survey import HOSTILE, made_up_run
 
-from geomosaic.report.frames import OtherImages, render_report
+from geomosaic.report.frames import FramesReport, OtherImages, render_report
 from geomosaic.report.glance import glance
 
 
@@ -29,7 +29,10 @@ def page(tmp_path_factory) -> Path:
     run["summary"]["warnings"].append({"code": "frame-damaged", "frame": bad, "text": bad})
     other = glance(folder / "ortho <true>.tif")
     file = folder / "report.html"
-    file.write_text(render_report(**run, name="May", others=OtherImages(other, other)), encoding="utf-8")
+    file.write_text(
+        render_report(FramesReport(**run, name="May", others=OtherImages(other, other))),
+        encoding="utf-8",
+    )
     return file
 
 
@@ -228,7 +231,7 @@ def test_dark_light_and_narrow(window, page, dark):
 def test_a_thousand_frames_stay_fluent(window, tmp_path):
     run = made_up_run(tmp_path, 25, 40, with_comparison=False, ties_per_pair=3)
     file = tmp_path / "report.html"
-    file.write_text(render_report(**run), encoding="utf-8")
+    file.write_text(render_report(FramesReport(**run)), encoding="utf-8")
     assert file.stat().st_size < 4e6
     window.open(file.as_uri(), 1400, 900)
     loaded = window.run("(t => t.loadEventEnd - t.startTime)(performance.getEntriesByType('navigation')[0])")

@@ -26,7 +26,7 @@ from geomosaic.pipeline.stage import Context
 from geomosaic.report.accuracy_table import accuracy_table
 from geomosaic.report.control import mapped_points, point_figures
 from geomosaic.report.control_layers import arrow_scale, control_layers
-from geomosaic.report.frames import render_report
+from geomosaic.report.frames import FramesReport, render_report
 from geomosaic.stages.export_report import ExportReport
 
 
@@ -38,7 +38,7 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def page(run, tmp_path_factory) -> Path:
     file = tmp_path_factory.mktemp("page") / "report.html"
-    file.write_text(render_report(**run, name="May"), encoding="utf-8")
+    file.write_text(render_report(FramesReport(**run, name="May")), encoding="utf-8")
     return file
 
 
@@ -85,17 +85,21 @@ def test_one_scale_for_all_arrows_and_blunders_are_cut(run):
 
 
 def test_the_first_screen_begins_with_the_accuracy_table(run):
-    words = " ".join(Page(render_report(**run)).words.split())
+    words = " ".join(Page(render_report(FramesReport(**run))).words.split())
     order = (
         "Doubtful", "Seams at 2 of 3 places", "distances over 100 m RMSE 2.0 cm, 0.12 px 30.0 cm, met",
         "horizontal, measured RMSE 4.1 cm CE90 6.2 cm 3.0 cm, missed",
         "vertical, measured RMSE 5.2 cm LE90 8.6 cm 10.0 cm, met", "7 of 8", "CHK-15", "9 of 10", "GCP-03",
         "mean shift of the map +1.0 cm east, -2.0 cm north, 0.0 cm up", "frames tied", "Fix",
     )  # fmt: skip
-    spaced = re.sub(r"\s+", " ", re.sub("<[^>]+>", " ", render_report(**run))).replace("\u202f", " ")
+    spaced = re.sub(r"\s+", " ", re.sub("<[^>]+>", " ", render_report(FramesReport(**run)))).replace(
+        "\u202f", " "
+    )
     at = [spaced.index(wanted) for wanted in order]
     assert at == sorted(at), "in this order"
-    assert "&lt;span" not in render_report(**run) and 'class="option">--gcp</span>' in render_report(**run)
+    assert "&lt;span" not in render_report(
+        FramesReport(**run)
+    ) and 'class="option">--gcp</span>' in render_report(FramesReport(**run))
     assert HOSTILE in words and "nan" not in words.split()
 
 
@@ -185,7 +189,7 @@ def test_the_glossary_defines_every_figure(run, request):
     section = surface_section(request.getfixturevalue("surface_run"), compared=True)
     part = TrimmedPart("seen too coarsely", 40.0, ())
     shown = {**run, "summary": summary, "mosaic": replace(run["mosaic"], trimmed=Trimmed(400.0, (part,)))}
-    html = render_report(**shown, surface=section)
+    html = render_report(FramesReport(**shown, surface=section))
     page = Labels(html)
     data = json.loads(re.search(r'id="map-data">(.*?)</script>', html)[1])
     page.found |= {layer["title"].lower() for layer in [*data["layers"], *data["images"]]}

@@ -20,7 +20,7 @@ from geomosaic.errors import FileError
 from geomosaic.export.orientation import orientations
 from geomosaic.pipeline.stage import Context
 from geomosaic.report import warnings
-from geomosaic.report.frames import render_report
+from geomosaic.report.frames import FramesReport, render_report
 from geomosaic.report.glance import glance
 from geomosaic.report.parts import frame_table
 from geomosaic.report.warnings import warnings_of
@@ -62,7 +62,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def html(run):
-    return render_report(**run, name="run of May")
+    return render_report(FramesReport(**run, name="run of May"))
 
 
 def test_the_page_is_whole_and_says_what_a_surveyor_asks(html):
@@ -90,11 +90,13 @@ def test_light_and_seams_are_told_before_and_after(run):
         "median_px": 0.4,
     }
     metrics = {**run["summary"]["metrics"], "tones": {"difference_grey": grey}, "seams": seams}
-    words = Page(render_report(**{**run, "summary": {**run["summary"], "metrics": metrics}})).words
+    words = Page(
+        render_report(FramesReport(**{**run, "summary": {**run["summary"], "metrics": metrics}}))
+    ).words
     words = " ".join(words.split())
     for wanted in ("light11.5 (33.3)9.32 (29.3)", "seams14.5 (32.5)7.29 (15.5)", "3 972 m2 974 m"):
         assert wanted in words, wanted
-    assert "halfway between frames" not in Page(render_report(**run)).words
+    assert "halfway between frames" not in Page(render_report(FramesReport(**run))).words
 
 
 def test_nothing_is_fetched_and_nothing_foreign_is_run(html):
@@ -154,7 +156,7 @@ def test_equal_warnings_are_counted_and_routine_ones_folded(run):
         "shutter doubtful"
     ]
     assert [(w.count, len(w.frames)) for w in told.routine] == [(6, 6)] and told.frames == {"7.jpg": 1}
-    html = render_report(**{**run, "summary": {**run["summary"], "warnings": given}})
+    html = render_report(FramesReport(**{**run, "summary": {**run["summary"], "warnings": given}}))
     words = " ".join(Page(html).words.split())
     assert (
         words.index("The map suffers from this") < words.index("Worth a look") < words.index("1 routine note")
@@ -180,7 +182,11 @@ def test_the_plain_run_without_reference_rounds_or_ties(run):
     adjusted = run["adjusted"]
     bare = Adjusted(adjusted.poses, adjusted.cameras, ("placed",) * 12, (), (), adjusted.ground)
     ties = replace(run["ties"], pairs=(), untied=())
-    page = Page(render_report(**{**run, "adjusted": bare, "ties": ties, "comparison": None, "summary": {}}))
+    page = Page(
+        render_report(
+            FramesReport(**{**run, "adjusted": bare, "ties": ties, "comparison": None, "summary": {}})
+        )
+    )
     words = " ".join(page.words.split())
     assert "No warnings." in words and "Not judged" in words
     assert "Accuracy against the reference" not in words
@@ -192,7 +198,7 @@ def test_a_thousand_frames_stay_below_five_megabytes(tmp_path):
     run = made_up_run(tmp_path, 20, 50, with_comparison=False, ties_per_pair=5)
     one = {"code": "no-tie-points", "text": "no tie points with other frames"}
     run["summary"]["warnings"] = [{**one, "frame": f"DJI_{i}.JPG"} for i in range(1000)]
-    html = render_report(**run)
+    html = render_report(FramesReport(**run))
     assert len(html.encode()) < 5e6
     assert "× 1000" in html and "The rest is in run.json." in html
 

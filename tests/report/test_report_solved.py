@@ -15,7 +15,7 @@ from test_report_page import Page
 from geomosaic.adjustment.model import ImageResiduals, SharedUnknowns
 from geomosaic.camera.interior import Camera
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.report.frames import render_report
+from geomosaic.report.frames import FramesReport, render_report
 from geomosaic.report.plots import Axis, histogram
 from geomosaic.report.solved_figures import (
     ground_reason,
@@ -57,7 +57,7 @@ def test_every_number_says_what_was_given_and_found_with_its_deviation():
     (lens, rows), (platform, lag) = unknown_tables(shared())
     assert (lens, platform) == ("lens", "platform")
     f, k1, k2, row = rows
-    assert (f.name, f.given, f.found, f.change, f.sd, f.change_sd, f.held) == (
+    assert (f.name, f.given, f.found, f.change, f.sd, f.change_sd, f.undetermined) == (
         "focal length [px]", "1000.0", "1005.5", "+5.5 (+0.55 %)", "5.0", "+1.1", False,
     )  # fmt: skip
     assert (k1.name, k1.given, k1.found, k1.change, k1.sd, k1.change_sd) == (
@@ -176,10 +176,10 @@ def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
     fixed[list(solved.adjusted.shared.names).index("k3")] = True
     adjusted = replace(solved.adjusted, shared=replace(solved.adjusted.shared, fixed=fixed))
     summary = {**run["summary"], "metrics": {"ground": {"kind": "flat", "reason": "chosen by <b>parameter"}}}
-    html = render_report(
+    html = render_report(FramesReport(
         survey=solved.survey, placement=solved.placement, ties=solved.ties, adjusted=adjusted,
         mosaic=solved.mosaic, mosaic_file=run["mosaic_file"], summary=summary,
-    )  # fmt: skip
+    ))  # fmt: skip
     page = Page(html)
     words = " ".join(page.words.split())
     for wanted in (
@@ -196,7 +196,7 @@ def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
 
 
 def test_methods_without_a_covariance_still_say_on_what_ground(tmp_path):
-    page = Page(render_report(**made_up_run(tmp_path, with_comparison=False)))
+    page = Page(render_report(FramesReport(**made_up_run(tmp_path, with_comparison=False))))
     words = " ".join(page.words.split())
     assert "Ground: flat ground (no DEM was given; images and attitudes agree with level ground)" in words
     assert "What all frames share" not in words and "Correlations" not in words

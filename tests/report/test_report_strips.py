@@ -22,7 +22,7 @@ from geomosaic.quality.strips import PairQuality, StripQuality
 from geomosaic.report.numbers import whole
 from geomosaic.report.strip_images import Place, seam_col, seam_crops, seam_places
 from geomosaic.report.strip_plots import misplacement_plot, offsets_plot, spectrum_plot
-from geomosaic.report.strips import render_strips_report, strips_verdict
+from geomosaic.report.strips import StripsReport, render_strips_report, strips_verdict
 from geomosaic_simulate.strip_plan import StripPlan
 
 SUMMARY = {
@@ -50,7 +50,7 @@ def page_of(scene: ComposedScene, **changes: object) -> str:
         "mosaic_file": scene.mosaic_file,
         "summary": SUMMARY,
     }
-    return render_strips_report(**(given | changes))  # type: ignore[arg-type]
+    return render_strips_report(StripsReport(**(given | changes)))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

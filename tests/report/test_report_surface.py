@@ -14,7 +14,7 @@ from test_report_page import Page
 
 from geomosaic.pipeline.stage import Context
 from geomosaic.quality.surface import compare_surface
-from geomosaic.report.frames import render_report
+from geomosaic.report.frames import FramesReport, render_report
 from geomosaic.report.surface import SurfaceSection, surface_section
 from geomosaic.stages.export_report import ExportReport
 
@@ -135,7 +135,7 @@ def made_up(tmp_path_factory):
 
 
 def test_the_page_is_whole_with_a_surface_and_asks_nothing_of_a_network(run, made_up):
-    html = render_report(**made_up, surface=section(run, compared=True))
+    html = render_report(FramesReport(**made_up, surface=section(run, compared=True)))
     page = Page(html)
     assert page.open == []
     words = " ".join(page.words.split())

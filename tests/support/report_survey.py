@@ -21,6 +21,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.criteria import CRITERIA
 from geomosaic.quality.seam_check import SeamCheck
 from geomosaic.quality.verdict import Evidence, Verdict
@@ -157,5 +158,5 @@ def _mosaic(folder: Path, outline_m: Any, with_comparison: bool) -> tuple[Output
     colour = np.concatenate([eight_bits(split * k) for k in (1.0, 0.95, 0.8)])
     file = write_tif(folder / "mosaic.tif", colour, west, north, gsd, valid=valid)
     truth = write_tif(folder / "ortho <true>.tif", eight_bits(base), west, north, gsd)
-    comparison = compare(file, truth, search_px=16) if with_comparison else None
+    comparison = compare(file, truth, ComparisonOptions(search_px=16)) if with_comparison else None
     return OutputGrid("EPSG:32632", west, north, gsd, cols, rows), file, comparison

@@ -23,6 +23,7 @@ from affine import Affine
 from osgeo import gdal
 
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 FLIGHT = ["--width-px", "1336", "--height-px", "1002", "--k1", "0", "--k2", "0", "--lines", "3",
@@ -45,7 +46,7 @@ def _call(*command: object) -> None:
 
 def likeness(mosaic: Path, ortho: Path, moved: Path) -> float:
     """SSIM with the ortho moved by the similarity that takes it to the mosaic."""
-    s = compare(mosaic, ortho, search_px=64).figures.similarity
+    s = compare(mosaic, ortho, ComparisonOptions(search_px=64)).figures.similarity
     similarity = (
         Affine.translation(s.centre_east_m + s.shift_east_m, s.centre_north_m + s.shift_north_m)
         * Affine.rotation(np.degrees(s.rotation_rad))
@@ -56,7 +57,7 @@ def likeness(mosaic: Path, ortho: Path, moved: Path) -> float:
     with rasterio.open(ortho) as tiff:
         transform = similarity * tiff.transform
     gdal.Translate(str(moved), str(ortho), format="VRT").SetGeoTransform(transform.to_gdal())
-    return compare(mosaic, moved, step_px=2048, search_px=8).ssim.ssim
+    return compare(mosaic, moved, ComparisonOptions(step_px=2048, search_px=8)).ssim.ssim
 
 
 def rows_of(seed: int, out: Path) -> list[dict[str, Any]]:

@@ -24,6 +24,7 @@ from rasterio.vrt import WarpedVRT
 from geomosaic.errors import GeomosaicError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.compare import Comparison, compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.figures import Figures
 from geomosaic_simulate.changing import SWAY_REACH
 from geomosaic_simulate.plan import SurveyPlan
@@ -113,7 +114,7 @@ def _better(again: Figures, found: Figures, little: bool) -> bool:
 def _compared(mosaic: Path, reference: Path) -> Comparison | None:
     """None where they don't overlap or lie on no common map."""
     try:
-        return compare(mosaic, reference, step_px=32, search_px=SEARCH_PX)
+        return compare(mosaic, reference, ComparisonOptions(step_px=32, search_px=SEARCH_PX))
     except GeomosaicError:
         return None
 

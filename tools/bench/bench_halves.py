@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from geomosaic.constants import sourced
 from geomosaic.quality.accuracy import LE90
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES
 from tools.bench.bench_dirty_judge import MOST_PLACES
 from tools.bench.bench_flights import PROGRAM, commit
@@ -66,7 +67,7 @@ def compared(one: Path, other: Path) -> dict[str, Any]:
     """How far two runs' maps differ, beside what they state."""
     said = [json.loads((run / "run.json").read_text()) for run in (one, other)]
     relative = [s["accuracy"]["relative"] for s in said]
-    found = compare(one / "mosaic.tif", other / "mosaic.tif", step_px=48, search_px=256)
+    found = compare(one / "mosaic.tif", other / "mosaic.tif", ComparisonOptions(step_px=48, search_px=256))
     at = found.vectors_m[np.isfinite(found.vectors_m).all(axis=1)]
     # places count from the other map, displacements are this one minus the other
     sd_m = np.hypot(stated_m(one, at[:, :2] + at[:, 2:]), stated_m(other, at[:, :2]))

@@ -49,6 +49,7 @@ from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.figures import best_similarity
 from geomosaic.quality.misalignment import frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
@@ -235,7 +236,7 @@ class Bench:
             share = 100 / COARSE
             gdal.Translate(str(coarse), str(mosaic), widthPct=share, heightPct=share, resampleAlg="average")
             outcome.ssim, outcome.ssim_after, outcome.ssim_coarse = (
-                compare(image, ortho, step_px=2048, search_px=8).ssim.ssim
+                compare(image, ortho, ComparisonOptions(step_px=2048, search_px=8)).ssim.ssim
                 for image, ortho in (
                     (mosaic, self.files.ortho),
                     (mosaic, moved),

@@ -31,6 +31,7 @@ from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import Comparison, compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.figures import best_similarity
 from geomosaic.survey.model import Survey
 from tools.bench.bench_real_cloud import bare_ground, read_cloud
@@ -71,7 +72,7 @@ def halves(
     mosaics = [
         _half(frames[k::2], out / f"brighton-{name}", options) for k, name in enumerate(("odd", "even"))
     ]
-    found = compare(*mosaics, search_px=160)
+    found = compare(*mosaics, ComparisonOptions(search_px=160))
     rows = [_row("split-half: own adjustments", found, cloud, out / "halves.json", own)]
     rows.append(halves_of_one(full, out, cloud, one))
     return rows

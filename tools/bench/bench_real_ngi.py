@@ -26,6 +26,7 @@ from geomosaic.errors import InputError
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.survey.model import Survey
 from tools.bench.bench_real_table import Row
 
@@ -153,7 +154,7 @@ def agreements(run: Path, orthos: Path) -> list[Agreement]:
     out = []
     for a, b in combinations(range(len(names)), 2):
         try:
-            found = compare(files[a], files[b], patch_px=32, step_px=16, search_px=64)
+            found = compare(files[a], files[b], ComparisonOptions(patch_px=32, step_px=16, search_px=64))
         except InputError:
             continue
         if found.figures.measured < _LEAST_PATCHES:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.figures import best_similarity
 from geomosaic.survey.model import Survey
 from tools.bench.bench_real_table import Row
@@ -107,7 +108,7 @@ def _halves(frames: Path, out: Path) -> Row:
             (folder / frame.name).symlink_to(frame.resolve())
         _run(folder, out / f"garfield-{name}", "--gsd", HALVES_GSD_M)
         mosaics.append(out / f"garfield-{name}" / "mosaic.tif")
-    found = compare(*mosaics, search_px=160)
+    found = compare(*mosaics, ComparisonOptions(search_px=160))
     _, left_m = best_similarity(found.vectors_m[:, :2], found.vectors_m[:, 2:])
     length_px = np.linalg.norm(left_m, axis=1) / found.gsd_m
     median = float(np.median(length_px))

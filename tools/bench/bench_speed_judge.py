@@ -32,6 +32,7 @@ from geomosaic.matching.displacement import PatchMatching, measure_displacements
 from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.projection.warp import frame_from_map, ground_window
 from geomosaic.quality.compare import Comparison, compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.figures import Similarity
 from geomosaic.quality.ssim import luma
 from geomosaic.survey.pixels import read_pixels
@@ -78,7 +79,7 @@ def far_off(mosaic: Path, reference: Path, step_px: int, parts: Sequence[Window]
     """The comparison of few patches, looked for far off. Raises `GeomosaicError` without overlap."""
     with rasterio.open(mosaic) as tiff:
         search_px = min(int(FAR_M / tiff.res[0]), 512)
-    return compare(mosaic, reference, step_px=step_px, search_px=search_px, parts=parts)
+    return compare(mosaic, reference, ComparisonOptions(step_px=step_px, search_px=search_px), parts=parts)
 
 
 def against_truth(
@@ -98,7 +99,7 @@ def against_truth(
         if not np.isfinite(far.figures.similarity.scale):
             return {}
         true = moved(ortho, similarity_of(far.figures.similarity), scratch / "ortho-moved.vrt")
-        near = compare(mosaic, true, search_px=NEAR_PX, match_tone=True, parts=parts)
+        near = compare(mosaic, true, ComparisonOptions(search_px=NEAR_PX, match_tone=True), parts=parts)
     except GeomosaicError:
         return {}
     figures = near.figures

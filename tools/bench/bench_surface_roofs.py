@@ -18,6 +18,7 @@ from geomosaic.constants import sourced, tuned
 from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
 from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.figures import Similarity, best_similarity
 from geomosaic.quality.ssim import luma, ssim_maps
 from geomosaic_simulate.plan import SurveyPlan
@@ -121,7 +122,7 @@ def _registered(mosaic: Path, ortho: Path) -> tuple[Image, Image, Bools, rasteri
         valid &= b.read_masks(1, window=window, boundless=True) > 0
         image = a.read((1, 2, 3), window=middle)
         step_px = max(48, round(np.sqrt(a.width * a.height / _MOST_PATCHES)))
-    of = compare(mosaic, ortho, patch_px=48, step_px=step_px).vectors_m
+    of = compare(mosaic, ortho, ComparisonOptions(patch_px=48, step_px=step_px)).vectors_m
     still = np.ones(len(of), dtype=bool)
     for _ in range(5):
         similarity, _ = best_similarity(of[still, :2], of[still, 2:])
