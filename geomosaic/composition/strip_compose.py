@@ -51,8 +51,8 @@ class StripMosaic:
 
 
 @dataclass(frozen=True)
-class StripScene:
-    """A scene of strips: its focal plane and strips, where these lie in it, and how they are balanced. rpc:
+class PlacedStrips:
+    """Strips of a focal plane, where they lie in the scene, and how they are balanced. rpc:
     GDAL's metadata of that name."""
 
     geometry: StripGeometry
@@ -71,7 +71,7 @@ class StripOptions:
 
 
 def compose_strips(
-    scene: StripScene,
+    scene: PlacedStrips,
     raster_path: Path,
     options: StripOptions = StripOptions(),
     progress: Progress = UNOBSERVED,
@@ -133,7 +133,7 @@ def _written(raster: Raster, manner: Manner, step: CompositionStep, materials: M
     return step.window
 
 
-def _sources(scene: StripScene, resampling: str, files: ExitStack) -> tuple[list[StripSource], str]:
+def _sources(scene: PlacedStrips, resampling: str, files: ExitStack) -> tuple[list[StripSource], str]:
     """The living CCDs, and the type of their pixels."""
     geometry, layout, radiometry = scene.geometry, scene.layout, scene.radiometry
     living = [k for k, ccd in enumerate(geometry.ccds) if ccd.path is not None]

@@ -14,14 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
-from scipy.sparse.linalg import spsolve
 
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import scaled
-from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
-from geomosaic.estimation.robust import cauchy_weight
+from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid
@@ -38,13 +35,6 @@ Ints = NDArray[np.intp]
 _ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
 _LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field beside it")
 _TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may be saturated")
-_WHITE = sourced(256.0, "grey levels", "white of the tone curve: 255 cannot move", "number of grey levels")
-_GAIN_SD = tuned(0.2, "log brightness", "prior, half a stop: less forbids exposure; more follows noise")
-_SLOPE_SD = tuned(0.1, "log brightness", "prior, middle to corner: 10 % by the sun's side")
-_VIGNETTE_SD = tuned(0.5, "log brightness", "prior, middle to corner: half at most")
-_INDEPENDENT = tuned(25.0, "places", "independent in a frame, by fields: more follow noise at small overlaps")
-_LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights places that agree by chance")
-_ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
 
 
 @dataclass(frozen=True)
@@ -127,17 +117,6 @@ class ToneSightings:
     image_px: Floats
 
 
-@dataclass(frozen=True)
-class Evenness:
-    """By how many grey levels two frames differ where they show the same ground: median and nine tenths,
-    before and after."""
-
-    before_median: float
-    before_90: float
-    after_median: float
-    after_90: float
-
-
 def lattice(
     views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface
 ) -> ToneSightings:
@@ -191,110 +170,6 @@ def sampled(job: Sampling) -> Samples:
 
 def _most(dtype: np.dtype[Any]) -> float:
     return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else np.inf
-
-
-def solve_tones(
-    places: ToneSightings, values: Floats32, camera_of: Sequence[int], picture: bool = False
-) -> tuple[Tones, Evenness]:
-    """Gains, slopes and vignettes by which all frames show each place alike, band by band.
-
-    Of pictures of 8 bits by the response that leaves the smaller differences in the median.
-
-    Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
-    """
-    found = [
-        _by_response(places, values, camera_of, white)
-        for white in ((np.inf, _WHITE) if picture else (np.inf,))
-    ]
-    return min(found, key=lambda one: np.nan_to_num(one[1].after_median))
-
-
-def _by_response(
-    places: ToneSightings, values: Floats32, camera_of: Sequence[int], white: float
-) -> tuple[Tones, Evenness]:
-    """The solution by one response: see `Tones`.
-
-    Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
-    cars drive off and water shines from one side; weak priors at nothing.
-    """
-    n, bands = len(camera_of), values.shape[1]
-    known = np.isfinite(values).all(axis=1)
-    place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
-    grey = values[known].astype(np.float64)
-    below = np.maximum(1.0 - grey / white, 1.0 / _WHITE)
-    logs = np.log(grey / below)
-    camera = np.asarray(camera_of, dtype=np.intp)[frame]
-    seen = np.bincount(frame, minlength=n)
-    share = np.minimum(1.0, _INDEPENDENT / np.maximum(seen, 1))[frame]
-    cameras, radius2 = max(camera_of, default=0) + 1, (offset**2).sum(axis=1)
-    terms = (
-        (frame, np.ones(len(frame)), n, _GAIN_SD),
-        (frame, offset[:, 0], n, _SLOPE_SD),
-        (frame, offset[:, 1], n, _SLOPE_SD),
-        (camera, radius2, cameras, _VIGNETTE_SD),
-        (camera, radius2**2, cameras, _VIGNETTE_SD),
-    )
-    at = np.arange(len(frame))
-    design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
-    of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.place))).tocsr()
-    bent = float(np.median(1.0 / below)) if len(at) else 1.0
-    prior = np.concatenate([np.full(count, (sd * bent) ** -2) for _, _, count, sd in terms])
-    found, left = np.zeros((bands, len(prior))), np.zeros_like(logs)
-    for b in range(bands if len(at) else 0):
-        found[b], left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
-    gain, across, along, second, fourth = np.split(found.T, np.cumsum([c for _, _, c, _ in terms])[:-1])
-    seen_at_all = (seen > 0)[:, None]
-    of_frame = np.asarray(camera_of, dtype=np.intp)
-    tones = Tones(
-        np.where(seen_at_all, gain, 0.0),
-        np.where(seen_at_all[..., None], np.stack([across, along], axis=-1), 0.0),
-        np.stack([second[of_frame], fourth[of_frame]], axis=-1),
-        white,
-    )
-    before = logs - _means(of_place, np.ones(len(at)), logs)
-    return tones, _evenness(grey * below, before, left)
-
-
-def _solved(
-    design: csr_matrix, of_place: csr_matrix, logs: Floats, share: Floats, prior: Floats
-) -> tuple[Floats, Floats]:
-    """One band's unknowns, and what they leave of the differences to each place's mean."""
-    found, left = np.zeros(design.shape[1]), logs - _means(of_place, share, logs)
-    for _ in range(_ROUNDS):
-        sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
-        weight = share / sd**2 * cauchy_weight(left / sd)
-        weighed = diags(weight) @ design
-        coupling = of_place.T @ weighed
-        total = of_place.T @ weight
-        per = diags(1.0 / np.maximum(total, 1e-12))
-        normal = design.T @ weighed - coupling.T @ per @ coupling + diags(prior)
-        side = weighed.T @ logs - coupling.T @ (per @ (of_place.T @ (weight * logs)))
-        found = spsolve(normal.tocsc(), side)
-        off = logs - design @ found
-        left = off - _means(of_place, weight, off)
-    return found, left
-
-
-def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
-    """Each sighting's place's weighted mean of values (m,) or (m, b)."""
-    total = np.maximum(of_place.T @ weight, 1e-12)
-    sums = of_place.T @ (diags(weight) @ values)
-    return np.asarray(of_place @ (sums / (total if values.ndim == 1 else total[:, None])))
-
-
-def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:
-    """Differences of two frames are the root of two times those to their mean.
-
-    Args: grey (m, b): how far a value moves by its logarithm, or by that of its odds.
-    """
-    if not len(grey):
-        return Evenness(*[float("nan")] * 4)
-    figures = [
-        float(np.quantile(np.sqrt(2.0) * np.abs(np.expm1(off)) * grey, share))
-        for off in (before, after)
-        for share in (0.5, 0.9)
-    ]
-    return Evenness(*figures)
 
 
 def _from_middle(camera: Camera, cols: NDArray[Any], rows: NDArray[Any]) -> tuple[Floats32, Floats32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,34 +49,37 @@ def block_cache(most_bytes: int) -> Iterator[None]:
         gdal.SetCacheMax(before)
 
 
+@dataclass(frozen=True)
+class CogOptions:
+    """How a COG is written. compression: one of COMPRESSIONS; quality: of LOSSY ones, in %; most_off: by how
+    much values may change by LERC. overviews: one of OVERVIEWS. threads: that compress."""
+
+    compression: str = COMPRESSION
+    quality: int = 90
+    most_off: float = 0.0
+    overviews: str = OVERVIEWS_MADE
+    threads: int = 2
+
+
 def write_cog(
-    raster: Path,
-    out: Path,
-    *,
-    compression: str = COMPRESSION,
-    quality: int = 90,
-    most_off: float = 0.0,
-    overviews: str = OVERVIEWS_MADE,
-    threads: int = 2,
-    progress: Progress | None = None,
+    raster: Path, out: Path, options: CogOptions = CogOptions(), progress: Progress | None = None
 ) -> bool:
     """Writes a raster, with its mask, as a COG with overviews and blocks of 512 px.
 
     One that composition wrote is a COG already: its bytes are copied, unless it is to be kept otherwise; then
     GDAL makes another one of it. The software and the ground pixel (`GSD_M`) stand in its metadata, an RPC
     where the raster has one, and each band's statistics: the raster's own, or of a sample of its blocks.
-    quality: of LOSSY compressions, in %. most_off: by how much values may change by LERC.
     Returns whether its bytes were copied. Raises: `InputError` if the compression can't hold these pixels;
     `OSError` if `out` can't be written.
     """
     callback = GdalProgress(progress)
     with callback.reraise(), gdal_failures(out), block_cache(_CACHE_BYTES):
         source = open_with_osgeo(raster, OWN)
-        if (compression, overviews) == (COMPRESSION, OVERVIEWS_MADE) and _is_composed(source):
+        if (options.compression, options.overviews) == (COMPRESSION, OVERVIEWS_MADE) and _is_composed(source):
             del source
             _copy(raster, out, callback)
             return True
-        options = _options(source, compression, quality, most_off, overviews)
+        creation = _creation_options(source, options)
         with gdal_options({"GDAL_PAM_ENABLED": "NO"}):
             if not source.GetRasterBand(1).GetMetadataItem("STATISTICS_MEAN"):
                 _write_statistics(source)
@@ -85,7 +89,7 @@ def write_cog(
             str(out),
             source,
             format="COG",
-            creationOptions=[*options, f"NUM_THREADS={threads}"],
+            creationOptions=[*creation, f"NUM_THREADS={options.threads}"],
             metadataOptions=[f"TIFFTAG_SOFTWARE={SOFTWARE}", *gsd],
             callback=callback,
         )
@@ -110,8 +114,9 @@ def _copy(raster: Path, out: Path, progress: GdalProgress) -> None:
                 return
 
 
-def _options(source: Any, compression: str, quality: int, most_off: float, overviews: str) -> list[str]:
+def _creation_options(source: Any, cog: CogOptions) -> list[str]:
     """GDAL's creation options. Raises `InputError` if the compression can't hold these pixels."""
+    compression, overviews = cog.compression, cog.overviews
     band = source.GetRasterBand(1)
     if compression in LOSSY and not (band.DataType == gdal.GDT_Byte and source.RasterCount in (1, 3)):
         kind = f"{source.RasterCount} bands of {gdal.GetDataTypeName(band.DataType)}"
@@ -133,9 +138,9 @@ def _options(source: Any, compression: str, quality: int, most_off: float, overv
         *COMPRESSIONS[compression],
     ]
     if compression in LOSSY:
-        options.append(f"QUALITY={quality}")
+        options.append(f"QUALITY={cog.quality}")
     if compression == LERC:
-        options.append(f"MAX_Z_ERROR={most_off:g}")
+        options.append(f"MAX_Z_ERROR={cog.most_off:g}")
     if max(source.RasterXSize, source.RasterYSize) > _BLOCK_PX << _MOST_OVERVIEWS:
         # GDAL holds as many rows at once as one of the smallest overview stands for.
         options.append(f"OVERVIEW_COUNT={_MOST_OVERVIEWS}")

@@ -31,13 +31,19 @@ _ZONE_UTC: Final = 100
 
 
 @dataclass(frozen=True)
-class _Layer:
+class MapFeatures:
+    """A layer: its name and description, shapely geometries of a type, and `fields`, columns of the same
+    length: numbers, text or times in UTC (`datetime64`). NaN, NaT and None become NULL.
+
+    style: how a GIS shows it at first.
+    """
+
     name: str
     text: str
     geometry_type: str
-    geometries: NDArray[np.object_]
-    fields: dict[str, NDArray[Any]]
-    style: Style | None
+    geometries: Sequence[Any] | NDArray[np.object_]
+    fields: Mapping[str, Any]
+    style: Style | None = None
     metadata: Mapping[str, str] | None = None
 
 
@@ -45,25 +51,13 @@ class GeoPackage:
     """The layers that go into a GeoPackage."""
 
     def __init__(self) -> None:
-        self._layers: list[_Layer] = []
+        self._layers: list[MapFeatures] = []
 
-    def add_layer(
-        self,
-        name: str,
-        text: str,
-        geometry_type: str,
-        geometries: Sequence[Any] | NDArray[np.object_],
-        fields: dict[str, Any],
-        style: Style | None = None,
-    ) -> None:
-        """A layer of shapely geometries; `fields` are columns of the same length: numbers, text or times in
-        UTC (`datetime64`).
-
-        NaN, NaT and None become NULL. style: how a GIS shows it at first.
-        """
-        columns = {field: np.asarray(values) for field, values in fields.items()}
-        shapes = np.array([*geometries], dtype=object)
-        self._layers.append(_Layer(name, text, geometry_type, shapes, columns, style))
+    def add_layer(self, layer: MapFeatures) -> None:
+        """One more, after the others."""
+        columns = {field: np.asarray(values) for field, values in layer.fields.items()}
+        shapes = np.array([*layer.geometries], dtype=object)
+        self._layers.append(replace(layer, geometries=shapes, fields=columns))
 
     def describe(self, name: str, metadata: Mapping[str, str]) -> None:
         """Metadata of a layer, as GIS show it. Of a file that has some of its own, GDAL writes a sidecar when
@@ -87,7 +81,7 @@ class GeoPackage:
             pyogrio.set_gdal_config_options(before)
 
 
-def _write(path: Path, layer: _Layer, crs: str | None, *, append: bool) -> None:
+def _write(path: Path, layer: MapFeatures, crs: str | None, *, append: bool) -> None:
     from pyogrio.raw import write
 
     placed = layer.geometry_type != "None"
@@ -110,7 +104,7 @@ def _write(path: Path, layer: _Layer, crs: str | None, *, append: bool) -> None:
     )
 
 
-def _style_table(layers: Sequence[_Layer], stamp: datetime) -> _Layer:
+def _style_table(layers: Sequence[MapFeatures], stamp: datetime) -> MapFeatures:
     """The table in which QGIS keeps styles and finds those that count as default."""
     n = len(layers)
     styles = [layer.style for layer in layers if layer.style is not None]
@@ -129,7 +123,7 @@ def _style_table(layers: Sequence[_Layer], stamp: datetime) -> _Layer:
         "update_time": np.full(n, np.datetime64(stamp.replace(tzinfo=None), "ms")),
     }
     columns = {field: np.asarray(values) for field, values in fields.items()}
-    return _Layer(_STYLES, "How layers are shown", "None", np.array([], dtype=object), columns, None)
+    return MapFeatures(_STYLES, "How layers are shown", "None", np.array([], dtype=object), columns, None)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.export import looks
 from geomosaic.export.ellipses import error_ellipses, exaggeration
-from geomosaic.export.geopackage import GeoPackage, writing_geopackage
+from geomosaic.export.geopackage import GeoPackage, MapFeatures, writing_geopackage
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations, orientations
-from geomosaic.export.residual_layers import add_residual_layers
+from geomosaic.export.residual_layers import ResidualLayers
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
@@ -26,15 +27,18 @@ from geomosaic.survey.model import Survey
 Floats = NDArray[np.float64]
 
 
-def write_layers(
-    path: Path,
-    survey: Survey,
-    placement: Placement,
-    ties: TiePoints,
-    adjusted: Adjusted,
-    mosaic: Mosaic,
-    stated: Mapping[str, str] | None = None,
-) -> None:
+@dataclass(frozen=True)
+class SolvedSurvey:
+    """A survey, where its frames were reported to be, what ties them, and the adjustment and mosaic of it."""
+
+    survey: Survey
+    placement: Placement
+    ties: TiePoints
+    adjusted: Adjusted
+    mosaic: Mosaic
+
+
+def write_layers(path: Path, solved: SolvedSurvey, stated: Mapping[str, str] | None = None) -> None:
     """Writes the GeoPackage, in the survey's map CRS. Every layer is there, if need be empty.
 
     frames: the adjusted projection centres with their orientation. footprints: what each frame sees of the
@@ -50,33 +54,31 @@ def write_layers(
     stated: what is said of the map's accuracy, metadata of frames.
     Raises: `OSError` if the file can't be written.
     """
-    adjusted_orientation = orientations(survey, placement.poses, adjusted)
+    survey, adjusted = solved.survey, solved.adjusted
+    adjusted_orientation = orientations(survey, solved.placement.poses, adjusted)
     times = [f.time_s for f in survey.frames if f.time_s is not None]
     with writing_geopackage(path, survey.map_crs, max(times, default=None)) as package:
-        layers = _Layers(package, survey, placement, adjusted, mosaic, adjusted_orientation)
+        layers = _Layers(package, solved, adjusted_orientation)
         layers.frames()
         package.describe("frames", stated or {})
         layers.footprints()
         layers.nadir_points()
         layers.moves()
         layers.error_ellipses()
-        add_residual_layers(package, survey, ties, adjusted, layers.gsd_m, adjusted_orientation.map_m)
+        residuals = ResidualLayers(package, survey, adjusted, adjusted_orientation.map_m)
+        residuals.tie_points(solved.ties, layers.gsd_m)
+        residuals.image_residuals()
+        residuals.control()
         layers.seamlines()
         layers.trimmed()
 
 
 class _Layers:
-    def __init__(
-        self,
-        package: GeoPackage,
-        survey: Survey,
-        placement: Placement,
-        adjusted: Adjusted,
-        mosaic: Mosaic,
-        orientation: Orientations,
-    ) -> None:
-        self.package, self.survey, self.placement = package, survey, placement
-        self.adjusted, self.mosaic, self.orientation = adjusted, mosaic, orientation
+    def __init__(self, package: GeoPackage, solved: SolvedSurvey, orientation: Orientations) -> None:
+        self.package, self.orientation = package, orientation
+        survey, adjusted = solved.survey, solved.adjusted
+        self.survey, self.placement = survey, solved.placement
+        self.adjusted, self.mosaic = adjusted, solved.mosaic
         self.ellipses = error_ellipses(orientation.covariance_m2[:, :2, :2])
         self.names = np.array([f.name for f in survey.frames])
         self.status = np.array(adjusted.status)
@@ -91,7 +93,9 @@ class _Layers:
         o = self.orientation
         points = shapely.points(np.column_stack([o.map_m, o.lon_lat_height[:, 2]]))
         self.package.add_layer(
-            "frames", "Adjusted projection centres", "PointZ", points, self._orientation(), looks.frames()
+            MapFeatures(
+                "frames", "Adjusted projection centres", "PointZ", points, self._orientation(), looks.frames()
+            )
         )
 
     def footprints(self) -> None:
@@ -102,7 +106,7 @@ class _Layers:
             outlines.append(shapely.Polygon(ring) if len(ring) >= 3 else None)
         fields = {**self._frame_fields(), "area_m2": [np.nan if p is None else p.area for p in outlines]}
         self.package.add_layer(
-            "footprints", "What each frame sees", "Polygon", outlines, fields, looks.footprints()
+            MapFeatures("footprints", "What each frame sees", "Polygon", outlines, fields, looks.footprints())
         )
 
     def nadir_points(self) -> None:
@@ -118,7 +122,9 @@ class _Layers:
         }
         points = shapely.points(map_from_work(self.survey, at))
         text = "Ground below the POS positions"
-        self.package.add_layer("nadir_points", text, "Point", points, fields, looks.nadir_points())
+        self.package.add_layer(
+            MapFeatures("nadir_points", text, "Point", points, fields, looks.nadir_points())
+        )
 
     def moves(self) -> None:
         """Of frames whose position was given."""
@@ -138,12 +144,14 @@ class _Layers:
         }
         style = looks.moves(exaggeration(np.linalg.norm(moved[known], axis=1), o.map_m))
         self.package.add_layer(
-            "moves",
-            "From where the POS put each frame to where the adjustment did, true to scale",
-            "LineString",
-            np.asarray(shapely.linestrings(np.stack([given, o.map_m], axis=1)[known])),
-            {name: values[known] for name, values in fields.items()},
-            style,
+            MapFeatures(
+                "moves",
+                "From where the POS put each frame to where the adjustment did, true to scale",
+                "LineString",
+                np.asarray(shapely.linestrings(np.stack([given, o.map_m], axis=1)[known])),
+                {name: values[known] for name, values in fields.items()},
+                style,
+            )
         )
 
     def error_ellipses(self) -> None:
@@ -154,13 +162,16 @@ class _Layers:
         known = np.asarray(np.isfinite(outlines).all(axis=(1, 2)))
         fields = {**self._ellipse(), "sd_u_m": o.sd_m[:, 2], "scale": np.full(len(known), factor)}
         fields = {"frame": self.names, "status": self.status, **fields}
+        larger = f"drawn {factor:,.0f} times larger"
         self.package.add_layer(
-            "error_ellipses",
-            f"Standard error ellipses (1 sigma) of the frames' positions, drawn {factor:,.0f} times larger",
-            "Polygon",
-            np.asarray(shapely.polygons(outlines[known])),
-            {name: np.asarray(values)[known] for name, values in fields.items()},
-            looks.error_ellipses(factor),
+            MapFeatures(
+                "error_ellipses",
+                f"Standard error ellipses (1 sigma) of the frames' positions, {larger}",
+                "Polygon",
+                np.asarray(shapely.polygons(outlines[known])),
+                {name: np.asarray(values)[known] for name, values in fields.items()},
+                looks.error_ellipses(factor),
+            )
         )
 
     def seamlines(self) -> None:
@@ -173,12 +184,14 @@ class _Layers:
             "area_m2": np.array([s.area for s in shapes], dtype=float),
         }
         self.package.add_layer(
-            "seamlines",
-            "Where each frame gives the mosaic",
-            "MultiPolygon",
-            shapes,
-            fields,
-            looks.seamlines(),
+            MapFeatures(
+                "seamlines",
+                "Where each frame gives the mosaic",
+                "MultiPolygon",
+                shapes,
+                fields,
+                looks.seamlines(),
+            )
         )
 
     def trimmed(self) -> None:
@@ -191,7 +204,7 @@ class _Layers:
             "area_m2": np.array([p.area_m2 for p in parts], dtype=float),
         }
         text = "What frames see and the mosaic leaves out"
-        self.package.add_layer("trimmed", text, "MultiPolygon", shapes, fields, looks.trimmed())
+        self.package.add_layer(MapFeatures("trimmed", text, "MultiPolygon", shapes, fields, looks.trimmed()))
 
     def _frame_fields(self) -> dict[str, Any]:
         frames = self.survey.frames

@@ -17,7 +17,7 @@ from geomosaic.composition.orthos import write_ortho
 from geomosaic.composition.visibility import FrameOnMap
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.export.cog import write_cog
+from geomosaic.export.cog import CogOptions, write_cog
 
 _UNSAFE: Final = re.compile(r"[^\w.-]")
 _LONGEST: Final = 60
@@ -51,9 +51,7 @@ class OrthoStyle:
     warping: Warping
     area: Area | None
     names: tuple[str, ...]
-    compression: str
-    quality: int
-    threads: int
+    cog: CogOptions
     scratch: Path
 
 
@@ -70,7 +68,7 @@ def ortho_file(style: OrthoStyle, frame: tuple[FrameOnMap, ...]) -> OrthoFile:
         raster, out = Path(folder) / "raster.tif", Path(folder) / "ortho.tif"
         if not write_ortho(style.warping, style.area, style.names, frame, raster):
             return OrthoFile(b"")
-        write_cog(raster, out, compression=style.compression, quality=style.quality, threads=style.threads)
+        write_cog(raster, out, style.cog)
         return OrthoFile(out.read_bytes())
 
 

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from geomosaic.doors.gdal_failures import Progress
-from geomosaic.export.web import write_tiles
+from geomosaic.export.web import TileOptions, write_tiles
 
 _MBTILES: Final = """
 BEGIN;
@@ -33,9 +33,7 @@ def write_packed(
     mosaic_file: Path,
     out: Path,
     form: str,
-    *,
-    tile_format: str = "png",
-    threads: int = 2,
+    options: TileOptions = TileOptions(),
     progress: Progress | None = None,
 ) -> None:
     """The tiles of `write_tiles` in one file of one of `FORMS`.
@@ -44,9 +42,9 @@ def write_packed(
     """
     with TemporaryDirectory(dir=out.parent) as scratch:
         folder = Path(scratch) / "tiles"
-        write_tiles(mosaic_file, folder, tile_format=tile_format, threads=threads, progress=progress)
+        write_tiles(mosaic_file, folder, options, progress=progress)
         index = {**json.loads((folder / "tiles.json").read_text()), "name": mosaic_file.parent.name}
-        FORMS[form](out, folder, index, tile_format)
+        FORMS[form](out, folder, index, options.tile_format)
 
 
 def _write_mbtiles(out: Path, folder: Path, index: dict[str, Any], tile_format: str) -> None:

@@ -4,8 +4,9 @@ from the north-west."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from xml.etree.ElementTree import Element, SubElement
 
 from geomosaic.composition.palette import frame_colour
@@ -88,7 +89,7 @@ def source_layer(path: Path) -> ProjectLayer:
             palette, "paletteEntry", value=f"{number}", color=f"#{red:02x}{green:02x}{blue:02x}", alpha="255",
             label=frames[number],
         )  # fmt: skip
-    return _raster(path, "Which frame gives each pixel", crs, renderer, checked=False)
+    return replace(_raster(path, "Which frame gives each pixel", crs, renderer), checked=False)
 
 
 def accuracy_layers(folder: Path) -> list[ProjectLayer]:
@@ -105,8 +106,8 @@ def accuracy_layers(folder: Path) -> list[ProjectLayer]:
     palette = SubElement(renderer, "colorPalette")
     for number, (label, colour) in _SOURCES.items():
         SubElement(palette, "paletteEntry", value=f"{number}", color=colour, alpha="255", label=label)
-    title = "Where heights come from"
-    return [*shown, _raster(path, title, crs, renderer, checked=False, id="accuracy_sources")]
+    sources = _raster(path, "Where heights come from", crs, renderer)
+    return [*shown, replace(sources, checked=False, name="accuracy_sources")]
 
 
 def surface_layers(folder: Path) -> list[ProjectLayer]:
@@ -138,7 +139,8 @@ def _shading(surface: Path) -> ProjectLayer:
         crs = tiff.crs.to_wkt()
     blend = Element("blendMode")
     blend.text = _MULTIPLY
-    return _raster(surface, "Shading", crs, renderer, checked=False, id="surface_shading", siblings=(blend,))
+    shading = _raster(surface, "Shading", crs, renderer, (blend,))
+    return replace(shading, checked=False, name="surface_shading")
 
 
 def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str = "") -> ProjectLayer:
@@ -166,7 +168,8 @@ def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str
             alpha="255",
         )
     abstract = f"Heights are {heights}." if heights and colours is _HEIGHTS else ""
-    return _raster(path, title, crs, renderer, checked=False, id=id, abstract=abstract)
+    layer = _raster(path, title, crs, renderer)
+    return replace(layer, checked=False, name=id or layer.name, abstract=abstract)
 
 
 def _raster(
@@ -174,15 +177,10 @@ def _raster(
     title: str,
     crs: str,
     renderer: Element,
-    *,
-    checked: bool = True,
-    id: str = "",
     siblings: tuple[Element, ...] = (),
-    **more: Any,
 ) -> ProjectLayer:
+    """A layer that is shown at first, called by the file's name."""
     pipe = Element("pipe")
     pipe.append(renderer)
     SubElement(pipe, "rasterresampler", maxOversampling="2", zoomedOutResampler="bilinear")
-    return ProjectLayer(
-        id or path.stem, title, f"./{path.name}", False, crs, (pipe, *siblings), checked, **more
-    )
+    return ProjectLayer(path.stem, title, f"./{path.name}", False, crs, (pipe, *siblings), True)

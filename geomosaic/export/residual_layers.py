@@ -12,7 +12,7 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
-from geomosaic.export.geopackage import GeoPackage
+from geomosaic.export.geopackage import GeoPackage, MapFeatures
 from geomosaic.export.on_map import grid_from_work, map_from_work
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.projection.footprint import ground_from_image
@@ -27,26 +27,19 @@ _SHARE_OF_SPACING = 0.03
 """How long the typical residual is drawn, of the way to the next frame: thousands of arrows stay apart."""
 
 
-def add_residual_layers(
-    package: GeoPackage, survey: Survey, ties: TiePoints, adjusted: Adjusted, gsd_m: Floats, frames_m: Floats
-) -> None:
+class ResidualLayers:
     """The layers tie_points, residuals, image_residuals, control and control_residuals.
 
-    Args: gsd_m (n,): each frame's ground sampling distance; frames_m (n, 2): where it is on the map.
+    frames_m (n, 2): where each frame is on the map.
     """
-    layers = _ResidualLayers(package, survey, adjusted, frames_m)
-    layers.tie_points(ties, gsd_m)
-    layers.image_residuals()
-    layers.control()
 
-
-class _ResidualLayers:
     def __init__(self, package: GeoPackage, survey: Survey, adjusted: Adjusted, frames_m: Floats) -> None:
         self.package, self.survey, self.adjusted, self.frames_m = package, survey, adjusted, frames_m
         self.names = np.array([f.name for f in survey.frames])
         self.most = min(MOST_POINTS, MOST_A_FRAME * len(self.names))
 
     def tie_points(self, ties: TiePoints, gsd_m: Floats) -> None:
+        """gsd_m (n,): each frame's ground sampling distance."""
         pairs, residuals_m = TiePairs.of(ties.pairs), self.adjusted.residuals_m
         known = np.concatenate([np.zeros(0, dtype=bool), *(np.isfinite(r).all(axis=1) for r in residuals_m)])
         shown = _evenly(np.flatnonzero(known), self.most)
@@ -85,10 +78,12 @@ class _ResidualLayers:
         }
         middle = shapely.points((left_map + right_map) / 2.0)
         text = "Tie points on the ground" + thinned
-        self.package.add_layer("tie_points", text, "Point", middle, {**fields, **place}, looks.tie_points())
+        self.package.add_layer(
+            MapFeatures("tie_points", text, "Point", middle, {**fields, **place}, looks.tie_points())
+        )
         style = looks.residuals(exaggeration(length, self.frames_m, _SHARE_OF_SPACING))
         text, lines = "From left to right frame's place" + thinned, _lines(left_map, right_map)
-        self.package.add_layer("residuals", text, "LineString", lines, fields, style)
+        self.package.add_layer(MapFeatures("residuals", text, "LineString", lines, fields, style))
 
     def image_residuals(self) -> None:
         """At the place on the ground where the frame of each observation puts it."""
@@ -113,7 +108,9 @@ class _ResidualLayers:
         }
         text = "Tie points' image coordinates, measured minus computed" + thinned
         points = np.asarray(shapely.points(map_from_work(self.survey, at[hit])))
-        self.package.add_layer("image_residuals", text, "Point", points, fields, looks.image_residuals())
+        self.package.add_layer(
+            MapFeatures("image_residuals", text, "Point", points, fields, looks.image_residuals())
+        )
 
     def control(self) -> None:
         """The surveyed places, and lines from where the images put them: the way a residual points."""
@@ -149,15 +146,17 @@ class _ResidualLayers:
         }  # fmt: skip
         at = np.asarray(shapely.points(np.column_stack([surveyed_map, place[:, 2]])))
         text = "Surveyed control and check points"
-        self.package.add_layer("control", text, "PointZ", at, fields, looks.control())
+        self.package.add_layer(MapFeatures("control", text, "PointZ", at, fields, looks.control()))
         seen = np.isfinite(residual).all(axis=1)
         self.package.add_layer(
-            "control_residuals",
-            "From where the images put control and check points to where they were surveyed",
-            "LineString",
-            _lines(found_map[seen], surveyed_map[seen]),
-            {name: values[seen] for name, values in fields.items()},
-            looks.control_residuals(exaggeration(fields["residual_m"], self.frames_m)),
+            MapFeatures(
+                "control_residuals",
+                "From where the images put control and check points to where they were surveyed",
+                "LineString",
+                _lines(found_map[seen], surveyed_map[seen]),
+                {name: values[seen] for name, values in fields.items()},
+                looks.control_residuals(exaggeration(fields["residual_m"], self.frames_m)),
+            )
         )
 
     def _ground(self, frame: NDArray[Any], image_px: Floats, which: NDArray[Any]) -> Floats:

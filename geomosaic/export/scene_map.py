@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -15,7 +16,7 @@ from geomosaic.constants import tuned
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, close, gdal_failures, gdal_options
 from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
 from geomosaic.errors import InputError
-from geomosaic.export.cog import write_cog
+from geomosaic.export.cog import CogOptions, write_cog
 from geomosaic.geodesy.mapcrs import map_crs, utm_crs
 from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import DemHeights, read_dem_heights
@@ -41,26 +42,33 @@ def ground_under(dem: Path, scene: Path, rpc: Rpc) -> DemHeights:
     return read_dem_heights(dem, lonlat_by_rpc(rpc, at))
 
 
+@dataclass(frozen=True)
+class SceneMapOptions:
+    """How a scene is laid on a map: its pixel; crs: `auto` is the UTM zone of the scene's middle; threads: at
+    work."""
+
+    gsd_m: float
+    crs: str = "auto"
+    resampling: str = "cubic"
+    threads: int = 2
+
+
 def write_scene_map(
     scene: Path,
     out: Path,
-    rpc: Rpc,
-    *,
-    gsd_m: float,
-    crs: str = "auto",
+    options: SceneMapOptions,
     elevation: ElevationModel | None = None,
-    resampling: str = "cubic",
-    threads: int = 2,
     progress: Progress | None = None,
 ) -> None:
-    """Writes a COG with a mask, its corner at whole multiples of its pixel.
+    """Writes a COG with a mask, its corner at whole multiples of its pixel, by the scene's RPC.
 
-    crs: `auto` is the UTM zone of the scene's middle. elevation: the ground, outside of which the RPC's
-    middle height counts.
-    Raises: `InputError` for a CRS that is no map; `OSError` if it can't be written.
+    elevation: the ground, outside of which the RPC's middle height counts.
+    Raises: `InputError` for a CRS that is no map or a scene without an RPC; `OSError` if it can't be
+    written.
     """
+    rpc = check_rpc_there(scene_rpc_of(scene), scene)
     _, _, lat_deg, lon_deg, height_m = rpc.offset.tolist()
-    target = map_crs(utm_crs(lon_deg, lat_deg) if crs == "auto" else crs).to_wkt()
+    target = map_crs(utm_crs(lon_deg, lat_deg) if options.crs == "auto" else options.crs).to_wkt()
     ground = [f"RPC_HEIGHT={height_m:.3f}"]
     if elevation is not None:
         ground = [
@@ -81,20 +89,21 @@ def write_scene_map(
         bands = source.RasterCount
         close(
             gdal.Warp(
-                str(warped), source, format="VRT", dstSRS=target, xRes=gsd_m, yRes=gsd_m,
+                str(warped), source, format="VRT", dstSRS=target, xRes=options.gsd_m, yRes=options.gsd_m,
                 targetAlignedPixels=True, dstAlpha=True, rpc=True, transformerOptions=ground,
-                errorThreshold=_OFF_PX, resampleAlg=RESAMPLING[resampling], warpMemoryLimit=_MEMORY_MB,
+                errorThreshold=_OFF_PX, resampleAlg=RESAMPLING[options.resampling],
+                warpMemoryLimit=_MEMORY_MB,
             )
         )  # fmt: skip
         creation = ["TILED=YES", "BLOCKXSIZE=512", "BLOCKYSIZE=512", "COMPRESS=DEFLATE", "ZLEVEL=1",
-                    "BIGTIFF=IF_SAFER", f"NUM_THREADS={threads}"]  # fmt: skip
+                    "BIGTIFF=IF_SAFER", f"NUM_THREADS={options.threads}"]  # fmt: skip
         close(
             gdal.Translate(
                 str(raster), str(warped), format="GTiff", bandList=[*range(1, bands + 1)],
                 maskBand=str(bands + 1), creationOptions=creation, callback=callback,
             )
         )  # fmt: skip
-        write_cog(raster, out, threads=threads)
+        write_cog(raster, out, CogOptions(threads=options.threads))
 
 
 def check_rpc_there(rpc: Rpc | None, scene: Path) -> Rpc:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import Outlines, lonlat_by_rpc
 from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.export import looks
-from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, writing_geopackage
 from geomosaic.quality.strip_figures import SEGMENT_LINES
 from geomosaic.quality.strips import StripQuality
 from geomosaic.survey.strips import StripGeometry
@@ -19,14 +20,16 @@ from geomosaic.survey.strips import StripGeometry
 _CRS = "EPSG:4326"
 
 
-def write_strip_layers(
-    path: Path,
-    geometry: StripGeometry,
-    mosaic: StripMosaic,
-    rings: Outlines,
-    rpc: Rpc | None,
-    quality: StripQuality,
-) -> None:
+@dataclass(frozen=True)
+class SceneOnMap:
+    """A composed scene, the outlines of it and of its strips, and its RPC if it has one."""
+
+    mosaic: StripMosaic
+    rings: Outlines
+    rpc: Rpc | None
+
+
+def write_strip_layers(path: Path, geometry: StripGeometry, scene: SceneOnMap, quality: StripQuality) -> None:
     """Writes the GeoPackage, in longitude and latitude. Without a model or an RPC its layers are empty.
 
     scene: the raster's outline. ccd_strips: what each CCD saw. seam_segments: 512 lines each of a seam, at
@@ -34,46 +37,53 @@ def write_strip_layers(
     where none was) and whether it is above 1 px.
     Raises: `OSError` if the file can't be written.
     """
+    mosaic, rings, rpc = scene.mosaic, scene.rings, scene.rpc
     with writing_geopackage(path, _CRS, None) as package:
         outline = [shapely.Polygon(rings.scene)] if len(rings.scene) else []
         size = {"width_px": [mosaic.width_px], "height_px": [mosaic.height_px]}
         package.add_layer(
-            "scene",
-            "The scene's outline",
-            "Polygon",
-            outline,
-            {k: v[: len(outline)] for k, v in size.items()},
-            looks.scene(),
+            MapFeatures(
+                "scene",
+                "The scene's outline",
+                "Polygon",
+                outline,
+                {k: v[: len(outline)] for k, v in size.items()},
+                looks.scene(),
+            )
         )
         ccds = list(rings.ccds)
         package.add_layer(
-            "ccd_strips",
-            "What each CCD saw",
-            "Polygon",
-            [shapely.Polygon(rings.ccds[k]) for k in ccds],
-            {
-                "ccd": np.array(ccds, dtype=np.int64) + 1,
-                "strip": np.array([_name(geometry, k) for k in ccds], dtype=str),
-                "row": np.array([geometry.ccds[k].row for k in ccds], dtype=np.int64),
-                "lines": np.array([geometry.lines[k] for k in ccds], dtype=np.int64),
-            },
-            looks.ccd_strips(),
+            MapFeatures(
+                "ccd_strips",
+                "What each CCD saw",
+                "Polygon",
+                [shapely.Polygon(rings.ccds[k]) for k in ccds],
+                {
+                    "ccd": np.array(ccds, dtype=np.int64) + 1,
+                    "strip": np.array([_name(geometry, k) for k in ccds], dtype=str),
+                    "row": np.array([geometry.ccds[k].row for k in ccds], dtype=np.int64),
+                    "lines": np.array([geometry.lines[k] for k in ccds], dtype=np.int64),
+                },
+                looks.ccd_strips(),
+            )
         )
         pairs, firsts, misplaced = _segments(quality)
         if rpc is None:
             pairs, firsts, misplaced = pairs[:0], firsts[:0], misplaced[:0]
         package.add_layer(
-            "seam_segments",
-            "Misplacement of each seam, by segments",
-            "LineString",
-            [] if rpc is None else _lines(geometry, mosaic, rpc, pairs, firsts),
-            {
-                "pair": pairs,
-                "first_line": firsts,
-                "misplacement_px": misplaced,
-                "above_1px": (misplaced > 1.0).astype(np.int64),
-            },
-            looks.seam_segments(),
+            MapFeatures(
+                "seam_segments",
+                "Misplacement of each seam, by segments",
+                "LineString",
+                [] if rpc is None else _lines(geometry, mosaic, rpc, pairs, firsts),
+                {
+                    "pair": pairs,
+                    "first_line": firsts,
+                    "misplacement_px": misplaced,
+                    "above_1px": (misplaced > 1.0).astype(np.int64),
+                },
+                looks.seam_segments(),
+            )
         )
 
 

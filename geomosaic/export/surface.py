@@ -77,36 +77,29 @@ class SurfaceOnMap:
         for row in range(0, self.grid.height_px, side):
             for col in range(0, self.grid.width_px, side):
                 size = min(side, self.grid.height_px - row), min(side, self.grid.width_px - col)
-                yield self._block(row, col, size, top, ground, _shown(mosaic, row, col, size, self.by))
+                shown = _shown(mosaic, row, col, size, self.by)
+                yield self._block(Window(col, row, size[1], size[0]), top, ground, shown)
 
-    def _block(
-        self,
-        row: int,
-        col: int,
-        size: tuple[int, int],
-        top: GroundSurface,
-        ground: GroundSurface,
-        shown: Bools,
-    ) -> SurfaceBlock:
-        height_m, at = self._heights(top, row, col, size)
-        terrain_m, below = self._heights(ground, row, col, size)
+    def _block(self, window: Window, top: GroundSurface, ground: GroundSurface, shown: Bools) -> SurfaceBlock:
+        height_m, at = self._heights(top, window)
+        terrain_m, below = self._heights(ground, window)
         within = _inside(self.surface.cells, *at)
         place, place_below = _cell_of(self.surface.cells, *at), _cell_of(self.terrain.cells, *below)
         views = self.surface.views[place]
         return SurfaceBlock(
-            row, col, height_m, terrain_m, _grained(self.surface.sd_m[place]), views,
+            window.row_off, window.col_off, height_m, terrain_m, _grained(self.surface.sd_m[place]), views,
             self.terrain.seen[place_below], within & (shown | (views > 0)),
         )  # fmt: skip
 
-    def _heights(
-        self, ground: GroundSurface, row: int, col: int, size: tuple[int, int]
-    ) -> tuple[Floats32, tuple[Floats, Floats]]:
+    def _heights(self, ground: GroundSurface, part: Window) -> tuple[Floats32, tuple[Floats, Floats]]:
         """Heights of pixels as they are written, and where in the work frame they lie."""
         grid = self.grid
-        window = ground_window(grid.part(row, col, size), self.work_frame, ground)
+        window = ground_window(
+            grid.part(part.row_off, part.col_off, (part.height, part.width)), self.work_frame, ground
+        )
         assert window.relief_m is not None
         level_m = self.work_frame.geodetic_from_enu(window.polynomial[0])[2]
-        undulation_m = self.heights.undulation_at(grid, row, col, *size)
+        undulation_m = self.heights.undulation_at(grid, part.row_off, part.col_off, part.height, part.width)
         height_m = level_m + window.relief_m.astype(np.float64) - undulation_m
         points = window.points_m()
         return _grained(height_m), (points[..., 0], points[..., 1])

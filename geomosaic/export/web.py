@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -42,14 +43,21 @@ def write_vrt(mosaic_file: Path, out: Path) -> None:
         del done, source
 
 
+@dataclass(frozen=True)
+class TileOptions:
+    """How tiles are written: one of FORMATS; the coarsest and the finest zoom, None: as `write_tiles` says;
+    threads: at work."""
+
+    tile_format: str = "png"
+    min_zoom: int | None = None
+    max_zoom: int | None = None
+    threads: int = 2
+
+
 def write_tiles(
     mosaic_file: Path,
     folder: Path,
-    *,
-    tile_format: str = "png",
-    min_zoom: int | None = None,
-    max_zoom: int | None = None,
-    threads: int = 2,
+    options: TileOptions = TileOptions(),
     layers_file: Path | None = None,
     progress: Progress | None = None,
 ) -> None:
@@ -60,13 +68,14 @@ def write_tiles(
     in about one tile. More than 8 bits are stretched from the 1st to the 99th percentile; of more than three
     bands the first three are shown. Raises: what `progress` raises; `OSError` if a tile can't be written.
     """
-    zooms, bounds = _zooms(mosaic_file, min_zoom, max_zoom)
+    tile_format, max_zoom = options.tile_format, options.max_zoom
+    zooms, bounds = _zooms(mosaic_file, options.min_zoom, max_zoom)
     west, south, east, north = bounds
     folder.mkdir(parents=True)
     finer = max_zoom is None or max_zoom >= _zooms(mosaic_file, None, None)[0][1]
     write_pyramid(
         TilePyramid(mosaic_file, shown_bands(mosaic_file), folder, zooms, tile_format, finer),
-        threads,
+        options.threads,
         progress,
     )
     index = {

@@ -52,24 +52,26 @@ def pair_misalignments(ties: TiePoints, residuals_m: Sequence[Floats]) -> PairMi
     )
 
 
-def frame_ground_errors(
-    poses: Poses,
-    cameras: Sequence[Camera],
-    true_poses: Poses,
-    true_cameras: Sequence[Camera],
-    ground: GroundSurface,
-    true_ground: GroundSurface | None = None,
-) -> Floats:
+@dataclass(frozen=True)
+class FramesOverGround:
+    """Poses and cameras (n,) of frames, and the ground that they show."""
+
+    poses: Poses
+    cameras: Sequence[Camera]
+    ground: GroundSurface
+
+
+def frame_ground_errors(found: FramesOverGround, true: FramesOverGround) -> Floats:
     """How far from the truth each frame's middle pixel lands on the ground, (n, 2) east and north in m.
 
     Adjusted minus true. This is the error the mosaic shows; a projection centre's own error may be
     made good by its tilt. NaN where a ray misses the ground.
     """
-    out = np.full((len(poses), 2), np.nan)
-    for i, (camera, true_camera) in enumerate(zip(cameras, true_cameras, strict=True)):
+    out = np.full((len(found.poses), 2), np.nan)
+    for i, (camera, true_camera) in enumerate(zip(found.cameras, true.cameras, strict=True)):
         middle = np.array([[camera.width_px / 2.0, camera.height_px / 2.0]])
-        here = ground_from_image(poses[i], camera, ground, middle)
-        there = ground_from_image(true_poses[i], true_camera, true_ground or ground, middle)
+        here = ground_from_image(found.poses[i], camera, found.ground, middle)
+        there = ground_from_image(true.poses[i], true_camera, true.ground, middle)
         out[i] = (here - there)[0, :2]
     return out
 

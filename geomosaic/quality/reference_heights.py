@@ -58,17 +58,21 @@ def read_reference(
     the surface's, and `warn` hears of it.
     Raises: `InputError` as `check_reference`, and for a geoid whose grid isn't installed.
     """
-    there = CRS.from_wkt(surface.crs.to_wkt(version="WKT2_2019"))
+    there = _crs_on_map(surface)
     if not is_point_cloud(path):
         crs, _ = check_dem(path)
-        added_m, datum = _datum(path, crs, surface, there, offset_m, warn)
+        added_m, datum = _datum(path, crs, surface, offset_m, warn)
         east, north, height = _of_raster(path, crs, surface, there)
         return ReferenceHeights(east, north, height + added_m, np.zeros(len(east), dtype=np.uint8), datum)
     with open_points(path) as cloud:
         crs = _crs_of(path, cloud.crs)
-        added_m, datum = _datum(path, crs, surface, there, offset_m, warn)
+        added_m, datum = _datum(path, crs, surface, offset_m, warn)
         east, north, height, kind = _of_points(cloud, crs, surface, there)
         return ReferenceHeights(east, north, height + added_m, kind, datum)
+
+
+def _crs_on_map(surface: Raster) -> CRS:
+    return CRS.from_wkt(surface.crs.to_wkt(version="WKT2_2019"))
 
 
 def _crs_of(path: Path, crs: CRS | None) -> CRS:
@@ -83,11 +87,12 @@ def _crs_of(path: Path, crs: CRS | None) -> CRS:
 
 
 def _datum(
-    path: Path, crs: CRS, surface: Raster, there: CRS, offset_m: float | None, warn: Callable[[str], None]
+    path: Path, crs: CRS, surface: Raster, offset_m: float | None, warn: Callable[[str], None]
 ) -> tuple[float, str]:
     """What to add to a reference's heights, and in words why."""
     if offset_m is not None:
         return offset_m, f"offset {offset_m:+g} m as given"
+    there = _crs_on_map(surface)
     theirs, ours = vertical_crs(crs), vertical_crs(there)
     if theirs is None:
         warn(

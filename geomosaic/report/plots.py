@@ -144,13 +144,12 @@ def _ticks(values: Floats, axis: Axis, from_zero: bool = False) -> list[float]:
     return nice_ticks(low, high, least_step=1.0 if axis.whole else 0.0)
 
 
-def line_plot(
-    series: Sequence[Series], x: Axis, y: Axis, *, label: str, width: float = 720, height: float = 340
-) -> str:
+def line_plot(series: Sequence[Series], x: Axis, y: Axis, *, label: str, width: float = 720) -> str:
     """Several series over common axes; the y axis begins at zero where all values are positive.
 
     A value that isn't finite breaks its line.
     """
+    height = 340
     series = [s.drawn(i) for i, s in enumerate(series)]
     xs = np.concatenate([np.asarray(s.x, dtype=np.float64) for s in series] or [np.zeros(0)])
     ys = np.concatenate([np.asarray(s.y, dtype=np.float64) for s in series] or [np.zeros(0)])
@@ -201,14 +200,13 @@ def histogram(
     *,
     label: str,
     bins: int = 40,
-    width: float = 720,
-    height: float = 300,
     mark: tuple[str, float] | None = None,
 ) -> str:
     """How often values lie in equal bins; the highest 1 % are gathered in the last bin, as the image says.
 
     mark: a value to be marked by a line, and its name.
     """
+    width, height = 720, 300
     seen = np.asarray(values, dtype=np.float64).ravel()
     seen = seen[np.isfinite(seen)]
     top = float(np.quantile(seen, 0.99)) if seen.size else 1.0

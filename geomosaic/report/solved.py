@@ -77,8 +77,7 @@ def _fields(survey: Survey, placement: Placement, adjusted: Adjusted) -> list[tu
     for f in fields[:_MOST_CAMERAS]:
         drawn = image_vectors(
             (f.camera.width_px, f.camera.height_px),
-            f.at_px,
-            f.mean_px,
+            np.column_stack([f.at_px, f.mean_px]),
             label=f"mean image residuals of {f.camera.name}",
             principal_px=(f.camera.principal_col_px, f.camera.principal_row_px),
             scatter_px=f.scatter_px,

@@ -143,15 +143,14 @@ def residual_fields(
         residual_px = np.where(half, -residuals.residual_px, residuals.residual_px)
         mine = (camera_of == camera.name) & np.isfinite(residual_px).all(axis=1)
         if mine.any():
-            out.append(
-                _field(camera, size, image_px[mine], residual_px[mine], residuals.weight[mine], sigma_px)
-            )
+            of = residuals.frame[mine], image_px[mine], residual_px[mine], residuals.weight[mine]
+            out.append(_field(camera, ImageResiduals(*of), sigma_px))
     return out
 
 
-def _field(
-    camera: Camera, size: Floats, image_px: Floats, residual_px: Floats, weight: Floats, sigma_px: float
-) -> ResidualField:
+def _field(camera: Camera, residuals: ImageResiduals, sigma_px: float) -> ResidualField:
+    size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
+    image_px, residual_px, weight = residuals.image_px, residuals.residual_px, residuals.weight
     side = max(np.sqrt(np.prod(size) * _TYPICAL_IN_CELL / len(image_px)), size.max() / _MOST_CELLS)
     cells = np.maximum(np.round(size / side), 3).astype(np.int64)
     at = np.clip((image_px / size * cells).astype(np.int64), 0, cells - 1)

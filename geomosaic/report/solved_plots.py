@@ -59,19 +59,18 @@ def correlation_map(names: Sequence[str], correlation: Floats, *, label: str, wi
 
 def image_vectors(
     size_px: tuple[int, int],
-    at_px: Floats,
-    vector_px: Floats,
+    arrows_px: Floats,
     *,
     label: str,
     principal_px: tuple[float, float] | None = None,
     scatter_px: float = np.nan,
-    width: float = 720,
 ) -> str:
     """Arrows over an image, its top up, with the principal point as a cross.
 
-    Args: size_px width and height; at_px, vector_px (k, 2) cols and rows; scatter_px: the usual
-    length of an arrow by chance, drawn as a bar.
+    Args: size_px width and height; arrows_px (k, 4): cols and rows, and the vectors there; scatter_px: the
+    usual length of an arrow by chance, drawn as a bar.
     """
+    width, at_px, vector_px = 720, arrows_px[:, :2], arrows_px[:, 2:]
     cols, rows = size_px
     scale = min((width - 40.0) / cols, 480.0 / rows)
     left, top = (width - scale * cols) / 2, 22.0

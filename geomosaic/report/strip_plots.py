@@ -32,15 +32,16 @@ def offsets_plot(pair: PairOffsets, *, label: str, width: float = 720) -> str:
     foot = _TOP + 2 * _PANEL + _GAP
     out = PlotFrame(x, Scale([0.0, 1.0], foot, _TOP)).x_grid("line of the left strip", height - 8, below=34.0)
     for k, name in enumerate(("across (dcol) [px]", "along (dline) [px]")):
-        out += _panel(x, _TOP + k * (_PANEL + _GAP), line, values[:, k], reach[:, k], COLOURS[2 * k], name)
+        curve = Series(name, line, values[:, k], colour=COLOURS[2 * k])
+        out += _panel(x, _TOP + k * (_PANEL + _GAP), curve, reach[:, k])
     out += _label_bar(x, foot + 6, line, worst)
     out += _label_legend(width)
     return document(width, height, out, label)
 
 
-def _panel(
-    x: Scale, top: float, line: Floats, value: Floats, reach: Floats, colour: str, name: str
-) -> list[str]:
+def _panel(x: Scale, top: float, series: Series, reach: Floats) -> list[str]:
+    name, colour = series.name, series.colour
+    line, value = np.asarray(series.x), np.asarray(series.y)
     known = np.isfinite(value) & np.isfinite(reach)
     line, value, reach = line[known], value[known], reach[known]
     if not line.size:

@@ -94,5 +94,5 @@ def _pattern(survey: Survey, pattern: ResidualPattern) -> tuple[str, Markup]:
     row, col = np.nonzero(known)
     at_px = (np.column_stack([col, row]) + 0.5) / CELLS * size
     label = f"mean residuals by place in the image, {pattern.camera}"
-    drawn = image_vectors(size, at_px, pattern.mean_px[known], label=label)
+    drawn = image_vectors(size, np.column_stack([at_px, pattern.mean_px[known]]), label=label)
     return f"{pattern.camera}: beyond chance {short(pattern.systematic_px, 'px')}", markup(drawn)

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import FileError
-from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, write_cog
+from geomosaic.export.cog import COMPRESSIONS, OVERVIEWS, CogOptions, write_cog
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.recording.file.thumbnail import thumbnail
@@ -46,11 +46,13 @@ def export_cog(raster_file: RunFile, params: CogParams, context: Context) -> Run
         copied = write_cog(
             raster,
             path,
-            compression=params.compression,
-            quality=params.quality,
-            most_off=params.most_off,
-            overviews=params.overviews,
-            threads=params.threads,
+            CogOptions(
+                compression=params.compression,
+                quality=params.quality,
+                most_off=params.most_off,
+                overviews=params.overviews,
+                threads=params.threads,
+            ),
             progress=lambda done, total: context.progress(done, total, MOSAIC),
         )
     path = context.run_folder / MOSAIC

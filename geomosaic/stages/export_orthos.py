@@ -12,7 +12,7 @@ from geomosaic.composition.model import Mosaic
 from geomosaic.composition.orthos import plan_orthos
 from geomosaic.composition.views import PosedFrames
 from geomosaic.errors import InputError
-from geomosaic.export.cog import COMPRESSIONS
+from geomosaic.export.cog import COMPRESSIONS, CogOptions
 from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
@@ -68,10 +68,8 @@ def export_orthos(
     adjusted, used = of.adjusted, ownership.used.tolist()
     posed = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, of.ground)
     plan = plan_orthos(posed, ownership, rig, resampling, shares.tones)
-    style = OrthoStyle(
-        plan.warping, plan.area, plan.names, params.compression, params.quality, params.threads,
-        context.work_folder,
-    )  # fmt: skip
+    how = CogOptions(params.compression, params.quality, threads=params.threads)
+    style = OrthoStyle(plan.warping, plan.area, plan.names, how, context.work_folder)
     cells = np.bincount(ownership.owner.ravel(), minlength=len(survey.frames) + 1)[1:]
     written = []
     make, frames = partial(ortho_file, style), list(plan.frames.values())

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from rasterio import Env
 
 from geomosaic.doors.raster import OWN, READ_CACHE_BYTES, open_raster
-from geomosaic.export.cog import block_cache, write_cog
+from geomosaic.export.cog import CogOptions, block_cache, write_cog
 from geomosaic.export.project_layers import CONTOURS
 from geomosaic.export.project_rasters import HILLSHADE
 from geomosaic.export.surface import RASTERS, SurfaceOnMap, surface_grid, writing_rasters
@@ -91,7 +91,7 @@ def export_surface(
         for path in plain.values():
             release_memory()
             with context.writing(path.name) as out:
-                write_cog(path, out, threads=params.threads)
+                write_cog(path, out, CogOptions(threads=params.threads))
     for file in SIDECARS:
         with context.writing(file) as out:
             write_sidecar(out, heights)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from geomosaic.composition.model import Mosaic
 from geomosaic.export.footprints import write_footprints
-from geomosaic.export.layers import write_layers
+from geomosaic.export.layers import SolvedSurvey, write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
 from geomosaic.export.project import write_project
@@ -40,7 +40,8 @@ def export_layers(
     context.check_cancelled()
     with context.writing(LAYERS) as path:
         stated = None if verdict is None else _stated(verdict, mosaic.grid.gsd_m)
-        write_layers(path, block.survey, placement, block.ties, block.adjusted, mosaic, stated)
+        solved = SolvedSurvey(block.survey, placement, block.ties, block.adjusted, mosaic)
+        write_layers(path, solved, stated)
     return context.run_file(LAYERS), context.run_file(POSITIONS)
 
 

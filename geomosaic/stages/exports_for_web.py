@@ -12,7 +12,7 @@ from geomosaic.errors import InputError
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
 from geomosaic.export.tile_pyramid import FORMATS
-from geomosaic.export.web import on_map, write_kmz, write_tiles, write_vrt
+from geomosaic.export.web import TileOptions, on_map, write_kmz, write_tiles, write_vrt
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.stages.input_groups import FrameMosaic, StripScene
@@ -48,10 +48,12 @@ def export_tiles(
         write_tiles(
             on_map(context.path_of(mosaic_file)),
             folder,
-            tile_format=params.format,
-            min_zoom=None if params.min_zoom == "auto" else params.min_zoom,
-            max_zoom=None if params.max_zoom == "auto" else params.max_zoom,
-            threads=params.threads,
+            TileOptions(
+                tile_format=params.format,
+                min_zoom=None if params.min_zoom == "auto" else params.min_zoom,
+                max_zoom=None if params.max_zoom == "auto" else params.max_zoom,
+                threads=params.threads,
+            ),
             layers_file=None if layers_file is None else context.path_of(layers_file),
             progress=partial(context.progress, text=TILES),
         )
@@ -81,8 +83,7 @@ def _packed(file: str, mosaic_file: RunFile, params: PackedTilesParams, context:
             on_map(context.path_of(mosaic_file)),
             path,
             file.rpartition(".")[2],
-            tile_format=params.format,
-            threads=params.threads,
+            TileOptions(tile_format=params.format, threads=params.threads),
             progress=partial(context.progress, text=file),
         )
     return context.run_file(file)

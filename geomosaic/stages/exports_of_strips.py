@@ -13,12 +13,13 @@ from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.offsets_csv import write_offsets_csv
 from geomosaic.export.scene_map import (
     RESAMPLING,
+    SceneMapOptions,
     check_rpc_there,
     ground_under,
     scene_rpc_of,
     write_scene_map,
 )
-from geomosaic.export.strip_layers import write_strip_layers
+from geomosaic.export.strip_layers import SceneOnMap, write_strip_layers
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.report.strips import StripsReport, render_strips_report
@@ -52,7 +53,8 @@ def export_strip_layers(
         tags = mosaic.tags(ns="RPC")
     rpc = Rpc.from_metadata(tags) if tags else None
     with context.writing(LAYERS) as path:
-        write_strip_layers(path, scene.strips, scene.strip_mosaic, outlines, rpc, scene.strip_quality)
+        on_map = SceneOnMap(scene.strip_mosaic, outlines, rpc)
+        write_strip_layers(path, scene.strips, on_map, scene.strip_quality)
     return context.run_file(LAYERS)
 
 
@@ -81,12 +83,13 @@ def export_map(strips: StripGeometry, mosaic_file: RunFile, params: MapParams, c
         write_scene_map(
             scene,
             path,
-            rpc,
-            gsd_m=strips.ground_pixel_m if params.gsd_m == "auto" else params.gsd_m,
-            crs=params.crs,
-            elevation=None if ground is None else ground.elevation,
-            resampling=params.resampling,
-            threads=params.threads,
+            SceneMapOptions(
+                strips.ground_pixel_m if params.gsd_m == "auto" else params.gsd_m,
+                params.crs,
+                params.resampling,
+                params.threads,
+            ),
+            None if ground is None else ground.elevation,
             progress=partial(context.progress, text=MAP),
         )
     return context.run_file(MAP)

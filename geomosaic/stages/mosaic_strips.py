@@ -19,7 +19,7 @@ from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.estimate import FilledPixels, estimate_scene
 from geomosaic.composition.grid import MAX_GIGAPIXELS
 from geomosaic.composition.plugins import BLENDS_GROUP
-from geomosaic.composition.strip_compose import StripMosaic, StripOptions, StripScene, compose_strips
+from geomosaic.composition.strip_compose import PlacedStrips, StripMosaic, StripOptions, compose_strips
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
@@ -95,7 +95,7 @@ class MosaicStrips(Stage):
         rpc = scene_rpc(geometry, layout, space)
         with context.writing(RASTER) as path:
             mosaic = compose_strips(
-                StripScene(
+                PlacedStrips(
                     geometry, layout, inputs["radiometry"], None if rpc is None else rpc.rpc.metadata()
                 ),
                 path,

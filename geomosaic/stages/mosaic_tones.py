@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled, solve_tones
+from geomosaic.composition.tone_solution import solve_tones
+from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
 from geomosaic.errors import InputError
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param

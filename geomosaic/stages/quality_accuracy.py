@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from geomosaic.composition.ownership import Ownership
 from geomosaic.export.accuracy import write_accuracy
-from geomosaic.export.cog import write_cog
+from geomosaic.export.cog import CogOptions, write_cog
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.ground import GroundSurface
@@ -77,7 +77,7 @@ def quality_accuracy(
         plain = Path(scratch) / ACCURACY
         summary = write_accuracy(plain, cells.grid, blocks())
         with context.writing(ACCURACY) as path:
-            write_cog(plain, path, overviews="nearest", threads=params.threads)
+            write_cog(plain, path, CogOptions(overviews="nearest", threads=params.threads))
     for name, (median_m, most_m) in (
         ("horizontal", summary.horizontal_m),
         ("vertical", summary.vertical_m),

@@ -16,7 +16,7 @@ from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison, compare
 from geomosaic.quality.compared_block import ComparisonOptions
-from geomosaic.quality.misalignment import frame_ground_errors, trend
+from geomosaic.quality.misalignment import FramesOverGround, frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
 from geomosaic.quality.rasters import open_map
 from geomosaic.report.map_images import ReferenceSeen, reference_image
@@ -106,7 +106,10 @@ def _report_frame_errors(flown: FlownFrames, truth: Path, context: Context) -> N
     survey, adjusted = flown.survey, flown.adjusted
     true_poses = read_poses(truth, [f.name for f in survey.frames], survey.work_frame)
     given = [survey.camera_of(i) for i in range(len(survey.frames))]
-    errors = frame_ground_errors(adjusted.poses, adjusted.cameras, true_poses, given, adjusted.ground)
+    errors = frame_ground_errors(
+        FramesOverGround(adjusted.poses, adjusted.cameras, adjusted.ground),
+        FramesOverGround(true_poses, given, adjusted.ground),
+    )
     length = np.linalg.norm(errors, axis=1)[list(flown.placement.sequence)]
     line = trend(np.arange(len(length)), length)
     context.metric("quality.frames.error_m", length)

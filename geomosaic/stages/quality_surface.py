@@ -10,7 +10,7 @@ from typing import Any
 
 import cv2
 
-from geomosaic.export.cog import write_cog
+from geomosaic.export.cog import CogOptions, write_cog
 from geomosaic.export.surface import write_difference
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
@@ -65,7 +65,7 @@ def quality_surface(
         plain = Path(scratch) / DIFFERENCE
         write_difference(plain, surface, difference_m)
         with context.writing(DIFFERENCE) as out:
-            write_cog(plain, out, threads=params.threads)
+            write_cog(plain, out, CogOptions(threads=params.threads))
     with context.writing(PICTURE) as out:
         cv2.imwrite(str(out), difference_picture(comparison.difference_m))
     for name in ("over_all", "after_fit", "fit"):

@@ -13,30 +13,28 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.surface.census import NOT_SEEN, Bits
-from geomosaic.surface.costs import AGREEING, CHANCE_BITS, sampled
+from geomosaic.surface.costs import AGREEING, CHANCE_BITS, SweepHeights, sampled
 from geomosaic.surface.plane_sweep import Block, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
 Floats = NDArray[np.float64]
-Steps = NDArray[np.int16]
 _EVERY_CELLS = tuned(4, "cells", "between cells at which frames are compared: 1 takes 16 times as long")
 _MARGIN_BITS = tuned(0.5, "bits", "by which the steepest may agree worse and be first; 3 px off cost 2 to 4")
 _LEAST_SHARE = tuned(0.5, "share", "of the best likeness, to be asked early: less lets unlike frames in")
 
 
 def agreeing(
-    sweep: PlaneSweep, seen: Sequence[Bits], steps: Steps, step_m: float, asked: Asked, most: int
+    sweep: PlaneSweep, seen: Sequence[Bits], heights: SweepHeights, asked: Asked, most: int
 ) -> list[tuple[Block, tuple[int, ...]]]:
     """Of the frames that are asked in each block, the first that agrees with others, then those that agree
     with it, then the rest; otherwise in their order, so many at most.
 
-    Args: seen: censuses of the sweep's frames. steps (heights, rows, cols): heights over the base in steps
-    of step_m, among which the right one is.
+    Args: seen: censuses of the sweep's frames. heights: among which the right one is.
     """
     found = []
     for at, frames in asked:
         if len(frames) > AGREEING:
-            frames = _in_order(frames, _likeness(sweep, seen, steps, step_m, at, frames))
+            frames = _in_order(frames, _likeness(sweep, seen, heights, at, frames))
         found.append((at, tuple(frames[:most])))
     return found
 
@@ -49,12 +47,12 @@ def _in_order(frames: Sequence[int], likeness: Floats) -> list[int]:
 
 
 def _likeness(
-    sweep: PlaneSweep, seen: Sequence[Bits], steps: Steps, step_m: float, at: Block, frames: Sequence[int]
+    sweep: PlaneSweep, seen: Sequence[Bits], heights: SweepHeights, at: Block, frames: Sequence[int]
 ) -> Floats:
     """By how many bits fewer than by chance each two frames (frames, frames) differ over a block, at the
     height at which they differ least; 0 on the diagonal."""
     rows, cols = (slice(s.start, s.stop, _EVERY_CELLS) for s in at)
-    bent = sweep.bent(steps[:, rows, cols].astype(np.float32) * np.float32(step_m))
+    bent = sweep.bent(heights.metres((slice(None), rows, cols)))
     shape = len(frames), len(bent), -1
     bits = np.stack([sampled(seen[k], *sweep.places(k, bent, (rows, cols))) for k in frames]).reshape(shape)
     lacking = bits >= NOT_SEEN

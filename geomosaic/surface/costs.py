@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -43,21 +44,32 @@ _COUNTED[_NONE] = 0
 _AT_ONCE = tuned(1 << 15, "points", "costs computed in one go: more do not fit a processor's cache")
 
 
+@dataclass(frozen=True)
+class SweepHeights:
+    """Heights of a sweep: steps (heights, rows, cols) over the base, of step_m each."""
+
+    steps: Steps
+    step_m: float
+
+    def metres(self, at: tuple[slice, ...]) -> Floats32:
+        """Some of them over the base."""
+        return np.asarray(self.steps[at].astype(np.float32) * np.float32(self.step_m))
+
+
 def census_costs(
     sweep: PlaneSweep,
     seen: Sequence[Bits],
-    steps: Steps,
-    step_m: float,
+    heights: SweepHeights,
     asked: Asked,
     hidden_below_m: Mapping[int, Floats32],
 ) -> Bytes:
     """The mean number of bits, in quarters, in which the frames that agree best differ from the first one
     that sees the point.
 
-    Args: seen: censuses of the sweep's frames. steps (heights, rows, cols): heights over the base in steps
-    of step_m. asked: blocks of cells, and the frames that are asked there, the steepest first.
-    hidden_below_m: by frame, see `hidden_below`. Returns: as steps.
+    Args: seen: censuses of the sweep's frames. asked: blocks of cells, and the frames that are asked there,
+    the steepest first. hidden_below_m: by frame, see `hidden_below`. Returns: as the heights' steps.
     """
+    steps = heights.steps
     costs = np.full(steps.shape, _COSTS[0], dtype=np.uint8)
     for at, frames in asked:
         if len(frames) < 2:
@@ -65,7 +77,7 @@ def census_costs(
         by = max(_AT_ONCE // steps[0][at].size, 1)
         for first in range(0, len(steps), by):
             here = (slice(first, first + by), *at)
-            height_m = steps[here].astype(np.float32) * np.float32(step_m)
+            height_m = heights.metres(here)
             bent = sweep.bent(height_m)
             found = []
             for k in frames:

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.surface.plane_sweep import PlaneSweep
-from geomosaic.surface.squares import Mask, Squares, SquareView, by_first, dense
+from geomosaic.surface.squares import Mask, Squares, SquareView, SweptPictures, by_first, dense
 from geomosaic.surface.visibility import Asked, hidden_from
 
 Bytes = NDArray[np.uint8]
@@ -34,31 +33,24 @@ _RIM_CELLS = sourced(2, "cells", "reach of windows past a square", "_WINDOW twic
 _FAR_M: Final = np.float32(1e6)
 
 
-def refine_edges(
-    sweep: PlaneSweep,
-    cell_m: float,
-    pictures: Sequence[Bytes],
-    height_m: Floats32,
-    alike: Floats32,
-    asked: Asked,
-) -> Floats32:
+def refine_edges(swept: SweptPictures, height_m: Floats32, alike: Floats32, asked: Asked) -> Floats32:
     """Heights over the base (rows, cols), where they leap by what small windows show.
 
-    Args: cell_m: their side; pictures: grey, of the sweep's frames; height_m, alike (rows, cols): see
-    `refined`; asked: blocks of cells, and the frames that are asked there.
+    Args: height_m, alike (rows, cols): see `refined`; asked: blocks of cells, and the frames that are asked
+    there.
     """
-    sure = alike >= _SIDES
+    sure, cell_m = alike >= _SIDES, swept.sweep.cells.cell_m
     window = np.ones((2 * _AROUND_CELLS + 1,) * 2, dtype=np.uint8)
     lowest = cv2.erode(np.where(sure, height_m, _FAR_M), window)
     highest = cv2.dilate(np.where(sure, height_m, -_FAR_M), window)
     lowest, highest = (np.where(abs(a) < _FAR_M, a, height_m).astype(np.float32) for a in (lowest, highest))
     leaping = highest - lowest > _STEP_CELLS * cell_m
     blocks = [(at, frames) for at, frames in asked if leaping[at].any()]
-    squares = Squares(sweep, pictures, blocks, _RIM_CELLS)
+    squares = Squares(swept.sweep, swept.pictures, blocks, _RIM_CELLS)
     if not len(squares):
         return height_m
     land_m = np.where(sure, height_m, np.minimum(lowest, height_m)).astype(np.float32)
-    hidden_m = hidden_from(sweep, blocks, land_m, cell_m)
+    hidden_m = hidden_from(swept.sweep, blocks, land_m, cell_m)
     for k, moves in enumerate(((), *_MOVES_CELLS)):
         moved = height_m.copy()
         if k == 0:

@@ -75,7 +75,7 @@ class PlaneSweep:
             terms = self._terms_at(frame, ground) / frame.reduction
             terms[0] -= 0.5  # OpenCV counts from the first pixel's middle
             self._nodes_terms.append(np.moveaxis(terms, -1, 0))
-        self._cells = cells
+        self.cells = cells
         self.base_m = self._at_cells(ground[..., 2])
         self._terms: dict[int, Floats32] = {}
 
@@ -120,12 +120,12 @@ class PlaneSweep:
     def towards(self, frame: int, at: Block = WHOLE) -> tuple[Floats32, Floats32, Floats32]:
         """From each cell of a block to below the camera: cells east and cells north, of length 1, and by how
         much a line of sight rises with each cell (m); (rows, cols) each."""
-        east, north = self._cells.axes_m()
+        east, north = self.cells.axes_m()
         place = self.frames[frame].pose.position_m
         off = np.broadcast_arrays(place[0] - east[at[1]], (place[1] - north[at[0]])[:, None])
         right, up = (np.asarray(a, dtype=np.float32) for a in off)
         away_m: Floats32 = np.maximum(np.hypot(right, up), np.float32(1e-3))
-        rise = (np.float32(place[2]) - self.base_m[at]) * np.float32(self._cells.cell_m) / away_m
+        rise = (np.float32(place[2]) - self.base_m[at]) * np.float32(self.cells.cell_m) / away_m
         return np.asarray(right / away_m), np.asarray(up / away_m), np.asarray(rise)
 
     def _at_cells(self, nodes: NDArray[Any]) -> Floats32:
@@ -137,8 +137,8 @@ class PlaneSweep:
             interpolation=cv2.INTER_LINEAR,
         )
         inner = (
-            slice(NODE_CELLS, NODE_CELLS + self._cells.rows),
-            slice(NODE_CELLS, NODE_CELLS + self._cells.cols),
+            slice(NODE_CELLS, NODE_CELLS + self.cells.rows),
+            slice(NODE_CELLS, NODE_CELLS + self.cells.cols),
         )
         return np.ascontiguousarray(up[inner])
 

@@ -6,7 +6,7 @@ it; a parabola through the three.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 import cv2
@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
-from geomosaic.surface.plane_sweep import PlaneSweep
-from geomosaic.surface.squares import Squares, by_first
+from geomosaic.surface.squares import Squares, SweptPictures, by_first
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
@@ -32,8 +31,7 @@ UNSEEN: Final = -1.0
 
 
 def refined(
-    sweep: PlaneSweep,
-    pictures: Sequence[Bytes],
+    swept: SweptPictures,
     height_m: Floats32,
     step_m: float,
     asked: Asked,
@@ -41,11 +39,11 @@ def refined(
 ) -> tuple[Floats32, Floats32]:
     """Heights over the base, and how alike the frames are there, (rows, cols) each: see `likeness`.
 
-    Args: pictures: grey, of the frames in the sweep's order; height_m (rows, cols): good to half a step.
+    Args: height_m (rows, cols): good to half a step.
     """
     out = height_m.copy()
     alike = np.full_like(height_m, UNSEEN)
-    for squares in Squares(sweep, pictures, asked, _RIM_CELLS).some(3):
+    for squares in Squares(swept.sweep, swept.pictures, asked, _RIM_CELLS).some(3):
         height = squares.cut(height_m)
         for k in range(_ROUNDS):
             by = np.float32(0.5 * step_m / 2.0**k)
@@ -61,14 +59,12 @@ def refined(
     return out, alike
 
 
-def likeness(
-    sweep: PlaneSweep, pictures: Sequence[Bytes], height_m: Floats32, asked: Asked
-) -> tuple[Floats32, Bytes, Bytes]:
+def likeness(swept: SweptPictures, height_m: Floats32, asked: Asked) -> tuple[Floats32, Bytes, Bytes]:
     """The mean correlation with the first frame that sees a cell of those that are most like it, -1 to 1; -1
     where no two see it. How many frames agree there, the first one with them; and how many see it."""
     alike = np.full_like(height_m, UNSEEN)
     views, seeing = (np.zeros(height_m.shape, dtype=np.uint8) for _ in range(2))
-    for squares in Squares(sweep, pictures, asked, _RIM_CELLS).some(1):
+    for squares in Squares(swept.sweep, swept.pictures, asked, _RIM_CELLS).some(1):
         found = _correlations(squares, squares.cut(height_m)[:, None], {})[:, :, 0]
         squares.put(_mean_of(found, _most_alike(found)), alike)
         squares.put(_views(found), views)

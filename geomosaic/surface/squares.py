@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -20,6 +21,14 @@ Mask = NDArray[np.bool_]
 SquareView = tuple[Bytes, Mask | None]
 _AT_ONCE = tuned(1 << 16, "points", "computed in one go: fewer cost calls; more do not fit a core's cache")
 _NOBODY: Final = -1
+
+
+@dataclass(frozen=True)
+class SweptPictures:
+    """A sweep and its frames' grey pictures."""
+
+    sweep: PlaneSweep
+    pictures: Sequence[Bytes]
 
 
 class Squares:

@@ -15,10 +15,11 @@ from geomosaic.surface.aggregation import aggregated, cheapest, distinctness, ri
 from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import Bits, census
-from geomosaic.surface.costs import census_costs
+from geomosaic.surface.costs import SweepHeights, census_costs
 from geomosaic.surface.edge_refinement import refine_edges
 from geomosaic.surface.plane_sweep import PlaneSweep, SweepView
 from geomosaic.surface.refinement import UNSEEN, likeness, refined
+from geomosaic.surface.squares import SweptPictures
 from geomosaic.surface.visibility import Asked, asked_frames, hidden_from
 from geomosaic.survey.small import means, padded
 
@@ -102,25 +103,25 @@ def match_tile(
     hidden: dict[int, Floats32] = {}
     if search.about_m is None:
         steps = _all_steps(search, sweep.base_m.shape)
-        asked = agreeing(sweep, seen, steps, search.step_m, asked, _FRAMES)
+        asked = agreeing(sweep, seen, SweepHeights(steps, search.step_m), asked, _FRAMES)
     else:
         about_m = search.about_m - sweep.base_m
         about = np.asarray(about_m / np.float32(search.step_m), dtype=np.float32)
         steps = search_steps(about)
         near = ring(np.round(about).astype(np.int16) - np.int16(_AGREED_HEIGHTS // 2), _AGREED_HEIGHTS)
-        asked = agreeing(sweep, seen, near, search.step_m, asked, _FRAMES)
+        asked = agreeing(sweep, seen, SweepHeights(near, search.step_m), asked, _FRAMES)
         hidden = hidden_from(sweep, asked, about_m, search.cells.cell_m)
-    costs = census_costs(sweep, seen, steps, search.step_m, asked, hidden)
+    costs = census_costs(sweep, seen, SweepHeights(steps, search.step_m), asked, hidden)
     total = aggregated(costs, steps)
     height_m = _smoothed(cheapest(total, steps) * np.float32(search.step_m))
     inner = slice(MARGIN_CELLS, -MARGIN_CELLS), slice(MARGIN_CELLS, -MARGIN_CELLS)
     if not search.fine:
         return unmatched((sweep.base_m + height_m)[inner])
-    greys = [p.grey for p in pictures]
+    swept = SweptPictures(sweep, [p.grey for p in pictures])
     asked = _within(asked, unrefined, search.cells)
-    height_m, alike = refined(sweep, greys, height_m, search.step_m, asked, hidden)
-    height_m = refine_edges(sweep, search.cells.cell_m, greys, _smoothed(height_m), alike, asked)
-    alike, views, seeing = likeness(sweep, greys, height_m, asked)
+    height_m, alike = refined(swept, height_m, search.step_m, asked, hidden)
+    height_m = refine_edges(swept, _smoothed(height_m), alike, asked)
+    alike, views, seeing = likeness(swept, height_m, asked)
     distinct = distinctness(costs, total)
     up_m = sweep.base_m + height_m
     return TileHeights(up_m[inner], alike[inner], views[inner], seeing[inner], distinct[inner])

@@ -22,7 +22,7 @@ from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.scene_rpc import scene_rpc
 from geomosaic.ccd.virtual_layout import ideal_camera, virtual_layout
 from geomosaic.ccd.virtual_line import virtual_line
-from geomosaic.composition.strip_compose import StripScene, compose_strips
+from geomosaic.composition.strip_compose import PlacedStrips, compose_strips
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -230,7 +230,7 @@ def test_a_target_in_two_ccds_has_one_place(made: Made) -> None:
 def test_the_composed_scene_is_the_true_one(made: Made, tmp_path: Path) -> None:
     """Against the image of the simulation's own ideal line: no shift of 0.01 px is left."""
     layout = virtual_layout(made.geometry, made.space, "common")
-    compose_strips(StripScene(made.geometry, layout), tmp_path / "scene.tif")
+    compose_strips(PlacedStrips(made.geometry, layout), tmp_path / "scene.tif")
     with open_raster(tmp_path / "scene.tif", OWN) as raster:
         composed = raster.read(1).astype(np.float64)
         valid = raster.dataset_mask() > 0

@@ -23,7 +23,7 @@ from geomosaic.composition.pyramid import RasterPyramid
 from geomosaic.composition.raster import MosaicFiles, index_kind, writing_mosaic, writing_scene
 from geomosaic.composition.tiles import TILE_PX, TileKind, halved
 from geomosaic.composition.window import Composed, Window
-from geomosaic.export.cog import write_cog
+from geomosaic.export.cog import CogOptions, write_cog
 
 WIDTH, HEIGHT = 2301, 1300
 GRID = OutputGrid("EPSG:32615", 500_000.0, 5e6, 0.05, WIDTH, HEIGHT)
@@ -225,7 +225,7 @@ def test_the_same_mosaic_is_copied_and_another_one_made_of_it(tmp_path: Path) ->
     write_cog(path, tmp_path / "same.tif")
     assert (tmp_path / "same.tif").read_bytes() == path.read_bytes()
     for how in ({"compression": "zstd"}, {"overviews": "cubic"}):
-        write_cog(path, tmp_path / "other.tif", **how)
+        write_cog(path, tmp_path / "other.tif", CogOptions(**how))
         assert validate(str(tmp_path / "other.tif"), full_check=True)[:2] == ([], [])
         with rasterio.open(tmp_path / "other.tif") as other, rasterio.open(path) as composed:
             np.testing.assert_array_equal(other.read(), composed.read())

@@ -15,7 +15,7 @@ from geomosaic.ccd.layout import StripLookup, image_space_layout
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.strip_compose import StripOptions, StripScene, compose_strips
+from geomosaic.composition.strip_compose import PlacedStrips, StripOptions, compose_strips
 from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.spread import Unobserved
 from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
@@ -81,7 +81,7 @@ def offsets(g, dcol, dline, pairs=(0,)):
 
 def composed(g, out, layout=None, radiometry=None, **how):
     layout = image_space_layout(g, NOMINAL) if layout is None else layout
-    mosaic = compose_strips(StripScene(g, layout, radiometry), out, StripOptions(**how))
+    mosaic = compose_strips(PlacedStrips(g, layout, radiometry), out, StripOptions(**how))
     with rasterio.open(out) as raster:
         return mosaic, raster.read(1), raster.read_masks(1) == 255
 
@@ -134,7 +134,7 @@ def test_threads_and_blends_by_bytes(tmp_path):
         "c": {"blend": "hard"},
         "d": {"blend": "multi_band"},
     }.items():
-        compose_strips(StripScene(g, layout), tmp_path / f"{name}.tif", StripOptions(**how))
+        compose_strips(PlacedStrips(g, layout), tmp_path / f"{name}.tif", StripOptions(**how))
         made[name] = (tmp_path / f"{name}.tif").read_bytes()
     assert made["a"] == made["b"]
     assert len({made[n] for n in "acd"}) == 3
@@ -365,13 +365,13 @@ def test_bad_names_and_broken_strips(tmp_path):
     g = strips(tmp_path, ccds=2)
     layout = image_space_layout(g, NOMINAL)
     with pytest.raises(UnknownNameError, match="blend"):
-        compose_strips(StripScene(g, layout), tmp_path / "m.tif", StripOptions("fade"))
+        compose_strips(PlacedStrips(g, layout), tmp_path / "m.tif", StripOptions("fade"))
     with pytest.raises(UnknownNameError, match="resampling"):
-        compose_strips(StripScene(g, layout), tmp_path / "m.tif", StripOptions(resampling="best"))
+        compose_strips(PlacedStrips(g, layout), tmp_path / "m.tif", StripOptions(resampling="best"))
     path = g.ccds[1].path
     path.write_bytes(path.read_bytes()[:100_000])
     with pytest.raises(FileError, match=r"1\.tif"):
-        compose_strips(StripScene(g, layout), tmp_path / "m.tif")
+        compose_strips(PlacedStrips(g, layout), tmp_path / "m.tif")
 
 
 def test_progress_and_cancel(tmp_path):
@@ -386,7 +386,7 @@ def test_progress_and_cancel(tmp_path):
             if told:
                 raise KeyboardInterrupt
 
-    scene = StripScene(g, image_space_layout(g, NOMINAL))
+    scene = PlacedStrips(g, image_space_layout(g, NOMINAL))
     with pytest.raises(KeyboardInterrupt):
         compose_strips(scene, tmp_path / "m.tif", progress=Stopped())
     assert told == [(512, 1000)]
@@ -429,12 +429,12 @@ import sys
 from pathlib import Path
 from geomosaic.ccd.layout import image_space_layout
 from geomosaic.ccd.model import StripOffsets
-from geomosaic.composition.strip_compose import StripScene, compose_strips
+from geomosaic.composition.strip_compose import PlacedStrips, compose_strips
 from geomosaic.survey.strips import Ccd, StripGeometry
 folder, lines = Path(sys.argv[1]), int(sys.argv[2])
 g = StripGeometry(ccds=(Ccd(folder / "0.tif", 1), Ccd(folder / "1.tif", 2)), width_px=1024, lines=(lines, lines),
                   row_separation_lines=100.0, line_rate_hz=3000.0, bit_depth=10)
-compose_strips(StripScene(g, image_space_layout(g, StripOffsets("none", ()))), folder / "m.tif")
+compose_strips(PlacedStrips(g, image_space_layout(g, StripOffsets("none", ()))), folder / "m.tif")
 print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
 """
 # VmHWM and not getrusage, whose highest is at least that of the process this one was started by.

@@ -15,7 +15,8 @@ from rasterio.warp import reproject
 from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
-from geomosaic.composition.tones import Sampling, Tones, ToneSightings, evened, lattice, sampled, solve_tones
+from geomosaic.composition.tone_solution import solve_tones
+from geomosaic.composition.tones import Sampling, Tones, ToneSightings, evened, lattice, sampled
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context

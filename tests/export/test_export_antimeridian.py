@@ -20,7 +20,7 @@ from geomosaic.errors import InputError
 from geomosaic.export.cog import write_cog
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, stac_item
-from geomosaic.export.web import write_kmz, write_tiles
+from geomosaic.export.web import TileOptions, write_kmz, write_tiles
 
 UTM = "EPSG:32760"
 GSD_M = 0.25
@@ -43,7 +43,7 @@ def crossing(tmp_path: Path) -> Path:
 def test_tiles_lie_on_both_sides(crossing: Path, tmp_path: Path) -> None:
     """Each tile's pixels are the mosaic's at their places, by pyproj."""
     tiles = tmp_path / "tiles"
-    write_tiles(crossing, tiles, threads=1)
+    write_tiles(crossing, tiles, TileOptions(threads=1))
     index = json.loads((tiles / "tiles.json").read_text())
     west, south, east, north = index["bounds"]
     assert (west, east) == (-180.0, 180.0) and south < SOUTH_DEG < north and north - south < 0.002
@@ -72,7 +72,7 @@ def test_tiles_lie_on_both_sides(crossing: Path, tmp_path: Path) -> None:
 
 
 def test_packed_tiles_are_few_and_say_where(crossing: Path, tmp_path: Path) -> None:
-    write_packed(crossing, tmp_path / "mosaic.mbtiles", "mbtiles", threads=1)
+    write_packed(crossing, tmp_path / "mosaic.mbtiles", "mbtiles", TileOptions(threads=1))
     with sqlite3.connect(tmp_path / "mosaic.mbtiles") as file:
         about = dict(file.execute("SELECT name, value FROM metadata"))
         (count,) = file.execute("SELECT count(*) FROM tiles").fetchone()
@@ -80,7 +80,7 @@ def test_packed_tiles_are_few_and_say_where(crossing: Path, tmp_path: Path) -> N
         "180"
     )
     assert 4 < count < 200
-    write_packed(crossing, tmp_path / "mosaic.pmtiles", "pmtiles", threads=1)
+    write_packed(crossing, tmp_path / "mosaic.pmtiles", "pmtiles", TileOptions(threads=1))
     assert (tmp_path / "mosaic.pmtiles").stat().st_size < 10 * crossing.stat().st_size
 
 

@@ -12,7 +12,7 @@ import rasterio
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 
 from geomosaic.errors import CancelledError, InputError
-from geomosaic.export.cog import COMPRESSIONS, LOSSY, write_cog
+from geomosaic.export.cog import COMPRESSIONS, LOSSY, CogOptions, write_cog
 
 
 def raw_raster(path: Path, bands: int = 3, dtype: str = "uint8", side: int = 1300) -> np.ndarray:
@@ -37,7 +37,7 @@ def raw_raster(path: Path, bands: int = 3, dtype: str = "uint8", side: int = 130
 def test_a_cog_that_the_validator_passes(tmp_path, compression):
     pixels = raw_raster(tmp_path / "raw.tif")
     out = tmp_path / "mosaic.tif"
-    write_cog(tmp_path / "raw.tif", out, compression=compression)
+    write_cog(tmp_path / "raw.tif", out, CogOptions(compression=compression))
     warnings, errors, _ = validate(str(out), full_check=True)
     assert (warnings, errors) == ([], [])
     with rasterio.open(out) as tiff:
@@ -60,7 +60,9 @@ def test_lerc_changes_values_by_no_more_than_it_may(tmp_path):
     pixels = raw_raster(tmp_path / "raw.tif", bands=1, dtype="uint16")
     sizes = []
     for most_off in (0.0, 20.0):
-        write_cog(tmp_path / "raw.tif", tmp_path / "out.tif", compression="lerc", most_off=most_off)
+        write_cog(
+            tmp_path / "raw.tif", tmp_path / "out.tif", CogOptions(compression="lerc", most_off=most_off)
+        )
         with rasterio.open(tmp_path / "out.tif") as tiff:
             off = np.abs(tiff.read().astype(int) - pixels)[:, tiff.dataset_mask() > 0]
         assert off.max() <= most_off
@@ -88,14 +90,14 @@ def test_sixteen_bits_and_five_bands(tmp_path):
     with pytest.raises(
         InputError, match="jpeg can't hold 5 bands of UInt16; choose deflate, zstd, lzw or lerc"
     ):
-        write_cog(tmp_path / "raw.tif", tmp_path / "no.tif", compression="jpeg")
+        write_cog(tmp_path / "raw.tif", tmp_path / "no.tif", CogOptions(compression="jpeg"))
     assert not (tmp_path / "no.tif").exists()
 
 
 def test_equal_mosaics_give_equal_bytes(tmp_path):
     raw_raster(tmp_path / "raw.tif")
-    write_cog(tmp_path / "raw.tif", tmp_path / "a.tif", threads=1)
-    write_cog(tmp_path / "raw.tif", tmp_path / "b.tif", threads=2)
+    write_cog(tmp_path / "raw.tif", tmp_path / "a.tif", CogOptions(threads=1))
+    write_cog(tmp_path / "raw.tif", tmp_path / "b.tif", CogOptions(threads=2))
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
 
 
@@ -118,7 +120,7 @@ FULL_DISK = """
 import errno, resource, signal, sys
 from pathlib import Path
 from geomosaic.export.cog import write_cog
-from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, writing_geopackage
 import numpy as np, shapely
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
@@ -129,7 +131,8 @@ for write in (
 ):
     def fill(path):
         with writing_geopackage(path, "EPSG:32615", None) as package:
-            package.add_layer("p", "", "Point", shapely.points(np.random.rand(20000, 2)), {})
+            points = shapely.points(np.random.rand(20000, 2))
+            package.add_layer(MapFeatures("p", "", "Point", points, {}))
     try:
         write()
         print("written")

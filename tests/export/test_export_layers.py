@@ -28,8 +28,8 @@ from geomosaic.composition.ownership import by_nearest_nadir
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.export import residual_layers
-from geomosaic.export.geopackage import writing_geopackage
-from geomosaic.export.layers import write_layers
+from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.layers import SolvedSurvey, write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import COLUMNS, write_positions
 from geomosaic.geodesy.local import LocalFrame
@@ -146,7 +146,7 @@ def package(tmp_path_factory):
     )
     placement = Placement(poses, (5, 4, 3, 2, 1, 0), (0, 0, 0, 1, 1, 1), ((0, 1), (2, 5)), 0.25, "rigorous")
     arguments = (survey, placement, TiePoints(pairs), adjusted, mosaic)
-    write_layers(folder / "layers.gpkg", *arguments)
+    write_layers(folder / "layers.gpkg", SolvedSurvey(*arguments))
     return folder / "layers.gpkg", arguments
 
 
@@ -196,7 +196,9 @@ def test_frames_say_where_and_how(package):
 def test_arrows_run_from_the_given_to_the_adjusted_position(package, tmp_path):
     _, (survey, placement, ties, adjusted, mosaic) = package
     prior = replace(placement.poses, positions_m=placement.poses.positions_m - [3.0, -4.0, 1.5])
-    write_layers(tmp_path / "l.gpkg", survey, replace(placement, poses=prior), ties, adjusted, mosaic)
+    write_layers(
+        tmp_path / "l.gpkg", SolvedSurvey(survey, replace(placement, poses=prior), ties, adjusted, mosaic)
+    )
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
     feature = dataset.GetLayer("moves").GetFeature(1)
     # The work frame's north is turned by the convergence (0.52 deg) against the grid's.
@@ -209,7 +211,9 @@ def test_arrows_run_from_the_given_to_the_adjusted_position(package, tmp_path):
 def test_layers_bring_their_styles(package, tmp_path):
     _, (survey, placement, ties, adjusted, mosaic) = package
     prior = replace(placement.poses, positions_m=placement.poses.positions_m - [0.3, -0.4, 0.0])
-    write_layers(tmp_path / "l.gpkg", survey, replace(placement, poses=prior), ties, adjusted, mosaic)
+    write_layers(
+        tmp_path / "l.gpkg", SolvedSurvey(survey, replace(placement, poses=prior), ties, adjusted, mosaic)
+    )
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
     rows = {row["f_table_name"]: row for row in dataset.GetLayer("layer_styles")}
     assert rows.keys() == {dataset.GetLayer(i).GetName() for i in range(12)} - {"layer_styles"}
@@ -241,7 +245,7 @@ def test_residuals_run_from_left_to_right_true_to_scale(package):
 
 def test_equal_data_give_equal_bytes(package, tmp_path):
     path, arguments = package
-    write_layers(tmp_path / "again.gpkg", *arguments)
+    write_layers(tmp_path / "again.gpkg", SolvedSurvey(*arguments))
     assert (tmp_path / "again.gpkg").read_bytes() == path.read_bytes()
 
 
@@ -250,7 +254,7 @@ def test_of_too_many_tie_points_every_pair_keeps_its_share_and_the_layer_says_so
 ):
     _, arguments = package
     monkeypatch.setattr(residual_layers, "MOST_POINTS", 4)
-    write_layers(tmp_path / "thin.gpkg", *arguments)
+    write_layers(tmp_path / "thin.gpkg", SolvedSurvey(*arguments))
     dataset = ogr.Open(str(tmp_path / "thin.gpkg"))
     for name in ("tie_points", "residuals"):
         layer = dataset.GetLayer(name)
@@ -259,7 +263,7 @@ def test_of_too_many_tie_points_every_pair_keeps_its_share_and_the_layer_says_so
     whole = ogr.Open(str(package[0]))
     assert whole.GetLayer("tie_points").GetMetadataItem("DESCRIPTION") == "Tie points on the ground"
     monkeypatch.setattr(residual_layers, "MOST_A_FRAME", 0)
-    write_layers(tmp_path / "none.gpkg", *arguments)
+    write_layers(tmp_path / "none.gpkg", SolvedSurvey(*arguments))
     none = ogr.Open(str(tmp_path / "none.gpkg"))
     assert none.GetLayer("tie_points").GetMetadataItem("DESCRIPTION").endswith(": 0 of 6, evenly thinned")
 
@@ -272,7 +276,7 @@ def many(tmp_path_factory):
     at[:40] = at[0]
     points = [None if i % 100 == 7 else p for i, p in enumerate(shapely.points(at))]
     with writing_geopackage(path, CRS, None) as package:
-        package.add_layer("points", "Some", "Point", points, {"number": np.arange(20_000)})
+        package.add_layer(MapFeatures("points", "Some", "Point", points, {"number": np.arange(20_000)}))
     at[7::100] = np.nan
     return path, at
 
@@ -321,7 +325,9 @@ def test_names_are_data(package, tmp_path):
     _, (survey, placement, ties, adjusted, mosaic) = package
     evil = "x'); DROP TABLE frames;--\u00e9\".jpg"
     frames = (replace(survey.frames[0], name=evil), *survey.frames[1:])
-    write_layers(tmp_path / "l.gpkg", replace(survey, frames=frames), placement, ties, adjusted, mosaic)
+    write_layers(
+        tmp_path / "l.gpkg", SolvedSurvey(replace(survey, frames=frames), placement, ties, adjusted, mosaic)
+    )
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
     assert dataset.GetLayer("frames").GetFeature(1)["frame"] == evil
 
@@ -329,7 +335,10 @@ def test_names_are_data(package, tmp_path):
 def test_no_ties_at_all_still_gives_every_layer(package, tmp_path):
     _, (survey, placement, _, adjusted, mosaic) = package
     alone = replace(adjusted, residuals_m=())
-    write_layers(tmp_path / "l.gpkg", survey, placement, TiePoints(()), alone, replace(mosaic, seamlines=()))
+    write_layers(
+        tmp_path / "l.gpkg",
+        SolvedSurvey(survey, placement, TiePoints(()), alone, replace(mosaic, seamlines=())),
+    )
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
     assert dataset.GetLayerCount() == 13
     assert dataset.GetLayer("tie_points").GetFeatureCount() == 0
@@ -341,7 +350,7 @@ def test_accuracy_stands_in_the_metadata_with_equal_bytes(tmp_path: Path) -> Non
     files = [tmp_path / name for name in ("a.gpkg", "b.gpkg")]
     for path in files:
         with writing_geopackage(path, "EPSG:32632", 1e9) as package:
-            package.add_layer("place", "One.", "Point", [shapely.Point(1.0, 2.0)], {"x": [1]})
+            package.add_layer(MapFeatures("place", "One.", "Point", [shapely.Point(1.0, 2.0)], {"x": [1]}))
             package.describe("place", said)
     opened = gdal.OpenEx(str(files[0]), gdal.OF_VECTOR)
     kept = opened.GetLayerByName("place").GetMetadata()

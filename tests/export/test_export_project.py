@@ -14,7 +14,7 @@ from osgeo import ogr
 
 from geomosaic.composition.palette import frame_colour
 from geomosaic.export import looks
-from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, writing_geopackage
 from geomosaic.export.project import write_project
 from geomosaic.export.project_layers import project_of
 
@@ -33,8 +33,10 @@ def package(path: Path) -> Path:
     points = shapely.points([[5e5, 5e6], [5e5 + 2, 5e6 - 1]])
     with writing_geopackage(path, CRS, None) as made:
         fields = {"frame": ["a.jpg", "b.jpg"], "status": ["tied", "placed"]}
-        made.add_layer("frames", "", "Point", points, fields, looks.frames())
-        made.add_layer("control", "", "Point", [], {"name": np.array([], dtype=str)}, looks.control())
+        made.add_layer(MapFeatures("frames", "", "Point", points, fields, looks.frames()))
+        made.add_layer(
+            MapFeatures("control", "", "Point", [], {"name": np.array([], dtype=str)}, looks.control())
+        )
     return path
 
 
@@ -140,7 +142,9 @@ def test_shading_and_contours_that_were_written_are_shown(tmp_path):
         raster(tmp_path / f"{name}.tif", 1, kind)
     with writing_geopackage(tmp_path / "terrain_contours.gpkg", CRS, None) as made:
         made.add_layer(
-            "contours", "", "LineString", [shapely.LineString([(0, 0), (1, 1)])], {"height_m": [2.0]}
+            MapFeatures(
+                "contours", "", "LineString", [shapely.LineString([(0, 0), (1, 1)])], {"height_m": [2.0]}
+            )
         )
     crs, extent, groups = project_of(package(tmp_path / "layers.gpkg"), tmp_path / "mosaic.tif")
     write_project(tmp_path / "project.qgz", "t", crs, extent, groups)

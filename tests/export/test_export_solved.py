@@ -17,7 +17,7 @@ from solved_block import ALONE, WORK, solved_block
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.export import residual_layers
 from geomosaic.export.ellipses import error_ellipses, exaggeration
-from geomosaic.export.layers import write_layers
+from geomosaic.export.layers import SolvedSurvey, write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
 
@@ -30,7 +30,9 @@ def solved():
 @pytest.fixture(scope="module")
 def package(solved, tmp_path_factory):
     path = tmp_path_factory.mktemp("solved") / "layers.gpkg"
-    write_layers(path, solved.survey, solved.placement, solved.ties, solved.adjusted, solved.mosaic)
+    write_layers(
+        path, SolvedSurvey(solved.survey, solved.placement, solved.ties, solved.adjusted, solved.mosaic)
+    )
     validate_gpkg.check(str(path), abort_at_first_error=True)
     return ogr.Open(str(path))
 
@@ -134,7 +136,10 @@ def test_error_ellipses_lie_in_the_maps_grid(solved, tmp_path):
     grid's north lies 2.5 * sin(48.1) = 1.861 degrees east of true north."""
     covariance = np.tile(np.diag([0.04, 0.16, 0.09, 1e-8, 1e-8, 1e-8]), (8, 1, 1))
     adjusted = replace(solved.adjusted, pose_covariance=covariance)
-    write_layers(tmp_path / "l.gpkg", solved.survey, solved.placement, solved.ties, adjusted, solved.mosaic)
+    write_layers(
+        tmp_path / "l.gpkg",
+        SolvedSurvey(solved.survey, solved.placement, solved.ties, adjusted, solved.mosaic),
+    )
     dataset = ogr.Open(str(tmp_path / "l.gpkg"))
     frame = dataset.GetLayer("frames").GetFeature(1)
     assert (frame["ellipse_major_m"], frame["ellipse_minor_m"]) == pytest.approx((0.4, 0.2), rel=1e-4)
@@ -174,7 +179,9 @@ def test_image_residuals_lie_where_their_frame_puts_them(solved, package):
 def test_of_too_many_observations_an_even_share_is_shown(solved, tmp_path, monkeypatch):
     monkeypatch.setattr(residual_layers, "MOST_POINTS", 100)
     path = tmp_path / "l.gpkg"
-    write_layers(path, solved.survey, solved.placement, solved.ties, solved.adjusted, solved.mosaic)
+    write_layers(
+        path, SolvedSurvey(solved.survey, solved.placement, solved.ties, solved.adjusted, solved.mosaic)
+    )
     dataset = ogr.Open(str(path))
     layer = dataset.GetLayer("image_residuals")
     m = len(solved.adjusted.image_residuals.frame)
@@ -214,7 +221,7 @@ def test_methods_that_used_no_control_have_check_points_only(solved, tmp_path):
     asked = tuple(replace(c, check=True) for c in solved.adjusted.control)
     adjusted = replace(solved.adjusted, control=asked, image_residuals=None, pose_covariance=None)
     path = tmp_path / "l.gpkg"
-    write_layers(path, solved.survey, solved.placement, solved.ties, adjusted, solved.mosaic)
+    write_layers(path, SolvedSurvey(solved.survey, solved.placement, solved.ties, adjusted, solved.mosaic))
     dataset = ogr.Open(str(path))
     assert {f["kind"] for f in dataset.GetLayer("control")} == {"check"}
     assert [f["residual_m"] is None for f in dataset.GetLayer("control")] == [False, False, False, True]

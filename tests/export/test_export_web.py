@@ -25,10 +25,10 @@ from geomosaic.composition.model import Mosaic, OutputGrid, Seamline
 from geomosaic.errors import CancelledError
 from geomosaic.export.cog import write_cog
 from geomosaic.export.footprints import write_footprints
-from geomosaic.export.geopackage import writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, writing_geopackage
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
-from geomosaic.export.web import write_kmz, write_tiles, write_vrt
+from geomosaic.export.web import TileOptions, write_kmz, write_tiles, write_vrt
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def test_the_vrt_moves_with_its_mosaic(cog, tmp_path):
 
 @pytest.mark.parametrize("tile_format", ["png", "webp"])
 def test_tiles_lie_where_the_mosaic_lies(cog, tmp_path, tile_format):
-    write_tiles(cog, tmp_path / "tiles", tile_format=tile_format, threads=1)
+    write_tiles(cog, tmp_path / "tiles", TileOptions(tile_format=tile_format, threads=1))
     index = json.loads((tmp_path / "tiles" / "tiles.json").read_text())
     # 156543 m * cos(46.84 deg) / 2^z is 0.0128 m at z = 23 and 0.0255 m at 22; the mosaic has 0.0169 m.
     assert index["maxzoom"] == 23
@@ -73,7 +73,7 @@ def test_tiles_show_what_lies_there_and_coarser_ones_its_mean(cog, tmp_path):
     """Against the mosaic's own pixels at the places of the tiles' pixels, by pyproj, and a quarter of one off."""
     told = []
     tiles = tmp_path / "tiles"
-    write_tiles(cog, tiles, threads=2, progress=lambda done, total: told.append((done, total)))
+    write_tiles(cog, tiles, TileOptions(threads=2), progress=lambda done, total: told.append((done, total)))
     assert told == [(k, told[-1][1]) for k in range(1, told[-1][1] + 1)]
     with rasterio.open(cog) as tiff:
         mosaic, t = np.moveaxis(tiff.read(), 0, -1).astype(np.float32), tiff.transform
@@ -105,7 +105,7 @@ def test_tiles_show_what_lies_there_and_coarser_ones_its_mean(cog, tmp_path):
 
 def test_tiles_of_sixteen_bits_and_five_bands_are_stretched(tmp_path):
     raw_raster(tmp_path / "raw.tif", bands=5, dtype="uint16", side=400)
-    write_tiles(tmp_path / "raw.tif", tmp_path / "tiles", max_zoom=22, min_zoom=22, threads=1)
+    write_tiles(tmp_path / "raw.tif", tmp_path / "tiles", TileOptions(max_zoom=22, min_zoom=22, threads=1))
     images = [cv2.imread(str(t), cv2.IMREAD_UNCHANGED) for t in (tmp_path / "tiles").rglob("*.png")]
     seen = np.concatenate([p[p[..., 3] == 255] for p in images])
     assert seen[:, :3].min() < 10
@@ -117,7 +117,7 @@ def test_tiles_can_be_stopped(cog, tmp_path):
         raise CancelledError
 
     with pytest.raises(CancelledError):
-        write_tiles(cog, tmp_path / "tiles", max_zoom=26, threads=1, progress=stop)
+        write_tiles(cog, tmp_path / "tiles", TileOptions(max_zoom=26, threads=1), progress=stop)
 
 
 def test_the_stac_item_says_what_where_and_when(tmp_path):
@@ -165,8 +165,8 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
     """Read as its specification says: a table of tiles, their rows counted from the south."""
     coarse = tmp_path / "coarse.tif"
     gdal.Translate(str(coarse), str(cog), outputBounds=[576_600, 5_188_300, 576_740, 5_188_300 - 140])
-    write_tiles(coarse, tmp_path / "tiles", threads=1)
-    write_packed(coarse, tmp_path / "mosaic.mbtiles", "mbtiles", threads=1)
+    write_tiles(coarse, tmp_path / "tiles", TileOptions(threads=1))
+    write_packed(coarse, tmp_path / "mosaic.mbtiles", "mbtiles", TileOptions(threads=1))
     with sqlite3.connect(tmp_path / "mosaic.mbtiles") as file:
         told = dict(file.execute("SELECT name, value FROM metadata"))
         packed = {
@@ -192,9 +192,9 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
 
 @pytest.mark.parametrize("tile_format", ["png", "webp"])
 def test_pmtiles_hold_the_tiles_of_the_folder(cog, tmp_path, tile_format):
-    write_tiles(cog, tmp_path / "tiles", tile_format=tile_format, threads=1)
+    write_tiles(cog, tmp_path / "tiles", TileOptions(tile_format=tile_format, threads=1))
     for name in ("a", "b"):
-        write_packed(cog, tmp_path / name, "pmtiles", tile_format=tile_format, threads=1)
+        write_packed(cog, tmp_path / name, "pmtiles", TileOptions(tile_format=tile_format, threads=1))
     data = (tmp_path / "a").read_bytes()
     assert data == (tmp_path / "b").read_bytes()
     told, packed = read_pmtiles(data)
@@ -293,8 +293,10 @@ def test_the_page_of_the_tiles_needs_no_network(cog, tmp_path):
     evil = "</script><script>alert(1)//`${1}"
     with writing_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None) as package:
         fields = {"frame": [evil], "status": ["tied"]}
-        package.add_layer("frames", "", "Point", [shapely.Point(576_627.0, 5_188_249.0)], fields)
-    write_tiles(cog, tmp_path / "tiles", max_zoom=20, threads=1, layers_file=tmp_path / "layers.gpkg")
+        package.add_layer(MapFeatures("frames", "", "Point", [shapely.Point(576_627.0, 5_188_249.0)], fields))
+    write_tiles(
+        cog, tmp_path / "tiles", TileOptions(max_zoom=20, threads=1), layers_file=tmp_path / "layers.gpkg"
+    )
     page = (tmp_path / "tiles" / "index.html").read_text()
     assert not re.findall(r"(?:src\s*=\s*|url\()[\"']?https?:", page)
     assert evil not in page
@@ -309,7 +311,7 @@ def test_footprints_are_geojson_in_wgs_84(tmp_path):
     with writing_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None) as package:
         ring = shapely.box(576_600.0, 5_188_200.0, 576_700.0, 5_188_300.0)
         fields = {"frame": ["a.jpg"], "time_utc": np.array(["2024-06-12T09:30:00.250"], "datetime64[ms]")}
-        package.add_layer("footprints", "", "Polygon", [ring], fields)
+        package.add_layer(MapFeatures("footprints", "", "Polygon", [ring], fields))
     write_footprints(tmp_path / "layers.gpkg", tmp_path / "f.geojson")
     (feature,) = json.loads((tmp_path / "f.geojson").read_text())["features"]
     assert feature["properties"]["frame"] == "a.jpg"

@@ -9,8 +9,8 @@ from browser import Page, browser
 from test_export_cog import raw_raster
 
 from geomosaic.export.cog import write_cog
-from geomosaic.export.geopackage import writing_geopackage
-from geomosaic.export.web import write_tiles
+from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.web import TileOptions, write_tiles
 
 TILES = "[...document.querySelectorAll('img.leaflet-tile-loaded')].filter(i => i.src.startsWith('file:'))"
 SHOWN = f"{TILES}.length > 0"
@@ -26,9 +26,13 @@ def folder(tmp_path_factory):
     at = np.array([[576_627.0, 5_188_249.0], [576_630.0, 5_188_247.0], [576_633.0, 5_188_248.0]])
     with writing_geopackage(folder / "layers.gpkg", "EPSG:32615", None) as package:
         names = {"frame": ["a <b>.jpg", "b.jpg", "c.jpg"]}
-        package.add_layer("frames", "", "Point", shapely.points(at), names)
-        package.add_layer("footprints", "", "Polygon", shapely.buffer(shapely.points(at), 2.0), names)
-    write_tiles(folder / "mosaic.tif", folder / "tiles", threads=1, layers_file=folder / "layers.gpkg")
+        package.add_layer(MapFeatures("frames", "", "Point", shapely.points(at), names))
+        package.add_layer(
+            MapFeatures("footprints", "", "Polygon", shapely.buffer(shapely.points(at), 2.0), names)
+        )
+    write_tiles(
+        folder / "mosaic.tif", folder / "tiles", TileOptions(threads=1), layers_file=folder / "layers.gpkg"
+    )
     return folder / "tiles"
 
 

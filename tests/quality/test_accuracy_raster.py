@@ -19,7 +19,7 @@ from geomosaic.composition.area import Area
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
 from geomosaic.export.accuracy import BANDS, write_accuracy
-from geomosaic.export.cog import write_cog
+from geomosaic.export.cog import CogOptions, write_cog
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import ground_from_image
@@ -273,7 +273,7 @@ def cells(
 
 def written(of: AccuracyCells, folder: Path) -> Path:
     write_accuracy(folder / "plain.tif", of.grid, of.blocks())
-    write_cog(folder / "plain.tif", folder / "accuracy.tif", overviews="nearest")
+    write_cog(folder / "plain.tif", folder / "accuracy.tif", CogOptions(overviews="nearest"))
     return folder / "accuracy.tif"
 
 

@@ -12,7 +12,7 @@ from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.misalignment import frame_ground_errors, pair_misalignments, trend
+from geomosaic.quality.misalignment import FramesOverGround, frame_ground_errors, pair_misalignments, trend
 from geomosaic.quality.positions import read_poses
 from geomosaic.quality.scores import CCIR_500_1, CRITERIA
 
@@ -46,14 +46,17 @@ def test_pairs_have_their_mean_and_the_length_of_it():
 def test_a_frame_that_leans_forward_lands_ahead():
     truth = poses([[0, 0, 100], [10, 20, 100]], [nadir(), nadir(90.0)])
     tilted = poses([[0, 0, 100], [10.5, 20, 100]], [nadir(0.0, 1.0), nadir(90.0)])
-    error = frame_ground_errors(tilted, [CAMERA] * 2, truth, [CAMERA] * 2, FLAT)
+    error = frame_ground_errors(
+        FramesOverGround(tilted, [CAMERA] * 2, FLAT), FramesOverGround(truth, [CAMERA] * 2, FLAT)
+    )
     np.testing.assert_allclose(error, [[0.0, 100 * np.tan(np.radians(1.0))], [0.5, 0.0]], atol=1e-6)
 
 
 def test_tilt_and_position_may_cancel_on_the_ground():
     back = -100 * np.tan(np.radians(2.0))
     truth = poses([[0, 0, 100]], [nadir()])
-    error = frame_ground_errors(poses([[0, back, 100]], [nadir(0, 2.0)]), [CAMERA], truth, [CAMERA], FLAT)
+    moved = FramesOverGround(poses([[0, back, 100]], [nadir(0, 2.0)]), [CAMERA], FLAT)
+    error = frame_ground_errors(moved, FramesOverGround(truth, [CAMERA], FLAT))
     np.testing.assert_allclose(error, 0.0, atol=1e-6)
 
 

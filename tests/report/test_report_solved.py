@@ -64,7 +64,12 @@ def test_every_number_says_what_was_given_and_found_with_its_deviation():
         "k1", "-0.0200", "-0.0218", "-0.0018", "0.0042", "-0.4",
     )  # fmt: skip
     assert (k2.found, k2.sd) == ("0.003", "0.032")
-    assert (row.name, row.given, row.found, row.held) == ("principal point, row [px]", "297", "", True)
+    assert (row.name, row.given, row.found, row.undetermined) == (
+        "principal point, row [px]",
+        "297",
+        "",
+        True,
+    )
     assert (lag[0].name, lag[0].found, lag[0].change_sd) == ("GPS lag [s]", "0.202", "+18.0")
     assert unknown_name("boresight_roll_deg") == ("boresight roll", "°")
     assert unknown_name("lever_arm_forward_m") == ("lever arm forward", "m")
@@ -133,7 +138,7 @@ def test_few_observations_make_few_cells_and_other_cameras_none(solved):
     seen = ImageResiduals(np.array([0, 1]), at, np.ones((2, 2)), np.ones(2))
     (field,) = residual_fields(other, (), seen, 0.3)
     assert len(field.at_px) == 0 and np.isnan(field.scatter_px)
-    plot = image_vectors((800, 600), field.at_px, field.mean_px, label="l", principal_px=(402.0, 297.0), scatter_px=field.scatter_px)  # fmt: skip
+    plot = image_vectors((800, 600), np.column_stack([field.at_px, field.mean_px]), label="l", principal_px=(402.0, 297.0), scatter_px=field.scatter_px)  # fmt: skip
     assert "nan" not in plot and fromstring(plot).tag == f"{SVG}svg"
 
 
@@ -153,7 +158,7 @@ def test_cells_of_the_correlation_map_are_as_full_as_their_correlation():
 
 def test_arrows_over_an_image_point_down_for_growing_rows():
     at = np.array([[100.0, 150.0], [700.0, 150.0]])
-    plot = image_vectors((800, 600), at, np.array([[0.0, 0.02], [0.02, 0.0]]), label="l", principal_px=(402.0, 297.0), scatter_px=0.004)  # fmt: skip
+    plot = image_vectors((800, 600), np.column_stack([at, [[0.0, 0.02], [0.02, 0.0]]]), label="l", principal_px=(402.0, 297.0), scatter_px=0.004)  # fmt: skip
     root = fromstring(plot)
     arrows = [p for p in root.iter(f"{SVG}path") if p.get("stroke") == COLOURS[0]]
     down, right = ([float(v) for v in re.findall(r"-?[\d.]+", p.get("d"))][:4] for p in arrows[:2])

@@ -11,7 +11,7 @@ from geomosaic.ccd.layout import image_space_layout
 from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles
 from geomosaic.ccd.radiometry import Radiometry
-from geomosaic.composition.strip_compose import StripMosaic, StripOptions, StripScene, compose_strips
+from geomosaic.composition.strip_compose import PlacedStrips, StripMosaic, StripOptions, compose_strips
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.quality.strips import StripQuality, misplacement
 from geomosaic.survey.strips import StripGeometry, read_geometry
@@ -57,7 +57,7 @@ def composed(folder: Path, plan: StripPlan, bump_px: float = 0.0) -> ComposedSce
     radiometry = Radiometry(gains, np.linspace(-2.0, 2.0, plan.ccds))
     layout = image_space_layout(geometry, offsets, "all")
     path = folder / "mosaic.tif"
-    mosaic = compose_strips(StripScene(geometry, layout, radiometry), path, StripOptions(threads=1))
+    mosaic = compose_strips(PlacedStrips(geometry, layout, radiometry), path, StripOptions(threads=1))
     return ComposedScene(geometry, offsets, quality, radiometry, mosaic, path)
 
 

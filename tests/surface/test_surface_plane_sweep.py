@@ -16,7 +16,7 @@ from geomosaic.surface.aggregation import aggregated, cheapest, ring
 from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import census
-from geomosaic.surface.costs import PER_BIT, census_costs
+from geomosaic.surface.costs import PER_BIT, SweepHeights, census_costs
 from geomosaic.surface.plane_sweep import PlaneSweep, SweepView
 from geomosaic.surface.squares import Squares
 from geomosaic.surface.tile_sgm import search_steps
@@ -99,11 +99,11 @@ def test_a_height_that_two_frames_agree_on_costs_least(  # of three, one of whic
     sweep = PlaneSweep(cells, LEVEL, sighted, -5.0, 30.0)
     steps = np.broadcast_to(np.arange(-2, 12, dtype=np.int16)[:, None, None], (14, 64, 64))
     whole = [((slice(0, 64), slice(0, 64)), (0, 1, 2))]
-    costs = census_costs(sweep, [census(v) for v in views], steps, 1.0, whole, {})
+    costs = census_costs(sweep, [census(v) for v in views], SweepHeights(steps, 1.0), whole, {})
     best = cheapest(aggregated(costs, steps), steps)
     assert float(np.median(np.abs(best[8:-8, 8:-8] - 5.0))) < 0.3
     blind = {k: np.full((64, 64), np.inf, dtype=np.float32) for k in range(3)}
-    none = census_costs(sweep, [census(v) for v in views], steps, 1.0, whole, blind)
+    none = census_costs(sweep, [census(v) for v in views], SweepHeights(steps, 1.0), whole, blind)
     assert (none == none[0, 0, 0]).all()
     assert none[0, 0, 0] < 12 * PER_BIT
 
@@ -191,7 +191,7 @@ def test_a_frame_that_lies_off_the_others_is_not_what_they_are_compared_with(mov
     sweep = PlaneSweep(cells, LEVEL, [SweepView(p, CAMERA, 1.0) for p in poses], -5.0, 30.0)
     steps = np.broadcast_to(np.arange(-2, 12, dtype=np.int16)[:, None, None], (14, 64, 64))
     block = slice(16, 48), slice(16, 48)
-    [(_, found)] = agreeing(sweep, seen, steps, 1.0, [(block, (0, 1, 2, 3))], 3)
+    [(_, found)] = agreeing(sweep, seen, SweepHeights(steps, 1.0), [(block, (0, 1, 2, 3))], 3)
     assert found == asked
 
 

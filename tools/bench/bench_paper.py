@@ -51,7 +51,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare
 from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.quality.figures import best_similarity
-from geomosaic.quality.misalignment import frame_ground_errors, trend
+from geomosaic.quality.misalignment import FramesOverGround, frame_ground_errors, trend
 from geomosaic.quality.positions import read_poses
 from geomosaic.report.plots import Axis, Series, line_plot
 from geomosaic.stages.mosaic_compose import RASTER
@@ -216,9 +216,10 @@ class Bench:
         adjusted: Adjusted = solved["adjusted"]
         truth = read_poses(self.files.positions, [f.name for f in survey.frames], survey.work_frame)
         cameras = [survey.camera_of(i) for i in range(len(survey.frames))]
-        seen = (adjusted.poses, adjusted.cameras), (truth, cameras), (adjusted.ground, placed["prior_ground"])
+        found = FramesOverGround(adjusted.poses, adjusted.cameras, adjusted.ground)
+        true = FramesOverGround(truth, cameras, placed["prior_ground"])
         outcome = self.outcomes.setdefault(name, Outcome())
-        outcome.errors_m.append(frame_ground_errors(*seen[0], *seen[1], *seen[2]))
+        outcome.errors_m.append(frame_ground_errors(found, true))
         left = [r[np.isfinite(r).all(axis=1)] / UNIT_M for r in adjusted.residuals_m]
         outcome.misaligned.append(np.array([fullest_bin_mean(r) for r in left if len(r)]))
         outcome.tie_rms.append(float(np.sqrt((np.concatenate(left) ** 2).sum(axis=1).mean())))

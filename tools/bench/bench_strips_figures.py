@@ -27,7 +27,7 @@ from geomosaic.ccd.model import CcdSettings, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
 from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import matched_points, segments
-from geomosaic.composition.strip_compose import StripOptions, StripScene, compose_strips
+from geomosaic.composition.strip_compose import PlacedStrips, StripOptions, compose_strips
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.report.plots import Axis, Series, line_plot
@@ -109,7 +109,7 @@ def seams(folder: Path) -> np.ndarray:
             left = strips.overlap(0).left.astype(float)
         layout = image_space_layout(geometry, offsets)
         raster = folder / f"{method}.tif"
-        compose_strips(StripScene(geometry, layout, greys), raster, StripOptions("hard"))
+        compose_strips(PlacedStrips(geometry, layout, greys), raster, StripOptions("hard"))
         if method == "whole_scene":
             at = worst_place(read_true_offsets(made.true_offsets, geometry)[0], offsets.pairs[0], left)
         row = round(at + 0.5 * SEAM.row_separation_lines - layout.first_line)
