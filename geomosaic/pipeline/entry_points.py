@@ -11,7 +11,7 @@ from typing import Final
 
 GROUP: Final = "geomosaic.stages"
 OWN: Final = {
-    "survey.read": "survey_read:SurveyRead",
+    "survey.read": "survey_read:survey_read",
     "projection.ground": "projection_ground:projection_ground",
     "placement.pos": "placement_pos:placement_pos",
     "matching.flying_height": "matching_flying_height:matching_flying_height",

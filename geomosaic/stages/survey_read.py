@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from geomosaic.pipeline.stage import Context, Stage, StageParams, param
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.recording.file.thumbnail import Looking, Seen, seen, thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
@@ -24,109 +25,104 @@ _READ_AGAIN = 200
 """Frames, of those whose look for damage gave no thumbnail, that are read again for one."""
 
 
-def _inputs(params: Any) -> SurveyInputs:
+def _inputs(params: SurveyParams) -> SurveyInputs:
     """What is given, and a project's own files where none are."""
     given = params.model_dump()
     own = {kind: path for kind, path in project_files(params.frames).items() if given[kind] is None}
     return SurveyInputs(**given | own)
 
 
-class SurveyRead(Stage):
+class SurveyParams(StageParams):
+    """See each parameter's help."""
+
+    frames: Path = param(help="folder of frames: JPEG, TIFF or PNG")
+    pos: Path | None = param(None, help="positions and attitudes: CSV, geo.txt, Pix4D")
+    camera: Path | None = param(None, help="interior orientation: cameras.json or YAML")
+    dem: Path | None = param(None, help="elevation model: GeoTIFF and other local rasters")
+    dem_offset_m: float | None = param(
+        None, help="what to add to the DEM to have ellipsoidal heights", unit="m", ge=-12000, le=12000
+    )
+    gcp: Path | None = param(None, help="control and check points: gcp_list.txt or CSV")
+    gcp_optional: bool = param(
+        False, help="go on without control where no point of gcp can be used; it is an error otherwise"
+    )
+    crs: str = param("auto", help="the map's CRS; auto is the UTM zone of the middle")
+    pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
+    attitude_convention: str = param("auto", help="what the POS file's angles mean", choices=CONVENTIONS)
+    damaged: str = param(
+        "leave_out",
+        help="what becomes of frames whose data are damaged; mask: the part above the damage is used",
+        choices=DAMAGED,
+    )
+    leave_out: str = param(
+        "auto",
+        help="images that don't belong to the survey: copies, blurred, oblique, of another flight; "
+        "none: all are kept",
+        choices=LEAVE_OUT,
+    )
+    camera_kind: str | None = param(
+        None,
+        help="frames of which of the aircraft's cameras are used, by their tag ImageSource: wide, zoom, "
+        "thermal; without it those that have most pixels",
+    )
+    strict: bool = param(
+        False,
+        help="frames that can't be used, frames without a line in the POS file and lines without a frame "
+        "are errors",
+    )
+
+
+def _check(params: SurveyParams) -> None:
+    """The frames' names and every file beside them, but for what only the frames' headers show."""
+    check_survey_files(_inputs(params))
+
+
+def _files(params: SurveyParams) -> dict[str, Path]:
+    """The folders that hold the frames, and the files beside them."""
+    files = _inputs(params).files
+    folders = frame_folders(params.frames, files.values())
+    return {f"frames/{name}" if name else "frames": p for name, p in folders.items()} | files
+
+
+def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How many frames there are."""
+    counts = summary["metrics"]["survey"]
+    return [("frames", f"{counts['frames']}, {counts['left_out']} left out")]
+
+
+@stage(
+    "survey.read", "Read the survey", group="Survey", version=23, outputs="survey", wants_frames=True,
+    check=_check, files=_files, plans=_plans,
+)  # fmt: skip
+def survey_read(params: SurveyParams, context: Context) -> Survey:
     """Reads headers, positions, attitudes, cameras, DEM and control; decodes every frame small."""
+    survey_inputs = _inputs(params)
+    for name in project_files(params.frames):
+        if getattr(params, name) is None:
+            text = (
+                f"{survey_inputs.files[name].name} in the folder of frames is used as --{name}; "
+                f"give another file with --{name} if it is wrong"
+            )
+            context.warn("project-file", "", text)
+    looks: dict[str, StoredResult[Seen]] = {}
 
-    id = "survey.read"
-    display_name = "Read the survey"
-    group = "Survey"
-    version = 23
-    wants_frames: ClassVar[bool] = True
-    outputs: ClassVar[dict[str, type]] = {"survey": Survey}
+    def inspect(paths: list[str]) -> list[Wholeness]:
+        items = [Looking(path, context.optional_cache(Small, path)) for path in paths]
+        looks.update(zip(paths, context.stored("looking for damage", seen, items), strict=True))
+        return [looks[path].load().wholeness for path in paths]
 
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        frames: Path = param(help="folder of frames: JPEG, TIFF or PNG")
-        pos: Path | None = param(None, help="positions and attitudes: CSV, geo.txt, Pix4D")
-        camera: Path | None = param(None, help="interior orientation: cameras.json or YAML")
-        dem: Path | None = param(None, help="elevation model: GeoTIFF and other local rasters")
-        dem_offset_m: float | None = param(
-            None, help="what to add to the DEM to have ellipsoidal heights", unit="m", ge=-12000, le=12000
-        )
-        gcp: Path | None = param(None, help="control and check points: gcp_list.txt or CSV")
-        gcp_optional: bool = param(
-            False, help="go on without control where no point of gcp can be used; it is an error otherwise"
-        )
-        crs: str = param("auto", help="the map's CRS; auto is the UTM zone of the middle")
-        pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
-        attitude_convention: str = param("auto", help="what the POS file's angles mean", choices=CONVENTIONS)
-        damaged: str = param(
-            "leave_out",
-            help="what becomes of frames whose data are damaged; mask: the part above the damage is used",
-            choices=DAMAGED,
-        )
-        leave_out: str = param(
-            "auto",
-            help="images that don't belong to the survey: copies, blurred, oblique, of another flight; "
-            "none: all are kept",
-            choices=LEAVE_OUT,
-        )
-        camera_kind: str | None = param(
-            None,
-            help="frames of which of the aircraft's cameras are used, by their tag ImageSource: wide, zoom, "
-            "thermal; without it those that have most pixels",
-        )
-        strict: bool = param(
-            False,
-            help="frames that can't be used, frames without a line in the POS file and lines without a frame "
-            "are errors",
-        )
-
-    @classmethod
-    def check(cls, params: Params) -> None:
-        """The frames' names and every file beside them, but for what only the frames' headers show."""
-        check_survey_files(_inputs(params))
-
-    @classmethod
-    def files(cls, params: Params) -> dict[str, Path]:
-        """The folders that hold the frames, and the files beside them."""
-        files = _inputs(params).files
-        folders = frame_folders(params.frames, files.values())
-        return {f"frames/{name}" if name else "frames": p for name, p in folders.items()} | files
-
-    @classmethod
-    def plans(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """How many frames there are."""
-        counts = summary["metrics"]["survey"]
-        return [("frames", f"{counts['frames']}, {counts['left_out']} left out")]
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Reads all of it and records what the frames look like."""
-        survey_inputs = _inputs(params)
-        for name in project_files(params.frames):
-            if getattr(params, name) is None:
-                text = (
-                    f"{survey_inputs.files[name].name} in the folder of frames is used as --{name}; "
-                    f"give another file with --{name} if it is wrong"
-                )
-                context.warn("project-file", "", text)
-        looks: dict[str, StoredResult[Seen]] = {}
-
-        def inspect(paths: list[str]) -> list[Wholeness]:
-            items = [Looking(path, context.optional_cache(Small, path)) for path in paths]
-            looks.update(zip(paths, context.stored("looking for damage", seen, items), strict=True))
-            return [looks[path].load().wholeness for path in paths]
-
-        survey = read_survey(survey_inputs, inspect=inspect, progress=context.progress)
-        context.metric("survey.frames", len(survey.frames))
-        context.metric("survey.left_out", len(survey.left_out))
-        for warning in survey.warnings:
-            context.warn(warning.code, warning.frame, warning.text)
-        for camera in survey.cameras:
-            context.recorder.camera(camera.name, camera)
-        every = -(-len(survey.frames) // _READ_AGAIN)
-        for k, frame in enumerate(survey.frames):
-            context.check_cancelled()
-            small = looks[frame.path].load().thumbnail
-            if small or k % every == 0:
-                shown = small or thumbnail(read_pixels(frame, 8)[0])
-                context.recorder.frame_image(frame.name, shown, frame.time_s)
-        return {"survey": survey}
+    survey = read_survey(survey_inputs, inspect=inspect, progress=context.progress)
+    context.metric("survey.frames", len(survey.frames))
+    context.metric("survey.left_out", len(survey.left_out))
+    for warning in survey.warnings:
+        context.warn(warning.code, warning.frame, warning.text)
+    for camera in survey.cameras:
+        context.recorder.camera(camera.name, camera)
+    every = -(-len(survey.frames) // _READ_AGAIN)
+    for k, frame in enumerate(survey.frames):
+        context.check_cancelled()
+        small = looks[frame.path].load().thumbnail
+        if small or k % every == 0:
+            shown = small or thumbnail(read_pixels(frame, 8)[0])
+            context.recorder.frame_image(frame.name, shown, frame.time_s)
+    return survey

@@ -11,7 +11,7 @@ from survey_files import drone_frame, survey_folder
 from geomosaic.doors.files import RUN_MARKER
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.context import Context
-from geomosaic.stages.survey_read import SurveyRead
+from geomosaic.stages.survey_read import survey_read
 from geomosaic.survey.folder import frame_files, frame_folders
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
@@ -97,10 +97,10 @@ def project(folder: Path) -> Path:
 
 def read(folder: Path, run: Path, **params: object) -> tuple[Survey, list[str]]:
     """The survey as its stage reads it, and the codes of its warnings."""
-    given = SurveyRead.Params.model_validate({"frames": folder, **params})
-    SurveyRead.check(given)
+    given = survey_read.Params.model_validate({"frames": folder, **params})
+    survey_read.check(given)
     context = Context(run)
-    survey = SurveyRead().run({}, given, context)["survey"]
+    survey = survey_read().run({}, given, context)["survey"]
     return survey, [w["code"] for w in context.notes.warnings]
 
 
@@ -119,7 +119,7 @@ def test_a_project_of_opendronemap_is_read_with_its_files(tmp_path: Path) -> Non
         in texts["pos-line-without-frame"]
     )
     assert "no line for 2 of 4 frames: DJI_0002.JPG, DJI_0003.JPG" in texts["pos-frame-without-line"]
-    files = SurveyRead.files(SurveyRead.Params(frames=folder))
+    files = survey_read.files(survey_read.Params(frames=folder))
     assert set(files) == {"frames/images/first", "frames/images/second", "pos"}
     other = tmp_path / "other.csv"
     other.write_text("frame,lon,lat\nDJI_0002.JPG,9.12373,48.7654\n")
