@@ -40,9 +40,10 @@ def auto_gsd_m(ground_pixel_m: float) -> float:
 
 def far_from_own(gsd_m: float, ground_pixel_m: float) -> str:
     """What a ground pixel far from the frames' own means, in words; empty where it isn't far."""
+    both = f"the mosaic's pixel is {gsd_m:.3g} m, the frames' own is {ground_pixel_m:.3g} m"
     if gsd_m < _FINER * ground_pixel_m:
-        return "it can't show more than the frames do, and takes room and time for nothing"
-    return "most of what the frames show is lost" if gsd_m > _COARSER * ground_pixel_m else ""
+        return f"{both}: it can't show more than the frames do, and takes room and time for nothing"
+    return f"{both}: most of what the frames show is lost" if gsd_m > _COARSER * ground_pixel_m else ""
 
 
 def output_grid(

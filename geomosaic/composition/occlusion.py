@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from geomosaic.composition.views import FrameView
 from geomosaic.constants import sourced, tuned
 from geomosaic.projection.horizon import hidden_m
 from geomosaic.projection.warp import frame_from_map
+from geomosaic.spread import Spread
 
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
@@ -53,6 +55,18 @@ class UnseenGround:
 
     share: float
     area_m2: float
+
+
+def occluded_scene(scene: Scene, spread: Spread) -> tuple[Scene, tuple[Hidden, ...], UnseenGround | None]:
+    """The scene whose views know what they can't see of a ground on which things stand, what that is, and
+    how much none sees; None where nothing stands on the ground."""
+    if not scene.ground.has_walls:
+        return scene, (), None
+    side_px = side_px_of(scene)
+    look = partial(occlusion_depth, replace(scene, views=()), side_px)
+    shadows = spread.map("shadows", look, scene.views, keys=[v.frame for v in scene.views])
+    hidden, unseen = occluded_parts(scene.grid, side_px, shadows)
+    return replace(scene, views=with_occlusion(scene.views, hidden)), hidden, unseen
 
 
 def side_px_of(scene: Scene) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,6 +113,22 @@ def bands(
         down, across = (np.flatnonzero((own | near).any(axis=axis)) for axis in (1, 0))
         at = slice(down[0], down[-1] + 1), slice(across[0], across[-1] + 1)
         yield SeamBand(view, rows.start + int(down[0]), cols.start + int(across[0]), own[at], near[at])
+
+
+def glimpses(
+    scene: Scene,
+    nearest: Ownership,
+    distance_m: Floats32,
+    frames: Sequence[Frame],
+    spare: Callable[[str], Spare],
+) -> Iterator[Glimpse]:
+    """What is to be looked at of each frame that gives a part, at about the cells' size. spare: where a
+    file's frame may lie reduced."""
+    for band in bands(scene, nearest, distance_m, giving(scene, nearest)):
+        finer = nearest.cell_px * scene.grid.gsd_m / band.view.gsd_m
+        reduction = next((r for r in (8, 4, 2) if r <= finer), 1)
+        frame = frames[band.view.frame]
+        yield Glimpse(frame, reduction, band, spare(frame.path))
 
 
 def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> SeamPart:

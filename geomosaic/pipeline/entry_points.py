@@ -32,7 +32,7 @@ OWN: Final = {
     "mosaic.given": "mosaic_given:mosaic_given",
     "mosaic.ground": "mosaic_ground:MosaicGround",
     "mosaic.tones": "mosaic_tones:mosaic_tones",
-    "mosaic.seams": "mosaic_seams:MosaicSeams",
+    "mosaic.seams": "mosaic_seams:mosaic_seams",
     "mosaic.compose": "mosaic_compose:MosaicCompose",
     "export.cog": "export_cog:export_cog",
     "export.surface": "export_surface:export_surface",

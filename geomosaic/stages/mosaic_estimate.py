@@ -8,14 +8,14 @@ import shapely
 from geomosaic.composition.estimate import FilledPixels, before_composing, estimate
 from geomosaic.composition.frames import decoded_bytes
 from geomosaic.composition.grid import output_grid, stretching
+from geomosaic.composition.mosaic_scene import CandidateFrames, extent_within, mosaic_pixels
 from geomosaic.composition.views import seen_part
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.mosaic_compose import MosaicCompose
-from geomosaic.stages.mosaic_grid import Seeing, laid_extent, laid_pixel
-from geomosaic.stages.mosaic_seams import MosaicSeams
+from geomosaic.stages.mosaic_seams import mosaic_seams
 from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
 from geomosaic.stages.surface_dense import surface_dense
 from geomosaic.survey.model import Survey
@@ -30,18 +30,18 @@ def mosaic_estimate(
     The pixel and the limit are mosaic.seams', the memory mosaic.compose's. It runs every time: the disk's
     room is of today.
     """
-    compose, seams = params_of(context, MosaicCompose), params_of(context, MosaicSeams)
+    compose, seams = params_of(context, MosaicCompose), params_of(context, mosaic_seams)
     names = [f.name for f in survey.frames]
     cameras = [survey.camera_of(i) for i in range(len(names))]
     if not any(survey.located):
         context.inform("no frame has a position: how large the mosaic will be only the images can show")
         return
     own_m = prior_placement.ground_pixel_m
-    pixels = laid_pixel(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
+    pixels = mosaic_pixels(seams.gsd_m, seams.align_to, survey.map_crs, own_m)
     gsd_m = pixels.gsd_m
-    seeing = Seeing(survey, prior_placement.poses, cameras, survey.located, prior_ground)
+    seeing = CandidateFrames(survey, prior_placement.poses, cameras, survey.located, prior_ground)
     limits = seeing.limits(seams.edges, max(gsd_m, own_m))
-    extent = laid_extent(seams.aoi, survey.map_crs, seeing.views())
+    extent = extent_within(seams.aoi, survey.map_crs, seeing.views())
     views = extent.views
     if limits is not None:
         well = seeing.views(limits)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
 from geomosaic.composition.tone_solution import solve_tones
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
 from geomosaic.errors import InputError
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.mosaic_grid import TRIM, Seeing
 from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
@@ -50,7 +50,7 @@ def mosaic_tones(
     if not alike or params.even == "never" or (params.even == "auto" and not images):
         return none
     used = [s != "rejected" for s in adjusted.status]
-    frames_on_map = Seeing(survey, adjusted.poses, adjusted.cameras, used, ground)
+    frames_on_map = CandidateFrames(survey, adjusted.poses, adjusted.cameras, used, ground)
     views = frames_on_map.views(frames_on_map.limits(TRIM, frames_on_map.pixel_m))
     if len(views) < 2:
         return none

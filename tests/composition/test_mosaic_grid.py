@@ -41,7 +41,7 @@ from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
 from geomosaic.stages.mosaic_compose import MosaicCompose
-from geomosaic.stages.mosaic_seams import MosaicSeams
+from geomosaic.stages.mosaic_seams import mosaic_seams
 from geomosaic.survey.model import Frame
 from geomosaic_simulate.survey import SimulatedSurvey
 
@@ -61,8 +61,8 @@ def given_for(folder: Path, **survey: Any) -> dict[str, Any]:
 
 
 def seams(folder: Path, given: dict[str, Any], **params: Any) -> tuple[Ownership, Notes]:
-    inputs = {name: given[name] for name in MosaicSeams.inputs}
-    outputs, notes = run_stage(Recipe.of_stage(MosaicSeams, MosaicSeams.Params(**params)), StageInputs(RunFolder(folder / "RUN"), inputs), work_folder=folder / "work")  # fmt: skip
+    inputs = {name: given[name] for name in mosaic_seams.inputs}
+    outputs, notes = run_stage(Recipe.of_stage(mosaic_seams, mosaic_seams.Params(**params)), StageInputs(RunFolder(folder / "RUN"), inputs), work_folder=folder / "work")  # fmt: skip
     return outputs["ownership"], notes
 
 

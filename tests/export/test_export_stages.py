@@ -24,7 +24,7 @@ from geomosaic.stages.export_cog import export_cog
 from geomosaic.stages.exports_for_gis import export_layers
 from geomosaic.stages.exports_for_web import export_stac, export_tiles, export_vrt
 from geomosaic.stages.mosaic_compose import MosaicCompose
-from geomosaic.stages.mosaic_seams import MosaicSeams
+from geomosaic.stages.mosaic_seams import mosaic_seams
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def run(tmp_path_factory):
     }
     notes = {}
     for stage in (
-        MosaicSeams,
+        mosaic_seams,
         MosaicCompose,
         export_cog,
         export_layers,
@@ -49,7 +49,7 @@ def run(tmp_path_factory):
         export_tiles,
         export_stac,
     ):
-        params = stage.Params(**({"gsd_m": 0.25} if stage is MosaicSeams else {}))
+        params = stage.Params(**({"gsd_m": 0.25} if stage is mosaic_seams else {}))
         taken = stage.inputs.keys() | stage.optional_inputs.keys()
         inputs = {name: given[name] for name in taken if name in given}
         outputs, notes[stage.id] = run_stage(
