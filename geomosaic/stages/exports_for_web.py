@@ -15,7 +15,7 @@ from geomosaic.export.tile_pyramid import FORMATS
 from geomosaic.export.web import TileOptions, on_map, write_kmz, write_tiles, write_vrt
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
-from geomosaic.stages.input_groups import FrameMosaic, StripScene
+from geomosaic.stages.input_groups import ComposedStrips, FrameMosaic
 
 TILES, MBTILES, PMTILES = "tiles", "mosaic.mbtiles", "mosaic.pmtiles"
 KMZ, VRT, ITEM = "mosaic.kmz", "mosaic.vrt", "mosaic.stac.json"
@@ -113,7 +113,7 @@ def export_stac(
     mosaic_file: RunFile,
     context: Context,
     frames: FrameMosaic | None = None,
-    scene: StripScene | None = None,
+    scene: ComposedStrips | None = None,
     outlines: Outlines | None = None,
 ) -> RunFile:
     """Writes mosaic.stac.json, a STAC item whose assets are the run's files."""

@@ -52,7 +52,7 @@ class FrameMosaic(InputGroup):
 
 
 @dataclass(frozen=True)
-class StripScene(InputGroup):
+class ComposedStrips(InputGroup):
     """The scene that CCD strips were composed to."""
 
     strips: StripGeometry
@@ -60,7 +60,7 @@ class StripScene(InputGroup):
 
 
 @dataclass(frozen=True)
-class JudgedScene(StripScene):
+class JudgedScene(ComposedStrips):
     """That scene and how good it is."""
 
     strip_quality: StripQuality

@@ -2,109 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
-from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.bands import compose_bands
 from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.compose import AUTO, AUTO_FEATHER_PX, CompositionOptions, compose
 from geomosaic.composition.model import Mosaic, OutputGrid
-from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.plugins import BLENDS_GROUP
 from geomosaic.composition.raster import MosaicFiles
-from geomosaic.composition.tones import Tones
 from geomosaic.composition.views import PosedFrames
-from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
-from geomosaic.survey.model import Survey
+from geomosaic.stages.input_groups import AdjustedSurvey, FrameShares
 
 RASTER = "work/mosaic.compose/mosaic.tif"
 SOURCES = "sources.tif"
 
 
-class MosaicCompose(Stage):
+class ComposeParams(StageParams):
+    """See each parameter's help."""
+
+    blend: str = param(
+        AUTO,
+        help="how frames pass into each other at seams; auto: multi_band for images of 8 bits, feather "
+        "for measured values",
+        choices=(AUTO, *BLENDS),
+    )
+    feather_m: float | Literal["auto"] = param(
+        "auto",
+        help=f"width of a feathered blend along seams and edges; auto: {AUTO_FEATHER_PX} ground pixels",
+        unit="m",
+        ge=0.0,
+        le=1000.0,
+    )
+    resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
+    sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
+    threads: int = param(2, help="threads that write", ge=1, le=256, affects_output=False)
+
+
+def _plugged(params: ComposeParams) -> list[tuple[str, str]]:
+    """The blend may be another distribution's."""
+    return [(BLENDS_GROUP, params.blend)]
+
+
+@stage(
+    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=18, outputs=("mosaic", "raster_file"),
+    results=(SOURCES,), plugged=_plugged,
+)  # fmt: skip
+def mosaic_compose(
+    of: AdjustedSurvey, shares: FrameShares, params: ComposeParams, context: Context
+) -> tuple[Mosaic, RunFile]:
     """Warps the frames onto the map and blends them."""
+    survey, ownership = of.survey, shares.ownership
+    feather_m = None if params.feather_m == "auto" else params.feather_m
+    options = CompositionOptions(params.blend, feather_m, params.resampling, shares.tones, params.threads)
 
-    id = "mosaic.compose"
-    display_name = "Compose the mosaic"
-    group = "Mosaic"
-    version = 18
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey,
-        "ground": GroundSurface,
-        "adjusted": Adjusted,
-        "ownership": Ownership,
-    }
-    optional_inputs: ClassVar[dict[str, type]] = {"rig": RigPoses, "tones": Tones}
-    outputs: ClassVar[dict[str, type]] = {"mosaic": Mosaic, "raster_file": RunFile}
-    results: ClassVar[tuple[str, ...]] = (SOURCES,)
+    def composing(frames: PosedFrames, files: MosaicFiles) -> Mosaic:
+        return compose(frames, ownership, files, options, context)
 
-    class Params(StageParams):
-        """See each parameter's help."""
+    rig = shares.rig or RigPoses()
+    if survey.other_bands and not rig.bands:
+        text = f"only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
+        context.warn("bands-left-out", "", text)
+    used = ownership.used.tolist()
+    frames = PosedFrames(survey, of.adjusted.poses, of.adjusted.cameras, used, of.ground)
+    with ExitStack() as stack:
+        sources = stack.enter_context(context.writing(SOURCES)) if params.sources else None
+        files = MosaicFiles(stack.enter_context(context.writing(RASTER)), sources)
+        if rig.bands:
+            folder = Path(stack.enter_context(TemporaryDirectory(dir=context.work_folder)))
+            mosaic = compose_bands(composing, frames, rig, folder, files)
+        else:
+            mosaic = composing(frames, files)
+    mosaic = replace(mosaic, raster=RASTER)
+    _report(context, ownership.grid, mosaic)
+    return mosaic, context.run_file(RASTER)
 
-        blend: str = param(
-            AUTO,
-            help="how frames pass into each other at seams; auto: multi_band for images of 8 bits, feather "
-            "for measured values",
-            choices=(AUTO, *BLENDS),
-        )
-        feather_m: float | Literal["auto"] = param(
-            "auto",
-            help=f"width of a feathered blend along seams and edges; auto: {AUTO_FEATHER_PX} ground pixels",
-            unit="m",
-            ge=0.0,
-            le=1000.0,
-        )
-        resampling: str = param("cubic", help="how frames are resampled", choices=RESAMPLING)
-        sources: bool = param(True, help=f"also write {SOURCES}: which frame made each pixel")
-        threads: int = param(2, help="threads that write", ge=1, le=256, affects_output=False)
 
-    @classmethod
-    def plugged(cls, params: Params) -> list[tuple[str, str]]:
-        """The blend may be another distribution's."""
-        return [(BLENDS_GROUP, params.blend)]
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Composes a COG into RUN/work, and reports to run.json what came out."""
-        survey: Survey = inputs["survey"]
-        adjusted: Adjusted = inputs["adjusted"]
-        ownership: Ownership = inputs["ownership"]
-        feather_m = None if params.feather_m == "auto" else params.feather_m
-        options = CompositionOptions(
-            params.blend, feather_m, params.resampling, inputs.get("tones"), params.threads
-        )
-
-        def composing(frames: PosedFrames, files: MosaicFiles) -> Mosaic:
-            return compose(frames, ownership, files, options, context)
-
-        rig = inputs.get("rig", RigPoses())
-        if survey.other_bands and not rig.bands:
-            text = f"only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
-            context.warn("bands-left-out", "", text)
-        used = ownership.used.tolist()
-        frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, inputs["ground"])
-        with ExitStack() as stack:
-            sources = stack.enter_context(context.writing(SOURCES)) if params.sources else None
-            files = MosaicFiles(stack.enter_context(context.writing(RASTER)), sources)
-            if rig.bands:
-                folder = Path(stack.enter_context(TemporaryDirectory(dir=context.work_folder)))
-                mosaic = compose_bands(composing, frames, rig, folder, files)
-            else:
-                mosaic = composing(frames, files)
-        mosaic = replace(mosaic, raster=RASTER)
-        self._report(context, ownership.grid, mosaic)
-        return {"mosaic": mosaic, "raster_file": context.run_file(RASTER)}
-
-    @staticmethod
-    def _report(context: Context, grid: OutputGrid, mosaic: Mosaic) -> None:
-        size = {"width": grid.width_px, "height": grid.height_px}
-        context.report("mosaic", {"crs": grid.crs, "gsd_m": grid.gsd_m, **size})
-        context.metric("mosaic.frames_used", len(mosaic.frames_used))
-        context.metric("mosaic.holes", asdict(mosaic.holes))
+def _report(context: Context, grid: OutputGrid, mosaic: Mosaic) -> None:
+    size = {"width": grid.width_px, "height": grid.height_px}
+    context.report("mosaic", {"crs": grid.crs, "gsd_m": grid.gsd_m, **size})
+    context.metric("mosaic.frames_used", len(mosaic.frames_used))
+    context.metric("mosaic.holes", asdict(mosaic.holes))

@@ -40,7 +40,7 @@ from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.placement.model import Placement
 from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
-from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.mosaic_compose import mosaic_compose
 from geomosaic.stages.mosaic_seams import mosaic_seams
 from geomosaic.survey.model import Frame
 from geomosaic_simulate.survey import SimulatedSurvey
@@ -110,7 +110,7 @@ def written(
 ) -> tuple[np.ndarray, np.ndarray, OutputGrid, Any]:
     """Pixels, mask and grid of the mosaic, and its artefact."""
     own, _ = seams(folder, given, **params)
-    outputs, _ = run_stage(Recipe.of_stage(MosaicCompose, MosaicCompose.Params(blend=blend)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
+    outputs, _ = run_stage(Recipe.of_stage(mosaic_compose, mosaic_compose.Params(blend=blend)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
     with rasterio.open(folder / "RUN" / outputs["mosaic"].raster) as tiff:
         return np.moveaxis(tiff.read(), 0, -1), tiff.dataset_mask() > 0, own.grid, outputs["mosaic"]
 

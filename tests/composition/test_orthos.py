@@ -24,12 +24,12 @@ from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.stages.export_orthos import export_orthos
-from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.mosaic_compose import mosaic_compose
 
 
 def exported(folder: Path, given: dict[str, Any], own: Any) -> Path:
     """The mosaic, hard at its seams, and the orthos."""
-    for stage, params in ((MosaicCompose, {"blend": "hard"}), (export_orthos, {})):
+    for stage, params in ((mosaic_compose, {"blend": "hard"}), (export_orthos, {})):
         run_stage(Recipe.of_stage(stage, stage.Params(**params)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
     return folder / "RUN"
 

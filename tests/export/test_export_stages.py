@@ -23,7 +23,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.stages.export_cog import export_cog
 from geomosaic.stages.exports_for_gis import export_layers
 from geomosaic.stages.exports_for_web import export_stac, export_tiles, export_vrt
-from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.mosaic_compose import mosaic_compose
 from geomosaic.stages.mosaic_seams import mosaic_seams
 
 
@@ -42,7 +42,7 @@ def run(tmp_path_factory):
     notes = {}
     for stage in (
         mosaic_seams,
-        MosaicCompose,
+        mosaic_compose,
         export_cog,
         export_layers,
         export_vrt,

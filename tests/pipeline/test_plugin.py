@@ -133,9 +133,9 @@ def test_changed_code_gets_no_old_results(desk: Desk) -> None:
 
 CODE_OF_COMPOSE = """
 from geomosaic.pipeline.plugin import code_of
-from geomosaic.stages.mosaic_compose import MosaicCompose
+from geomosaic.stages.mosaic_compose import mosaic_compose
 for blend in ("haze", "feather"):
-    print(code_of(MosaicCompose, MosaicCompose.plugged(MosaicCompose.Params(blend=blend))))
+    print(code_of(mosaic_compose, mosaic_compose.plugged(mosaic_compose.Params(blend=blend))))
 """
 
 

@@ -70,6 +70,7 @@ CLEAN = (
     "pipeline",
     "placement",
     "projection",
+    "stages",
     "quality",
     "recording",
     "report",
