@@ -28,6 +28,11 @@ class AccuracyRow:
     required: str = ""
     missed: bool = False
 
+    @property
+    def unstated(self) -> bool:
+        """Whether the figure says only why there is none."""
+        return self.usual == UNKNOWN
+
 
 @dataclass(frozen=True)
 class AccuracyTable:
@@ -62,7 +67,7 @@ def _distances(relative: RelativeAccuracy, required: Requirement, pixel_m: float
     for rmse_m, length_m in ((relative.rmse_100m_m, _OVER_M), (relative.rmse_whole_m, relative.whole_m)):
         if math.isfinite(rmse_m) and (required.scaled or length_m is relative.whole_m):
             asked_m = required.permille * length_m / 1000.0
-            words = f"RMSE {metres(rmse_m)}, " * required.scaled + f"{rmse_m / pixel_m:.2f} px"
+            words = "RMSE " + f"{metres(rmse_m)}, " * required.scaled + f"{rmse_m / pixel_m:.2f} px"
             over = f"distances over {length_m:.0f} m" if required.scaled else "distances over the whole map"
             rows.append(AccuracyRow("" if rows else title, over, words, "", *_required(rmse_m, asked_m)))
     scale = f"±\u202f{relative.scale_permille:.2f} ‰"

@@ -14,6 +14,7 @@ from pyproj import CRS
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.export.orientation import orientations
+from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.quality.compare import Comparison
@@ -29,7 +30,7 @@ from geomosaic.report.frame_layers import FrameLayers, map_footprints_m
 from geomosaic.report.glance import Glance, glance
 from geomosaic.report.layers import MapImage, MapView, box_of
 from geomosaic.report.map_images import overlap_image
-from geomosaic.report.numbers import length, plural, short, whole
+from geomosaic.report.numbers import UNKNOWN, length, plural, short, whole
 from geomosaic.report.page import Fact, PageHead, markup, part, render
 from geomosaic.report.plate import plate
 from geomosaic.report.solved import solved_section
@@ -102,7 +103,7 @@ def render_report(report: FramesReport) -> str:
         run=report.name,
         judged=judged.judged,
         image=image,
-        caption="North is up. The full image is mosaic.tif.",
+        caption="North is up. " * (not is_local(mosaic.grid.crs)) + "The full image is mosaic.tif.",
         facts=_facts(report, image.covered_m2),
         map_view=MapView(
             (float(origin[0]), float(origin[1])),
@@ -188,6 +189,7 @@ def _facts(report: FramesReport, covered_m2: float) -> list[Fact]:
     survey, ties, adjusted, mosaic = report.survey, report.ties, report.adjusted, report.mosaic
     crs = CRS.from_user_input(mosaic.grid.crs)
     code = crs.to_authority()
+    local = is_local(mosaic.grid.crs)  # without a scale
     counted = {s: adjusted.status.count(s) for s in ("tied", "placed", "rejected")}
     area = (covered_m2 / 1e4, "ha") if covered_m2 < 1e7 else (covered_m2 / 1e6, "km²")
     method = str(report.summary.get("metrics", {}).get("adjustment", {}).get("method", ""))
@@ -196,11 +198,12 @@ def _facts(report: FramesReport, covered_m2: float) -> list[Fact]:
         for n, words in ((counted["placed"], "placed by POS alone"), (counted["rejected"], "rejected"))
         if n
     ]
+    lines = plural(len(set(report.placement.lines)), "flight line")
     size = f"{whole(mosaic.grid.width_px)} × {whole(mosaic.grid.height_px)} px"
     return [
         ("frames tied", f"{counted['tied']} of {len(survey.frames)}", ", ".join(odd)),
-        ("ground pixel", length(mosaic.grid.gsd_m), size),
-        ("area covered", short(*area), plural(len(set(report.placement.lines)), "flight line")),
+        ("ground pixel", UNKNOWN if local else length(mosaic.grid.gsd_m), size),
+        ("area covered", UNKNOWN if local else short(*area), lines),
         ("tie points", whole(sum(len(p) for p in ties.pairs)), "in " + plural(len(ties.pairs), "pair")),
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
         ("map", ":".join(code) if code else crs.name, crs.name if code else ""),

@@ -36,7 +36,7 @@ class ExportReport(Stage):
     id = "export.report"
     display_name = "Write the report"
     group = "Export"
-    version = 8
+    version = 9
     cached = False
     inputs: ClassVar[dict[str, type]] = {
         "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
