@@ -34,7 +34,12 @@ PRIVATE = re.compile(
 WORDS = 25
 FIXED_ABOVE = ("camera/rpc.py", "geodesy/crs_names.py", "pipeline/params.py", "requests/option.py")
 """Whose callers add what to do, or whose texts state what is wanted."""
-STORED = ("pipeline/artefacts.py", "pipeline/context.py", "pipeline/stage_recorder.py")
+STORED = (
+    "pipeline/artefact_reader.py",
+    "pipeline/artefacts.py",
+    "pipeline/context.py",
+    "pipeline/stage_recorder.py",
+)
 """Of results that cannot be read: whoever reads them adds what to do."""
 
 
