@@ -120,7 +120,7 @@ def _solved(
         lost = more
         found, clear = solved_window(pairs, begun(lost), likely)
     level = np.hypot(*np.median(found.offset_px, axis=(0, 1)))
-    return found if level <= likely.far_px else found.doubted(float(level))
+    return found if level <= likely.far_px else found.widened(float(level))
 
 
 def far_from_nominal(geometry: StripGeometry, offsets: Sequence[PairOffsets]) -> tuple[float, float] | None:

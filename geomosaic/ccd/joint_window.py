@@ -57,8 +57,8 @@ class KnotOffsets:
     def nothing(cls, pairs: int, knots: int) -> Self:
         return cls(np.zeros((pairs, knots, 2)), np.zeros((pairs, knots, 2)), np.zeros((pairs, knots)))
 
-    def doubted(self, by_px: float) -> KnotOffsets:
-        """The same, none of it measured, and perhaps off by so much."""
+    def widened(self, by_px: float) -> KnotOffsets:
+        """The same as not measured, with by_px added to the standard deviations."""
         return KnotOffsets(self.offset_px, np.hypot(self.sd_px, by_px), np.zeros_like(self.own))
 
     def add(self, part: KnotOffsets, first: int, weight: Floats) -> None:
@@ -132,7 +132,7 @@ def solved_window(
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
     step = widest_step(np.stack([c.offset_px for c in cells]), own, known_px, likely)
-    return found.doubted(step) if step else found, clear
+    return found.widened(step) if step else found, clear
 
 
 def _centres(pairs: Sequence[RowPair], likely: Expected) -> Floats:

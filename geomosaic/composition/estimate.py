@@ -40,7 +40,7 @@ SURFACE: Final = Rate(
     0.8,
     5.0,
     "core s/MP filled",
-    "a surface of cells of 4 ground pixels matched, what it hides found, frames laid on it",
+    "a surface of cells of 4 ground pixels matched, what it hides found, frames projected onto it",
     "18 frames of 9 MP: 1.7; widened",
 )
 _SCENE: Final = "8 strips of 4,096 x 35,000 lines on two cores by joint: 0.074 s/MP, 0.91 GB; widened"
@@ -91,8 +91,8 @@ class SizeEstimate:
     """A mosaic's size, and the least and the most of what it takes.
 
     filled_share: of the grid that frames cover; empty parts take neither room nor time. mosaic_gb: of
-    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed, or a scene laid on the map
-    beside both; scratch_gb: what else is.
+    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed, or a scene
+    projected onto the map beside both; scratch_gb: what else is.
     gsd_m: None for a scene without a map.
     """
 
@@ -165,8 +165,8 @@ def estimate(grid: OutputGrid, of: FilledPixels, before: Before, threads: int) -
 def estimate_scene(
     size_px: tuple[int, int], of: FilledPixels, max_gigapixels: float, *, on_map: bool = False
 ) -> SizeEstimate:
-    """Of a scene of strips, and of its map if it is laid on one; raises `InputError` where it would be larger
-    than max_gigapixels. size_px: width and height."""
+    """Of a scene of strips, and of its map if it is projected onto one; raises `InputError` where it would be
+    larger than max_gigapixels. size_px: width and height."""
     width_px, height_px = size_px
     gigapixels = width_px * height_px / 1e9
     if gigapixels > max_gigapixels:

@@ -1,4 +1,4 @@
-"""A scene of CCD strips laid on a map: by its RPC on a DEM, or at the RPC's middle height without one."""
+"""A scene of CCD strips on a map: by its RPC on a DEM, or at the RPC's middle height without one."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def ground_under(dem: Path, scene: Path, rpc: Rpc) -> DemHeights:
 
 @dataclass(frozen=True)
 class SceneMapOptions:
-    """How a scene is laid on a map: its pixel; crs: `auto` is the UTM zone of the scene's middle; threads: at
-    work."""
+    """How a scene is projected onto a map: its pixel; crs: `auto` is the UTM zone of the scene's middle;
+    threads: at work."""
 
     gsd_m: float
     crs: str = "auto"

@@ -25,7 +25,7 @@ _EARTH_RADIUS_M = EQUATOR_M / (2.0 * math.pi)
 
 
 def on_map(mosaic_file: Path) -> Path:
-    """A mosaic, or for a scene of strips the one beside it that was laid on a map, if there is one."""
+    """A mosaic, or for a scene of strips the one beside it that was projected onto a map, if there is one."""
     scene_map = mosaic_file.with_name(SCENE_MAP)
     if not scene_map.is_file():
         return mosaic_file

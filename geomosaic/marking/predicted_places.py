@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.marking.pose_correction import FrameMarks, common_correction, corrected_frame, moved
 from geomosaic.survey.model import ControlPoint
 
 _BEYOND = tuned(0.08, "share of a side", "outside, listed; less: poor poses hide frames; more: too many")
-SUSPECT = tuned(4.0, "deviations", "between marks that look wrong; less: good ones do; more: slips stay")
+SUSPECT = sourced(3.72, "deviations", "of a mark, two numbers: 0.1 % are beyond", "chi-squared, 2 degrees")
 
 
 @dataclass(frozen=True)

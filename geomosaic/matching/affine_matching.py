@@ -1,6 +1,6 @@
 """Least-squares matching of small windows between frames: where another image shows what one image shows.
 
-Keypoints are places to a fraction of their own size; windows about them, laid over each other in the pixels,
+Keypoints are places to a fraction of their own size; windows about them, compared in the pixels,
 agree several times better. `least_squares_matching` compares whole mosaics by shifts alone; frames are turned
 against each other, scaled and seen aslant, so that a window's shape has to be found with its place.
 """

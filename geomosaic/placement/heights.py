@@ -80,10 +80,10 @@ def possible_heights(
     usual = float(np.nanmedian(above)) if np.isfinite(above).any() else 0.0
     if not usual > 0.0 or not np.any(above <= _ON_THE_GROUND * usual):
         return heights, np.zeros(len(above), dtype=bool)
-    doubted = (above < usual / _FAR) | (above > usual * _FAR)
-    used_m = np.where(doubted, ground_heights_m + usual, heights.m)
-    sd_m = np.where(doubted, np.maximum(heights.sd_m, usual / 2.0), heights.sd_m)
-    return FrameHeights(used_m, sd_m), doubted
+    implausible = (above < usual / _FAR) | (above > usual * _FAR)
+    used_m = np.where(implausible, ground_heights_m + usual, heights.m)
+    sd_m = np.where(implausible, np.maximum(heights.sd_m, usual / 2.0), heights.sd_m)
+    return FrameHeights(used_m, sd_m), implausible
 
 
 @dataclass(frozen=True)

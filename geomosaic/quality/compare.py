@@ -1,4 +1,4 @@
-"""A mosaic laid over a reference image: displacement vectors, the figures from them, and SSIM."""
+"""A mosaic compared with a reference image: displacement vectors, the figures from them, and SSIM."""
 
 from __future__ import annotations
 

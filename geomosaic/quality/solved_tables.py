@@ -84,8 +84,8 @@ def move_columns(prior: Poses, adjusted: Adjusted, ties: TiePoints) -> dict[str,
     down = np.full(n, np.nan)
     if image is not None and len(image.frame):
         seen = np.bincount(image.frame, minlength=n)
-        doubted = np.bincount(image.frame, image.weight < DOWN_WEIGHTED, minlength=n)
-        down = np.where(seen > 0, doubted / np.maximum(seen, 1), np.nan)
+        down_weighted = np.bincount(image.frame, image.weight < DOWN_WEIGHTED, minlength=n)
+        down = np.where(seen > 0, down_weighted / np.maximum(seen, 1), np.nan)
     return {
         **dict(zip(("moved_e_m", "moved_n_m", "moved_u_m"), moved.T, strict=True)),
         "turned_deg": np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))),

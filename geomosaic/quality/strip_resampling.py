@@ -1,4 +1,4 @@
-"""A strip laid on its neighbour: each row moved by its own offsets."""
+"""A strip resampled onto its neighbour: each row moved by its own offsets."""
 
 from __future__ import annotations
 

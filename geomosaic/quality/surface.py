@@ -1,4 +1,4 @@
-"""A surface laid over a reference: heights of another raster, or of a point cloud."""
+"""A surface compared with a reference: heights of another raster, or of a point cloud."""
 
 from __future__ import annotations
 

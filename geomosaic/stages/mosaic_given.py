@@ -33,7 +33,7 @@ def mosaic_given(
 ) -> GivenMosaic:
     """Composes reduced frames where they were reported to be; the report lays it beside the mosaic.
 
-    Frames that matching found to be turned are righted. It takes nothing of the adjustment, so it is made
+    Frames that matching found to be turned are turned back. It takes nothing of the adjustment, so it is made
     while that goes on.
     """
     if params.longest_px == 0:

@@ -1,4 +1,4 @@
-"""What frames are laid on: the surface with all that stands on the ground, or the ground below it."""
+"""What frames are projected onto: the surface with all that stands on the ground, or the ground below it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class OrthoParams(StageParams):
 
 
 def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What the frames lie on, and why."""
+    """What frames are projected onto, and why."""
     ortho = summary["metrics"].get("ortho", {})
     if "laid_on" not in ortho:
         return []
@@ -38,7 +38,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     if found is not None and all(found.get(name) is not None for name in ORTHOS):
         each = ", ".join(f"{found[name]:.2f} on the {name}" for name in ORTHOS)
         why = f": frames differ by {each}, at {ortho['places']} places"
-    return [("ortho", f"laid on the {ortho['laid_on']}{why}")]
+    return [("ortho", f"projected onto the {ortho['laid_on']}{why}")]
 
 
 @stage(

@@ -114,9 +114,9 @@ def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
     if filled:
         text = f"no height of their own: taken from the frames before and after ({some(filled)})"
         context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
-    heights, doubted = possible_heights(heights, below_m)
-    if doubted.any():
-        named = [n for n, wrong in zip(names, doubted, strict=True) if wrong]
+    heights, implausible = possible_heights(heights, below_m)
+    if implausible.any():
+        named = [n for n, wrong in zip(names, implausible, strict=True) if wrong]
         text = (
             "the given height lies at the ground, below it or far above other frames: estimated from "
             "the images instead"

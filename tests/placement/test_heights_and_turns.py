@@ -16,11 +16,11 @@ def frame(height_m: float | None, above_m: float | None) -> Frame:
     return Frame("a.jpg", "a.jpg", 800, 600, 3, "uint8", "plain", position, attitude, None)
 
 
-def test_heights_that_drift_below_the_ground_are_doubted_where_they_are_far_off() -> None:
+def test_heights_that_drift_below_the_ground_are_implausible_where_they_are_far_off() -> None:
     """Over ground at 300 m: reported are 290, 310, 365, 370, 380, 420, 600 m; 65 to 80 m above it is usual."""
     reported = np.array([290.0, 310.0, 365.0, 370.0, 380.0, 420.0, 600.0])
-    heights, doubted = possible_heights(FrameHeights(reported, np.full(7, 15.0)), np.full(7, 300.0))
-    assert doubted.tolist() == [True, True, False, False, False, False, True]
+    heights, implausible = possible_heights(FrameHeights(reported, np.full(7, 15.0)), np.full(7, 300.0))
+    assert implausible.tolist() == [True, True, False, False, False, False, True]
     assert heights.m.tolist() == [370.0, 370.0, 365.0, 370.0, 380.0, 420.0, 370.0]
     assert heights.sd_m.tolist() == [35.0, 35.0, 15.0, 15.0, 15.0, 15.0, 35.0]
 

@@ -92,7 +92,7 @@ def test_a_pair_tells_what_is_left_or_why_it_is_not_tied(
     tied, untied = worst["pairs"][0], worst["untied"][0]
     pair = as_json(capsys, survey / "run", "--pair", tied["right"], tied["left"])["pair"]
     assert pair["median_m"] <= pair["p90_m"] <= pair["max_m"] and pair["rms_px"] == tied["rms_px"]
-    assert pair["doubted"] == round(pair["share_down_weighted"] * pair["in_solve"])
+    assert pair["down_weighted"] == round(pair["share_down_weighted"] * pair["in_solve"])
     assert f"{pair['median_m']:.3f} m" in as_text(
         capsys, survey / "run", "--pair", tied["left"], tied["right"]
     )

@@ -117,7 +117,7 @@ def outcome(row: Row) -> tuple[str, list[str]]:
             )
     if not missed:
         return ("right" if row["grade"] != "bad" else "right called bad"), []
-    return ("wrong, told" if row["grade"] in ("doubtful", "bad") else "wrong, not told"), missed
+    return ("wrong, flagged" if row["grade"] in ("doubtful", "bad") else "wrong, not flagged"), missed
 
 
 def _call(*words: object) -> tuple[int, float, str]:
@@ -132,7 +132,7 @@ def _call(*words: object) -> tuple[int, float, str]:
     return done.returncode, time.monotonic() - begun, " / ".join(done.stderr.strip().splitlines()[-2:])[:400]
 
 
-OUTCOMES = ("right", "right called bad", "wrong, told", "wrong, not told", "no mosaic")
+OUTCOMES = ("right", "right called bad", "wrong, flagged", "wrong, not flagged", "no mosaic")
 HEAD = ("seed", "flown", "ground", "faults", "after, px", "jumps, px", "covered, %", "absolute, m",
         "stated, m", "tied", "verdict", "s", "outcome")  # fmt: skip
 
@@ -213,7 +213,7 @@ def report(rows: list[Row], out: Path) -> bool:
             continue
         counts = {o: sum(r["outcome"] == o for r in mine) for o in OUTCOMES}
         rights = counts["right"] + counts["right called bad"]
-        good &= not counts["no mosaic"] and not counts["wrong, not told"]
+        good &= not counts["no mosaic"] and not counts["wrong, not flagged"]
         good &= rights >= (RIGHT_SHARE if kind == "dirty" else 1.0) * len(mine)
         text += [
             f"# {title}",

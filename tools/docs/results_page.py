@@ -168,7 +168,7 @@ def of_dirty(data: Any, command: str, date: str) -> Iterator[Row]:
         right = [r for r in mine if r["outcome"].startswith("right")]
         yield share(f"{name}: right", f"{100 * least:.0f} %", len(right), len(mine),
                     len(right) >= least * len(mine))  # fmt: skip
-        wrong = [r for r in mine if r["outcome"] == "wrong, not told"]
+        wrong = [r for r in mine if r["outcome"] == "wrong, not flagged"]
         yield share(f"{name}: wrong and called good", "none", len(wrong), len(mine), not wrong)
         good = [r for r in right if r["grade"] == "good"]
         yield share(f"{name}: right ones called good", "90 %", len(good), len(right),

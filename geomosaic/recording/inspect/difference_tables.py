@@ -68,7 +68,7 @@ def _pairs(pairs: list[dict[str, Any]], console: Console) -> None:
     if not pairs:
         return
     title = f"pairs with other residuals ({len(pairs)}, the worst first)"
-    table = new_table(title, "left", "right", "left over, m", "tie points", "doubted")
+    table = new_table(title, "left", "right", "left over, m", "tie points", "down-weighted")
     for p in pairs[:_MOST_ROWS]:
         if "tied_only_in" in p:
             row(table, p["left"], p["right"], f"tied only in {p['tied_only_in']}", "", "")

@@ -128,7 +128,7 @@ class Inspection:
         length = np.hypot(*left_m.T)
         length = length[np.isfinite(length)]
         weight = solved.weights[at]
-        out: dict[str, Any] = {"doubted": int((weight < DOWN_WEIGHTED).sum())}
+        out: dict[str, Any] = {"down_weighted": int((weight < DOWN_WEIGHTED).sum())}
         if length.size:
             quantiles = zip(
                 ("median_m", "p90_m", "p99_m"), np.quantile(length, [0.5, 0.9, 0.99]), strict=True

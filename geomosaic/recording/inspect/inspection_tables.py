@@ -52,7 +52,7 @@ def show_worst(worst: dict[str, Any], console: Console) -> None:
             "yaw off, deg",
             "ties",
             "left, px",
-            "doubted",
+            "down-weighted",
         )
         table = new_table(f"frames ({counts}), those moved most first", *columns)
         for f in worst["frames"]:
@@ -83,12 +83,12 @@ def show_frame(frame: dict[str, Any], console: Console) -> None:
     turn = _digits(frame["yaw_off_deg"], 2)
     line(console, f"found minus given: {east} m east, {north} m north, {up} m up; yaw {turn} degrees")
     if frame["image_turned_deg"]:
-        line(console, f"its image was turned by {frame['image_turned_deg']} degrees and is righted")
+        line(console, f"its image was turned by {frame['image_turned_deg']} degrees; this is corrected")
     line(
         console,
         f"flight line {frame['line']}; {frame['pairs_tied']} pairs tied, {frame['pairs_untied']} not; "
         f"{frame['tie_points']} tie points, {number(frame['rms_m'])} m left on the ground, "
-        f"{number(frame['rms_px'])} px in the image, {share(frame['share_down_weighted'])} doubted",
+        f"{number(frame['rms_px'])} px in the image, {share(frame['share_down_weighted'])} down-weighted",
     )
     _show_pairs("its pairs", frame["pairs"], console)
     _show_log(frame["log"], console)
@@ -110,9 +110,9 @@ def show_pair(pair: dict[str, Any], console: Console) -> None:
             )
         )
         line(console, f"residuals: {spread}")
-        if pair.get("doubted") is not None:
+        if pair.get("down_weighted") is not None:
             seen = f"{pair['in_solve']} of {pair['tie_points']}"
-            line(console, f"{seen} in the solve, {pair['doubted']} of them doubted")
+            line(console, f"{seen} in the solve, {pair['down_weighted']} of them down-weighted")
 
 
 def show_stage(stage: dict[str, Any], console: Console) -> None:
@@ -132,7 +132,7 @@ def show_stage(stage: dict[str, Any], console: Console) -> None:
     for name, value in _flat("", stage["metrics"]):
         line(console, f"  {name} = {shortened(value)}")
     if stage["iterations"]:
-        columns = ("step", "solve", "cost", "sigma, px", "damping", "largest move, m", "doubted")
+        columns = ("step", "solve", "cost", "sigma, px", "damping", "largest move, m", "down-weighted")
         table = new_table("steps of the solve", *columns)
         for i in stage["iterations"]:
             cells = (number(i[k]) for k in ("cost", "sigma_px", "damping", "step_m"))
@@ -169,7 +169,9 @@ def _frame_cells(f: dict[str, Any]) -> list[Any]:
 def _show_pairs(title: str, pairs: list[dict[str, Any]], console: Console) -> None:
     if not pairs:
         return
-    table = new_table(title, "left", "right", "ties", "apart on the ground, px", "largest, m", "doubted", "")
+    table = new_table(
+        title, "left", "right", "ties", "apart on the ground, px", "largest, m", "down-weighted", ""
+    )
     for p in pairs:
         if p["tied"]:
             figures = (number(p["rms_px"]), number(p["max_m"]), share(p["share_down_weighted"]), "")

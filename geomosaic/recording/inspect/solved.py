@@ -130,7 +130,7 @@ class Solved:
 
     @cached_property
     def yawed_deg(self) -> Floats:
-        """How far found headings are from given ones, turned images righted, (n,); NaN where unknown."""
+        """How far found headings are from given ones, turned images turned back, (n,); NaN where unknown."""
         if self.adjusted is None or self.prior is None:
             return np.full(len(self.names), np.nan)
         given = corrected_poses(self.prior.poses, {i: q for i, q in enumerate(self.turned) if q})
@@ -184,7 +184,7 @@ def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str,
     """Of each frame: status, given and found pose with deviations, what ties it, what is left, what was
     said."""
     by_frame = pairs_by_frame(pairs)
-    residual_px, doubted = _image_figures(solved)
+    residual_px, down_weighted = _image_figures(solved)
     said: dict[str, list[str]] = {}
     for code, frame, text in solved.warned:
         said.setdefault(frame, []).append(f"{code}: {text}")
@@ -210,7 +210,7 @@ def frame_figures(solved: Solved, pairs: list[dict[str, Any]]) -> list[dict[str,
                 "tie_points": sum(p["tie_points"] for p in tied),
                 "rms_m": math.sqrt(sum(r * r * k for r, k in squares) / points) if points else None,
                 "rms_px": known(residual_px[i]),
-                "share_down_weighted": known(doubted[i]),
+                "share_down_weighted": known(down_weighted[i]),
                 "said": said.get(name, []),
             }
         )
@@ -250,8 +250,8 @@ def _image_figures(solved: Solved) -> tuple[Floats, Floats]:
     count = np.bincount(frame, minlength=n).astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         squares = np.bincount(frame, (image.residual_px**2).sum(axis=1), minlength=n)
-        doubted = np.bincount(frame, image.weight < DOWN_WEIGHTED, minlength=n)
-        return np.sqrt(squares / count), doubted / count
+        down_weighted = np.bincount(frame, image.weight < DOWN_WEIGHTED, minlength=n)
+        return np.sqrt(squares / count), down_weighted / count
 
 
 def _pose(of: Orientations | None, i: int) -> dict[str, Any] | None:

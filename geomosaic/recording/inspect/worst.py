@@ -56,7 +56,7 @@ class Fault:
 _PLACED_RIGHT = (
     "no need: the images placed it right; correct it in the positions' table if they are used elsewhere"
 )
-_MENDS: dict[str, tuple[float, str]] = {
+_FIXES: dict[str, tuple[float, str]] = {
     "bundle-failed": (95.0, "more overlap, or positions of more frames"),
     "self-calibration-failed": (85.0, "a calibrated lens (--camera), or more overlap"),
     "not-placed": (80.0, "give its position (--pos), or leave it out"),
@@ -66,7 +66,7 @@ _MENDS: dict[str, tuple[float, str]] = {
     "frame-contradicted": (64.0, "look at the frame: another flight's, or a copy under another time"),
     "position-wrong": (40.0, _PLACED_RIGHT),
     "yaw-wrong": (38.0, _PLACED_RIGHT),
-    "frame-turned": (36.0, "no need: it was righted; don't let viewers turn frames when they save them"),
+    "frame-turned": (36.0, "no need: it is corrected; don't let viewers turn frames when they save them"),
     "frame-flung": (34.0, "look at the frame; leave it out if it is of another place"),
     "frame-damaged": (32.0, "copy it from the camera's card again"),
     "height-not-believed": (30.0, "no need: the images set it; give heights with --pos if they are known"),
@@ -152,10 +152,10 @@ def _of_frames(
     """Frames that the run names, once each for each thing; but for these codes."""
     said: dict[tuple[str, str], str] = {}
     for code, frame, text in warned:
-        if frame and code in _MENDS and code not in but:
+        if frame and code in _FIXES and code not in but:
             said.setdefault((code, frame), text)
     for (code, frame), text in said.items():
-        weight, mend = _MENDS[code]
+        weight, mend = _FIXES[code]
         sure = "certain" if frames.get(frame, {}).get("status") == "left_out" else "as the run says"
         yield Fault(code, (frame,), text, sure, mend, weight)
 
@@ -166,7 +166,7 @@ def _of_causes(
     """Frames with the likeliest explanation of what doesn't fit."""
     said = {(code, frame): text for code, frame, text in warned}
     for cause in known:
-        frame, (weight, mend) = frames.get(cause.frame, {}), _MENDS[cause.code]
+        frame, (weight, mend) = frames.get(cause.frame, {}), _FIXES[cause.code]
         text = said.get((cause.code, cause.frame)) or _TEXTS[cause.code]
         tied = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
         if frame.get("rms_px") is not None:

@@ -105,7 +105,7 @@ def _pairs(recording: Recording) -> str:
     kinds = Counter(note.split(":")[0] for note in vain)
     said = ", ".join(f"{_cell(kind)} {n}" for kind, n in kinds.most_common(3))
     head = f"{len(vain)} of {len(tried.row)} tried didn't tie" + (f": {said}" if said else "")
-    return _markdown(head, ("pair", "ties", "rms m", "largest m", "doubted"), rows)
+    return _markdown(head, ("pair", "ties", "rms m", "largest m", "down-weighted"), rows)
 
 
 _OF_PAIRS: Final = (("tie_points", 0), ("rms_m", 3), ("largest_m", 2), ("share_down_weighted", 2))
