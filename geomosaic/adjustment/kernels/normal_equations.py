@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from geomosaic.adjustment.kernels.observation_groups import Sightings
+from geomosaic.adjustment.kernels.ahead import ahead
+from geomosaic.adjustment.kernels.observation_groups import Group, Sightings
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import sourced
@@ -76,7 +77,8 @@ def build_normals(
     point_point, d = np.empty((6, m)), levers.numbers
     in_frame = np.zeros((f, d + k + 1, d + k + 1))
     interior_point, points, point_side = np.empty((c, p, k, 3)), np.empty((p, 3, 3)), np.empty((p, 3))
-    for group in sightings.groups:
+
+    def weighted_rows(group: Group) -> Floats:
         residual, weight, its, by_interior, by_point = linearised(sightings.order[group.span].astype(np.intp))
         for name in ("arms_m", "terms", "shares", "axes"):
             getattr(levers, name)[..., group.span] = getattr(its, name)
@@ -85,6 +87,9 @@ def build_normals(
         np.multiply(by_interior, root, out=rows[:, d:-4])
         np.multiply(residual, root, out=rows[:, -4])
         its.by_pose(rows[:, -3:], out=rows[:, :d])
+        return rows
+
+    for group, rows in ahead(weighted_rows, sightings.groups):
         for i, (here, end) in zip(group.frames, pairwise(group.runs), strict=True):
             across, down = rows[:, :-3, here:end]
             in_frame[i] += across @ across.T + down @ down.T

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.sparse import bsr_matrix
 
+from geomosaic.adjustment.kernels.ahead import ahead
 from geomosaic.adjustment.kernels.nested_dissection import Dissected
 from geomosaic.adjustment.kernels.normal_equations import SQUARE, Normals
 from geomosaic.adjustment.kernels.observation_groups import Group
@@ -144,7 +145,9 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     blocks, place = np.zeros((len(order), d, d)), np.argsort(order)
     own, across, turned_over = np.split(place, [f, f + len(s.left)])
     blocks[own] = _damped(n.pose, damping)
-    for group in s.groups:
+
+    def less_of_frames(group: Group) -> Floats:
+        nonlocal less_shared
         root = inverse_roots(_damped(n.points[group.points], max(damping, _LEAST_OF_POINTS)))
         points_inverse[group.points] = np.swapaxes(root, 1, 2) @ root
         by_camera = n.interior_point[:, group.points].transpose(1, 3, 0, 2).reshape(group.size, 3, -1)
@@ -156,6 +159,9 @@ def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
         seen = n.levers.of(group.span), n.point_point[SQUARE, group.span]
         scaled = _scaled_rows(*seen, root, which)
         _less_of_frames(group, scaled, border_rows.take(which, axis=0), (blocks, own, less_border))
+        return scaled
+
+    for group, scaled in ahead(less_of_frames, s.groups):
         _less_of_pairs(group, scaled, blocks, across)
     blocks[turned_over] = np.swapaxes(blocks[across], 1, 2)
     less_border = less_border.reshape(d * f, -1)
