@@ -69,6 +69,9 @@ bench-accuracy-raster: setup ## accuracy.tif against the truth on 20 simulated s
 bench-monte-carlo: setup ## stated covariance and error against the Cramer-Rao bound, 30 seeds (about 20 minutes)
 	$(PY) -m tools.bench.bench_monte_carlo --out out/bench-monte-carlo
 
+bench-constants: setup ## each constant halved and doubled on small scenes, and what moves (about 3 hours); ROOMS="names"
+	$(PY) -m tools.bench.bench_constants --out out/bench-constants $(if $(ROOMS),--rooms $(ROOMS))
+
 bench-start: setup ## whether the solve finds its block: 20 seeds of each kind, matched once, then solved (about an hour)
 	$(PY) -m tools.bench.bench_start --out out/bench-start
 
@@ -139,4 +142,4 @@ format: dev ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-constants bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
