@@ -21,12 +21,24 @@ from geomosaic.cli.recordings import view
 from geomosaic.cli.requested import RequestCommand
 from geomosaic.cli.single import add_stage_commands, evaluate
 from geomosaic.cli.stages import stages
+from geomosaic.cli.watch import until_all_have_come
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.recipe_request import RecipeRequest
 from geomosaic.requests.replay_request import ReplayRequest
 from geomosaic.requests.strips_request import StripsRequest
+from geomosaic.requests.watch_request import WatchRequest
 
 _MOSAIC = RequestCommand(MosaicRequest, "mosaic", "Make one map-true mosaic of a folder of aerial frames.")
+_WATCH = RequestCommand(
+    WatchRequest,
+    "watch",
+    """Make a mosaic while frames are still being copied.
+
+    Frames are matched as they arrive, and RUN/preview.html shows them on the map. The whole run begins once
+    none has come for some time; its result is that of 'geomosaic mosaic'.
+    """,
+    before=until_all_have_come,
+)
 _STRIPS = RequestCommand(StripsRequest, "strips", "Make one scene of the strips of a satellite's CCDs.")
 _RUN = RequestCommand(
     RecipeRequest, "run", "Run a recipe: a YAML file of stages and their parameters.", {"name": completed}
@@ -44,7 +56,7 @@ _REPLAY = RequestCommand(
 )
 
 _COMMANDS: Mapping[str, Sequence[RequestCommand | Callable[..., Any]]] = {
-    "Make a mosaic": (_MOSAIC, _STRIPS, _RUN),
+    "Make a mosaic": (_MOSAIC, _WATCH, _STRIPS, _RUN),
     "Before a run": (fetch, control, recipes, stages),
     "After a run": (inspect, view, measure, evaluate, _REPLAY, diff, misplacement),
     "Installation and simulation": (doctor, qgis_script),

@@ -36,13 +36,14 @@ class Terminal:
 @dataclass(frozen=True)
 class RequestCommand:
     """A command that fills a request. complete: what a shell proposes, by argument; plans: whether it has
-    `--dry-run`."""
+    `--dry-run`; before: what is done with the request, and `quiet`, before the run."""
 
     request: type[RunRequest]
     name: str
     help: str
     complete: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
     plans: bool = True
+    before: Callable[..., None] | None = None
 
     def function(self, naming: bool = False) -> Callable[..., None]:
         """A function that Typer turns into the command. naming: whether its help names the methods to choose
@@ -53,7 +54,10 @@ class RequestCommand:
             how = {its.name: options.pop(its.name) for its in shown}
             options["set"] = options["set"] or ()
             with named_as_typed(self.request, options):
-                execute(self.request(**options).job(), **how)
+                request = self.request(**options)
+                if self.before is not None and not how.get("dry_run"):
+                    self.before(request, quiet=how["quiet"])
+                execute(request.job(), **how)
 
         kinds, complete = {**kinds_of(self.request), **kinds_of(Terminal)}, self.complete
         own = sorted(fields(self.request), key=lambda its: bool(option_of(its).heading))

@@ -30,6 +30,7 @@ OWN: Final = {
     "surface.dense": "surface_dense:surface_dense",
     "surface.terrain": "surface_terrain:surface_terrain",
     "mosaic.given": "mosaic_given:mosaic_given",
+    "mosaic.preview": "mosaic_preview:mosaic_preview",
     "mosaic.ground": "mosaic_ground:mosaic_ground",
     "mosaic.tones": "mosaic_tones:mosaic_tones",
     "mosaic.seams": "mosaic_seams:mosaic_seams",

@@ -19,7 +19,7 @@ from geomosaic.pipeline.recipe import recipe_from
 from geomosaic.pipeline.registry import installed
 
 HEADINGS = {headings.INPUTS, headings.SURFACE, headings.ACCURACY, headings.OUTPUT, headings.RUNNING}
-HEADED = [["mosaic"], ["strips"], ["run"], ["simulate", "frames"], ["simulate", "strips"]]
+HEADED = [["mosaic"], ["watch"], ["strips"], ["run"], ["simulate", "frames"], ["simulate", "strips"]]
 
 
 def page(capsys: pytest.CaptureFixture[str], *command: str) -> str:

@@ -45,6 +45,7 @@ NOT_RUN = {
     "geomosaic fetch": "asks a server: test_fetch.py has one",
     "geomosaic control": "serves a page until it is stopped: test_marking_chromium.py opens it",
     "FRAMES-control": "what that page writes: test_marking_chromium.py mosaics with it",
+    "geomosaic watch": "waits for frames: test_watch.py copies some",
     "geomosaic measure": "wants lines and polygons: test_measure.py has some",
     "geomosaic view": "opens a window: test_recording_readers.py",
     "--dask": "wants a cluster: test_dask.py has one",
