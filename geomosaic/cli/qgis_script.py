@@ -123,7 +123,7 @@ def _params(stages: Iterable[type[Stage]], first: str, flags: Mapping[str, str])
 
 
 def _text(stage: str, p: Mapping[str, Any]) -> str:
-    """`Lay the seams: share of ... (m)`."""
+    """`Place the seamlines: share of ... (m)`."""
     unit = f" ({p['unit']})" if p["unit"] else ""
     return f"{stage}: {p['help']}{unit}" if stage else f"{p['help'][:1].upper()}{p['help'][1:]}{unit}"
 

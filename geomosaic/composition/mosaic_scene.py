@@ -188,7 +188,7 @@ class SceneChoice:
         for warning in found.left_out(choice.frames):
             warn(warning.code, warning.frame, warning.text)
         if found.extent.outline is not None and found.extent.outline.corrected:
-            warn("aoi-mended", "", f"{found.extent.outline.file.name}: {_CORRECTED}")
+            warn("aoi-corrected", "", f"{found.extent.outline.file.name}: {_CORRECTED}")
         return found
 
     def _without_needless(self, limits: Limits, warn: WarningSink) -> SceneChoice:

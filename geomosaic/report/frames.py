@@ -130,7 +130,7 @@ def render_report(report: FramesReport) -> str:
         surface_css=part("surface.css"),
         surface_script=part("surface_profile.js"),
         judged=judged,
-        trimmed_rows=parts.trimmed_rows(mosaic.trimmed),
+        trimmed_rows=parts.trimmed_rows(mosaic.trimmed, mosaic.grid.crs),
         composition_rows=parts.composition_rows(report.summary.get("metrics", {})),
         comparison=comparison,
         comparison_rows=comparison_rows(comparison) if comparison else [],

@@ -12,12 +12,13 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.model import Trimmed
 from geomosaic.export.orientation import Orientations
+from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.quality import ranking
 from geomosaic.quality.misalignment import PairMisalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
-from geomosaic.report.numbers import percent, short
+from geomosaic.report.numbers import UNKNOWN, percent, short
 from geomosaic.report.plots import Axis, Series, histogram, line_plot
 from geomosaic.report.table import Cell, ReportTable, TableRow, count, number
 from geomosaic.survey.model import Survey
@@ -168,12 +169,19 @@ def _parameter(value: float, unit: str) -> str:
     return short(value, unit, 6)
 
 
-def trimmed_rows(trimmed: Trimmed | None) -> list[tuple[str, str, str]]:
-    """What the mosaic leaves out of the land that frames see: why, its area and share."""
+def trimmed_rows(trimmed: Trimmed | None, map_crs: str) -> list[tuple[str, str, str]]:
+    """What the mosaic leaves out of the land that frames see: why, its area where the map has a scale, and
+    share."""
     if trimmed is None or not trimmed.parts:
         return []
-    of = [(part.reason, part.area_m2) for part in trimmed.parts]
-    return [(why, f"{short(area_m2 / 1e4)} ha", percent(area_m2 / trimmed.seen_m2)) for why, area_m2 in of]
+    return [
+        (
+            part.reason,
+            UNKNOWN if is_local(map_crs) else f"{short(part.area_m2 / 1e4)} ha",
+            percent(part.area_m2 / trimmed.seen_m2),
+        )
+        for part in trimmed.parts
+    ]
 
 
 def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

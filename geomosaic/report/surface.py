@@ -179,13 +179,14 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
 def _ortho(metrics: Mapping[str, Any]) -> list[Row]:
     """What the mosaic stands on, and why, where the run says it."""
     chosen = metrics.get("ortho", {})
-    if "laid_on" not in chosen:
+    ground = chosen.get("ground", chosen.get("laid_on"))  # "laid_on": of earlier versions
+    if ground is None:
         return []
     found, why = chosen.get("disagreement"), "as was asked for"
     if found is not None:
         each = " and ".join(f"{short(off)} on the {name}" for name, off in found.items())
         why = f"1 - correlation of neighbouring frames is {each}, median over {chosen.get('places')} places"
-    return [("the mosaic stands on", f"the {chosen['laid_on']}", why)]
+    return [("the mosaic stands on", f"the {ground}", why)]
 
 
 def _compared(comparison: SurfaceComparison) -> list[tuple[str, list[tuple[str, HeightFigures]]]]:

@@ -32,13 +32,14 @@ class OrthoParams(StageParams):
 def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What frames are projected onto, and why."""
     ortho = summary["metrics"].get("ortho", {})
-    if "laid_on" not in ortho:
+    ground = ortho.get("ground", ortho.get("laid_on"))  # "laid_on": of earlier versions
+    if ground is None:
         return []
     found, why = ortho.get("disagreement"), ""
     if found is not None and all(found.get(name) is not None for name in ORTHOS):
         each = ", ".join(f"{found[name]:.2f} on the {name}" for name in ORTHOS)
         why = f": frames differ by {each}, at {ortho['places']} places"
-    return [("ortho", f"projected onto the {ortho['laid_on']}{why}")]
+    return [("ortho", f"projected onto the {ground}{why}")]
 
 
 @stage(
@@ -61,5 +62,5 @@ def mosaic_ground(
         context.metric("ortho.disagreement", dict(zip(ORTHOS, found.disagreement, strict=True)))
         context.metric("ortho.squares", found.squares)
         context.metric("ortho.places", found.places)
-    context.metric("ortho.laid_on", chosen)
+    context.metric("ortho.ground", chosen)
     return grounds[ORTHOS.index(chosen)]

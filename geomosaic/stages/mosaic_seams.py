@@ -96,7 +96,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.seams", "Lay the seams", group="Mosaic", version=14, outputs="ownership",
+    "mosaic.seams", "Place the seamlines", group="Mosaic", version=14, outputs="ownership",
     check=_check, plugged=lambda params: [(SEAMS_GROUP, params.seam)], conclusions=_conclusions,
 )  # fmt: skip
 def mosaic_seams(
@@ -113,7 +113,7 @@ def mosaic_seams(
     if chosen.edges is not None:
         ownership = filled(ownership, nearest_m, scene, chosen.edges.filling)
         ownership = replace(ownership, trimmed=chosen.edges.trimmed)
-        context.report("trimmed", reported_trimmed(chosen.edges.trimmed))
+        context.report("trimmed", reported_trimmed(chosen.edges.trimmed, of.survey.map_crs))
     if chosen.extent.area is not None:
         seen = chosen.extent.share_seen(ownership)
         context.metric("seams.area_seen", seen)

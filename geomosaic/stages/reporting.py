@@ -213,18 +213,28 @@ def report_estimate(context: Context, estimate: SizeEstimate) -> None:
         )
 
 
-def reported_trimmed(trimmed: Trimmed) -> dict[str, Any]:
-    """What run.json says of it."""
+def reported_trimmed(trimmed: Trimmed, map_crs: str) -> dict[str, Any]:
+    """What run.json says of it; areas are square metres where the map has a scale."""
+    scaled = not is_local(map_crs)
     parts = {part.reason: part.area_m2 for part in trimmed.parts}
-    return {"seen_m2": trimmed.seen_m2, "area_m2": trimmed.area_m2, "share": trimmed.share, "parts": parts}
+    return {
+        "seen_m2": trimmed.seen_m2,
+        "area_m2": trimmed.area_m2,
+        "share": trimmed.share,
+        "parts": parts,
+        "scaled": scaled,
+    }
 
 
 def trimmed_text(reported: Mapping[str, Any]) -> str:
-    """The same in words."""
-    each = ", ".join(f"{_hectares(area_m2)} {why}" for why, area_m2 in reported["parts"].items())
-    mapped = _hectares(reported["seen_m2"] - reported["area_m2"])
-    return f"{mapped} are mapped; trimmed: {each}; --edges keep keeps it"
+    """The same in words: in hectares, or as shares of the land seen where the map has no scale."""
+    seen_m2, scaled = reported["seen_m2"], reported.get("scaled", True)
 
+    def area(area_m2: float) -> str:
+        if not scaled:
+            return f"{area_m2 / seen_m2:.1%}"
+        return f"{area_m2 / 1e4:,.{0 if area_m2 >= 1e5 else 2}f} ha"
 
-def _hectares(area_m2: float) -> str:
-    return f"{area_m2 / 1e4:,.{0 if area_m2 >= 1e5 else 2}f} ha"
+    each = ", ".join(f"{area(area_m2)} {why}" for why, area_m2 in reported["parts"].items())
+    mapped = f"{area(seen_m2 - reported['area_m2'])} {'are' if scaled else 'of the land seen is'} mapped"
+    return f"{mapped}; trimmed: {each}; --edges keep keeps it"

@@ -81,7 +81,7 @@ def _strays(draft: SurveyDraft) -> list[Stray]:
         rest = without(draft.headers, out)
     out += blurred(rest, [looks[h.name] for h in rest])
     rest = without(draft.headers, out)
-    unused = [image.name for image in (*draft.usable.left_out, *(image for _, image in out))]
+    unused = [image.name for image in (*draft.left_out, *(image for _, image in out))]
     observed = observe(rest, draft.pos, unused)
     if draft.inputs.strict:
         check_extent(rest, observed.positions)

@@ -344,7 +344,7 @@ def test_an_area_that_crosses_itself_is_mended_and_told(tmp_path: Path, flown: A
     (w, s), _, (e, n), _ = around(whole, -8.0, -8.0, 8.0, 8.0)
     aoi = polygons(tmp_path / "bow.gpkg", CRS, [[(w, s), (e, n), (e, s), (w, n)]])
     owned, notes = seams(tmp_path, given, aoi=aoi)
-    assert [x["code"] for x in notes.warnings] == ["aoi-mended"]
+    assert [x["code"] for x in notes.warnings] == ["aoi-corrected"]
     assert owned.area is not None and owned.area.geometry.area == pytest.approx(128.0, rel=1e-6)
 
 
@@ -374,7 +374,7 @@ def test_the_command_cuts_follows_the_file_and_can_be_replayed(
         capfd.readouterr()
         assert mosaic(*told, "--aoi", aoi) == 0
         said = capfd.readouterr().err
-        assert "Lay the seams: unchanged" not in said and said.count("from the cache") >= 5
+        assert "Place the seamlines: unchanged" not in said and said.count("from the cache") >= 5
         sizes.append(
             (summary(tmp_path / "run")["mosaic"]["width"], summary(tmp_path / "run")["mosaic"]["height"])
         )
@@ -463,7 +463,7 @@ def test_the_command_aligns_to_a_raster_of_another_crs(
             assert bounds.left < float(row["easting_m"]) < bounds.right
     capfd.readouterr()
     assert mosaic(*told, "--align-to", old) == 0
-    assert "Lay the seams: unchanged, from the cache" in capfd.readouterr().err
+    assert "Place the seamlines: unchanged, from the cache" in capfd.readouterr().err
     recipe = tmp_path / "run.yaml"
     stages = "\n".join(f"  - {stage}" for stage in STAGES if stage not in OPTIONAL)
     recipe.write_text(f"stages:\n{stages}\n")

@@ -19,11 +19,15 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.composition.compose import compose
 from geomosaic.composition.limits import Limits
+from geomosaic.composition.model import Trimmed, TrimmedPart
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.trim import REASONS, looked_at, slivers, whole_of
 from geomosaic.composition.views import PosedFrames, frame_views
+from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.projection.footprint import sightings, survey_pixel_m
 from geomosaic.projection.ground import flat_ground
+from geomosaic.report.parts import trimmed_rows
+from geomosaic.stages.reporting import reported_trimmed, trimmed_text
 
 ASLANT, COARSE, GUESSED = REASONS.values()
 
@@ -173,6 +177,19 @@ def test_the_command_makes_the_same_mosaic_with_frames_at_the_horizon(tmp_path: 
     layers = ogr.Open(str(tmp_path / "run2" / "layers.gpkg"))
     trimmed = {f["reason"]: f["area_m2"] for f in layers.GetLayerByName("trimmed")}
     assert trimmed.keys() == aside["trimmed"]["parts"].keys()
+
+
+@pytest.mark.parametrize(
+    ("map_crs", "words", "area"),
+    [
+        ("EPSG:32632", "3.00 ha are mapped; trimmed: 1.00 ha seen coarsely", "1.00 ha"),
+        (LOCAL_CRS, "75.0% of the land seen is mapped; trimmed: 25.0% seen coarsely", "–"),
+    ],
+)
+def test_a_map_without_scale_states_no_hectares(map_crs: str, words: str, area: str) -> None:
+    trimmed = Trimmed(40_000.0, (TrimmedPart("seen coarsely", 10_000.0, ()),))
+    assert trimmed_text(reported_trimmed(trimmed, map_crs)) == f"{words}; --edges keep keeps it"
+    assert [row[1:] for row in trimmed_rows(trimmed, map_crs)] == [(area, "25\u00a0%")]
 
 
 def placed(given: dict[str, Any], frame: int, moved_m: float = 0.0) -> dict[str, Any]:

@@ -64,7 +64,7 @@ METRICS = {
         "heights": "ellipsoidal, WGS 84, metres",
         "ground_share": 0.81,
     },
-    "ortho": {"laid_on": "terrain", "disagreement": {"surface": 0.412, "terrain": 0.2}, "places": 17},
+    "ortho": {"ground": "terrain", "disagreement": {"surface": 0.412, "terrain": 0.2}, "places": 17},
 }
 
 

@@ -196,5 +196,11 @@ def test_the_cameras_of_one_aircraft_are_told_apart(tmp_path: Path) -> None:
     assert "--camera-kind" in warning.text and len(survey.left_out) == 12
     thermal = read_survey(SurveyInputs(tmp_path, camera_kind="thermal"))
     assert [f.name for f in thermal.frames] == [f"DJI_{i:04d}_I.JPG" for i in range(6)]
+    pos = tmp_path / "pos.csv"
+    rows = [f"DJI_{i:04d}_I.JPG,{LON + i * STEP},{LAT},412.5" for i in range(6)]
+    pos.write_text("\n".join(["name,lon,lat,height_ellipsoidal", *rows]))
+    warned = {w.code: w.text for w in read_survey(SurveyInputs(tmp_path, pos=pos)).warnings}
+    assert "no line for 6 of 6 frames" in warned["pos-frame-without-line"]
+    assert "pos-line-without-frame" not in warned
     with pytest.raises(InputError, match="there are: thermal, wide, zoom"):
         read_survey(SurveyInputs(tmp_path, camera_kind="lidar"))

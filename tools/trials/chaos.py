@@ -46,7 +46,7 @@ after the run."""
 AMID = {
     "kill in matching": ("Place frames by POS", "Match frames with SIFT"),
     "kill in adjustment": ("Match frames with SIFT", "Adjust the frames"),
-    "kill in composition": ("Lay the seams", "Compose the mosaic"),
+    "kill in composition": ("Place the seamlines", "Compose the mosaic"),
     "vanish in matching": ("Place frames by POS", "Match frames with SIFT"),
 }
 """One of them begins each trial of a flight: a stage, behind the one after which it is looked for."""
