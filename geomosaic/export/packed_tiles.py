@@ -11,12 +11,14 @@ import json
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+from geomosaic.constants import sourced
 from geomosaic.doors.gdal_failures import Progress
-from geomosaic.export.web import TileOptions, write_tiles
+from geomosaic.export.web import TileOptions, finest_zoom, write_tiles
 
 _MBTILES: Final = """
 BEGIN;
@@ -25,6 +27,7 @@ CREATE TABLE metadata (name TEXT, value TEXT);
 CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB);
 CREATE UNIQUE INDEX tile_index ON tiles (zoom_level, tile_column, tile_row);
 """
+_FINEST_MBTILES = sourced(22, "zoom", "of MBTiles: GDAL opens no finer ones", "GDAL, mbtilesdataset.cpp")
 _E7: Final = 1e7
 """PMTiles' degrees: whole numbers of 1e-7."""
 
@@ -38,8 +41,11 @@ def write_packed(
 ) -> None:
     """The tiles of `write_tiles` in one file of one of `FORMS`.
 
+    The finest zoom of MBTiles is at most 22 where none is asked for.
     Raises: `InputError` without a map; `OSError` if it can't be written.
     """
+    if form == "mbtiles" and options.max_zoom is None:
+        options = replace(options, max_zoom=min(finest_zoom(mosaic_file), _FINEST_MBTILES))
     with TemporaryDirectory(dir=out.parent) as scratch:
         folder = Path(scratch) / "tiles"
         write_tiles(mosaic_file, folder, options, progress=progress)
@@ -48,7 +54,6 @@ def write_packed(
 
 
 def _write_mbtiles(out: Path, folder: Path, index: dict[str, Any], tile_format: str) -> None:
-    """GDAL's own driver ends at zoom 22, where a pixel is 2 to 4 cm."""
     metadata = {
         "name": index["name"],
         "format": tile_format,

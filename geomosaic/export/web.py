@@ -68,11 +68,11 @@ def write_tiles(
     in about one tile. More than 8 bits are stretched from the 1st to the 99th percentile; of more than three
     bands the first three are shown. Raises: what `progress` raises; `OSError` if a tile can't be written.
     """
-    tile_format, max_zoom = options.tile_format, options.max_zoom
-    zooms, bounds = _zooms(mosaic_file, options.min_zoom, max_zoom)
+    tile_format = options.tile_format
+    zooms, bounds = _zooms(mosaic_file, options.min_zoom, options.max_zoom)
     west, south, east, north = bounds
     folder.mkdir(parents=True)
-    finer = max_zoom is None or max_zoom >= _zooms(mosaic_file, None, None)[0][1]
+    finer = zooms[1] >= finest_zoom(mosaic_file)
     write_pyramid(
         TilePyramid(mosaic_file, shown_bands(mosaic_file), folder, zooms, tile_format, finer),
         options.threads,
@@ -108,9 +108,17 @@ def _rows_of_columns(folder: Path, tile_format: str) -> dict[str, dict[str, list
     return found
 
 
-def write_kmz(mosaic_file: Path, out: Path, *, progress: Progress | None = None) -> None:
+def finest_zoom(mosaic_file: Path) -> int:
+    """The first zoom whose pixels are no coarser than the mosaic's. Raises: `InputError` without a map."""
+    return _zooms(mosaic_file, None, None)[0][1]
+
+
+def write_kmz(
+    mosaic_file: Path, out: Path, max_zoom: int | None = None, progress: Progress | None = None
+) -> None:
     """A KMZ for Google Earth: images of 512 px in regions, finer ones as one comes nearer.
 
+    Args: max_zoom: no pixel is finer than those of this zoom's tiles.
     Raises: `InputError` without a map, or across 180 degrees; `OSError` if it can't be written.
     """
     _, (_, south, east, north) = _zooms(mosaic_file, None, None)
@@ -125,8 +133,11 @@ def write_kmz(mosaic_file: Path, out: Path, *, progress: Progress | None = None)
         shown, warped = Path(scratch) / "shown.vrt", Path(scratch) / "warped.vrt"
         _write_shown(mosaic_file, shown)
         with open_raster(mosaic_file, OWN) as tiff:
-            side_deg = math.degrees(tiff.res[0] / _EARTH_RADIUS_M)
+            side_m = tiff.res[0]
         stretch = math.cos(math.radians((south + north) / 2.0))
+        if max_zoom is not None:
+            side_m = max(side_m, EQUATOR_M * stretch / TILE_PX / 2.0**max_zoom)
+        side_deg = math.degrees(side_m / _EARTH_RADIUS_M)
         size = {"xRes": side_deg / stretch, "yRes": side_deg, "resampleAlg": "bilinear"}
         gdal.Warp(str(warped), str(shown), format="VRT", dstSRS="EPSG:4326", **size)
         done = gdal.Translate(

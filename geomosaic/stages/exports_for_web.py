@@ -21,12 +21,21 @@ TILES, MBTILES, PMTILES = "tiles", "mosaic.mbtiles", "mosaic.pmtiles"
 KMZ, VRT, ITEM = "mosaic.kmz", "mosaic.vrt", "mosaic.stac.json"
 
 
+_FINEST = "finest zoom; auto: the mosaic's resolution"
+
+
+class KmzParams(StageParams):
+    """See each parameter's help."""
+
+    max_zoom: int | Literal["auto"] = param("auto", help=_FINEST, ge=0, le=30)
+
+
 class TilesParams(StageParams):
     """See each parameter's help."""
 
     format: str = param("png", help="of the tiles", choices=FORMATS)
     min_zoom: int | Literal["auto"] = param("auto", help="coarsest zoom", ge=0, le=30)
-    max_zoom: int | Literal["auto"] = param("auto", help="finest zoom", ge=0, le=30)
+    max_zoom: int | Literal["auto"] = param("auto", help=_FINEST, ge=0, le=30)
     threads: int = param(2, help="threads at work", ge=1, le=64, affects_output=False)
 
 
@@ -34,6 +43,9 @@ class PackedTilesParams(StageParams):
     """See each parameter's help."""
 
     format: str = param("png", help="of the tiles", choices=FORMATS)
+    max_zoom: int | Literal["auto"] = param(
+        "auto", help=f"{_FINEST}, of MBTiles at most 22, where GDAL ends", ge=0, le=30
+    )
     threads: int = param(2, help="threads at work", ge=1, le=64, affects_output=False)
 
 
@@ -50,8 +62,8 @@ def export_tiles(
             folder,
             TileOptions(
                 tile_format=params.format,
-                min_zoom=None if params.min_zoom == "auto" else params.min_zoom,
-                max_zoom=None if params.max_zoom == "auto" else params.max_zoom,
+                min_zoom=_zoom(params.min_zoom),
+                max_zoom=_zoom(params.max_zoom),
                 threads=params.threads,
             ),
             layers_file=None if layers_file is None else context.path_of(layers_file),
@@ -61,7 +73,7 @@ def export_tiles(
 
 
 @stage(
-    "export.mbtiles", "Write MBTiles", group="Export", version=2, outputs="mbtiles_file", results=(MBTILES,)
+    "export.mbtiles", "Write MBTiles", group="Export", version=3, outputs="mbtiles_file", results=(MBTILES,)
 )
 def export_mbtiles(mosaic_file: RunFile, params: PackedTilesParams, context: Context) -> RunFile:
     """Writes mosaic.mbtiles: web map tiles in one file, for phones and map servers."""
@@ -76,6 +88,10 @@ def export_pmtiles(mosaic_file: RunFile, params: PackedTilesParams, context: Con
     return _packed(PMTILES, mosaic_file, params, context)
 
 
+def _zoom(value: int | Literal["auto"]) -> int | None:
+    return None if value == "auto" else value
+
+
 def _packed(file: str, mosaic_file: RunFile, params: PackedTilesParams, context: Context) -> RunFile:
     """The tiles of export.tiles in one file, in the format of the file's extension."""
     with context.writing(file) as path:
@@ -83,17 +99,18 @@ def _packed(file: str, mosaic_file: RunFile, params: PackedTilesParams, context:
             on_map(context.path_of(mosaic_file)),
             path,
             file.rpartition(".")[2],
-            TileOptions(tile_format=params.format, threads=params.threads),
+            TileOptions(tile_format=params.format, max_zoom=_zoom(params.max_zoom), threads=params.threads),
             progress=partial(context.progress, text=file),
         )
     return context.run_file(file)
 
 
 @stage("export.kmz", "Write a KMZ", group="Export", version=1, outputs="kmz_file", results=(KMZ,))
-def export_kmz(mosaic_file: RunFile, context: Context) -> RunFile:
+def export_kmz(mosaic_file: RunFile, params: KmzParams, context: Context) -> RunFile:
     """Writes mosaic.kmz for Google Earth and its like, finer as one comes nearer."""
     with context.writing(KMZ) as path:
-        write_kmz(on_map(context.path_of(mosaic_file)), path, progress=partial(context.progress, text=KMZ))
+        progress = partial(context.progress, text=KMZ)
+        write_kmz(on_map(context.path_of(mosaic_file)), path, _zoom(params.max_zoom), progress)
     return context.run_file(KMZ)
 
 

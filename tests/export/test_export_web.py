@@ -190,6 +190,17 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
         assert tiff.read(4).any()
 
 
+def test_mbtiles_finer_than_gdal_opens_end_at_zoom_22(cog, tmp_path):
+    """The mosaic's pixels of 17 mm are zoom 23, which can be asked for."""
+    for name, options in {"auto": TileOptions(), "asked": TileOptions(max_zoom=23)}.items():
+        write_packed(cog, tmp_path / f"{name}.mbtiles", "mbtiles", options)
+    with rasterio.open(tmp_path / "auto.mbtiles") as tiff:
+        assert tiff.res[0] == pytest.approx(156_543.034 / 2**22, rel=1e-6)
+        assert tiff.read(4).any()
+    with sqlite3.connect(tmp_path / "asked.mbtiles") as file:
+        assert file.execute("SELECT max(zoom_level) FROM tiles").fetchone() == (23,)
+
+
 @pytest.mark.parametrize("tile_format", ["png", "webp"])
 def test_pmtiles_hold_the_tiles_of_the_folder(cog, tmp_path, tile_format):
     write_tiles(cog, tmp_path / "tiles", TileOptions(tile_format=tile_format, threads=1))
@@ -286,6 +297,8 @@ def test_kmz_lies_where_the_mosaic_lies(cog, tmp_path):
     whole = (*boxes[:, :2].min(axis=0), *boxes[:, 2:].max(axis=0))
     assert whole == pytest.approx([-91.995038, 46.843320, -91.994882, 46.843382], abs=3e-5)
     assert shown == len(boxes)
+    write_kmz(cog, tmp_path / "coarse.kmz", max_zoom=20)
+    assert (tmp_path / "coarse.kmz").stat().st_size < 0.2 * (tmp_path / "mosaic.kmz").stat().st_size
 
 
 def test_the_page_of_the_tiles_needs_no_network(cog, tmp_path):
