@@ -18,6 +18,7 @@ _STEPS = tuned(3, "steps", "each side, for a median: fewer show clock rounding; 
 _PAUSE = tuned(3.0, "usual intervals", "between lines: less splits at a lost frame; more crosses turns")
 _CORNER = sourced(1.35, "usual speeds", "change at a corner: less breaks jittery lines", "2 sin(85 deg / 2)")
 _FRACTION_S = tuned(0.01, "s", "off a whole second: less takes rounding as fine; more, fine clocks as coarse")
+_FASTEST = tuned(150.0, "m/s", "of a step: less loses survey aircraft; more joins two that fly at once")
 _ALIKE = tuned(0.5, "share", "of speed between sides: less drops jittery steps; more mixes corners")
 
 
@@ -63,11 +64,11 @@ class _Way:
 def _way(positions_m: Floats, times_s: Floats) -> _Way:
     at = np.flatnonzero(np.isfinite(times_s))
     at = at[np.argsort(times_s[at], kind="stable")]
-    passed = np.diff(times_s[at])
-    is_step = passed > 0.0
+    passed, moved = np.diff(times_s[at]), np.diff(positions_m[at], axis=0)
+    is_step = (passed > 0.0) & (np.linalg.norm(moved, axis=1) <= _FASTEST * passed)
     if is_step.any():
         is_step &= passed <= _PAUSE * float(np.median(passed[is_step]))
-    return _Way(at, passed, np.diff(positions_m[at], axis=0), is_step)
+    return _Way(at, passed, moved, is_step)
 
 
 def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
@@ -75,7 +76,8 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 
     The median, axis by axis, of the steps from frame to frame up to three before and three behind, so that
     neither whole seconds of a clock nor a position far off count much; where these differ, as at the end of a
-    line, of the side that agrees with itself. Across pauses nothing is known. 0 where times are missing.
+    line, of the side that agrees with itself. Nothing is known across pauses, and across
+    steps faster than aircraft fly. 0 where times are missing.
 
     Args: positions_m (n, 3), times_s (n,) or NaN.
     """

@@ -17,6 +17,7 @@ from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import observe
 from geomosaic.survey.onboard import platform_of
+from geomosaic.survey.platforms import with_platforms
 from geomosaic.survey.rig import captures
 from geomosaic.survey.strays import (
     Stray,
@@ -143,7 +144,7 @@ def with_frames(draft: SurveyDraft) -> SurveyDraft:
             draft.headers, draft.choice.names, observed.positions, observed.attitudes, strict=True
         )
     )
-    return replace(draft, frames=frames)
+    return replace(draft, frames=with_platforms(frames))
 
 
 def with_bands(draft: SurveyDraft) -> SurveyDraft:
