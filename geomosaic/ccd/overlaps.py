@@ -16,8 +16,9 @@ from rasterio.windows import Window
 
 from geomosaic.ccd.model import Floats, Overlap
 from geomosaic.ccd.object_space import ObjectSpace
-from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster
+from geomosaic.doors.raster import READ_CACHE_BYTES
 from geomosaic.errors import FileError
+from geomosaic.survey.strip_pixels import open_strip
 from geomosaic.survey.strips import StripGeometry
 
 Edge = Literal["left", "right"]
@@ -89,7 +90,7 @@ class StripFiles(Strips):
             files.enter_context(rasterio.Env(GDAL_CACHEMAX=READ_CACHE_BYTES))
             for k, ccd in enumerate(self.geometry.ccds):
                 if ccd.path is not None:
-                    self._files[k] = files.enter_context(open_raster(ccd.path, STRIP))
+                    self._files[k] = files.enter_context(open_strip(ccd.path, self.geometry.scale))
             self._open = files.pop_all()
         return self
 

@@ -23,6 +23,7 @@ from geomosaic.composition.pyramid import RasterPyramid
 from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
+from geomosaic.survey.strip_pixels import GreyScale
 
 BLOCK_ROWS: Final = TILE_PX
 COMPRESSION: Final = "deflate"
@@ -111,9 +112,18 @@ def writing_mosaic(
         yield Raster(image, index)
 
 
+@dataclass(frozen=True)
+class SceneGreys:
+    """Type of a scene's greys, the bits in use, and the values that they stand for, if these are others."""
+
+    dtype: str
+    bit_depth: int
+    scale: GreyScale | None = None
+
+
 @contextmanager
 def writing_scene(
-    path: Path, size_px: tuple[int, int], dtype: str, bit_depth: int, rpc: Mapping[str, str] | None
+    path: Path, size_px: tuple[int, int], greys: SceneGreys, rpc: Mapping[str, str] | None
 ) -> Iterator[Raster]:
     """A raster of one band without a map, to write windows into; memory is least where they come by rows.
 
@@ -121,7 +131,7 @@ def writing_scene(
     Raises: `OSError` (with `ENOSPC` where the disk is full) if it can't be written.
     """
     look = RasterMetadata(
-        TileKind(1, np.dtype(dtype)), None, _COLOURS[1], bit_depth=bit_depth, rpc=dict(rpc or {})
+        TileKind(1, np.dtype(greys.dtype)), None, _COLOURS[1], greys=greys, rpc=dict(rpc or {})
     )
     with _writing(path, *size_px, look) as image:
         yield Raster(image)
@@ -136,7 +146,7 @@ class RasterMetadata:
     colours: tuple[int, ...]
     band_names: tuple[str, ...] = ()
     tags: Mapping[str, str] = field(default_factory=dict)
-    bit_depth: int | None = None
+    greys: SceneGreys | None = None
     rpc: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -194,8 +204,11 @@ def _describe(band: Any, look: RasterMetadata, k: int, statistics: NDArray[np.fl
         band.SetColorInterpretation(look.colours[k])
     if k < len(look.band_names):
         band.SetDescription(look.band_names[k])
-    if look.bit_depth is not None:
-        band.SetMetadataItem("NBITS", str(look.bit_depth))
+    if look.greys is not None:
+        band.SetMetadataItem("NBITS", str(look.greys.bit_depth))
+        if look.greys.scale is not None:
+            band.SetOffset(look.greys.scale.offset)
+            band.SetScale(look.greys.scale.scale)
     if not look.kind.masked:
         band.SetNoDataValue(0)
     for name, of_bands in zip(STATISTICS, () if statistics is None else statistics, strict=False):

@@ -20,14 +20,15 @@ from geomosaic.ccd.parallel import opencv_alone
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.composition.blends import BLENDS, STEP_PX, Blend
 from geomosaic.composition.driver import composed
-from geomosaic.composition.raster import BLOCK_ROWS, Raster, writing_scene
+from geomosaic.composition.raster import BLOCK_ROWS, Raster, SceneGreys, writing_scene
 from geomosaic.composition.strip_lines import StripGreys, StripLines
 from geomosaic.composition.strip_source import StripBlocks, StripSource
 from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
-from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, unreferenced_is_fine
+from geomosaic.doors.raster import READ_CACHE_BYTES, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.spread import UNOBSERVED, Progress
+from geomosaic.survey.strip_pixels import open_strip
 from geomosaic.survey.strips import StripGeometry
 
 
@@ -102,7 +103,8 @@ def compose_strips(
         columns = _columns(geometry, layout, sources, blend)
         steps, rows = _steps(columns, sources, layout, blend)
         manner = Manner(blend, 1, dtype, highest=2**geometry.bit_depth - 1)
-        with writing_scene(raster_path, (width, height), dtype, geometry.bit_depth, scene.rpc) as raster:
+        greys = SceneGreys(dtype, geometry.bit_depth, geometry.scale)
+        with writing_scene(raster_path, (width, height), greys, scene.rpc) as raster:
             blocks = StripBlocks(sources, steps, rows, pool)
             work = partial(_written, raster, manner)
             ahead = len(columns) + options.threads
@@ -142,7 +144,7 @@ def _sources(scene: PlacedStrips, resampling: str, files: ExitStack) -> tuple[li
     for k in living:
         path = geometry.ccds[k].path
         assert path is not None
-        strip = files.enter_context(open_raster(path, STRIP))
+        strip = files.enter_context(open_strip(path, geometry.scale))
         dtype = dtype or strip.dtypes[0]
         greys = StripGreys(
             geometry.nodata,

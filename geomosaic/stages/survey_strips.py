@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rasterio import Env
 
 from geomosaic.ccd.parallel import each
@@ -14,6 +16,7 @@ from geomosaic.pipeline.params import file_values
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
+from geomosaic.survey.strip_pixels import grey_scale
 from geomosaic.survey.strips import StripGeometry, read_geometry
 
 _THUMBNAIL_LINES = 600
@@ -67,7 +70,13 @@ def survey_strips(params: StripParams, context: Context) -> StripGeometry:
     context.check_cancelled()
     for path, image in zip(paths, seen, strict=True):
         context.recorder.image("/strips", path.name, thumbnail(image))
-    return geometry
+    if seen[0].dtype != np.float32:
+        return geometry
+    scale = grey_scale(seen, geometry.nodata, geometry.bit_depth)
+    line = f"{scale.offset:.6g} + {scale.scale:.6g} g"
+    context.inform(f"strips of float32 are read as greys: grey g stands for the value {line}")
+    context.metric("strips.scale", {"offset": scale.offset, "scale": scale.scale})
+    return replace(geometry, scale=scale, nodata=0.0)
 
 
 def _glance(path: Path) -> Any:

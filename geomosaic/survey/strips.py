@@ -17,6 +17,7 @@ from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
+from geomosaic.survey.strip_pixels import GreyScale
 
 _MAX_BYTES = tuned(64 << 10, "bytes", "of a geometry file: 64 CCDs take some thousand; YAML is slow")
 _MOST_CCDS = tuned(64, "CCDs", "of a focal plane: TH-1 has 8; each opens a file and takes memory")
@@ -24,9 +25,11 @@ _MOST = tuned(1e9, "any unit", "largest number in a geometry file: products stay
 EARTH_RADIUS_M = sourced(6371000.0, "m", "by which the vertical turns between rows", "GRS 80, mean radius")
 _ALTITUDE_M = tuned(500e3, "m", "where no model says it: imaging satellites fly at 400 to 800 km")
 _LEAST_OVERLAP_PX = tuned(8, "px", "of neighbouring strips: narrower ones cannot be matched")
-_BITS = sourced({"uint8": 8, "uint16": 16, "int16": 15}, "bits by type", "without the sign", "definition")
+_BITS = sourced(
+    {"uint8": 8, "uint16": 16, "int16": 15, "float32": 16}, "bits by type", "without the sign", "definition"
+)
 _RANGES = sourced(
-    {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)},
+    {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767), "float32": (-3.5e38, 3.5e38)},
     "grey levels by type",
     "a nodata value lies within",
     "definition",
@@ -56,7 +59,8 @@ class StripGeometry:
 
     width_px: of every strip. lines: of each file, 0 where the CCD is missing. overlap_px: what neighbours
     share by design; read_px: what is read of each side. altitude_m: of the flight above the ground.
-    nodata None: every pixel counts.
+    nodata: of the files; None: every pixel counts. scale: of strips in float32; their pixels are read as
+    greys, and nodata is grey 0.
     dem: a DEM of the ground; rpc: of the stitched scene; model: the rigorous model.
     """
 
@@ -71,6 +75,7 @@ class StripGeometry:
     altitude_m: float = _ALTITUDE_M
     bit_depth: int
     nodata: float | None = None
+    scale: GreyScale | None = None
     dem: Path | None = None
     rpc: Path | None = None
     model: Path | None = None
@@ -144,7 +149,9 @@ def read_geometry(path: Path) -> StripGeometry:
         line_rate_hz=number("line_rate_hz", None, 1e-3),
         altitude_m=number("altitude_m", _ALTITUDE_M, 10.0),
         bit_depth=bit_depth,
-        nodata=nodata if entry.get("nodata") is None else number("nodata", None, *_RANGES[kind], whole=True),
+        nodata=nodata
+        if entry.get("nodata") is None
+        else number("nodata", None, *_RANGES[kind], whole=kind != "float32"),
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
     _check(geometry, path)
@@ -235,7 +242,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
             lines.append(int(strip.height))
         if count != 1 or kind not in _BITS:
             problem = f"has {count} bands" if count != 1 else f"has {kind} pixels"
-            raise FileError(problem, file=ccd.path, fix="a strip has one band of 8 to 16 bits")
+            raise FileError(problem, file=ccd.path, fix="a strip has one band of 8 to 16 bits, or float32")
         found = int(width), str(kind), nodata
         if first is None:
             first = ccd.path, found

@@ -20,7 +20,7 @@ from geomosaic.composition.blended import Blended, BlendedBlock, place_over
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.plan import windows as along_the_curve
 from geomosaic.composition.pyramid import RasterPyramid
-from geomosaic.composition.raster import MosaicFiles, index_kind, writing_mosaic, writing_scene
+from geomosaic.composition.raster import MosaicFiles, SceneGreys, index_kind, writing_mosaic, writing_scene
 from geomosaic.composition.tiles import TILE_PX, TileKind, halved
 from geomosaic.composition.window import Composed, Window
 from geomosaic.export.cog import CogOptions, write_cog
@@ -242,7 +242,7 @@ def test_a_scene_keeps_its_bits_and_its_rpc(tmp_path: Path) -> None:
     rpc |= {
         f"{axis}_{part}_COEFF": " ".join(["1"] + ["0"] * 19) for axis in axes[:2] for part in ("NUM", "DEN")
     }
-    with writing_scene(tmp_path / "a.tif", (WIDTH, HEIGHT), "uint16", 10, rpc) as raster:
+    with writing_scene(tmp_path / "a.tif", (WIDTH, HEIGHT), SceneGreys("uint16", 10), rpc) as raster:
         for window in windows(700):
             raster.write(of(window, pixels, valid))
     write_cog(tmp_path / "a.tif", tmp_path / "cog.tif")

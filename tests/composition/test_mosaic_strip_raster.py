@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from osgeo import gdal
 
-from geomosaic.composition.raster import BLOCK_ROWS, writing_scene
+from geomosaic.composition.raster import BLOCK_ROWS, SceneGreys, writing_scene
 from geomosaic.composition.tiles import halved
 from geomosaic.composition.window import Composed, Window
 from geomosaic.export.cog import write_cog
@@ -42,7 +42,9 @@ def test_overviews_are_whole_and_the_cog_takes_them(tmp_path: Path) -> None:
     pixels = rng.integers(100, 1000, (height, width)).astype(np.uint16)
     valid = np.ones((height, width), dtype=bool)
     valid[:700, :300] = False
-    with writing_scene(tmp_path / "a.tif", (width, height), "uint16", 10, {"LINE_OFF": "7"}) as raster:
+    with writing_scene(
+        tmp_path / "a.tif", (width, height), SceneGreys("uint16", 10), {"LINE_OFF": "7"}
+    ) as raster:
         for top in range(0, height, BLOCK_ROWS):
             rows = slice(top, min(top + BLOCK_ROWS, height))
             shown = np.where(valid, pixels, 0)[rows]
@@ -72,7 +74,9 @@ def test_a_full_disk_at_the_very_end_is_an_error_and_no_traceback(tmp_path: Path
         failed = False
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
         try:
-            with writing_scene(tmp_path / f"{room}.tif", (width, height), "uint16", 16, None) as raster:
+            with writing_scene(
+                tmp_path / f"{room}.tif", (width, height), SceneGreys("uint16", 16), None
+            ) as raster:
                 for top in range(0, height, BLOCK_ROWS):
                     rows = slice(top, top + BLOCK_ROWS)
                     raster.write(block(top, pixels[rows], np.ones((BLOCK_ROWS, width), dtype=bool)))

@@ -152,7 +152,8 @@ def test_a_strip_of_text_is_named(folder: Path) -> None:
         ({"width": 47}, r"c\.tif: has 47 columns of uint16, but a\.tif has 48 columns of uint16"),
         ({"dtype": "uint8"}, r"c\.tif: has 48 columns of uint8"),
         ({"bands": 3}, r"c\.tif: has 3 bands"),
-        ({"dtype": "float32"}, r"c\.tif: has float32 pixels"),
+        ({"dtype": "float32"}, r"c\.tif: has 48 columns of float32"),
+        ({"dtype": "float64"}, r"c\.tif: has float64 pixels"),
     ],
 )
 def test_strips_that_don_t_agree_are_named(folder: Path, change: dict[str, Any], text: str) -> None:

@@ -326,3 +326,29 @@ def test_no_input_is_overwritten(
 def test_tiles_want_a_map(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert geomosaic("export", "tiles", run) == 2
     assert "has no map projection; put it on a map first" in capsys.readouterr().err
+
+
+def test_calibrated_strips_give_their_values_back(scene: SimulatedStrips, run: Path, tmp_path: Path) -> None:
+    """I/F of 0.0003 a count, with NaN where a strip has none, and a hot pixel."""
+    entry = yaml.safe_load(scene.geometry.read_text())
+    warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    for k, ccd in enumerate(entry["ccds"]):
+        with rasterio.open(scene.geometry.parent / ccd["path"]) as strip:
+            profile, values = strip.profile, 3e-4 * strip.read(1).astype(np.float32)
+        values[2000:2004, 200:205] = np.nan
+        values[1000, 100] = 1e4
+        ccd["path"] = str(tmp_path / f"{k}.tif")
+        with rasterio.open(ccd["path"], "w", **{**profile, "dtype": "float32", "nodata": None}) as strip:
+            strip.write(values, 1)
+    folder = scene.geometry.parent
+    entry |= {key: str(folder / entry[key]) for key in ("model", "dem", "rpc")}
+    entry.pop("bit_depth", None)
+    (tmp_path / "g.yaml").write_text(yaml.safe_dump(entry))
+    assert strips(tmp_path / "g.yaml", tmp_path / "run", "-q") == 0
+    with rasterio.open(tmp_path / "run" / "mosaic.tif") as got, rasterio.open(run / "mosaic.tif") as whole:
+        assert got.dtypes == ("uint16",) and got.shape == whole.shape
+        there, seen = whole.dataset_mask() > 0, got.dataset_mask() > 0
+        values = got.offsets[0] + got.scales[0] * got.read(1)[seen].astype(np.float64)
+        off = np.abs(values - 3e-4 * whole.read(1)[seen])
+    assert not (seen & ~there).any() and 0 < (there & ~seen).sum() < 200
+    assert np.percentile(off, 99.0) < 3e-4  # the other run's greys are whole counts
