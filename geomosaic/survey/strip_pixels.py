@@ -60,7 +60,7 @@ def grey_scale(samples: Sequence[NDArray[Any]], nodata: float | None, bit_depth:
 def measured(values: NDArray[Any], nodata: float | None) -> NDArray[np.bool_]:
     """Which values are measurements: finite, no flags, not the file's nodata."""
     with np.errstate(invalid="ignore"):
-        found = np.abs(values) < _SPECIAL
+        found = np.asarray(np.abs(values) < _SPECIAL)
     return found if nodata is None else found & (values != np.float32(nodata))
 
 

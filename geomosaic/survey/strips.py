@@ -138,6 +138,7 @@ def read_geometry(path: Path) -> StripGeometry:
         raise InputError(
             f"bit_depth is {bit_depth}, but the strips are {kind}", file=path, fix="give at most theirs"
         )
+    given_nodata = entry.get("nodata") is not None
     geometry = StripGeometry(
         ccds=ccds,
         width_px=width_px,
@@ -149,9 +150,7 @@ def read_geometry(path: Path) -> StripGeometry:
         line_rate_hz=number("line_rate_hz", None, 1e-3),
         altitude_m=number("altitude_m", _ALTITUDE_M, 10.0),
         bit_depth=bit_depth,
-        nodata=nodata
-        if entry.get("nodata") is None
-        else number("nodata", None, *_RANGES[kind], whole=kind != "float32"),
+        nodata=number("nodata", nodata, *_RANGES[kind], whole=kind != "float32") if given_nodata else nodata,
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
     _check(geometry, path)
