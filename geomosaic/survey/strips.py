@@ -59,8 +59,7 @@ class StripGeometry:
 
     width_px: of every strip. lines: of each file, 0 where the CCD is missing. overlap_px: what neighbours
     share by design; read_px: what is read of each side. altitude_m: of the flight above the ground.
-    nodata: of the files; None: every pixel counts. scale: of strips in float32; their pixels are read as
-    greys, and nodata is grey 0.
+    nodata None: every pixel counts. scale: by which float32 is read as greys, nodata as grey 0.
     dem: a DEM of the ground; rpc: of the stitched scene; model: the rigorous model.
     """
 
@@ -151,6 +150,7 @@ def read_geometry(path: Path) -> StripGeometry:
         altitude_m=number("altitude_m", _ALTITUDE_M, 10.0),
         bit_depth=bit_depth,
         nodata=number("nodata", nodata, *_RANGES[kind], whole=kind != "float32") if given_nodata else nodata,
+        scale=None,
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
     _check(geometry, path)
