@@ -11,6 +11,7 @@ from geomosaic import __version__
 from geomosaic.cli.control import control
 from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
+from geomosaic.cli.geoid import geoid
 from geomosaic.cli.help import HeadedCommand, HeadedGroup, with_help_all
 from geomosaic.cli.inspection import diff, inspect
 from geomosaic.cli.measure import measure
@@ -113,6 +114,7 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
     for heading, commands in _COMMANDS.items():
         for command in commands:
             app.command(cls=HeadedCommand, rich_help_panel=heading)(_function(command, helping, argv))
+    app.add_typer(geoid, name="geoid", rich_help_panel="Before a run")
     for group, (heading, help) in _GENERATED.items():
         part = typer.Typer(cls=HeadedGroup, help=help, no_args_is_help=True, rich_markup_mode=None)
         part.callback()(lambda: None)

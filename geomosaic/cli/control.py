@@ -36,6 +36,7 @@ def control(
     ] = None,
     pos: Annotated[Path | None, typer_option(MosaicRequest, "pos")] = None,
     pos_crs: Annotated[str | None, typer_option(MosaicRequest, "pos_crs")] = None,
+    height_datum: Annotated[str | None, typer_option(MosaicRequest, "height_datum")] = None,
     camera: Annotated[Path | None, typer_option(MosaicRequest, "camera")] = None,
     dem: Annotated[Path | None, typer_option(MosaicRequest, "dem")] = None,
     ground_height: Annotated[float | None, typer_option(MosaicRequest, "ground_height")] = None,
@@ -50,6 +51,7 @@ def control(
     gcp_list.txt, which --gcp of 'geomosaic mosaic' takes. The same command continues. Ctrl-C ends it.
     """
     from geomosaic.cli.progress import progress
+    from geomosaic.geodesy.heights import height_datum as datum_of
     from geomosaic.marking.marked_points import TABLE, read_points
     from geomosaic.marking.oriented_frames import frames_by_tags, frames_of_run
     from geomosaic.marking.page_server import PageServer
@@ -57,6 +59,7 @@ def control(
     from geomosaic.requests.run_request import default_folder
 
     folder = output or default_folder(frames, "control")
+    datum = None if height_datum is None else datum_of(height_datum)
     with progress(quiet=quiet) as reporter:
         if run is not None:
             oriented = frames_of_run(frames, run)
@@ -65,13 +68,14 @@ def control(
                 frames=frames,
                 pos=pos,
                 pos_crs=pos_crs,
+                height_datum=height_datum,
                 camera=camera,
                 dem=dem,
                 ground_height=ground_height,
                 gcp_optional=True,
             )
             oriented = frames_by_tags(request, reporter)
-    surveyed, notes = read_points(points, folder, oriented)
+    surveyed, notes = read_points(points, folder, oriented, datum)
     for note in notes:
         reporter.warning(note.text)
     session = MarkingSession(oriented, surveyed, folder)

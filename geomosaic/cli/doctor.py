@@ -96,17 +96,23 @@ def _opencv() -> tuple[str, str]:
 
 
 def _geoids() -> tuple[str, str]:
-    from pyproj.datadir import get_data_dir
+    from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
     from pyproj.transformer import TransformerGroup
 
-    with warnings.catch_warnings(action="ignore"):
-        group = TransformerGroup("EPSG:4979", "EPSG:4326+5773", always_xy=True)
-    if group.best_available:
-        return "ok", f"PROJ data in {get_data_dir()}, geoid grids there"
+    from geomosaic.geodesy.heights import GEOIDS
+
+    def installed(code: int) -> bool:
+        with warnings.catch_warnings(action="ignore"):
+            group = TransformerGroup(f"EPSG:4326+{code}", "EPSG:4979", always_xy=True, allow_ballpark=False)
+        return bool(group.transformers)
+
+    missing = [name for name, code in GEOIDS.items() if not installed(code)]
+    state = ", ".join(f"{name} {'not installed' if name in missing else 'installed'}" for name in GEOIDS)
+    how = f" (geomosaic geoid fetch {missing[-1]})" if missing else ""
+    folders = f"{get_data_dir()}, {get_user_data_dir()}"
     return (
-        "warning",
-        f"PROJ data in {get_data_dir()}, no geoid models: heights above sea level cannot be used; "
-        "install some: pyproj sync --file us_nga_egm",
+        "ok",
+        f"PROJ data in {folders}; geoids: EGM96 at 15 minutes comes with geomosaic; grids: {state}{how}",
     )
 
 

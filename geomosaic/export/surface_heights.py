@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from osgeo import osr
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
-from pyproj.exceptions import CRSError
 
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
-from geomosaic.geodesy.heights import ellipsoidal_offsets_m
+from geomosaic.geodesy.heights import ellipsoidal_offsets_m, height_datum
 from geomosaic.geodesy.mapcrs import MapProjection, is_local
 
 Floats = NDArray[np.float64]
-ELLIPSOIDAL: Final = "ellipsoidal"
 _GEOID_NODES: Final = 33
 """Along each side of a grid: in 30 km one a kilometre, where geoids bend by millimetres."""
 _SAME_M: Final = 0.01
@@ -54,45 +52,23 @@ class HeightSystem:
         return np.asarray((1.0 - share) * at_nodes[above] + share * at_nodes[above + 1])
 
 
-def vertical_of(text: str) -> CRS | None:
-    """The vertical CRS of a name such as `EPSG:5773`; None for ellipsoidal heights.
-
-    Raises: `InputError` for anything else.
-    """
-    if text == ELLIPSOIDAL:
-        return None
-    try:
-        crs = CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"'{text}' is no vertical coordinate reference system",
-            fix="give ellipsoidal, or the code of a geoid model such as EPSG:5773 (EGM96)",
-        ) from error
-    if not crs.is_vertical or crs.is_compound:
-        raise InputError(
-            (f"'{crs.name}' is no vertical reference system"),
-            fix="give a vertical CRS such as EPSG:5773 (EGM96)",
-        )
-    return crs
-
-
 def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
     """What heights on a grid count from.
 
     Raises: `InputError` where the geoid's grid isn't installed, or the grid lies nowhere on the Earth.
     """
-    vertical, none = vertical_of(heights), np.zeros((_GEOID_NODES, _GEOID_NODES))
+    vertical, none = height_datum(heights), np.zeros((_GEOID_NODES, _GEOID_NODES))
     if is_local(grid.crs):
-        if vertical is not None:
+        if vertical.is_vertical:
             raise InputError(
                 ("a mosaic in a local frame has no heights above a geoid"),
-                fix="leave out --set export.surface.heights",
+                fix="leave out --height-datum and --set export.surface.heights",
             )
         return HeightSystem(grid.crs, "", "above the local frame's origin, in its unit", none)
     share = np.linspace(0.0, 1.0, _GEOID_NODES)
     pixel = np.stack(np.meshgrid(share * grid.width_px, share * grid.height_px), axis=-1)
     lonlat = MapProjection(grid.crs).geodetic_from_map(*np.moveaxis(grid.map_from_pixel(pixel), -1, 0))
-    if vertical is None:
+    if not vertical.is_vertical:
         return HeightSystem(grid.crs, _in_space(grid.crs, lonlat[0, 0]), "ellipsoidal, WGS 84, metres", none)
     try:
         undulation_m = ellipsoidal_offsets_m(vertical, lonlat[..., 0], lonlat[..., 1])

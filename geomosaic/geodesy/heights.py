@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
+from pyproj.exceptions import CRSError
 from pyproj.transformer import AreaOfInterest, TransformerGroup
 
+from geomosaic.constants import sourced
 from geomosaic.errors import InputError
+from geomosaic.geodesy.egm96 import EGM96, undulation_m
 
 Floats = NDArray[np.float64]
+ELLIPSOIDAL: Final = "ellipsoidal"
+EGM2008 = sourced(3855, "EPSG", "of heights above EGM2008", "EPSG dataset")
+GEOIDS: Final = {"EGM96": EGM96, "EGM2008": EGM2008}
+"""Vertical CRSs by the names that people use."""
 
 
 def vertical_crs(crs: CRS) -> CRS | None:
@@ -28,6 +35,32 @@ def vertical_crs(crs: CRS) -> CRS | None:
     return None
 
 
+def height_datum(text: str) -> CRS:
+    """The vertical CRS of a name such as `EGM96` or `EPSG:7837`; of `ellipsoidal` WGS 84 with its heights.
+
+    Raises: `InputError` for anything else.
+    """
+    if text.lower() == ELLIPSOIDAL:
+        return CRS.from_epsg(4979)
+    fix = f"give {ELLIPSOIDAL}, {', '.join(GEOIDS)}, or the code of a vertical CRS such as EPSG:7837"
+    try:
+        crs = CRS.from_user_input(GEOIDS.get(text.upper(), text))
+    except CRSError as error:
+        raise InputError(f"'{text}' is no vertical coordinate reference system", fix=fix) from error
+    if not crs.is_vertical or crs.is_compound:
+        raise InputError(f"'{crs.name}' is no vertical reference system", fix=fix)
+    return crs
+
+
+def sea_level(lon_deg: float, lat_deg: float) -> CRS:
+    """The vertical CRS of heights above the sea at a place: EGM2008 if its grid is installed, else EGM96."""
+    try:
+        ellipsoidal_offset_m(CRS.from_epsg(EGM2008), lon_deg, lat_deg)
+    except InputError:
+        return CRS.from_epsg(EGM96)
+    return CRS.from_epsg(EGM2008)
+
+
 def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float) -> float:
     """As `ellipsoidal_offsets_m`, at one point."""
     return float(ellipsoidal_offsets_m(vertical, np.array([lon_deg]), np.array([lat_deg]))[0])
@@ -37,7 +70,8 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
     """Ellipsoidal minus orthometric height at points of any shape: the geoid's undulation, in metres.
 
     Only transformations with a stated operation count: a ballpark one, which leaves heights as they
-    are, is never used. Among several the most accurate one whose grids are here is taken.
+    are, is never used. Among several the most accurate one whose grids are here is taken. EGM96 without
+    PROJ's grid is the package's own.
 
     Args: a vertical CRS (`EPSG:5773`), or one with ellipsoidal heights, whose offset is 0.
     Raises: `InputError` when its heights aren't metres upwards, or no geoid grid for it is installed.
@@ -62,18 +96,28 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
         height = np.asarray(transformer.transform(lon_deg, lat_deg, np.zeros(lon_deg.shape))[2])
         if np.isfinite(height).all():
             return height
+    if vertical.to_epsg() == EGM96:
+        return undulation_m(lon_deg, lat_deg)
     raise InputError(
         f"the geoid model for '{vertical.name}' is not installed",
-        fix=_installing(group.unavailable_operations),
+        fix=_installing(missing_grids(group.unavailable_operations)),
     )
 
 
-def _installing(operations: Sequence[Any]) -> str:
-    """How to install the geoid model of the most accurate of the operations that lack the fewest grids."""
+def missing_grids(operations: Sequence[Any]) -> list[Any]:
+    """PROJ's grids for the most accurate of the operations that lack the fewest grids, such as can be fetched
+    first."""
+
+    def rank(lacking_of: tuple[list[Any], Any]) -> tuple[bool, int, float]:
+        grids, operation = lacking_of
+        return not all(grid.url for grid in grids), len(grids), abs(operation.accuracy)
+
     lacking = [[grid for grid in op.grids if not grid.available] for op in operations]
-    ranked = sorted(zip(lacking, operations, strict=True), key=lambda of: (len(of[0]), abs(of[1].accuracy)))
-    grids = ranked[0][0] if ranked else []
+    return min(zip(lacking, operations, strict=True), key=rank, default=([], None))[0]
+
+
+def _installing(grids: Sequence[Any]) -> str:
     if grids and all(grid.url for grid in grids):
-        return "install it: " + " && ".join(f"pyproj sync --file {grid.short_name}" for grid in grids)
+        return "install it: " + " && ".join(f"geomosaic geoid fetch {grid.short_name}" for grid in grids)
     names = ", ".join(grid.short_name for grid in grids) or "its grid"
     return f"copy {names} into PROJ's data folder, which geomosaic doctor names"

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from pyproj import CRS
+
 from geomosaic.errors import InputError
 from geomosaic.export.references import write_odm_control
 from geomosaic.marking.oriented_frames import OrientedFrames
@@ -30,18 +32,19 @@ _CHECK: Final = "CHK"
 
 
 def read_points(
-    path: Path, folder: Path, frames: OrientedFrames
+    path: Path, folder: Path, frames: OrientedFrames, datum: CRS | None = None
 ) -> tuple[tuple[ControlPoint, ...], tuple[Warn, ...]]:
     """The points of a file, with the marks and kinds that the folder's gcp.csv has for them, and what was
     assumed of the file. Points that only gcp.csv has come last.
 
+    Args: datum: what heights of the file count from that state nothing else.
     Raises: `InputError` for a file that cannot be read, or marks of gcp.csv in frames that are not there.
     """
     names = FrameNames(frame.name for frame in frames.frames)
     positions = [frame.position for frame in frames.frames]
     near = lonlat_of([p for p in positions if p.known] or positions) if frames.on_earth else NOWHERE
     try:
-        given = read_control(path, names, near)
+        given = read_control(path, names, near, datum)
     except InputError as error:
         error.reword(lambda text: text.replace("--gcp", "--points"))
         raise

@@ -123,6 +123,15 @@ class MosaicRequest(FramesRequest):
         ),
         False,
     )
+    height_datum: str | None = asked(
+        Option(
+            "what heights without a stated datum count from, in tags, --pos, --dem and --gcp, and those of "
+            "the surface written [ellipsoidal]",
+            "EGM96|EGM2008|EPSG:n",
+            INPUTS,
+            sets="survey.read.height_datum",
+        )
+    )
     camera_kind: str | None = asked(
         Option(
             "frames of one of the aircraft's cameras: wide, zoom, thermal [the one with most pixels]",
@@ -274,6 +283,8 @@ class MosaicRequest(FramesRequest):
             browser()
         stages, given = self.stages(), self.parameters()
         self.prepare(stages)
+        if self.height_datum is not None:
+            given.setdefault("export.surface", {})["heights"] = self.height_datum
         if self.align_to is not None:
             given["survey.read"]["crs"] = crs_of(self.align_to, self.crs)
         named = "mosaic", f"frames of {self.frames.name}"

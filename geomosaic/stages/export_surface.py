@@ -16,7 +16,8 @@ from geomosaic.export.project_rasters import HILLSHADE
 from geomosaic.export.surface import RASTERS, SurfaceOnMap, surface_grid, writing_rasters
 from geomosaic.export.surface_cloud import writing_cloud
 from geomosaic.export.surface_drawn import write_contours, write_hillshade
-from geomosaic.export.surface_heights import ELLIPSOIDAL, height_system, vertical_of, write_sidecar
+from geomosaic.export.surface_heights import height_system, write_sidecar
+from geomosaic.geodesy.heights import ELLIPSOIDAL, height_datum
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.memory_release import release_memory
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
@@ -41,7 +42,8 @@ class SurfaceParams(StageParams):
     """See each parameter's help."""
 
     heights: str = param(
-        ELLIPSOIDAL, help="what heights count from: ellipsoidal, or a vertical CRS such as EPSG:5773"
+        ELLIPSOIDAL,
+        help="what heights count from: ellipsoidal, EGM96, EGM2008, or a vertical CRS such as EPSG:7837",
     )
     hillshade: bool = param(False, help=f"write {HILLSHADE} as well")
     contours_m: float = param(
@@ -53,7 +55,7 @@ class SurfaceParams(StageParams):
 
 def _check(params: SurfaceParams) -> None:
     """The heights are those of a vertical CRS."""
-    vertical_of(params.heights)
+    height_datum(params.heights)
 
 
 @stage(

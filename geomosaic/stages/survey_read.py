@@ -65,6 +65,11 @@ class SurveyParams(StageParams):
         help="frames of which of the aircraft's cameras are used, by their tag ImageSource: wide, zoom, "
         "thermal; without it those that have most pixels",
     )
+    height_datum: str | None = param(
+        None,
+        help="what heights in tags, POS, DEM and control count from that state no datum: ellipsoidal, EGM96, "
+        "EGM2008, or a vertical CRS such as EPSG:7837",
+    )
     strict: bool = param(
         False,
         help="frames that can't be used, frames without a line in the POS file and lines without a frame "

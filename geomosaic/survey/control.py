@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.plain import shown
@@ -42,7 +43,9 @@ class ControlFile:
     notes: tuple[Warn, ...]
 
 
-def read_control(path: Path, frames: FrameNames, near: Floats = NOWHERE) -> ControlFile:
+def read_control(
+    path: Path, frames: FrameNames, near: Floats = NOWHERE, datum: CRS | None = None
+) -> ControlFile:
     """Control points with where they were measured in images, and what was assumed.
 
     A point is a check point if its `kind` says check, or its name starts with CHK. Without a name,
@@ -51,12 +54,13 @@ def read_control(path: Path, frames: FrameNames, near: Floats = NOWHERE) -> Cont
 
     A point without a height determines the plan alone; where all heights are 0 none has one.
 
-    Args: near: longitudes and latitudes (k, 2) of the frames, where these have positions.
+    Args: near: longitudes and latitudes (k, 2) of the frames, where these have positions. datum: what
+    heights count from that state nothing else.
     Raises: `InputError` naming the file, the line and the fix.
     """
     table, stated = control_table(path, frames)
     found = places_of(table, stated, near, GIVE_CRS)
-    heights, doubts = heights_of(table, found.crs, found.lonlat)
+    heights, doubts = heights_of(table, found.crs, found.lonlat, datum)
     given = np.concatenate([table.numbers(c) for c in _HEIGHTS if c in table.factors] or [heights])
     if len(heights) > 1 and np.isfinite(given).any() and not np.nan_to_num(given).any():
         heights, doubts = np.full(len(heights), np.nan), []

@@ -24,21 +24,26 @@ Floats = NDArray[np.float64]
 
 
 def read_elevation(
-    path: Path, offset_m: float | None, frame_names: Sequence[str], lonlat: Floats
+    path: Path,
+    offset_m: float | None,
+    frame_names: Sequence[str],
+    lonlat: Floats,
+    datum: CRS | None = None,
 ) -> tuple[ElevationModel, Floats, list[Warn]]:
     """The elevation model of a DEM, its ellipsoidal heights under the frames, and what was assumed.
 
     What must be added to the DEM's values is offset_m if given; else the geoid's undulation at the
     survey's middle, by PROJ, if the DEM's CRS has a vertical part (it changes by centimetres within a
-    few kilometres); else 0, and a warning: the values are taken to share the datum of the POS heights.
+    few kilometres), or a datum is given; else 0, and a warning: the values are taken to share the datum of
+    the POS heights.
 
-    Args: lonlat (n, 2) degrees of the frames' nadir points.
+    Args: lonlat (n, 2) degrees of the frames' nadir points; datum: of heights whose CRS has no vertical part.
     Raises: `FileError` for what is no raster, `InputError` without a CRS, in feet, without the geoid's
     grid, or not covering the frames, saying by how much.
     """
     path = path.absolute()
     crs, bounds = check_dem(path)
-    model, warnings = _with_datum(path, offset_m, crs, np.median(lonlat, axis=0))
+    model, warnings = _with_datum(path, offset_m, vertical_crs(crs) or datum, np.median(lonlat, axis=0))
     xy = _covered(path, MapProjection(crs.to_wkt()), bounds, frame_names, lonlat)
     heights = read_heights(model, (*xy.min(axis=0), *xy.max(axis=0))).at(*xy.T)
     gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
@@ -85,12 +90,11 @@ def check_dem(path: Path) -> tuple[CRS, Any]:
 
 
 def _with_datum(
-    path: Path, offset_m: float | None, crs: CRS, middle: Floats
+    path: Path, offset_m: float | None, vertical: CRS | None, middle: Floats
 ) -> tuple[ElevationModel, list[Warn]]:
     model = ElevationModel(str(path), 0.0, "")
     if offset_m is not None:
         return replace(model, offset_m=offset_m, vertical=f"offset {offset_m:+g} m as given"), []
-    vertical = vertical_crs(crs)
     if vertical is not None:
         try:
             offset = ellipsoidal_offset_m(vertical, *middle)

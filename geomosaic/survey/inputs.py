@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from pyproj import CRS
+
 from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.heights import height_datum
 from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.folder import frame_files
 from geomosaic.survey.names import FrameNames
@@ -21,8 +24,9 @@ class SurveyInputs:
     ellipsoidal heights. gcp_optional: a gcp of which no point can be used is a warning. crs: the map's,
     `auto` for the UTM zone of the middle. pos_crs: of x and y in pos. attitude_convention: one of
     `attitude.CONVENTIONS`. damaged: one of `usable.DAMAGED`. leave_out: one of `strays.LEAVE_OUT`.
-    camera_kind: of the aircraft's cameras, see `strays.camera_kind`. strict: unusable frames, frames without
-    a line in pos and lines without a frame are errors.
+    camera_kind: of the aircraft's cameras, see `strays.camera_kind`. height_datum: what heights count from
+    whose source doesn't state it, a name for `geodesy.heights.height_datum`. strict: unusable frames, frames
+    without a line in pos and lines without a frame are errors.
     """
 
     frames: Path
@@ -38,6 +42,7 @@ class SurveyInputs:
     damaged: str = "leave_out"
     leave_out: str = "auto"
     camera_kind: str | None = None
+    height_datum: str | None = None
     strict: bool = False
 
     @property
@@ -50,12 +55,20 @@ class SurveyInputs:
         """The frames' files and what each is called, see `folder.frame_files`."""
         return frame_files(self.frames, self.files.values())
 
+    @property
+    def datum(self) -> CRS | None:
+        """What heights count from whose source doesn't state it: a vertical CRS, or one with ellipsoidal
+        heights; None if nothing is known of it. Raises: `InputError` for another name."""
+        return None if self.height_datum is None else height_datum(self.height_datum)
+
     def positions(self, frames: FrameNames) -> PosFile | None:
         """The POS file of these frames, None where none is given."""
         if self.pos is None:
             return None
         convention = self.attitude_convention
-        return read_pos(self.pos, crs=self.pos_crs, attitude_convention=convention, frames=frames)
+        return read_pos(
+            self.pos, crs=self.pos_crs, attitude_convention=convention, frames=frames, datum=self.datum
+        )
 
     def cameras(self) -> tuple[Camera, ...]:
         """Cameras of the camera file, () where none is given."""

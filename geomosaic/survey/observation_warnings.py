@@ -41,7 +41,8 @@ def observation_warnings(
         ),
         "height-datum-unknown": (
             [h.datum_unknown and e for h, e in zip(heights, from_exif, strict=True)],
-            "the altitude's vertical datum is unknown, taken as ellipsoidal with its wide sigma",
+            "the altitude's vertical datum is unknown, taken as ellipsoidal with its wide sigma; give "
+            "--height-datum if you know it",
         ),
         "height-unknown": (
             [

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
+from geomosaic.geodesy.heights import ellipsoidal_offsets_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.extent import distances_m, lonlat_of
 from geomosaic.survey.header import FrameHeader
@@ -82,6 +84,28 @@ def observe(
     upright, tilted = plausible_attitudes(names, attitudes, UNKNOWN_ATTITUDE)
     cameras = tuple(None if row is None else row.camera for row in rows)
     return Observations(kept, upright, cameras, (*warnings, *high, *tilted))
+
+
+def on_datum(observed: Observations, datum: CRS) -> Observations:
+    """Observations whose heights are ellipsoidal, where those of tags that state no datum count from this.
+
+    Raises: `InputError` where the grid of its geoid isn't installed.
+    """
+    positions = list(observed.positions)
+    known = [i for i, p in enumerate(positions) if p.known]
+    if not known:
+        return observed
+    try:
+        offsets_m = ellipsoidal_offsets_m(datum, *lonlat_of([positions[i] for i in known]).T)
+    except InputError as error:
+        fix = f"{error.fix}; or give --height-datum EGM96, which needs no file"
+        raise InputError(error.problem, fix=fix) from error
+    for i, offset_m in zip(known, offsets_m.tolist(), strict=True):
+        own_m = positions[i].height_ellipsoidal_m
+        if own_m is not None and not positions[i].datum_stated:
+            positions[i] = replace(positions[i], height_ellipsoidal_m=own_m + offset_m, datum_stated=True)
+    warnings = tuple(w for w in observed.warnings if w.code != "height-datum-unknown")
+    return replace(observed, positions=tuple(positions), warnings=warnings)
 
 
 def _with_missing(own: Sequence[Position | None], anywhere: tuple[float, float]) -> list[Position]:

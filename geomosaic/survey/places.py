@@ -16,7 +16,7 @@ from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import AmbiguousCrsError, StatedCrs, label, required_crs
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, sea_level, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection, outside_area_m
 from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.model import Warn
@@ -238,9 +238,13 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
             )
 
 
-def heights_of(table: ParsedTable, crs: CRS | None, lonlat: Floats) -> tuple[Floats, list[Warn]]:
+def heights_of(
+    table: ParsedTable, crs: CRS | None, lonlat: Floats, datum: CRS | None
+) -> tuple[Floats, list[Warn]]:
     """Ellipsoidal heights (n,), NaN where unknown, and what was assumed; an unstated datum counts as theirs.
 
+    Args: crs: that x and y are given in, None where the table has longitude and latitude. datum: what
+    heights count from that state nothing else.
     Raises: `InputError` when orthometric heights need a geoid grid that isn't installed.
     """
     has, name = table.factors, table.path.name
@@ -251,12 +255,12 @@ def heights_of(table: ParsedTable, crs: CRS | None, lonlat: Floats) -> tuple[Flo
     if np.isnan(values).all():
         return values, []
     offset, notes = 0.0, []
-    vertical = vertical_crs(crs) if crs is not None and "lon" not in has else None
-    if column == "height_orthometric" and vertical is None:
-        vertical = CRS.from_epsg(3855)
+    vertical = (vertical_crs(crs) if crs is not None and "lon" not in has else None) or datum
+    if column == "height_orthometric" and (vertical is None or not vertical.is_vertical):
+        vertical = sea_level(*np.median(lonlat, axis=0))
         text = (
-            f"{name}: orthometric heights without a stated geoid are taken as EGM2008's: the map may "
-            "lie too high or low by decimetres"
+            f"{name}: orthometric heights without a stated geoid are taken as {vertical.name}s: the map may "
+            "lie too high or low by decimetres; name the geoid with --height-datum"
         )
         notes.append(Warn("geoid-assumed", "", text))
     if column != "height_ellipsoidal" and vertical is not None:
@@ -268,8 +272,8 @@ def heights_of(table: ParsedTable, crs: CRS | None, lonlat: Floats) -> tuple[Flo
     elif column == "height":
         text = (
             f"{name}: heights have no stated datum and are taken as ellipsoidal: the map may lie "
-            "too high or low by a "
-            "constant; name the column height_ellipsoidal or height_orthometric"
+            "too high or low by a constant; name what they count from with --height-datum, or the column "
+            "height_ellipsoidal or height_orthometric"
         )
         notes.append(Warn("height-datum-assumed", "", text))
     return values + offset, notes

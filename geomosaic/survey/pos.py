@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
@@ -86,13 +87,14 @@ def read_pos(
     crs: str | None = None,
     attitude_convention: str = "auto",
     frames: FrameNames = NO_NAMES,
+    datum: CRS | None = None,
 ) -> PosFile:
     """Read a POS file: a table with named columns, ODM's geo.txt, Pix4D's table without a header, or DJI's
     Timestamp.MRK.
 
     Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
     .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
-    whose names those with blanks are found.
+    whose names those with blanks are found; datum: what heights count from that state nothing else.
     Raises: `InputError` naming the file, the line and the fix.
     """
     if is_timestamp_mrk(path):
@@ -104,7 +106,7 @@ def read_pos(
         notes.append(Warn("pos-columns-ignored", "", f"{path.name}: columns not used: {unused}"))
     places = places_of(table, stated, NOWHERE, _GIVE_CRS)
     lonlat = places.lonlat
-    heights, doubts = heights_of(table, places.crs, lonlat)
+    heights, doubts = heights_of(table, places.crs, lonlat, datum)
     angles, source, assumed = read_angles(table, attitude_convention, places.projection, lonlat)
     names, lines = table.texts("frame"), table.lines
     if None in names:

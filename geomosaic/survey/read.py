@@ -46,7 +46,7 @@ PROCEDURE: Final[tuple[Callable[[SurveyDraft], SurveyDraft], ...]] = (
 
 def check_survey_files(inputs: SurveyInputs) -> None:
     """Raises what `read_survey` would raise without opening a frame: of a survey's files each by itself."""
-    files = inputs.frame_files()
+    files, datum = inputs.frame_files(), inputs.datum
     names = FrameNames(files.values())
     near: list[tuple[float, float]] = []
     with proposing_zone(files, near):
@@ -60,7 +60,7 @@ def check_survey_files(inputs: SurveyInputs) -> None:
             check_dem(inputs.dem)
         if inputs.gcp is not None:
             with suppress(AmbiguousCrsError):
-                control = read_control(inputs.gcp, names)
+                control = read_control(inputs.gcp, names, datum=datum)
                 if not inputs.gcp_optional:
                     check_marks(control)
 

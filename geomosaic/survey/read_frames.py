@@ -15,7 +15,7 @@ from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Band, Frame, Warn
 from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
-from geomosaic.survey.observations import observe
+from geomosaic.survey.observations import observe, on_datum
 from geomosaic.survey.onboard import platform_of
 from geomosaic.survey.platforms import with_platforms
 from geomosaic.survey.rig import captures
@@ -110,7 +110,8 @@ def with_observations(draft: SurveyDraft) -> SurveyDraft:
     unused = [image.name for image in draft.left_out]
     observed = observe(draft.headers, draft.pos, unused, strict=draft.inputs.strict)
     check_extent(draft.headers, observed.positions)
-    return replace(draft, observed=observed)
+    datum = draft.inputs.datum
+    return replace(draft, observed=observed if datum is None else on_datum(observed, datum))
 
 
 def with_cameras(draft: SurveyDraft) -> SurveyDraft:

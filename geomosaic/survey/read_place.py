@@ -33,7 +33,7 @@ def with_control(draft: SurveyDraft) -> SurveyDraft:
     if draft.inputs.gcp is not None:
         sizes = {h.name: (h.width_px, h.height_px) for h in draft.headers}
         with proposing_zone([h.path for h in draft.headers], draft.near.tolist()):
-            file = read_control(draft.inputs.gcp, FrameNames(draft.names), draft.near)
+            file = read_control(draft.inputs.gcp, FrameNames(draft.names), draft.near, draft.inputs.datum)
         optional = draft.inputs.gcp_optional
         control, warnings = used_control(file, draft.near, sizes, optional=optional)
         draft = replace(draft, control=control, control_warnings=tuple(warnings))
@@ -64,8 +64,8 @@ def with_elevation(draft: SurveyDraft) -> SurveyDraft:
         return draft
     positions, anywhere = draft.observed.positions, not draft.located
     under = [name for name, p in zip(draft.names, positions, strict=True) if p.known or anywhere]
-    offset_m = draft.inputs.dem_offset_m
-    model, heights_m, warnings = read_elevation(draft.inputs.dem, offset_m, under, draft.lonlat)
+    offset_m, datum = draft.inputs.dem_offset_m, draft.inputs.datum
+    model, heights_m, warnings = read_elevation(draft.inputs.dem, offset_m, under, draft.lonlat, datum)
     return replace(draft, elevation=model, heights_m=heights_m, dem_warnings=tuple(warnings))
 
 

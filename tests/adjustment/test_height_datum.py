@@ -23,6 +23,9 @@ from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey
 
+SEA_LEVEL_M = 48.582
+"""EGM96 above the ellipsoid at the surveys' place."""
+
 
 @pytest.mark.parametrize("batteries", [False, True])
 def test_heights_that_drift_by_twice_the_flying_height(batteries: bool) -> None:
@@ -98,8 +101,8 @@ def of_pos(survey: Survey, sd_vertical_m: float, *, datum_stated: bool) -> Surve
 
 
 def test_an_unknown_datum_is_shared_by_all_frames(survey: Survey) -> None:
-    """15 m of a receiver's own and 30 m of the sea's level about the ellipsoid."""
-    assert common_height_sd_m(survey, np.full(6, 3.0)) == pytest.approx(np.hypot(15.0, 30.0), abs=1e-3)
+    """15 m of a receiver's own and the sea's level about the ellipsoid."""
+    assert common_height_sd_m(survey, np.full(6, 3.0)) == pytest.approx(np.hypot(15.0, SEA_LEVEL_M), abs=1e-3)
     poses = with_common_error(block_of(survey).poses, np.array([0.0, 0.0, 225.0]))
     assert poses.positions_sd_m[3] == pytest.approx([0.2, 0.2, np.hypot(0.2, 15.0)])
 
@@ -107,7 +110,7 @@ def test_an_unknown_datum_is_shared_by_all_frames(survey: Survey) -> None:
 def test_heights_of_a_pos_file_without_datum_are_off_by_the_geoid_s_undulation(
     survey: Survey, tmp_path: Path
 ) -> None:
-    """Where a geoid grid is installed; else by what it is over the Earth. Stated are 5 cm."""
+    """By an installed grid, else by the EGM96 of the package. Stated are 5 cm."""
     frame = survey.work_frame
     there = LocalFrame(11.0, 48.0, frame.height_ellipsoidal_m)
     undulation = float(undulation_m(np.array(11.0), np.array(48.0)))
@@ -116,7 +119,9 @@ def test_heights_of_a_pos_file_without_datum_are_off_by_the_geoid_s_undulation(
         reference = height_reference(unstated)
     assert reference is not None and reference.datum_sd_m == pytest.approx(undulation, abs=0.01)
     still = np.zeros(6)
-    assert common_height_sd_m(of_pos(survey, 0.05, datum_stated=False), still) == pytest.approx(30.0, abs=0.1)
+    assert common_height_sd_m(of_pos(survey, 0.05, datum_stated=False), still) == pytest.approx(
+        SEA_LEVEL_M, abs=0.1
+    )
     assert common_height_sd_m(of_pos(survey, 0.05, datum_stated=True), still) == 0.0
 
 
@@ -134,7 +139,7 @@ def test_a_pos_file_says_whether_its_datum_is_stated(tmp_path: Path, column: str
 
 
 @pytest.mark.parametrize(
-    ("ground_m", "stated_m"), [(-40.0, 800.0), (0.0, 800.0), (40.0, 800.0), (60.0, 30.0)]
+    ("ground_m", "stated_m"), [(-40.0, 800.0), (0.0, 800.0), (40.0, 800.0), (60.0, SEA_LEVEL_M)]
 )
 def test_heights_that_may_count_from_the_take_off_tell_no_datum(
     survey: Survey, ground_m: float, stated_m: float
@@ -150,7 +155,7 @@ def test_heights_that_may_count_from_the_take_off_tell_no_datum(
 def test_a_drift_is_shared_too(survey: Survey) -> None:
     drift = np.arange(6) * 20.0
     assert common_height_sd_m(survey, drift) == pytest.approx(
-        np.hypot(np.hypot(15.0, 30.0), 1.4826 * 30.0), rel=0.01
+        np.hypot(np.hypot(15.0, SEA_LEVEL_M), 1.4826 * 30.0), rel=0.01
     )
     pos = of_pos(survey, 3.0, datum_stated=True)
     assert common_height_sd_m(pos, np.arange(6) * 1.0) == 0.0

@@ -193,7 +193,7 @@ def test_equal_surfaces_give_equal_bytes(written, scene, tmp_path):
 
 def test_orthometric_heights_by_the_geoids_grid(scene, tmp_path):
     with egm96_of(tmp_path):
-        folder = export(scene, tmp_path / "work", heights="EPSG:5773")
+        folder = export(scene, tmp_path / "work", heights="EGM96")
     with rasterio.open(folder / "surface.tif") as tiff:
         crs = CRS.from_wkt(tiff.crs.to_wkt(version="WKT2_2019"))
         assert tiff.tags()["HEIGHTS"] == "EGM96 height, metres"
@@ -231,8 +231,10 @@ def test_maps_that_count_north_first_are_written_east_first(tmp_path):
 
 
 def test_a_geoid_without_its_grid_is_one_clear_error(scene, tmp_path):
-    with pytest.raises(InputError, match=r"geoid model for 'EGM96 height' is not installed.*; write ellips"):
-        export(scene, tmp_path / "work", heights="EPSG:5773")
+    with pytest.raises(
+        InputError, match=r"geoid model for 'EGM2008 height' is not installed.*; write ellips"
+    ):
+        export(scene, tmp_path / "work", heights="EGM2008")
 
 
 @pytest.mark.parametrize("wrong", ["EPSG:32632", "EPSG:9999999", "geoid", "EPSG:32632+5773"])

@@ -183,10 +183,11 @@ def test_a_vertical_datum_counts(run, tmp_path):
     lon, lat = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(e, n)
     heights = land(e, n) - undulation_m(np.array(lon), np.array(lat))
     reference = write(tmp_path / "dem.tif", heights, crs="EPSG:32632+5773")
+    missing = write(tmp_path / "missing.tif", heights, crs="EPSG:32632+3855")
     with pytest.raises(
         InputError, match=r"geoid model .* is not installed.*--set quality\.surface\.offset_m=METRES"
     ):
-        compare(run, reference)
+        compare(run, missing)
     with egm96_of(tmp_path):
         found, _, heard = compare(run, reference)
     assert abs(found.over_all.median_m) < 0.002 and not heard

@@ -158,13 +158,13 @@ def test_the_proposed_code_of_the_map_works(
     check_survey_files(SurveyInputs(kenya.frames, crs=found[1]))
 
 
-def test_the_geoid_that_the_message_names_serves_where_pyproj_puts_it(
+def test_the_geoid_that_the_message_names_serves_where_it_is_put(
     kenya: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """`pyproj sync` writes to PROJ's own folder of the user; here a made-up grid is put there."""
+    """`geomosaic geoid fetch` writes to PROJ's own folder of the user; here a made-up grid is put there."""
     dem, ((_, x, y), *_) = tmp_path / "dem.tif", in_map(kenya)
     shape = {"width": 200, "height": 200, "count": 1, "dtype": "float32"}
-    place = {"crs": "EPSG:32737+5773", "transform": Affine(10, 0, x - 1000, 0, -10, y + 1000)}
+    place = {"crs": "EPSG:32737+3855", "transform": Affine(10, 0, x - 1000, 0, -10, y + 1000)}
     with rasterio.open(dem, "w", driver="GTiff", **shape, **place) as tiff:
         tiff.write(np.full((1, 200, 200), 500.0, np.float32))
     home = tmp_path / "home"
@@ -184,7 +184,7 @@ def test_the_geoid_that_the_message_names_serves_where_pyproj_puts_it(
         return done.returncode, done.stderr
 
     code, line = run()
-    found = re.search(r"--dem-offset METRES, or install it: pyproj sync --file (\S+\.tif)", line)
+    found = re.search(r"--dem-offset METRES, or install it: geomosaic geoid fetch (\S+\.tif)", line)
     assert code == 1 and found is not None, line
     grid = {"crs": "EPSG:4979", "transform": Affine(1, 0, 35, 0, -1, 0), "dtype": "float32", "count": 1}
     with rasterio.open(home / found[1], "w", driver="GTiff", width=6, height=6, **grid) as tiff:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from pyproj import CRS
 
 from geomosaic.adjustment.model import Block, HeightReference
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
@@ -14,17 +12,14 @@ from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
-from geomosaic.errors import InputError
 from geomosaic.estimation.robust import THREE_SIGMA
-from geomosaic.geodesy.heights import ellipsoidal_offset_m
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, sea_level
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
-_GEOIDS = sourced((3855, 5773), "EPSG", "of sea level, the first that is installed", "EGM2008, EGM96")
-_SEA_LEVEL_SD_M = sourced(30.0, "m", "of sea level about the ellipsoid without a geoid grid", "EGM96: 30.6 m")
 _TAKE_OFF = tuned(0.5, "flying heights", "of the ground about height 0 where heights count from take-off")
 _LAND_M = sourced(800.0, "m", "of the land above the sea, which such heights leave out", "ETOPO1: mean 797 m")
 _MAY_BE_CHANCE = tuned(0.5, "share of the stated variance", "less scatter: the rest may be a common shift")
@@ -34,7 +29,7 @@ _COMMON_SD_M = sourced(2.1, "m per axis", "common shift of a flight's positions"
 def height_reference(survey: Survey) -> HeightReference | None:
     """What the survey's heights count from; None with a DEM or in a local frame. A source that doesn't state
     its vertical datum (EXIF, most POS files) may count from the ellipsoid or from the sea: the deviation is
-    then the geoid's undulation at the survey, or its size over the Earth without a geoid grid."""
+    then the geoid's undulation at the survey."""
     if survey.elevation is not None or is_local(survey.map_crs):
         return None
     positions = [f.position for f in survey.frames]
@@ -42,16 +37,9 @@ def height_reference(survey: Survey) -> HeightReference | None:
     unstated = np.array([not p.datum_stated for p in positions], dtype=bool)[np.isfinite(height_m)]
     work_frame, datum_sd_m = survey.work_frame, None
     if unstated.size and unstated.mean() > 0.5:
-        datum_sd_m = _undulation_m(work_frame.lon_deg, work_frame.lat_deg)
+        place = work_frame.lon_deg, work_frame.lat_deg
+        datum_sd_m = abs(ellipsoidal_offset_m(sea_level(*place), *place))
     return HeightReference(work_frame, height_m, np.array([p.sd_vertical_m for p in positions]), datum_sd_m)
-
-
-def _undulation_m(lon_deg: float, lat_deg: float) -> float:
-    """How far sea level lies from the ellipsoid at a place."""
-    for code in _GEOIDS:
-        with suppress(InputError):
-            return abs(ellipsoidal_offset_m(CRS.from_epsg(code), lon_deg, lat_deg))
-    return _SEA_LEVEL_SD_M
 
 
 def common_error(
