@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation as Turn
 
 Floats = NDArray[np.float64]
 CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -60,6 +59,8 @@ def exp_turn(turn_rad: Floats) -> Floats:
 def log_turn(rotations: Floats) -> Floats:
     """Rotation vectors (n, 3) of rotation matrices (n, 3, 3), lengths of 0 to pi. By way of quaternions,
     since the matrix's own skew part vanishes at half a turn."""
+    from scipy.spatial.transform import Rotation as Turn  # half a second that most commands needn't wait
+
     return np.asarray(Turn.from_matrix(rotations).as_rotvec())
 
 

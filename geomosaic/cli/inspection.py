@@ -59,9 +59,10 @@ def inspect(
     complete, and where a killed run ended. --png draws the plan; with --frame or --pair that frame or pair.
     """
     from geomosaic.pipeline import files
-    from geomosaic.recording import read_recording, summary
+    from geomosaic.recording import read_recording
     from geomosaic.recording.inspect import inspection_tables as show
     from geomosaic.recording.inspect.inspection import SHOWN
+    from geomosaic.recording.inspect.summary import summary
     from geomosaic.recording.inspect.tables import show_summary
 
     path = recording_file(recording)
@@ -149,8 +150,9 @@ def diff(
     draws arrows from where A places the frames to where B does. Exit code 0 if they are equal, else 1.
     """
     from geomosaic.pipeline import files
-    from geomosaic.recording import compare, read_recording
+    from geomosaic.recording import read_recording
     from geomosaic.recording.inspect import pictures
+    from geomosaic.recording.inspect.compare import compare
     from geomosaic.recording.inspect.difference_tables import show_difference
 
     of_a, of_b = (_answers(read_recording(recording_file(path))) for path in (a, b))

@@ -11,7 +11,8 @@ FORMER: Final = {
     "geomosaic.composition.pyramid:PackedTile": "geomosaic.composition.tiles:PackedTile",
     "geomosaic.survey.model:LeftOut": "geomosaic.survey.model:UnusedImage",
     "geomosaic.recording.chips:Chip": "geomosaic.recording.file.chips:Chip",
-    "geomosaic.recording.thumbnail:Seen": "geomosaic.recording.file.thumbnail:Seen",
+    "geomosaic.recording.thumbnail:Seen": "geomosaic.stages.survey_read:Seen",
+    "geomosaic.recording.file.thumbnail:Seen": "geomosaic.stages.survey_read:Seen",
     "geomosaic.surface.terrain:TerrainModel": "geomosaic.surface.dtm:TerrainModel",
 }
 """Present name of a class by its former name, in the room's present name."""

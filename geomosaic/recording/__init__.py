@@ -4,8 +4,6 @@ from geomosaic.recording.file.model import ArtefactEntry, Recording, StageRecord
 from geomosaic.recording.file.reader import artefact_data, messages, printable, read_recording, stage_messages
 from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.recording.file.writer import STAGE_CALLS, Recorder
-from geomosaic.recording.inspect.compare import compare
-from geomosaic.recording.inspect.summary import summary
 
 __all__ = [
     "STAGE_CALLS",
@@ -14,11 +12,9 @@ __all__ = [
     "Recording",
     "StageRecord",
     "artefact_data",
-    "compare",
     "messages",
     "printable",
     "read_recording",
     "stage_messages",
-    "summary",
     "thumbnail",
 ]

@@ -3,26 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
-from geomosaic.recording.file.thumbnail import Looking, Seen, seen, thumbnail
+from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.survey.attitude import CONVENTIONS
-from geomosaic.survey.damage import Wholeness
+from geomosaic.survey.damage import Wholeness, coarsened, looked_at
 from geomosaic.survey.folder import frame_folders, project_files
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
-from geomosaic.survey.small import Small
+from geomosaic.survey.small import HALF, LEAST_PX, Small, Spare, small_of
 from geomosaic.survey.strays import LEAVE_OUT
 from geomosaic.survey.usable import DAMAGED
 
 _READ_AGAIN = 200
 """Frames, of those whose look for damage gave no thumbnail, that are read again for one."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What came of decoding a frame: whether it is whole; and the thumbnail of a JPEG that is, or nothing."""
+
+    wholeness: Wholeness
+    thumbnail: bytes
+
+
+@dataclass(frozen=True)
+class Looking:
+    """A frame's file, and where what it shows small is left for others."""
+
+    path: str
+    spare: Spare
+
+
+def seen(looking: Looking) -> Seen:
+    """Decodes a frame once, for all of it. Raises: as `looked_at`."""
+    wholeness, half = looked_at(looking.path)
+    if half is None:
+        return Seen(wholeness, b"")
+    if HALF * min(half.shape[:2]) >= LEAST_PX:
+        looking.spare.leave(small_of(half))
+    return Seen(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
 
 
 def _inputs(params: SurveyParams) -> SurveyInputs:

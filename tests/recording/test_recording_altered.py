@@ -24,8 +24,10 @@ from geomosaic.errors import FileError
 from geomosaic.pipeline import replayed_stage
 from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import encode
-from geomosaic.recording import compare, read_recording, summary
+from geomosaic.recording import read_recording
 from geomosaic.recording.file.run_kinds import Artefact, StageEvent
+from geomosaic.recording.inspect.compare import compare
+from geomosaic.recording.inspect.summary import summary
 
 __all__ = ["recorded"]
 

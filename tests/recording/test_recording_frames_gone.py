@@ -16,7 +16,8 @@ import rasterio
 from recorded_survey import bad_survey
 
 from geomosaic.cli.main import main
-from geomosaic.recording import read_recording, summary
+from geomosaic.recording import read_recording
+from geomosaic.recording.inspect.summary import summary
 
 
 @pytest.fixture

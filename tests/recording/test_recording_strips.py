@@ -13,10 +13,12 @@ from mcap_protobuf.decoder import DecoderFactory
 from rich.console import Console
 
 from geomosaic.pipeline.stage_recorder import StageRecorder, replay_calls
-from geomosaic.recording import Recorder, compare, read_recording, summary
+from geomosaic.recording import Recorder, read_recording
 from geomosaic.recording.file.reader import stage_messages
 from geomosaic.recording.file.writer import StageEnd
+from geomosaic.recording.inspect.compare import compare
 from geomosaic.recording.inspect.difference_tables import show_difference
+from geomosaic.recording.inspect.summary import summary
 from geomosaic.recording.inspect.tables import show_summary
 
 LINE = np.arange(0, 4000, 8)

@@ -16,7 +16,6 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation as Turn
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import opencv_terms
@@ -125,6 +124,8 @@ def pose(
     frame of reference that bears the frame's name is the camera's with x right, y down and z forward; pixels
     have the origin in the first one's middle, as OpenCV.
     """
+    from scipy.spatial.transform import Rotation as Turn  # half a second that most commands needn't wait
+
     name, at = as_text(frame), np.asarray(position_m, dtype=np.float64)
     transform = FrameTransform(parent_frame_id=MAP, child_frame_id=name)
     transform.translation.x, transform.translation.y, transform.translation.z = at.tolist()

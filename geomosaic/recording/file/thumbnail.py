@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -10,39 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.errors import FileError
-from geomosaic.survey.damage import Wholeness, coarsened, looked_at
 from geomosaic.survey.jpeg import parse_structure
-from geomosaic.survey.small import HALF, LEAST_PX, Spare, small_of
 
 _MOST_PX: Final = 4096
 """Of a side of a recorded image: chips at full resolution are below it; a file of some bytes may claim 30,000
 and take gigabytes."""
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What came of decoding a frame: whether it is whole; and the thumbnail of a JPEG that is, or nothing."""
-
-    wholeness: Wholeness
-    thumbnail: bytes
-
-
-@dataclass(frozen=True)
-class Looking:
-    """A frame's file, and where what it shows small is left for others."""
-
-    path: str
-    spare: Spare
-
-
-def seen(looking: Looking) -> Seen:
-    """Decodes a frame once, for all of it. Raises: as `looked_at`."""
-    wholeness, half = looked_at(looking.path)
-    if half is None:
-        return Seen(wholeness, b"")
-    if HALF * min(half.shape[:2]) >= LEAST_PX:
-        looking.spare.leave(small_of(half))
-    return Seen(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
 
 
 def thumbnail(image: NDArray[np.generic], max_side_px: int = 512, quality: int = 85) -> bytes:
