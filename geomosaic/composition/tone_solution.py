@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import spsolve
 
-from geomosaic.composition.tones import Floats, Floats32, Tones, ToneSightings
+from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import cauchy_weight
 
 _WHITE = sourced(256.0, "grey levels", "white of the tone curve: 255 cannot move", "number of grey levels")
@@ -19,6 +21,9 @@ _SLOPE_SD = tuned(0.1, "log brightness", "prior, middle to corner: 10 % by the s
 _VIGNETTE_SD = tuned(0.5, "log brightness", "prior, middle to corner: half at most")
 _INDEPENDENT = tuned(25.0, "places", "independent in a frame, by fields: more follow noise at small overlaps")
 _LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights places that agree by chance")
+_LEVEL_SD = tuned(
+    0.25, "of a frame's longer side", "exposure follows a frame; less: frames' own scatter stays"
+)
 _ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
 
 
@@ -59,6 +64,7 @@ def _by_response(
     """
     n, bands = len(camera_of), values.shape[1]
     known = np.isfinite(values).all(axis=1)
+    known &= np.bincount(places.place[known], minlength=len(places.nodes))[places.place] > 1
     place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
     grey = values[known].astype(np.float64)
     below = np.maximum(1.0 - grey / white, 1.0 / _WHITE)
@@ -76,7 +82,7 @@ def _by_response(
     )
     at = np.arange(len(frame))
     design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
-    of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.place))).tocsr()
+    of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.nodes))).tocsr()
     bent = float(np.median(1.0 / below)) if len(at) else 1.0
     prior = np.concatenate([np.full(count, (sd * bent) ** -2) for _, _, count, sd in terms])
     found, left = np.zeros((bands, len(prior))), np.zeros_like(logs)
@@ -120,6 +126,30 @@ def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
     total = np.maximum(of_place.T @ weight, 1e-12)
     sums = of_place.T @ (diags(weight) @ values)
     return np.asarray(of_place @ (sums / (total if values.ndim == 1 else total[:, None])))
+
+
+def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
+    """Tones with which the map is as bright as the frames that show a place are in the mean: what a camera's
+    exposure follows stays, and only differences between frames go. The mean is taken over about half a frame,
+    and followed by each frame to the second degree."""
+    n, b = tones.gain.shape
+    own = tones.gain[places.frame] + np.einsum("mbk,mk->mb", tones.slope[places.frame], places.offset)
+    first = places.nodes.min(axis=0)
+    shape = tuple((places.nodes.max(axis=0) - first + 1).tolist())
+    sums = np.zeros((*shape, b + 1), dtype=np.float32)
+    row, col = (places.nodes - first).T
+    each = np.column_stack([own, np.ones(len(own))])
+    sums[row, col] = np.stack([np.bincount(places.place, of, len(row)) for of in each.T], axis=1)
+    sums[sums[..., -1] > 0] /= sums[sums[..., -1] > 0][:, -1:]
+    smooth = cv2.GaussianBlur(sums, (0, 0), _LEVEL_SD * ACROSS, borderType=cv2.BORDER_CONSTANT)
+    smooth = smooth.reshape(*shape, b + 1)
+    target = (smooth[..., :b] / np.maximum(smooth[..., b:], 1e-6))[row, col][places.place]
+    level = np.zeros((n, b, 6))
+    for i in np.unique(places.frame):
+        mine = places.frame == i
+        terms = powers(*(places.offset[mine, k][:, None] for k in (0, 1)))
+        level[i] = least_squares(terms, target[mine].astype(np.float64)).T
+    return replace(tones, level=level)
 
 
 def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:

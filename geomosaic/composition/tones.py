@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.intp]
 
-_ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
+ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
 _LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field beside it")
 _TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may be saturated")
 
@@ -47,17 +47,20 @@ class Tones:
 
     gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
     middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its
-    distance from there.
+    distance from there. level (n, b, 6): of what all frames show together there, by these offsets' `powers`;
+    the map keeps it. None where it shows one exposure throughout.
     """
 
     gain: Floats
     slope: Floats
     vignette: Floats
     white: float = float("inf")
+    level: Floats | None = None
 
     def flat(self, frame: int) -> bool:
         """Whether a frame shows the ground as bright as all do."""
-        return not any(of[frame].any() for of in (self.gain, self.slope, self.vignette))
+        its = (self.gain, self.slope, self.vignette, self.level)
+        return not any(of is not None and of[frame].any() for of in its)
 
     def brighter(self, frame: int, camera: Camera, cols: Floats32, rows: Floats32) -> Floats32:
         """How much brighter than all in the mean a frame shows the ground at cols and rows (...), as natural
@@ -72,7 +75,15 @@ class Tones:
         out += self.gain[frame].astype(np.float32)
         if across.any() or along.any():
             out += right * across + below * along
+        if self.level is not None:
+            out -= powers(right, below) @ self.level[frame].astype(np.float32).T
         return np.asarray(out)
+
+
+def powers(right: NDArray[Any], below: NDArray[Any]) -> NDArray[Any]:
+    """Terms of the second degree (..., 6) of offsets (..., 1)."""
+    one = np.ones_like(right)
+    return np.concatenate([one, right, below, right * right, right * below, below * below], axis=-1)
 
 
 def evened(pixels: NDArray[Any], darker: Floats32, white: float, dtype: str) -> NDArray[Any]:
@@ -109,20 +120,22 @@ class Samples:
 @dataclass(frozen=True)
 class ToneSightings:
     """m sightings: number of the place and the frame, (m,) each; offset (m, 2) to the right of the frame's
-    middle and below it, in half diagonals; image_px (m, 2)."""
+    middle and below it, in half diagonals; image_px (m, 2). nodes (p, 2): row and col of each place in a
+    lattice on the map."""
 
     place: Ints
     frame: Ints
     offset: Floats
     image_px: Floats
+    nodes: Ints
 
 
 def lattice(
     views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface
 ) -> ToneSightings:
-    """Where each frame sees the nodes of a lattice on the map that at least two see."""
+    """Where each frame sees the nodes of a lattice on the map."""
     spacing_m = float(np.median([v.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]))
-    spacing_m /= _ACROSS
+    spacing_m /= ACROSS
     place, frame, offset, image = [], [], [], []
     for view in views:
         west, south, east, north = view.bounds_m / spacing_m
@@ -141,14 +154,13 @@ def lattice(
         frame.append(np.full(len(i), view.frame))
         offset.append(np.column_stack(_from_middle(view.camera, cols[seen], rows[seen])))
         image.append(np.column_stack([cols[seen], rows[seen]]))
-    _, number, often = np.unique(np.concatenate(place), axis=0, return_inverse=True, return_counts=True)
-    twice = often[number] > 1
-    numbers = np.unique(number[twice], return_inverse=True)[1]
+    nodes, number = np.unique(np.concatenate(place), axis=0, return_inverse=True)
     return ToneSightings(
-        numbers,
-        np.concatenate(frame)[twice],
-        np.concatenate(offset)[twice].astype(np.float64),
-        np.concatenate(image)[twice].astype(np.float64),
+        number.ravel(),
+        np.concatenate(frame),
+        np.concatenate(offset).astype(np.float64),
+        np.concatenate(image).astype(np.float64),
+        nodes,
     )
 
 

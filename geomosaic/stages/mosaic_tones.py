@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
-from geomosaic.composition.tone_solution import solve_tones
+from geomosaic.composition.tone_solution import solve_tones, with_own_level
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
 from geomosaic.errors import InputError
 from geomosaic.pipeline.function_stage import stage
@@ -19,6 +19,7 @@ from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
 _EVEN = ("auto", "always", "never")
+_LEVELS = ("frames", "common")
 
 
 class TonesParams(StageParams):
@@ -30,9 +31,15 @@ class TonesParams(StageParams):
         "rig's bands or of measured values",
         choices=_EVEN,
     )
+    level: str = param(
+        "frames",
+        help="brightness of the map: frames is that of the frames about a place; common is that of one "
+        "exposure for all, which brightens what a camera exposed less",
+        choices=_LEVELS,
+    )
 
 
-@stage("mosaic.tones", "Even the tones", group="Mosaic", version=8, outputs="tones")
+@stage("mosaic.tones", "Even the tones", group="Mosaic", version=9, outputs="tones")
 def mosaic_tones(
     survey: Survey, ground: GroundSurface, adjusted: Adjusted, params: TonesParams, context: Context
 ) -> Tones:
@@ -58,6 +65,8 @@ def mosaic_tones(
     values = _values(survey, places, bands, context)
     number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
     tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images)
+    if params.level == "frames":
+        tones = with_own_level(tones, places)
     columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
     slopes = {
         f"slope_log_{axis}_{k + 1}": tones.slope[:, k, i] for k in range(bands) for i, axis in enumerate("xy")
