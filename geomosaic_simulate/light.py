@@ -6,6 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.camera.exterior import Pose
+from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.sun import sun_direction
 from geomosaic_simulate.noise import spline_noise
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.render import Sight
@@ -21,6 +24,8 @@ MEAN_LIGHT = 110.0
 """Of 255: what the camera's automatic aims at."""
 SHAKE_PX = (10.0, 20.0)
 """How far a blurred frame's image is shaken along a line."""
+HOT_SPOT_DEG = 5.0
+"""From the middle of the hot spot to where an e-th of it is left."""
 DEFOCUS_PX = 1.5
 _EDGE = 0.04
 _GRID_PX = 8
@@ -37,6 +42,16 @@ def clouds_shade(plan: SurveyPlan, sight: Sight, time_s: float, width_px: int, h
     lit = 1.0 - (1.0 - SHADE) * _cover(plan, east, north)
     fine = cv2.resize(lit.astype(np.float32), None, fx=_GRID_PX, fy=_GRID_PX, interpolation=cv2.INTER_LINEAR)
     return np.asarray(fine[_GRID_PX : _GRID_PX + height_px, _GRID_PX : _GRID_PX + width_px])
+
+
+def hot_spot(plan: SurveyPlan, camera: Camera, pose: Pose, time_s: float) -> Floats32:
+    """How much brighter (rows, cols) the ground looks about the direction away from the sun."""
+    image = np.stack(np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px)), axis=-1)
+    ray = pose.ray_from_image(camera, image + 0.5)
+    sun = sun_direction(plan.lon_deg, plan.lat_deg, time_s)
+    behind = -(ray @ sun) / np.linalg.norm(ray, axis=-1)
+    spot = np.exp(-np.degrees(np.arccos(np.clip(behind, -1.0, 1.0))) / HOT_SPOT_DEG)
+    return np.asarray(1.0 + plan.hot_spot * spot, dtype=np.float32)
 
 
 def _cover(plan: SurveyPlan, east: Floats, north: Floats) -> Floats:

@@ -128,6 +128,7 @@ class SurveyPlan:
     exposure_sd: float = 0.0
     auto_exposure: float = 0.0
     vignetting: float = 0.0
+    hot_spot: float = 0.0
     blur_px: float = 0.0
     exposure_time_s: float = 0.0
     blurred: str = ""
@@ -188,7 +189,8 @@ class SurveyPlan:
             raise InputError("an overlap is outside 0 to 1", fix="give a share such as 0.7")
         if min(self.water_share, self.smooth_forest_share, self.moving_cars, self.rolling_shutter_s,
                self.wind_in_trees_m, self.exposure_time_s, self.vibration_deg_per_s,
-               self.updraft_m_per_s, self.altitude_step_m, self.gyroscope_sd_deg_per_s) < 0.0:  # fmt: skip
+               self.updraft_m_per_s, self.altitude_step_m, self.gyroscope_sd_deg_per_s,
+               self.hot_spot) < 0.0:  # fmt: skip
             raise InputError("a share, number or time is below 0", fix="give 0 or more")
         if min(self.take_off_frames, self.landing_frames, self.oblique_frames, self.horizon_frames,
                self.duplicates) < 0:  # fmt: skip

@@ -212,6 +212,9 @@ class SimulateFrames(Stage):
             _PLAN.auto_exposure, help="how far the camera evens out each frame's brightness", ge=0, le=1
         )
         vignetting: float = param(_PLAN.vignetting, help="light lost in the corners", ge=0, le=0.9)
+        hot_spot: float = param(
+            _PLAN.hot_spot, help="how much brighter ground looks with the sun behind the camera", ge=0, le=3
+        )
         blur_px: float = param(_PLAN.blur_px, help="blur (sd)", unit="px", ge=0, le=10)
         exposure_time_s: float = param(
             _PLAN.exposure_time_s,

@@ -18,7 +18,7 @@ from geomosaic_simulate import control
 from geomosaic_simulate.changing import cars_at, glitter, gusts, paint_cars, sway
 from geomosaic_simulate.flight import Flight, Observed, battery_offset, fly, observe, position_bias
 from geomosaic_simulate.landscape import Bounds, Landscape
-from geomosaic_simulate.light import automatic_gain, clouds_shade, motion_blur, shaken
+from geomosaic_simulate.light import automatic_gain, clouds_shade, hot_spot, motion_blur, shaken
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.rasters import Texture, write_cover, write_heights, write_ortho
 from geomosaic_simulate.readout import Readout, readout_of
@@ -214,6 +214,8 @@ def _frame(
     if plan.clouds:
         shade = clouds_shade(plan, sight, float(flight.time_s[i]), camera.width_px, camera.height_px)
         light *= shade[..., None]
+    if plan.hot_spot:
+        light *= hot_spot(plan, camera, pose, float(flight.time_s[i]))[..., None]
     haze(light, sight)
     if plan.exposure_time_s:
         light = motion_blur(light, smear_px(plan, camera, flight, i))

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import spsolve
 
+from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
@@ -19,6 +20,7 @@ _WHITE = sourced(256.0, "grey levels", "white of the tone curve: 255 cannot move
 _GAIN_SD = tuned(0.2, "log brightness", "prior, half a stop: less forbids exposure; more follows noise")
 _SLOPE_SD = tuned(0.1, "log brightness", "prior, middle to corner: 10 % by the sun's side")
 _VIGNETTE_SD = tuned(0.5, "log brightness", "prior, middle to corner: half at most")
+_SPOT_SD = tuned(0.5, "log brightness", "prior: fields came to 0.6")
 _INDEPENDENT = tuned(25.0, "places", "independent in a frame, by fields: more follow noise at small overlaps")
 _LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights places that agree by chance")
 _LEVEL_SD = tuned(
@@ -39,11 +41,16 @@ class Evenness:
 
 
 def solve_tones(
-    places: ToneSightings, values: Floats32, camera_of: Sequence[int], picture: bool = False
+    places: ToneSightings,
+    values: Floats32,
+    camera_of: Sequence[int],
+    picture: bool = False,
+    sun: SunBehind | None = None,
 ) -> tuple[Tones, Evenness]:
     """Gains, slopes and vignettes by which all frames show each place alike, band by band.
 
-    Of pictures of 8 bits by the response that leaves the smaller differences in the median.
+    Of pictures of 8 bits by the response that leaves the smaller differences in the median; with a hot spot
+    where they show one.
 
     Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
     """
@@ -51,13 +58,24 @@ def solve_tones(
         _by_response(places, values, camera_of, white)
         for white in ((np.inf, _WHITE) if picture else (np.inf,))
     ]
-    return min(found, key=lambda one: np.nan_to_num(one[1].after_median))
+    tones, evenness, left = min(found, key=lambda one: np.nan_to_num(one[1].after_median))
+    shown = None if sun is None else shown_spot(sun, left)
+    if sun is not None and shown is not None:
+        away, width_rad = shown
+        spot = hot_spot(sun.rays, away[places.frame], width_rad)
+        tones, evenness, _ = _by_response(places, values, camera_of, tones.white, spot)
+        tones = replace(tones, away=away, spot_width_rad=width_rad)
+    return tones, evenness
 
 
 def _by_response(
-    places: ToneSightings, values: Floats32, camera_of: Sequence[int], white: float
-) -> tuple[Tones, Evenness]:
-    """The solution by one response: see `Tones`.
+    places: ToneSightings,
+    values: Floats32,
+    camera_of: Sequence[int],
+    white: float,
+    spot: Floats | None = None,
+) -> tuple[Tones, Evenness, TonesLeft]:
+    """The solution by one response: see `Tones`. spot (m,): `hot_spot` of the sightings, where it counts.
 
     Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
     cars drive off and water shines from one side; weak priors at nothing.
@@ -79,16 +97,18 @@ def _by_response(
         (frame, offset[:, 1], n, _SLOPE_SD),
         (camera, radius2, cameras, _VIGNETTE_SD),
         (camera, radius2**2, cameras, _VIGNETTE_SD),
+        *([] if spot is None else [(np.zeros_like(frame), spot[known], 1, _SPOT_SD)]),
     )
     at = np.arange(len(frame))
     design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
     of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.nodes))).tocsr()
     bent = float(np.median(1.0 / below)) if len(at) else 1.0
     prior = np.concatenate([np.full(count, (sd * bent) ** -2) for _, _, count, sd in terms])
-    found, left = np.zeros((bands, len(prior))), np.zeros_like(logs)
+    found, left, weight = np.zeros((bands, len(prior))), np.zeros_like(logs), np.zeros_like(logs)
     for b in range(bands if len(at) else 0):
-        found[b], left[:, b] = _solved(design, of_place, logs[:, b], share, prior)
-    gain, across, along, second, fourth = np.split(found.T, np.cumsum([c for _, _, c, _ in terms])[:-1])
+        found[b], left[:, b], weight[:, b] = _solved(design, of_place, logs[:, b], share, prior)
+    parts = np.split(found.T, np.cumsum([c for _, _, c, _ in terms])[:-1])
+    gain, across, along, second, fourth = parts[:5]
     seen_at_all = (seen > 0)[:, None]
     of_frame = np.asarray(camera_of, dtype=np.intp)
     tones = Tones(
@@ -96,16 +116,18 @@ def _by_response(
         np.where(seen_at_all[..., None], np.stack([across, along], axis=-1), 0.0),
         np.stack([second[of_frame], fourth[of_frame]], axis=-1),
         white,
+        spot=None if spot is None else parts[5][0],
     )
     before = logs - _means(of_place, np.ones(len(at)), logs)
-    return tones, _evenness(grey * below, before, left)
+    evenness = _evenness(grey * below, before, left)
+    return tones, evenness, TonesLeft(left, weight, places.frame[known], known, of_place)
 
 
 def _solved(
     design: csr_matrix, of_place: csr_matrix, logs: Floats, share: Floats, prior: Floats
-) -> tuple[Floats, Floats]:
-    """One band's unknowns, and what they leave of the differences to each place's mean."""
-    found, left = np.zeros(design.shape[1]), logs - _means(of_place, share, logs)
+) -> tuple[Floats, Floats, Floats]:
+    """One band's unknowns, what they leave of the differences to each place's mean, and the weights."""
+    found, weight, left = np.zeros(design.shape[1]), share, logs - _means(of_place, share, logs)
     for _ in range(_ROUNDS):
         sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
         weight = share / sd**2 * cauchy_weight(left / sd)
@@ -118,7 +140,7 @@ def _solved(
         found = spsolve(normal.tocsc(), side)
         off = logs - design @ found
         left = off - _means(of_place, weight, off)
-    return found, left
+    return found, left, weight
 
 
 def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.hot_spot import directions, hot_spot
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import scaled
 from geomosaic.constants import tuned
@@ -48,7 +49,8 @@ class Tones:
     gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
     middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its
     distance from there. level (n, b, 6): of what all frames show together there, by these offsets' `powers`;
-    the map keeps it. None where it shows one exposure throughout.
+    the map keeps it. None where it shows one exposure throughout. spot (b,): times a `hot_spot` of this
+    width about the direction away from the sun in each camera's axes, away (n, 3); None where none shows.
     """
 
     gain: Floats
@@ -56,11 +58,14 @@ class Tones:
     vignette: Floats
     white: float = float("inf")
     level: Floats | None = None
+    spot: Floats | None = None
+    away: Floats | None = None
+    spot_width_rad: float = 0.0
 
     def flat(self, frame: int) -> bool:
         """Whether a frame shows the ground as bright as all do."""
         its = (self.gain, self.slope, self.vignette, self.level)
-        return not any(of is not None and of[frame].any() for of in its)
+        return self.spot is None and not any(of is not None and of[frame].any() for of in its)
 
     def brighter(self, frame: int, camera: Camera, cols: Floats32, rows: Floats32) -> Floats32:
         """How much brighter than all in the mean a frame shows the ground at cols and rows (...), as natural
@@ -75,6 +80,10 @@ class Tones:
         out += self.gain[frame].astype(np.float32)
         if across.any() or along.any():
             out += right * across + below * along
+        if self.spot is not None and self.away is not None:
+            image = np.nan_to_num(np.stack([cols, rows], axis=-1)).astype(np.float64)
+            seen = hot_spot(directions(camera, image), self.away[frame], self.spot_width_rad)
+            out += seen[..., None].astype(np.float32) * self.spot.astype(np.float32)
         if self.level is not None:
             out -= powers(right, below) @ self.level[frame].astype(np.float32).T
         return np.asarray(out)

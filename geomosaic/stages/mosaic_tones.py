@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
 from geomosaic.composition.tone_solution import solve_tones, with_own_level
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
@@ -39,7 +40,7 @@ class TonesParams(StageParams):
     )
 
 
-@stage("mosaic.tones", "Even the tones", group="Mosaic", version=9, outputs="tones")
+@stage("mosaic.tones", "Even the tones", group="Mosaic", version=11, outputs="tones")
 def mosaic_tones(
     survey: Survey, ground: GroundSurface, adjusted: Adjusted, params: TonesParams, context: Context
 ) -> Tones:
@@ -64,7 +65,8 @@ def mosaic_tones(
     places = lattice(views, survey.map_crs, survey.work_frame, ground)
     values = _values(survey, places, bands, context)
     number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
-    tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images)
+    sun = SunBehind.of(survey, views, places.frame, places.image_px)
+    tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images, sun)
     if params.level == "frames":
         tones = with_own_level(tones, places)
     columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
@@ -74,6 +76,9 @@ def mosaic_tones(
     context.recorder.table("tones", [f.name for f in frames], columns | slopes)
     context.metric("tones.difference_grey", asdict(evenness))
     context.metric("tones.bend_towards_white", bool(np.isfinite(tones.white)))
+    if tones.spot is not None:
+        context.metric("tones.hot_spot_log", tones.spot.round(3))
+        context.metric("tones.hot_spot_width_deg", round(float(np.degrees(tones.spot_width_rad)), 1))
     context.metric("tones.gain_sd", float(tones.gain.std()))
     return tones
 

@@ -191,6 +191,21 @@ def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:
     assert spread[0] < 0.6 * spread[1]
 
 
+@pytest.mark.parametrize("spot", [0.5, 0.0])
+def test_the_hot_spot_goes_where_frames_show_one(tmp_path: Path, spot: float) -> None:
+    """9 real JPEGs of a wide lens, the sun behind the camera in each: half brighter there, or not at all."""
+    plan = SurveyPlan(
+        seed=5, lines=3, frames_per_line=3, width_px=480, height_px=360, height_above_ground_m=25.0,
+        exposure_sd=0.04, hot_spot=spot, position_sd_m=0.02, height_sd_m=0.02,
+    )  # fmt: skip
+    survey = simulate_frames(tmp_path / "flight", plan)
+    run = tmp_path / "run"
+    mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera)
+    figures = summary(run)["metrics"]["tones"]
+    assert ("hot_spot_log" in figures) == bool(spot)
+    assert uneven(run / "mosaic.tif", survey.ortho) < 0.03, "0.05 as the frames are, with the spot"
+
+
 def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
     """Values beyond 249, which are too bright for an image of eight bits only."""
     gains = [1.0, 0.8, 0.9, 0.7, 1.0, 0.85]

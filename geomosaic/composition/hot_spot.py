@@ -1,0 +1,112 @@
+"""The hot spot: ground looks brightest with the sun behind the camera, where it hides its own shadows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.stats import chi2
+
+from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.camera.interior import Camera
+from geomosaic.composition.views import FrameView
+from geomosaic.constants import sourced, tuned
+from geomosaic.geodesy.sun import sun_direction
+from geomosaic.survey.model import Survey
+
+_WIDTHS_RAD = tuned(
+    (0.04, 0.06, 0.09, 0.13, 0.2), "rad", "of the spot: fields came to 0.09; wider are slopes"
+)
+_ZONES_H = sourced(
+    tuple(k / 2.0 for k in range(-28, 25)),
+    "h",
+    "from civil to universal time",
+    "IANA time zone database: -14 to 12 h",
+)
+_LEAST_UP = tuned(0.2, "sine of the sun's elevation", "lower: its shadow lies beyond every frame")
+_SEEN = tuned(0.5, "of the spot's peak", "less: slopes and vignettes of frames that see none look like one")
+_BY_CHANCE = tuned(1e-3, "probability", "of a spot where there is none; more: cars make some")
+
+
+@dataclass(frozen=True)
+class SunBehind:
+    """Where frames look with the sun behind, and where they are looked at. away (z, n, 3): in each camera's
+    axes, by the time zone that tags may be in; NaN where the sun is low. rays (m, 3): of sightings, in their
+    camera's axes. All of unit length."""
+
+    away: Floats
+    rays: Floats
+
+    @classmethod
+    def of(
+        cls, survey: Survey, views: Sequence[FrameView], frame: Ints, image_px: Floats
+    ) -> SunBehind | None:
+        """By the frames' times; None where nothing tells when or where they were taken. Times without their
+        offset from universal time may be of any time zone."""
+        times_s = np.array([f.time_s for f in survey.frames], dtype=np.float64)
+        if np.isnan(times_s).all() or not any(survey.located):
+            return None
+        times_s[np.isnan(times_s)] = np.nanmedian(times_s)
+        origin = survey.work_frame
+        away = np.full((len(_ZONES_H), len(times_s), 3), np.nan)
+        rays = np.empty((len(frame), 3))
+        for view in views:
+            mine = frame == view.frame
+            rays[mine] = directions(view.camera, image_px[mine])
+            for k, zone_h in enumerate(_ZONES_H):
+                sun = sun_direction(origin.lon_deg, origin.lat_deg, times_s[view.frame] + 3600.0 * zone_h)
+                if sun[2] > _LEAST_UP:
+                    away[k, view.frame] = -sun @ view.pose.rotation.matrix
+        return cls(away, rays)
+
+
+def directions(camera: Camera, image_px: Floats) -> Floats:
+    """Of what a camera sees at image coordinates (..., 2), in its axes, of unit length (..., 3)."""
+    rays = camera.ray_from_image(image_px)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def hot_spot(rays: Floats, away: Floats, width_rad: float) -> Floats:
+    """How much of the spot rays (..., 3) of unit length see, (...): 1 in its middle, falling off by an
+    exponential of the angle (Chen and Leblanc 1997, A four-scale bidirectional reflectance model, section
+    II-C). away (..., 3): `SunBehind.away`."""
+    off = np.arccos(np.clip((rays * away).sum(axis=-1), -1.0, 1.0))
+    return np.asarray(np.exp(-off / width_rad))
+
+
+@dataclass(frozen=True)
+class TonesLeft:
+    """What evened frames differ by: logs (k, b) of sightings less their places' means, with their weights
+    (k, b); frame (k,); known (m,): which sightings these are; of_place (k, p)."""
+
+    logs: Floats
+    weight: Floats
+    frame: Ints
+    known: Bools
+    of_place: csr_matrix
+
+
+def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | None:
+    """The directions away from the sun (n, 3) and the width of the spot that lessens what frames differ by
+    most; None where it may be chance. All time zones and widths are tried: chance has as many goes."""
+    rays = behind.rays[left.known]
+    tried = [(away, width) for away in behind.away for width in _WIDTHS_RAD]
+    gains = [_gain(hot_spot(rays, away[left.frame], width), left) for away, width in tried]
+    best = int(np.argmax(gains))
+    least = chi2.isf(_BY_CHANCE / max(np.count_nonzero(gains), 1), left.logs.shape[1])
+    return tried[best] if gains[best] > least else None
+
+
+def _gain(spot: Floats, left: TonesLeft) -> float:
+    """By how much the weighted squares lessen; 0 where the sun is low or no frame looks into the spot."""
+    if np.isnan(spot).any() or spot.max() < _SEEN:
+        return 0.0
+    gain = 0.0
+    for logs, weight in zip(left.logs.T, left.weight.T, strict=True):
+        total = np.maximum(left.of_place.T @ weight, 1e-12)
+        own = spot - left.of_place @ ((left.of_place.T @ (weight * spot)) / total)
+        square = float((weight * own * own).sum())
+        gain += float((weight * own * logs).sum()) ** 2 / square if square > 0.0 else 0.0
+    return gain
