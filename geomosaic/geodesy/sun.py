@@ -12,10 +12,10 @@ from geomosaic.constants import sourced
 _J2000_S = sourced(946_728_000.0, "s", "since 1970, of 2000-01-01 12:00 UTC", "definition of J2000.0")
 _DAY_S = sourced(86400.0, "s", "length of a day", "SI brochure, table 8")
 _LOW_PRECISION = "Astronomical Almanac, section C, low-precision formulas of the sun, to 0.01 deg"
-_MEAN_LONGITUDE = sourced((280.460, 0.9856474), "deg, deg/day", "mean longitude", _LOW_PRECISION)
-_MEAN_ANOMALY = sourced((357.528, 0.9856003), "deg, deg/day", "mean anomaly", _LOW_PRECISION)
+_MEAN_LONGITUDE = sourced((280.460, 0.9856474), "deg, deg/day", "mean longitude of the sun", _LOW_PRECISION)
+_MEAN_ANOMALY = sourced((357.528, 0.9856003), "deg, deg/day", "mean anomaly of the sun", _LOW_PRECISION)
 _CENTRE = sourced((1.915, 0.020), "deg", "equation of the centre", _LOW_PRECISION)
-_OBLIQUITY = sourced((23.439, -0.0000004), "deg, deg/day", "of the ecliptic", _LOW_PRECISION)
+_OBLIQUITY = sourced((23.439, -0.0000004), "deg, deg/day", "obliquity of the ecliptic", _LOW_PRECISION)
 _SIDEREAL = sourced((280.46062, 360.9856474), "deg, deg/day", "Greenwich mean sidereal time", _LOW_PRECISION)
 
 
