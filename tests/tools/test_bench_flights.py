@@ -38,6 +38,8 @@ def test_flights_of_a_folder_are_run_and_their_results_merged(
     assert main([*words, "--only", "bad", "gone"]) == 1
     assert "skipped: gone" in capsys.readouterr().out
     assert main([*words, "--only", "good", "--seed", "3"]) == 0
+    page = (tmp_path / "out" / "crops.html").read_text()
+    assert "<h2>good good</h2>" in page and 2 <= page.count("data:image/jpeg") <= 20
 
     flights = json.loads((tmp_path / "flights.json").read_text())["flights"]
     assert list(flights) == ["bad", "good"]

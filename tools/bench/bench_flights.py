@@ -5,8 +5,9 @@
 
 DATA holds a sheet NAME.yaml for each flight (`bench_flights_sheet.py` lists its keys). Each run is a process
 of its own. RESULTS.json and RESULTS.md hold the newest result of each flight, with its commit: flights that
-are not run keep theirs. Exit code 1 if a flight fails or misses what its sheet expects; 0 where there is no
-DATA. The geomosaic that is run is the one that Python imports: PYTHONPATH=TREE measures another tree.
+are not run keep theirs. OUT/crops.html shows twenty crops of each mosaic. Exit code 1 if a flight fails or
+misses what its sheet expects; 0 where there is no DATA. The geomosaic that is run is the one that Python
+imports: PYTHONPATH=TREE measures another tree.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from tools.bench.bench_flights_figures import figures_of, figures_of_failed
 from tools.bench.bench_flights_sheet import Flight, read_flights
 from tools.bench.bench_flights_table import tables
 from tools.bench.bench_speed_measure import measured
+from tools.bench.contact_sheet import write_page
 
 PROGRAM = Path(sys.executable).with_name("geomosaic")
 
@@ -113,6 +115,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--results", type=Path, default=Path("docs/results/flights"), help="without suffix")
     parser.add_argument("--out", type=Path, default=Path("out/bench-flights"), help="for the run folders")
+    parser.add_argument("--before", type=Path, help="--out of an earlier bench: crops stand side by side")
     asked = parser.parse_args(argv)
     data = asked.data.resolve()
     if not data.is_dir():
@@ -136,6 +139,8 @@ def main(argv: list[str] | None = None) -> int:
     if not rows:
         print(f"skipped: {asked.data} has no flights to run")
         return 0
+    runs = [asked.out / name for name in rows]
+    write_page(asked.out / "crops.html", [r for r in runs if (r / "run.json").is_file()], asked.before)
     print("\n" + tables(rows))
     return 1 if any(row["missed"] for row in rows.values()) else 0
 
