@@ -29,21 +29,24 @@ _STYLE = """body{background:#222;color:#eee;font:14px sans-serif}figure{display:
 img{display:inline-block}figcaption{color:#aaa}"""
 
 
-def places(run: Path, count: int = COUNT) -> list[tuple[int, int, bool]]:
-    """Col and row of crops' first pixels, and whether they were chosen for a seam."""
+def places(run: Path, count: int = COUNT) -> list[tuple[int, int, int, bool]]:
+    """Crops' first pixels (col, row), their sides in px, and whether they were chosen for a seam."""
     with rasterio.open(run / "mosaic.tif") as mosaic, rasterio.open(run / "sources.tif") as sources:
-        rows, cols = (n // SIDE_PX for n in mosaic.shape)
-        if not rows or not cols:
+        side = min(SIDE_PX, min(mosaic.shape) // 4 // REDUCTION * REDUCTION)
+        if not side:
             return []
-        whole = Window(0, 0, cols * SIDE_PX, rows * SIDE_PX)
-        shape = rows * SIDE_PX // REDUCTION, cols * SIDE_PX // REDUCTION
+        rows, cols = (n // side for n in mosaic.shape)
+        whole = Window(0, 0, cols * side, rows * side)
+        shape = rows * side // REDUCTION, cols * side // REDUCTION
         bands = mosaic.indexes[: 3 if mosaic.count >= 3 else 1]
         small = mosaic.read(
             bands, window=whole, out_shape=(len(bands), *shape), resampling=Resampling.average
         )
         valid = mosaic.dataset_mask(window=whole, out_shape=shape) > 0
         label = sources.read(1, window=whole, out_shape=shape, resampling=Resampling.nearest)
-    blocks = _blocks(np.vstack([small, valid[None], _meeting(label)[None]]).astype(np.float64), rows, cols)
+    blocks = _blocks(
+        np.vstack([small, valid[None], _meeting(label)[None]]).astype(np.float64), side // REDUCTION
+    )
     full = np.flatnonzero(blocks[:, -2].min(axis=1) > 0)
     if not len(full):
         return []
@@ -53,7 +56,7 @@ def places(run: Path, count: int = COUNT) -> list[tuple[int, int, bool]]:
     first = often[_unlike(look[often], count // 2)]
     rest = np.setdiff1d(np.arange(len(full)), first)
     both = [(k, True) for k in first] + [(rest[k], False) for k in _unlike(look[rest], count - len(first))]
-    return [(int(full[k] % cols) * SIDE_PX, int(full[k] // cols) * SIDE_PX, at_seam) for k, at_seam in both]
+    return [(int(full[k] % cols) * side, int(full[k] // cols) * side, side, meets) for k, meets in both]
 
 
 def _meeting(label: NDArray[Any]) -> NDArray[np.bool_]:
@@ -64,11 +67,11 @@ def _meeting(label: NDArray[Any]) -> NDArray[np.bool_]:
     return out
 
 
-def _blocks(values: NDArray[np.float64], rows: int, cols: int) -> NDArray[np.float64]:
-    """(rows cols, bands, pixels) of values (bands, h, w)."""
-    side = SIDE_PX // REDUCTION
-    cut = values.reshape(len(values), rows, side, cols, side).transpose(1, 3, 0, 2, 4)
-    return np.asarray(cut.reshape(rows * cols, len(values), -1))
+def _blocks(values: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    """(blocks, bands, pixels) of values (bands, h, w), row by row."""
+    bands, height, width = values.shape
+    cut = values.reshape(bands, height // side, side, width // side, side).transpose(1, 3, 0, 2, 4)
+    return np.asarray(cut.reshape(-1, bands, side * side))
 
 
 def _unlike(look: NDArray[np.float64], count: int) -> list[int]:
@@ -99,9 +102,9 @@ def _image(run: Path, bounds: Sequence[float]) -> str:
 def _figures(run: Path, before: Path | None) -> Iterator[str]:
     with rasterio.open(run / "mosaic.tif") as mosaic:
         transform = mosaic.transform
-    for col, row, at_seam in places(run):
+    for col, row, side, at_seam in places(run):
         west, north = transform * (col, row)
-        east, south = transform * (col + SIDE_PX, row + SIDE_PX)
+        east, south = transform * (col + side, row + side)
         runs = [run, *([before] if before is not None and (before / "mosaic.tif").is_file() else [])]
         images = "".join(f'<img src="{_image(r, (west, south, east, north))}">' for r in runs)
         what = "seam" if at_seam else "ground"
@@ -125,9 +128,7 @@ def main(argv: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path, help="folder of run folders")
-    parser.add_argument(
-        "--before", type=Path, help="folder of runs of the same names, to compare with"
-    )
+    parser.add_argument("--before", type=Path, help="folder of runs of the same names, to compare with")
     parser.add_argument("--page", type=Path, help="the page to write [OUT/crops.html]")
     asked = parser.parse_args(argv)
     runs = [p for p in sorted(asked.out.iterdir()) if (p / "run.json").is_file()]
