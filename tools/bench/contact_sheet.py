@@ -22,7 +22,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
-from rasterio.windows import Window, from_bounds
+from rasterio.windows import Window
 
 SIDE_PX, COUNT, REDUCTION = 400, 20, 8
 _STYLE = """body{background:#222;color:#eee;font:14px sans-serif}figure{display:inline-block;margin:4px}
@@ -88,9 +88,12 @@ def _unlike(look: NDArray[np.float64], count: int) -> list[int]:
 def _image(run: Path, bounds: Sequence[float]) -> str:
     """A data URI of a place on the map."""
     with rasterio.open(run / "mosaic.tif") as mosaic:
-        window = from_bounds(*bounds, transform=mosaic.transform).round_offsets().round_lengths()
+        west, south, east, north = bounds
+        (left, top), (right, below) = (~mosaic.transform @ at for at in ((west, north), (east, south)))
+        cols, rows = (max(round(left), 0), round(right)), (max(round(top), 0), round(below))
+        window = Window.from_slices(slice(*rows), slice(*cols))
         bands = mosaic.indexes[: 3 if mosaic.count >= 3 else 1]
-        pixels = np.moveaxis(mosaic.read(bands, window=window, boundless=True, fill_value=0), 0, -1)
+        pixels = np.moveaxis(mosaic.read(bands, window=window), 0, -1)
     if pixels.dtype != np.uint8:
         low, high = np.quantile(pixels, [0.01, 0.99])
         pixels = np.clip((pixels - low) / max(high - low, 1e-9) * 255.0, 0.0, 255.0).astype(np.uint8)
@@ -103,8 +106,8 @@ def _figures(run: Path, before: Path | None) -> Iterator[str]:
     with rasterio.open(run / "mosaic.tif") as mosaic:
         transform = mosaic.transform
     for col, row, side, at_seam in places(run):
-        west, north = transform * (col, row)
-        east, south = transform * (col + side, row + side)
+        west, north = transform @ (col, row)
+        east, south = transform @ (col + side, row + side)
         runs = [run, *([before] if before is not None and (before / "mosaic.tif").is_file() else [])]
         images = "".join(f'<img src="{_image(r, (west, south, east, north))}">' for r in runs)
         what = "seam" if at_seam else "ground"
