@@ -11,8 +11,9 @@ FORMER: Final = {
     "geomosaic.composition.pyramid:PackedTile": "geomosaic.composition.tiles:PackedTile",
     "geomosaic.survey.model:LeftOut": "geomosaic.survey.model:UnusedImage",
     "geomosaic.recording.chips:Chip": "geomosaic.recording.file.chips:Chip",
-    "geomosaic.recording.thumbnail:Seen": "geomosaic.stages.survey_read:Seen",
-    "geomosaic.recording.file.thumbnail:Seen": "geomosaic.stages.survey_read:Seen",
+    "geomosaic.recording.thumbnail:Seen": "geomosaic.stages.survey_read:FirstLook",
+    "geomosaic.stages.survey_read:Seen": "geomosaic.stages.survey_read:FirstLook",
+    "geomosaic.recording.file.thumbnail:Seen": "geomosaic.stages.survey_read:FirstLook",
     "geomosaic.surface.terrain:TerrainModel": "geomosaic.surface.dtm:TerrainModel",
 }
 """Present name of a class by its former name, in the room's present name."""

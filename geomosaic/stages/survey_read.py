@@ -27,7 +27,7 @@ _READ_AGAIN = 200
 
 
 @dataclass(frozen=True)
-class Seen:
+class FirstLook:
     """What came of decoding a frame: whether it is whole; and the thumbnail of a JPEG that is, or nothing."""
 
     wholeness: Wholeness
@@ -42,14 +42,14 @@ class Looking:
     spare: Spare
 
 
-def seen(looking: Looking) -> Seen:
+def seen(looking: Looking) -> FirstLook:
     """Decodes a frame once, for all of it. Raises: as `looked_at`."""
     wholeness, half = looked_at(looking.path)
     if half is None:
-        return Seen(wholeness, b"")
+        return FirstLook(wholeness, b"")
     if HALF * min(half.shape[:2]) >= LEAST_PX:
         looking.spare.leave(small_of(half))
-    return Seen(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
+    return FirstLook(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
 
 
 def _inputs(params: SurveyParams) -> SurveyInputs:
@@ -136,7 +136,7 @@ def survey_read(params: SurveyParams, context: Context) -> Survey:
                 f"give another file with --{name} if it is wrong"
             )
             context.warn("project-file", "", text)
-    looks: dict[str, StoredResult[Seen]] = {}
+    looks: dict[str, StoredResult[FirstLook]] = {}
 
     def inspect(paths: list[str]) -> list[Wholeness]:
         items = [Looking(path, context.optional_cache(Small, path)) for path in paths]
