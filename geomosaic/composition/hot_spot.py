@@ -27,6 +27,7 @@ _ZONES_H = sourced(
 )
 _LEAST_UP = tuned(0.2, "sine of the sun's elevation", "lower: its shadow lies beyond every frame")
 _SEEN = tuned(0.5, "of the spot's peak", "less: slopes and vignettes of frames that see none look like one")
+_MOST = tuned(30_000, "sightings", "to look for a spot in: more take minutes of thousands of frames")
 _BY_CHANCE = tuned(1e-3, "probability", "of a spot where there is none; more: cars make some")
 
 
@@ -87,21 +88,30 @@ class TonesLeft:
     known: Bools
     of_place: csr_matrix
 
+    def some(self) -> TonesLeft:
+        """Those of every n-th place, as many as tell; known (k,): which of these sightings."""
+        step = -(-len(self.frame) // _MOST)
+        mine = np.asarray(self.of_place.indices % step == 0)
+        return TonesLeft(self.logs[mine], self.weight[mine], self.frame[mine], mine, self.of_place[mine])
+
 
 def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | None:
     """The directions away from the sun (n, 3) and the width of the spot that lessens what frames differ by
     most; None where it may be chance. All time zones and widths are tried: chance has as many goes."""
-    rays = behind.rays[left.known]
-    tried = [(away, width) for away in behind.away for width in _WIDTHS_RAD]
-    gains = [_gain(hot_spot(rays, away[left.frame], width), left) for away, width in tried]
+    rays, some = behind.rays[left.known], left.some()
+    up = [away for away in behind.away if not np.isnan(away[some.frame]).any()]
+    spots = [(away, width) for away in up for width in _WIDTHS_RAD]
+    gains = [_gain(hot_spot(rays[some.known], away[some.frame], width), some) for away, width in spots]
+    if not any(gains):
+        return None
     best = int(np.argmax(gains))
-    least = chi2.isf(_BY_CHANCE / max(np.count_nonzero(gains), 1), left.logs.shape[1])
-    return tried[best] if gains[best] > least else None
+    least = chi2.isf(_BY_CHANCE / np.count_nonzero(gains), left.logs.shape[1])
+    return spots[best] if gains[best] * len(left.frame) / len(some.frame) > least else None
 
 
 def _gain(spot: Floats, left: TonesLeft) -> float:
-    """By how much the weighted squares lessen; 0 where the sun is low or no frame looks into the spot."""
-    if np.isnan(spot).any() or spot.max() < _SEEN:
+    """By how much the weighted squares lessen; 0 where no frame looks into the spot."""
+    if spot.max() < _SEEN:
         return 0.0
     gain = 0.0
     for logs, weight in zip(left.logs.T, left.weight.T, strict=True):
