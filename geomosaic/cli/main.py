@@ -14,8 +14,8 @@ from geomosaic.cli.stopping import Stop, stoppable
 from geomosaic.errors import GeomosaicError
 
 _OPTIONAL = {
-    "rerun": "pip install 'geomosaic[view]'",
-    "rerun_cli": "pip install 'geomosaic[view]'",
+    "rerun": "pip install 'geomosaic-ortho[view]'",
+    "rerun_cli": "pip install 'geomosaic-ortho[view]'",
     "geomosaic_simulate": "run make setup in a clone of geomosaic, or pip install ./geomosaic_simulate there",
 }
 """How to install what is optional, by the module that is missing without it."""

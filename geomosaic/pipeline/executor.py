@@ -145,7 +145,7 @@ class Workers:
         try:
             distributed: Any = importlib.import_module("distributed")
         except ImportError as error:
-            raise InputError("Dask is not installed", fix="pip install 'geomosaic[dask]'") from error
+            raise InputError("Dask is not installed", fix="pip install 'geomosaic-ortho[dask]'") from error
         try:
             self._client = distributed.Client(address, timeout=DASK_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as error:

@@ -40,7 +40,7 @@ def without_folders(word: str) -> str:
 def commit() -> str:
     """The commit of the program, where it was installed from one or runs in a checkout; else empty."""
     with suppress(PackageNotFoundError, OSError, ValueError, AttributeError):
-        url = json.loads(distribution("geomosaic").read_text("direct_url.json") or "{}")
+        url = json.loads(distribution("geomosaic-ortho").read_text("direct_url.json") or "{}")
         if named := url.get("vcs_info", {}).get("commit_id"):
             return str(named)
     git = Path(geomosaic.__file__).parent.parent / ".git"
