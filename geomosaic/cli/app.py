@@ -11,6 +11,7 @@ from geomosaic import __version__
 from geomosaic.cli.control import control
 from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
+from geomosaic.cli.frames import frames
 from geomosaic.cli.geoid import geoid
 from geomosaic.cli.help import HeadedCommand, HeadedGroup, with_help_all
 from geomosaic.cli.inspection import diff, inspect
@@ -58,7 +59,7 @@ _REPLAY = RequestCommand(
 
 _COMMANDS: Mapping[str, Sequence[RequestCommand | Callable[..., Any]]] = {
     "Make a mosaic": (_MOSAIC, _WATCH, _STRIPS, _RUN),
-    "Before a run": (fetch, control, recipes, stages),
+    "Before a run": (fetch, frames, control, recipes, stages),
     "After a run": (inspect, view, measure, evaluate, _REPLAY, diff, misplacement),
     "Installation and simulation": (doctor, qgis_script),
 }

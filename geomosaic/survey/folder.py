@@ -32,8 +32,7 @@ _OTHER_KINDS: Final = (
     ({".heic", ".heif"}, "convert HEIC to JPEG first: heif-convert FILE.heic FILE.jpg"),
     (
         {".mp4", ".mov", ".avi", ".mkv", ".m4v"},
-        "take frames out of the video first: ffmpeg -i FILE -vf fps=1 -q:v 2 FRAMES/%04d.jpg; give their "
-        "positions with --pos",
+        "take frames out of the video first: geomosaic frames FILE -o FRAMES",
     ),
 )
 """Suffixes of files that people give for frames, and how to make frames of them."""

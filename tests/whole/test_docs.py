@@ -46,6 +46,7 @@ NOT_RUN = {
     "geomosaic geoid": "asks a server: test_heights.py has one",
     "geomosaic control": "serves a page until it is stopped: test_marking_chromium.py opens it",
     "FRAMES-control": "what that page writes: test_marking_chromium.py mosaics with it",
+    "geomosaic frames": "wants a video: test_video_frames.py makes some",
     "geomosaic watch": "waits for frames: test_watch.py copies some",
     "geomosaic measure": "wants lines and polygons: test_measure.py has some",
     "geomosaic view": "opens a window: test_recording_readers.py",

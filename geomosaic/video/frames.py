@@ -1,0 +1,161 @@
+"""Frames of a video: as many as overlap by a share, each the sharpest about its place."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.constants import tuned
+from geomosaic.errors import FileError, InputError
+from geomosaic.video.subtitles import VideoPosition
+
+_LOOKS_PER_S = tuned(6.0, "looks/s", "fewer miss fast drones' overlap; more only take time")
+_LOOK_PX = tuned(320, "px", "longer side of a look: sharpness and motion to a hundredth of the frame show")
+_WINDOW = tuned(0.3, "of a frame's step", "about its end, in which the sharpest is taken")
+_LOST = tuned(0.05, "peak of the phase correlation", "less: unrelated images, such as after a cut")
+_QUALITY: Final = 95
+POSITIONS: Final = "pos.csv"
+Report = Callable[[int, int, str], None]
+"""Told how much of how much is done, and of what."""
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """overlap: share of a frame that the next one shows again. positions: where the drone was, by time."""
+
+    overlap: float = 0.75
+    positions: Sequence[VideoPosition] = ()
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A frame at reduced size: its number and time in the video, its pixels, how sharp it is."""
+
+    number: int
+    time_s: float
+    small: NDArray[np.float32]
+    sharpness: float
+
+
+def extract_frames(video: Path, folder: Path, options: VideoOptions, report: Report) -> list[str]:
+    """Writes frames as JPEG into the folder, and their positions to pos.csv; returns the frames' names.
+
+    A frame is due once the image has moved on by what the overlap leaves since the last one; of the frames
+    about that moment the sharpest is taken. Standing still gives none.
+
+    Raises: `FileError` for what is no video, `InputError` where no two frames are to be had.
+    """
+    chosen = {look.number: look.time_s for look in _chosen(_looks(video, report), 1.0 - options.overlap)}
+    if len(chosen) < 2:
+        raise InputError(
+            "the picture does not move on", file=video, fix="give a video of a flight over ground"
+        )
+    names = {}
+    for number, image in _decoded(video, report, chosen):
+        names[number] = f"{video.stem}_{number:06d}.jpg"
+        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        if not ok:
+            raise FileError("a frame cannot be written as JPEG", file=video, fix="convert the video to MP4")
+        (folder / names[number]).write_bytes(data.tobytes())
+    if options.positions:
+        rows = [(names[n], _at(options.positions, chosen[n])) for n in sorted(names)]
+        _write_positions(folder / POSITIONS, rows)
+    return [names[n] for n in sorted(names)]
+
+
+def _opened(video: Path) -> Any:
+    reader = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    if not reader.isOpened():
+        raise FileError("is no video that can be read", file=video, fix="give an MP4 or MOV file")
+    return reader
+
+
+def _decoded(
+    video: Path, report: Report, wanted: Mapping[int, float]
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """The frames of these numbers, in their order."""
+    reader, last = _opened(video), max(wanted)
+    for number in range(last + 1):
+        if not reader.grab():
+            return
+        if number in wanted:
+            good, image = reader.retrieve()
+            if good:
+                yield number, image
+            report(number, last, "frames of the video")
+
+
+def _looks(video: Path, report: Report) -> Iterator[_Look]:
+    """Some frames a second at reduced size."""
+    reader = _opened(video)
+    rate = reader.get(cv2.CAP_PROP_FPS)
+    rate = rate if 1.0 <= rate <= 1000.0 else 30.0
+    step, total = max(round(rate / _LOOKS_PER_S), 1), int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+    number = 0
+    while reader.grab():
+        if number % step == 0:
+            good, image = reader.retrieve()
+            if good:
+                yield _look(number, number / rate, image)
+            report(number, max(total, number + 1), "motion in the video")
+        number += 1
+
+
+def _look(number: int, time_s: float, image: NDArray[np.uint8]) -> _Look:
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    scale = min(_LOOK_PX / max(grey.shape), 1.0)
+    small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.float32)
+    return _Look(number, time_s, small, float(cv2.Laplacian(grey, cv2.CV_32F).var()))
+
+
+def _chosen(looks: Iterator[_Look], step: float) -> Iterator[_Look]:
+    """The looks to take: the first sharp one, then one each time the image has moved on by `step`."""
+    last = next(looks, None)
+    if last is None:
+        return
+    yield last
+    about: list[_Look] = []
+    least = (1.0 - _WINDOW) * step
+    for look in looks:
+        moved = _moved(last, look)
+        if moved > (1.0 + _WINDOW) * step:
+            last = max(about, key=lambda one: one.sharpness, default=look)
+            yield last
+            about = [one for one in about if one.number > last.number and _moved(last, one) >= least]
+            moved = _moved(last, look)
+        if moved >= least:
+            about.append(look)
+    if about:
+        yield max(about, key=lambda one: one.sharpness)
+
+
+def _moved(one: _Look, other: _Look) -> float:
+    """The share of the image that the other does not show again; 1 where they show nothing alike."""
+    height, width = one.small.shape
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    (right, down), peak = cv2.phaseCorrelate(one.small, other.small, window)
+    if peak < _LOST:
+        return 1.0
+    return float(1.0 - max(1.0 - abs(right) / width, 0.0) * max(1.0 - abs(down) / height, 0.0))
+
+
+def _at(positions: Sequence[VideoPosition], time_s: float) -> VideoPosition:
+    """The last one written before, or the first."""
+    times = np.array([one.time_s for one in positions])
+    return positions[max(int(np.searchsorted(times, time_s + 1e-6)) - 1, 0)]
+
+
+def _write_positions(path: Path, rows: Sequence[tuple[str, VideoPosition]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["frame", "lon_deg", "lat_deg", "altitude_m", "relative_altitude_m"])
+        for name, at in rows:
+            heights = ("" if h is None else f"{h:.3f}" for h in (at.height_m, at.above_take_off_m))
+            table.writerow([name, f"{at.lon_deg:.8f}", f"{at.lat_deg:.8f}", *heights])

@@ -1,0 +1,118 @@
+"""Frames taken out of a video, and the subtitles beside it."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_surveys import geomosaic, small_survey, summary
+
+from geomosaic.cli.main import main
+from geomosaic.errors import InputError
+from geomosaic.video.subtitles import read_subtitles
+
+WIDTH, HEIGHT, RATE = 480, 360, 30
+BLURRED = range(40, 400, 3)
+
+
+def _texture(seed: int = 4) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = np.zeros((900, 2600, 3), np.float32)
+    for size in (4, 16, 64):
+        noise = rng.normal(0.0, 22.0, (900 // size + 2, 2600 // size + 2, 3)).astype(np.float32)
+        out += cv2.resize(noise, (2600, 900), interpolation=cv2.INTER_CUBIC)
+    return np.clip(out + 120.0, 0, 255).astype(np.uint8)
+
+
+def _video(path: Path, moved_px: np.ndarray) -> None:
+    """A window that moves over a texture; every third frame after the first forty is blurred."""
+    texture = _texture()
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), RATE, (WIDTH, HEIGHT))
+    for k, moved in enumerate(moved_px):
+        at = round(moved)
+        image = texture[200 : 200 + HEIGHT, at : at + WIDTH]
+        writer.write(cv2.GaussianBlur(image, (0, 0), 3.0) if k in BLURRED else image)
+    writer.release()
+
+
+def _subtitles(path: Path, moved_px: np.ndarray) -> None:
+    """As DJI's drones write them, with the typing error of one; 0.1 m a px, eastwards."""
+    texts = []
+    for k, moved in enumerate(moved_px):
+        begin, end = (
+            f"00:00:{t // 1000:02d},{t % 1000:03d}" for t in (k * 1000 // RATE, (k + 1) * 1000 // RATE)
+        )
+        lon = 11.0 + 0.1 * moved / (111_320.0 * np.cos(np.radians(48.0)))
+        texts.append(
+            f'{k + 1}\n{begin} --> {end}\n<font size="28">FrameCnt: {k + 1} [iso: 100] [latitude: 48.000000] '
+            f"[longtitude: {lon:.8f}] [rel_alt: 50.100 abs_alt: 512.300] </font>\n\n"
+        )
+    path.write_text("".join(texts), encoding="utf-8")
+
+
+def test_sharp_frames_a_quarter_apart_with_their_positions(tmp_path: Path) -> None:
+    """300 frames: still for two seconds, then steadily on; 120 px is a quarter of the width."""
+    moved_px = np.concatenate([np.zeros(60), np.linspace(0.0, 1440.0, 240)])
+    video = tmp_path / "DJI_0042.MP4"
+    _video(video, moved_px)
+    _subtitles(video.with_suffix(".SRT"), moved_px)
+    assert main(["frames", str(video), "-q"]) == 0
+    folder = tmp_path / "DJI_0042-frames"
+    numbers = [int(p.stem.rpartition("_")[2]) for p in sorted(folder.glob("*.jpg"))]
+    steps = np.diff(moved_px[numbers])
+    assert 10 <= len(numbers) <= 15
+    assert steps[:-1].min() >= 0.6 * 120 and steps.max() <= 1.4 * 120
+    assert not set(numbers[1:]) & set(BLURRED), "the sharp ones beside them are taken"
+    with (folder / "pos.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["frame"] for row in rows] == [f"DJI_0042_{n:06d}.jpg" for n in numbers]
+    east_m = [(float(row["lon_deg"]) - 11.0) * 111_320.0 * np.cos(np.radians(48.0)) for row in rows]
+    np.testing.assert_allclose(east_m, 0.1 * moved_px[numbers], atol=0.02)
+    assert {(row["altitude_m"], row["relative_altitude_m"]) for row in rows} == {("512.300", "50.100")}
+
+
+def test_a_mosaic_comes_of_them(tmp_path: Path) -> None:
+    moved_px = np.linspace(0.0, 1440.0, 150)
+    video = tmp_path / "flight.mp4"
+    _video(video, moved_px)
+    _subtitles(tmp_path / "flight.srt", moved_px)
+    frames, run = tmp_path / "frames", tmp_path / "run"
+    assert geomosaic("frames", video, "-o", frames, "--overlap", "0.7", "-q") == 0
+    assert geomosaic("mosaic", frames, "--pos", frames / "pos.csv", "-o", run, "--workers", 1, "-q") == 0
+    assert summary(run)["frames"]["tied"] == len(list(frames.glob("*.jpg")))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("GPS(11.5731,48.1372,19) BAROMETER:45.2", (11.5731, 48.1372, None, None)),
+        ("F/2.8, SS 320, ISO 100, GPS (-8.1, 52.25, 16), D 24.9m, H 6.0m", (-8.1, 52.25, None, None)),
+        ("[latitude : -33.5] [longitude : 151.25] [altitude: 61.5]", (151.25, -33.5, 61.5, None)),
+    ],
+)
+def test_older_drones_subtitles(tmp_path: Path, text: str, found: tuple[float, ...]) -> None:
+    path = tmp_path / "a.srt"
+    path.write_text(f"1\n00:01:02,500 --> 00:01:03,500\n{text}\n\n2\n00:01:03,500 --> 00:01:04,000\nhello\n")
+    (one,) = read_subtitles(path)
+    assert (one.lon_deg, one.lat_deg, one.height_m, one.above_take_off_m) == found
+    assert one.time_s == 62.5
+
+
+def test_what_is_no_video_or_has_no_positions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.mp4").write_bytes(b"no video")
+    assert main(["frames", str(tmp_path / "a.mp4"), "-o", str(tmp_path / "out")]) == 2
+    assert "is no video that can be read" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "b.srt").write_text("1\n00:00:00,000 --> 00:00:01,000\nhello\n")
+    with pytest.raises(InputError, match="no subtitle has a latitude"):
+        read_subtitles(tmp_path / "b.srt")
+    still = tmp_path / "still.mp4"
+    _video(still, np.zeros(40))
+    assert main(["frames", str(still), "-o", str(tmp_path / "out")]) == 2
+    assert "does not move on" in capsys.readouterr().err
+    survey = small_survey(tmp_path / "simulated", lines=1, frames_per_line=2)
+    assert main(["frames", str(still), "-o", str(survey.frames)]) == 2
+    assert "choose a new or empty folder" in capsys.readouterr().err
