@@ -17,6 +17,8 @@ _XMP_HEADER: Final = b"http://ns.adobe.com/xap/1.0/\0"
 _NAMESPACES: Final = {
     "drone-dji": "http://www.dji.com/drone-dji/1.0/",
     "Camera": "http://pix4d.com/camera/1.0/",
+    "MicaSense": "http://micasense.com/MicaSense/1.0/",
+    "DLS": "http://micasense.com/DLS/1.0/",
 }
 
 

@@ -18,6 +18,7 @@ from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.views import PosedFrames
 from geomosaic.composition.window import Composed
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.radiometry.quantity import quantity_of
 from geomosaic.survey.model import Survey
 
 Composing = Callable[[PosedFrames, MosaicFiles], Mosaic]
@@ -48,7 +49,7 @@ def other_bands(frames: PosedFrames, rig: RigPoses) -> Iterator[PosedFrames]:
         none = (replace(frame, camera=pose.camera.name) for frame in survey.frames)  # not used
         files = tuple(f or g for f, g in zip(other.frames, none, strict=True))
         there = tuple(use and f is not None for use, f in zip(frames.used, other.frames, strict=True))
-        shown = replace(survey, frames=files, cameras=(pose.camera,))
+        shown = replace(survey, frames=files, cameras=(pose.camera,), quantity=other.quantity)
         cameras = (pose.camera,) * len(files)
         yield PosedFrames(shown, band_poses(frames.poses, pose), cameras, there, frames.ground)
 
@@ -74,7 +75,8 @@ def stack_bands(
     with ExitStack() as files:
         bands = [files.enter_context(open_raster(raster, OWN)) for raster in rasters]
         kind = TileKind(len(bands), np.dtype(dtype))
-        out = files.enter_context(writing_mosaic(MosaicFiles(path), grid, kind, band_names=names))
+        meant = {name: quantity_of(band, 1) for name, band in zip(names, bands, strict=True)}
+        out = files.enter_context(writing_mosaic(MosaicFiles(path), grid, kind, bands=meant))
         for window in windows(grid, TILE_PX):
             at = RasterWindow(window.col, window.row, window.width, window.height)
             valid = np.all([band.dataset_mask(window=at) for band in bands], axis=0)

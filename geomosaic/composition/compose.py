@@ -96,6 +96,7 @@ def compose(
     labels = SeamLabels(grid, WINDOW_PX, cut=area is not None and area.asked)
     names = [frame.name for frame in survey.frames]
     tiles = TileKind(kind.bands, np.dtype(kind.dtype))
+    bands = {} if survey.quantity is None else {survey.band: survey.quantity}
     blending = Blending(
         name,
         grid,
@@ -121,7 +122,7 @@ def compose(
         unreferenced_is_fine(),
         ThreadPoolExecutor(options.threads) as pool,
         walk.windows(order) as made,
-        writing_mosaic(files, grid, tiles, names) as raster,
+        writing_mosaic(files, grid, tiles, names, bands) as raster,
     ):
         begun = {place_over(window) for window in order}
         for window in whole:

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryFile
+from types import MappingProxyType
 from typing import Any, Final
 from uuid import uuid4
 
@@ -23,6 +24,7 @@ from geomosaic.composition.pyramid import RasterPyramid
 from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.gdal_failures import close, gdal_failures, gdal_options
+from geomosaic.radiometry.quantity import QUANTITY_TAG, SOURCE_TAG, Quantity
 from geomosaic.survey.strip_pixels import GreyScale
 
 BLOCK_ROWS: Final = TILE_PX
@@ -87,18 +89,18 @@ def writing_mosaic(
     grid: OutputGrid,
     kind: TileKind,
     frames: Sequence[str] = (),
-    band_names: Sequence[str] = (),
+    bands: Mapping[str, Quantity | None] = MappingProxyType({}),
 ) -> Iterator[Raster]:
     """Files on the map to write windows into; there when the block ends.
 
-    frames: names of all of them, for the frame indices. band_names: of each band, as a rig's have; then none
-    is a colour.
+    frames: names of all of them, for the frame indices. bands: the name of each, as a rig's have, and what
+    its values mean; then none is a colour.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
     colours = _COLOURS.get(kind.bands, ())
-    if band_names:
+    if bands:
         colours = (gdal.GCI_GrayIndex, *[gdal.GCI_Undefined] * (kind.bands - 1))
-    look = RasterMetadata(kind, grid, colours, tuple(band_names))
+    look = RasterMetadata(kind, grid, colours, tuple(bands), quantities=tuple(bands.values()))
     with ExitStack() as stack:
         image = stack.enter_context(_writing(files.raster, grid.width_px, grid.height_px, look))
         index = None
@@ -148,6 +150,7 @@ class RasterMetadata:
     tags: Mapping[str, str] = field(default_factory=dict)
     greys: SceneGreys | None = None
     rpc: Mapping[str, str] = field(default_factory=dict)
+    quantities: tuple[Quantity | None, ...] = ()
 
 
 @contextmanager
@@ -204,6 +207,13 @@ def _describe(band: Any, look: RasterMetadata, k: int, statistics: NDArray[np.fl
         band.SetColorInterpretation(look.colours[k])
     if k < len(look.band_names):
         band.SetDescription(look.band_names[k])
+    if k < len(look.quantities) and (quantity := look.quantities[k]) is not None:
+        band.SetScale(quantity.scale)
+        band.SetOffset(quantity.offset)
+        band.SetUnitType(quantity.unit)
+        band.SetMetadataItem(QUANTITY_TAG, quantity.name)
+        if quantity.source:
+            band.SetMetadataItem(SOURCE_TAG, quantity.source)
     if look.greys is not None:
         band.SetMetadataItem("NBITS", str(look.greys.bit_depth))
         if look.greys.scale is not None:

@@ -200,6 +200,7 @@ def _facts(report: FramesReport, covered_m2: float) -> list[Fact]:
     ]
     lines = plural(len(set(report.placement.lines)), "flight line")
     size = f"{whole(mosaic.grid.width_px)} × {whole(mosaic.grid.height_px)} px"
+    means = survey.quantity
     return [
         ("frames tied", f"{counted['tied']} of {len(survey.frames)}", ", ".join(odd)),
         ("ground pixel", UNKNOWN if local else length(mosaic.grid.gsd_m), size),
@@ -208,6 +209,7 @@ def _facts(report: FramesReport, covered_m2: float) -> list[Fact]:
         ("adjustment", method.replace("_", " ") or "–", _adjustment_note(adjusted)),
         ("map", ":".join(code) if code else crs.name, crs.name if code else ""),
         ("taken", *_taken(survey)),
+        *([] if means is None else [("values", means.name, f"by {means.source}" if means.source else "")]),
     ]
 
 

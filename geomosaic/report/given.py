@@ -137,7 +137,7 @@ def _written(small: ReducedFrame, frame: Frame, path: Path) -> Frame:
         close(tiff)
     return replace(
         frame, path=str(path), width_px=cols, height_px=rows, bands=bands, dtype="uint8", valid_mask=None,
-        nodata=None, whole_rows=None,
+        nodata=None, whole_rows=None, calibration=None,
     )  # fmt: skip
 
 

@@ -140,6 +140,23 @@ class MosaicRequest(FramesRequest):
             sets="survey.read.camera_kind",
         )
     )
+    radiometry: str | None = asked(
+        Option(
+            "reflectance calibrates multispectral frames by the makers' models, sun sensor and panels [none]",
+            "none|reflectance",
+            INPUTS,
+            sets="survey.read.radiometry",
+        )
+    )
+    panel: str | None = asked(
+        Option(
+            "photo of a reflectance panel and its albedo, a number or a table by band; more behind commas "
+            "[found by its QR code]",
+            "IMAGE=ALBEDO",
+            INPUTS,
+            sets="survey.read.panel",
+        )
+    )
     damaged: str | None = asked(
         Option(
             "leave_out drops damaged frames, mask only their damaged parts [leave_out]",
@@ -266,6 +283,8 @@ class MosaicRequest(FramesRequest):
                 file=self.surface_reference,
                 fix="add --surface dense",
             )
+        if self.panel and self.radiometry != "reflectance":
+            raise InputError("--panel has an effect only on reflectance", fix="add --radiometry reflectance")
         if self.ortho is not None and not dense:
             raise InputError("--ortho has an effect only on a dense surface", fix="add --surface dense")
         wanted = dict.fromkeys(OPTIONAL, dense) | {

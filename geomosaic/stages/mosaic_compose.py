@@ -52,7 +52,7 @@ def _plugged(params: ComposeParams) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=18, outputs=("mosaic", "raster_file"),
+    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=19, outputs=("mosaic", "raster_file"),
     results=(SOURCES,), plugged=_plugged,
 )  # fmt: skip
 def mosaic_compose(

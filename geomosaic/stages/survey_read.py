@@ -18,6 +18,7 @@ from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
+from geomosaic.survey.reflectance import RADIOMETRY
 from geomosaic.survey.small import HALF, LEAST_PX, Small, Spare, small_of
 from geomosaic.survey.strays import LEAVE_OUT
 from geomosaic.survey.usable import DAMAGED
@@ -102,6 +103,17 @@ class SurveyParams(StageParams):
         help="frames that can't be used, frames without a line in the POS file and lines without a frame "
         "are errors",
     )
+    radiometry: str = param(
+        "none",
+        help="reflectance: values of MicaSense's, DJI's and Parrot's multispectral cameras by the makers' "
+        "models, sun sensor and panels; none: as recorded",
+        choices=RADIOMETRY,
+    )
+    panel: str | None = param(
+        None,
+        help="photos of reflectance panels, IMAGE=ALBEDO between commas: a number, or a table with the "
+        "columns band and albedo; without any, panels are found by their QR code",
+    )
 
 
 def _check(params: SurveyParams) -> None:
@@ -123,7 +135,7 @@ def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "survey.read", "Read the survey", group="Survey", version=24, outputs="survey", wants_frames=True,
+    "survey.read", "Read the survey", group="Survey", version=25, outputs="survey", wants_frames=True,
     check=_check, files=_files, plans=_plans,
 )  # fmt: skip
 def survey_read(params: SurveyParams, context: Context) -> Survey:
@@ -146,6 +158,8 @@ def survey_read(params: SurveyParams, context: Context) -> Survey:
     survey = read_survey(survey_inputs, inspect=inspect, progress=context.progress)
     context.metric("survey.frames", len(survey.frames))
     context.metric("survey.left_out", len(survey.left_out))
+    if survey.quantity is not None:
+        context.metric("survey.values", {"are": survey.quantity.name, "by": survey.quantity.source})
     for warning in survey.warnings:
         context.warn(warning.code, warning.frame, warning.text)
     for camera in survey.cameras:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,8 @@ from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
+from geomosaic.radiometry.calibration import Calibration
+from geomosaic.radiometry.quantity import Quantity
 from geomosaic.survey.cameras import CameraChoice, cameras_from_headers
 from geomosaic.survey.cameras_of_file import cameras_from_file
 from geomosaic.survey.extent import lonlat_of
@@ -47,7 +49,8 @@ class SurveyDraft:
     the survey's frames, in order; in_time: whether that is the order of capture. rig: where its cameras write
     a file a band. strays: frames that don't belong to the survey. observed, choice: by frame, as headers.
     heights_m: ellipsoidal, of the DEM under the frames. map_crs: `LOCAL_CRS` without a place on the Earth.
-    The warnings are those of the step that their name tells.
+    calibrations: by the frame's path; quantities: what values mean, by band. The warnings are those of the
+    step that their name tells.
     """
 
     inputs: SurveyInputs
@@ -58,6 +61,8 @@ class SurveyDraft:
     in_time: bool
     rig: CaptureGroups | None = None
     strays: tuple[Stray, ...] = ()
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
+    quantities: Mapping[str, Quantity] = field(default_factory=dict)
     observed: Observations = field(default_factory=Observations)
     control: tuple[ControlPoint, ...] = ()
     choice: CameraChoice = field(default_factory=CameraChoice)
@@ -102,6 +107,11 @@ class SurveyDraft:
         """Whether nothing says where on the Earth the survey lies."""
         return not self.located and not self.control
 
+    @property
+    def band(self) -> str:
+        """What the frames show, '' where they are no rig's."""
+        return "" if self.rig is None else self.rig.own[0].band
+
     def cameras_of(self, headers: Sequence[FrameHeader], named: Sequence[str | None]) -> CameraChoice:
         """The camera file's cameras of frames, else those of their tags. named: as the POS file has them."""
         if self.inputs.camera is None:
@@ -118,7 +128,8 @@ class SurveyDraft:
             elevation=self.elevation,
             control=self.control,
             left_out=self.left_out,
-            band="" if self.rig is None else self.rig.own[0].band,
+            band=self.band,
+            quantity=self.quantities.get(self.band),
             other_bands=self.other_bands,
             warnings=self._warnings(),
         )

@@ -31,7 +31,8 @@ class Exif:
     width_px and height_px are the image's as taken, before any later resize. altitude_m has no
     stated datum. time_s is seconds since 1970; a local time without its offset is taken as UTC.
     hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken. serial: of the
-    camera's body. position_error_m: of the position in plan.
+    camera's body. position_error_m: of the position in plan. iso: sensitivity; black_level: of a value, the
+    mean over a sensor's colours.
     """
 
     make: str = ""
@@ -48,6 +49,10 @@ class Exif:
     hemisphere_assumed: bool = False
     serial: str = ""
     position_error_m: float | None = None
+    exposure_s: float | None = None
+    iso: float | None = None
+    f_number: float | None = None
+    black_level: float | None = None
 
 
 def exif_from_block(block: bytes) -> Exif:
@@ -94,7 +99,7 @@ def _exif(tags: Tags) -> Exif:
         lat = lon = None
     altitude = number("GPSAltitude", positive=False)
     below = number("GPSAltitudeRef") in (1.0, 3.0)  # EXIF 3.0: 2 and 3 are above and below the ellipsoid
-    per_unit = number("FocalPlaneXResolution")
+    per_unit, black = number("FocalPlaneXResolution"), tags.get("BlackLevel")
     mm = _MM_PER_UNIT.get(number("FocalPlaneResolutionUnit") or 2.0)
     return Exif(
         make=text("Make"),
@@ -111,6 +116,10 @@ def _exif(tags: Tags) -> Exif:
         hemisphere_assumed=lat is not None and not (text("GPSLatitudeRef") and text("GPSLongitudeRef")),
         serial=text("BodySerialNumber") or text("SerialNumber"),
         position_error_m=number("GPSHPositioningError"),
+        exposure_s=number("ExposureTime"),
+        iso=number("ISOSpeed") or number("PhotographicSensitivity"),
+        f_number=number("FNumber"),
+        black_level=sum(black) / len(black) if isinstance(black, tuple) and black else None,
     )
 
 

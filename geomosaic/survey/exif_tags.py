@@ -15,13 +15,24 @@ Tags = dict[str, str | tuple[float, ...]]
 
 _TAGS: Final = "CIPA DC-008 (EXIF), section 4.6"
 _MAIN = sourced(
-    {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime", 0x8769: "Exif", 0x8825: "GPS"},
+    {
+        0x010F: "Make",
+        0x0110: "Model",
+        0x0132: "DateTime",
+        0x8769: "Exif",
+        0x8825: "GPS",
+        0xC61A: "BlackLevel",
+    },
     "tag",
     "names of wanted tags, main directory",
-    "CIPA DC-008 (EXIF), section 4.6",
+    "CIPA DC-008 (EXIF), section 4.6; Adobe DNG 1.4 for BlackLevel",
 )
 _EXIF = sourced(
     {
+        0x829A: "ExposureTime",
+        0x829D: "FNumber",
+        0x8827: "PhotographicSensitivity",
+        0x8833: "ISOSpeed",
         0x9003: "DateTimeOriginal",
         0x9004: "DateTimeDigitized",
         0x9010: "OffsetTime",

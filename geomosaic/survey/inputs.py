@@ -26,7 +26,9 @@ class SurveyInputs:
     `attitude.CONVENTIONS`. damaged: one of `usable.DAMAGED`. leave_out: one of `strays.LEAVE_OUT`.
     camera_kind: of the aircraft's cameras, see `strays.camera_kind`. height_datum: what heights count from
     whose source doesn't state it, a name for `geodesy.heights.height_datum`. strict: unusable frames, frames
-    without a line in pos and lines without a frame are errors.
+    without a line in pos and lines without a frame are errors. radiometry: one of
+    `reflectance.RADIOMETRY`. panel: photos of reflectance panels, IMAGE=ALBEDO between commas, a number or
+    the file of a table.
     """
 
     frames: Path
@@ -44,12 +46,21 @@ class SurveyInputs:
     camera_kind: str | None = None
     height_datum: str | None = None
     strict: bool = False
+    radiometry: str = "none"
+    panel: str | None = None
 
     @property
     def files(self) -> dict[str, Path]:
         """The given files by kind, without the folder of frames."""
         given = {"pos": self.pos, "camera": self.camera, "dem": self.dem, "gcp": self.gcp}
-        return {kind: path for kind, path in given.items() if path is not None}
+        tables = {image: Path(albedo) for image, albedo in self.panels.items() if Path(albedo).is_file()}
+        return {kind: path for kind, path in given.items() if path is not None} | tables
+
+    @property
+    def panels(self) -> dict[str, str]:
+        """What panel gives as albedo, by image."""
+        texts = [text.rpartition("=") for text in (self.panel or "").split(",") if text.strip()]
+        return {image.strip(): albedo.strip() for image, _, albedo in texts}
 
     def frame_files(self) -> dict[Path, str]:
         """The frames' files and what each is called, see `folder.frame_files`."""

@@ -13,6 +13,8 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced
 from geomosaic.doors.files import printable
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.radiometry.calibration import Calibration
+from geomosaic.radiometry.quantity import Quantity
 
 _DAY_S = sourced(86400.0, "s", "between platforms on one clock: longer than any pause of a flight", "a day")
 
@@ -78,7 +80,7 @@ class Frame:
     the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC. Of a damaged frame
     that is used none the less, only the first `whole_rows` count. velocity_m_per_s: east, north, up;
     turns: while its rows were read. platform: serial number of the drone or the camera, as far as tags
-    report one.
+    report one. calibration: of the recorded values to reflectance, which decoding then gives.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Frame:
     turns: Turns | None = None
     whole_rows: int | None = None
     platform: str = ""
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True)
@@ -142,13 +145,14 @@ class Band:
     """A band of a rig that `Survey.frames` don't show: its camera, and its file of each capture.
 
     wavelength_nm: of its middle, None where unknown. frames[i] was taken with `Survey.frames[i]`; None where
-    the file is missing. Its position and attitude are the capture's.
+    the file is missing. Its position and attitude are the capture's. quantity: what its values mean.
     """
 
     name: str
     wavelength_nm: float | None
     camera: Camera
     frames: tuple[Frame | None, ...]
+    quantity: Quantity | None = None
 
 
 @dataclass(frozen=True)
@@ -168,6 +172,7 @@ class Survey:
     """Frames in order of capture (time, then name), their cameras, and where all of it lies.
 
     band, other_bands: of a rig that writes a file a band, what the frames show, and what else it took.
+    quantity: what the frames' values mean, None where nobody asked.
     """
 
     frames: tuple[Frame, ...]
@@ -180,6 +185,7 @@ class Survey:
     left_out: tuple[UnusedImage, ...] = ()
     band: str = ""
     other_bands: tuple[Band, ...] = ()
+    quantity: Quantity | None = None
 
     def __post_init__(self) -> None:
         """Raises ValueError where a frame has no known camera, or where a camera or a deviation can't be."""

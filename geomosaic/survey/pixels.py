@@ -28,7 +28,8 @@ _FIX: Final = "copy it again from the camera, or take it out of the folder"
 def read_pixels(
     frame: Frame, reduction: int = 1, *, luma: bool = False, spare: Spare | None = None
 ) -> tuple[NDArray[Any], Mask | None]:
-    """A frame's pixels (rows, cols, bands) in the file's own type, and its mask of valid pixels.
+    """A frame's pixels (rows, cols, bands) in the file's own type, and its mask of valid pixels; of a frame
+    with a calibration reflectance, see `Calibration.digital`.
 
     Bands are in the file's order (red, green, blue for colour); an alpha band goes into the mask.
     EXIF's orientation is ignored: columns and rows are the sensor's. The mask is (rows, cols), 255
@@ -52,10 +53,11 @@ def read_pixels(
     if path.suffix.lower() in JPEG_SUFFIXES:
         bands = 1 if luma else bands
         small = None if spare is None or reduction == 1 else spare.found()
-        pixels = None if small is None else small.at(reduction, luma=luma)
+        pixels: NDArray[Any] | None = None if small is None else small.at(reduction, luma=luma)
         pixels, valid = _decode_jpeg(path, frame, bands, reduction) if pixels is None else pixels, None
     else:
         pixels, valid = _read_raster(path, frame.whole_rows)
+        pixels = pixels if frame.calibration is None else frame.calibration.digital(pixels)
         pixels = means(pixels, reduction)
     expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), bands)
     if pixels.shape != expected:

@@ -140,6 +140,7 @@ def with_frames(draft: SurveyDraft) -> SurveyDraft:
             turns=turns_of(h),
             whole_rows=found.whole_rows.get(h.name),
             platform=platform_of(h),
+            calibration=draft.calibrations.get(str(h.path)),
         )
         for h, camera, position, attitude in zip(
             draft.headers, draft.choice.names, observed.positions, observed.attitudes, strict=True
@@ -156,10 +157,15 @@ def with_bands(draft: SurveyDraft) -> SurveyDraft:
         some_file = next(file for file in files if file is not None)
         camera = draft.cameras_of([some_file.header], [name]).cameras[0]
         frames = tuple(
-            None if file is None else _in_band(frame, file.header, camera.name)
+            None
+            if file is None
+            else replace(
+                _in_band(frame, file.header, camera.name),
+                calibration=draft.calibrations.get(str(file.header.path)),
+            )
             for frame, file in zip(draft.frames, files, strict=True)
         )
-        bands.append(Band(name, some_file.wavelength_nm, camera, frames))
+        bands.append(Band(name, some_file.wavelength_nm, camera, frames, draft.quantities.get(name)))
     return replace(draft, other_bands=tuple(bands))
 
 

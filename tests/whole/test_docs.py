@@ -50,6 +50,8 @@ NOT_RUN = {
     "geomosaic watch": "waits for frames: test_watch.py copies some",
     "geomosaic measure": "wants lines and polygons: test_measure.py has some",
     "geomosaic view": "opens a window: test_recording_readers.py",
+    "NDVI": "wants a near-infrared band: test_index.py has one",
+    "--radiometry": "wants a multispectral rig's frames: test_reflectance.py has some",
     "--dask": "wants a cluster: test_dask.py has one",
     "surface": "matches a surface: test_export_surface.py",
     "--scores": "wants what people saved in their browsers: test_scores.py",

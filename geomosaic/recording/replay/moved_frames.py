@@ -187,7 +187,9 @@ def _standing_in(given: ReplayedStage, thumbnails: Mapping[str, bytes], folder: 
                 problem = f"can't be {f.width_px} x {f.height_px} px, as the recording says"
                 raise FileError(problem, file=f.path, fix="take another copy of the recording")
             brought[f"{_STAND_INS}/{name}"] = partial(_enlarged, thumbnails[f.name], f.width_px, f.height_px)
-            image = dataclasses.replace(f, path=str(folder / name), bands=3, dtype="uint8", valid_mask=None)
+            image = dataclasses.replace(
+                f, path=str(folder / name), bands=3, dtype="uint8", valid_mask=None, calibration=None
+            )
             frames.append(dataclasses.replace(image, nodata=None, whole_rows=None))
         return dataclasses.replace(value, frames=tuple(frames), other_bands=())
 

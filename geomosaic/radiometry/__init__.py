@@ -1,0 +1,1 @@
+"""From recorded values to reflectance: sensor models, the sun, sun sensors and reflectance panels."""
