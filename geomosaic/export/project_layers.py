@@ -14,6 +14,7 @@ from geomosaic.export.project import LayerGroup, ProjectLayer
 from geomosaic.export.project_rasters import (
     accuracy_layers,
     image_layer,
+    index_layers,
     source_layer,
     surface_layers,
 )
@@ -70,6 +71,7 @@ def project_of(
         )
         for title, names in _GROUPS.items()
     ]
+    groups.append(LayerGroup("Indices", tuple(index_layers(package.parent))))
     groups.append(LayerGroup("Accuracy", tuple(accuracy_layers(package.parent))))
     groups.append(LayerGroup("Surface", (*contour_layers(package.parent), *surface_layers(package.parent))))
     groups.append(

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 from geomosaic.composition.palette import frame_colour
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.project import ProjectLayer
+from geomosaic.export.styles import VERSION
 
 HILLSHADE: Final = "surface_hillshade.tif"
 _RGB: Final = ("red", "green", "blue")
@@ -21,6 +22,8 @@ _HEIGHTS: Final = ("#00224d", "#414d6b", "#7b7b78", "#bbae6e", "#fde737")
 """Low to high: CIVIDIS, which the report draws heights in too."""
 _DOUBT: Final = ("#1a9641", "#a6d96a", "#ffffbf", "#fdae61", "#d7191c")
 """Sure to doubtful."""
+LEAVES: Final = _DOUBT[::-1]
+"""Bare to green."""
 _SOURCES: Final = {
     1: ("tie surface", "#1a9641"),
     2: ("matched", "#2b83ba"),
@@ -149,6 +152,15 @@ def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str
         low, high = _stretch(tiff.tags(band)) or (0.0, 1.0)
         crs, unit = tiff.crs.to_wkt(), tiff.units[band - 1] or ""
         heights = tiff.tags().get("HEIGHTS", "")
+    renderer = _pseudocolour(band, (low, high), colours, unit)
+    abstract = f"Heights are {heights}." if heights and colours is _HEIGHTS else ""
+    layer = _raster(path, title, crs, renderer)
+    return replace(layer, checked=False, name=id or layer.name, abstract=abstract)
+
+
+def _pseudocolour(band: int, ends: tuple[float, float], colours: Sequence[str], unit: str) -> Element:
+    """A band's values in colours between two ends."""
+    low, high = ends
     renderer = Element(
         "rasterrenderer", type="singlebandpseudocolor", band=f"{band}", alphaBand="-1", opacity="1",
         classificationMin=f"{low:.10g}", classificationMax=f"{high:.10g}",
@@ -167,9 +179,20 @@ def _coloured(path: Path, title: str, band: int, colours: Sequence[str], id: str
             color=colour,
             alpha="255",
         )
-    abstract = f"Heights are {heights}." if heights and colours is _HEIGHTS else ""
-    layer = _raster(path, title, crs, renderer)
-    return replace(layer, checked=False, name=id or layer.name, abstract=abstract)
+    return renderer
+
+
+def index_layers(folder: Path) -> list[ProjectLayer]:
+    """Those of the indices that were made of a run's mosaic."""
+    paths = sorted(folder.glob("index_*.tif"))
+    return [_coloured(path, path.stem.removeprefix("index_"), 1, LEAVES) for path in paths]
+
+
+def index_style(ends: tuple[float, float]) -> str:
+    """An index's colours between two ends as a style file of QGIS (QML)."""
+    document = Element("qgis", version=VERSION, styleCategories="Symbology")
+    SubElement(document, "pipe").append(_pseudocolour(1, ends, LEAVES, ""))
+    return tostring(document, "unicode")
 
 
 def _raster(

@@ -51,6 +51,7 @@ OWN: Final = {
     "export.odm": "exports_of_block:export_odm",
     "export.opensfm": "exports_of_block:export_opensfm",
     "export.pix4d": "exports_of_block:export_pix4d",
+    "export.index": "exports_for_gis:export_index",
     "export.footprints": "exports_for_gis:export_footprints",
     "export.kmz": "exports_for_web:export_kmz",
     "export.mbtiles": "exports_for_web:export_mbtiles",

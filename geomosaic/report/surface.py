@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 _PICTURE_PX: Final = 900
 _PROFILE_PX: Final = 380
+_INDEX_PX: Final = 1600
 _LEVELS: Final = 65534
 """Of the heights that a page holds in 16 bits; the next one stands for what is unknown."""
 _LEAST_STEP_M: Final = 0.01
@@ -236,16 +237,36 @@ def difference_picture(difference: Floats32) -> NDArray[np.uint8]:
     median_m = np.float32(np.median(known) if known.size else 0.0)
     ends_m = reach_m(difference - median_m)
     drawn = coloured(difference - median_m, ends_m)
+    bar = coloured(np.linspace(-ends_m, ends_m, 256, dtype=np.float32)[None], ends_m)
+    ends = (median_m - ends_m, median_m, median_m + ends_m)
+    return with_legend(drawn, bar, [f"{value:+.3g} m" for value in ends])
+
+
+def with_legend(drawn: NDArray[np.uint8], bar: NDArray[np.uint8], labels: Sequence[str]) -> NDArray[np.uint8]:
+    """A picture (rows, cols, 4) with its colours below, (1, n, 4), and three texts below these."""
     cols = max(drawn.shape[1], _LEAST_SCALE_PX)
     drawn = np.pad(drawn, ((0, 0), (0, cols - drawn.shape[1]), (0, 0)))
     scale = np.full((_SCALE_PX, cols, 4), 255, dtype=np.uint8)
-    bar = np.linspace(-ends_m, ends_m, cols, dtype=np.float32)
-    scale[: _SCALE_PX // 3] = coloured(bar[None], ends_m)
+    scale[: _SCALE_PX // 3] = cv2.resize(bar, (cols, 1), interpolation=cv2.INTER_LINEAR)
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.4
-    labels = (median_m - ends_m, 0.0), (median_m, 0.5), (median_m + ends_m, 1.0)
-    for value, share in labels:
-        text = f"{value:+.3g} m"
+    for text, share in zip(labels, (0.0, 0.5, 1.0), strict=True):
         (width, _), _ = cv2.getTextSize(text, font, size, 1)
         at = round(share * (cols - width - 8)) + 4, _SCALE_PX - 8
         cv2.putText(scale, text, at, font, size, (0, 0, 0, 255), 1, cv2.LINE_AA)
     return np.vstack([drawn, scale])
+
+
+def index_picture(index: Path, ends: tuple[float, float], colours: Sequence[str]) -> NDArray[np.uint8]:
+    """An index's raster in colours between two ends, as blue, green, red, alpha, with the legend below."""
+    values, _ = _reduced(index, 1, _INDEX_PX)
+    stops = np.array([[int(c[k : k + 2], 16) for k in (5, 3, 1)] for c in colours], dtype=np.float64)
+
+    def drawn(of: Floats32) -> NDArray[np.uint8]:
+        at = np.nan_to_num((of - ends[0]) / (ends[1] - ends[0])) * (len(stops) - 1)
+        bgr = [np.interp(at, range(len(stops)), stops[:, k]) for k in range(3)]
+        return np.dstack([*bgr, np.where(np.isfinite(of), 255.0, 0.0)]).astype(np.uint8)
+
+    bar = drawn(np.linspace(*ends, 256, dtype=np.float32)[None])
+    with open_raster(index, OWN) as raster:
+        name = f"{raster.descriptions[0]} of {raster.tags()['VALUES']}"
+    return with_legend(drawn(values), bar, [f"{ends[0]:.3g}", name, f"{ends[1]:.3g}"])

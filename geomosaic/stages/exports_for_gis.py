@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+
 from geomosaic.composition.model import Mosaic
+from geomosaic.export.cog import write_cog
 from geomosaic.export.footprints import write_footprints
+from geomosaic.export.index import AUTO, FORMULAS, Index, index_ends, write_index
 from geomosaic.export.layers import SolvedSurvey, write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
 from geomosaic.export.project import write_project
 from geomosaic.export.project_layers import project_of
+from geomosaic.export.project_rasters import LEAVES, index_style
 from geomosaic.pipeline.function_stage import stage
-from geomosaic.pipeline.stage import Context, RunFile
+from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.quality.statement import answers, asprs_statement
 from geomosaic.quality.verdict import Verdict
+from geomosaic.radiometry.quantity import UNCALIBRATED
+from geomosaic.report.surface import index_picture
 from geomosaic.stages.input_groups import AdjustedBlock
 
 LAYERS, POSITIONS = "layers.gpkg", "positions.csv"
@@ -62,6 +73,51 @@ def export_footprints(layers_file: RunFile, context: Context) -> RunFile:
     with context.writing(FOOTPRINTS) as path:
         write_footprints(context.path_of(layers_file), path)
     return context.run_file(FOOTPRINTS)
+
+
+class IndexParams(StageParams):
+    """See each parameter's help."""
+
+    formula: str = param(
+        AUTO,
+        help=f"{', '.join(FORMULAS)}, or a formula of band names such as (nir - red) / (nir + red); auto: "
+        "NDVI, of a colour camera GLI",
+    )
+    name: str | None = param(None, help="of the files; the index's own, index for another formula")
+
+
+def _check_index(params: IndexParams) -> None:
+    """The formula is one."""
+    if params.formula != AUTO:
+        Index.of(params.formula, params.name)
+
+
+@stage(
+    "export.index", "Write an index of bands", group="Export", version=1, outputs="index_file",
+    check=_check_index,
+)  # fmt: skip
+def export_index(mosaic_file: RunFile, params: IndexParams, context: Context) -> RunFile:
+    """Writes index_NAME.tif in 32-bit floats, index_NAME.png with a legend and index_NAME.qml, its style."""
+    index = Index.for_mosaic(context.path_of(mosaic_file), params.formula, params.name)
+    file = f"index_{index.name}"
+    with TemporaryDirectory(dir=context.work_folder) as scratch:
+        plain = Path(scratch) / "index.tif"
+        progress = partial(context.progress, text=f"{file}.tif")
+        values = write_index(context.path_of(mosaic_file), plain, index, progress)
+        with context.writing(f"{file}.tif") as path:
+            write_cog(plain, path)
+        ends = index_ends(plain, index)
+        picture = index_picture(plain, ends, LEAVES)
+    with context.writing(f"{file}.png") as path:
+        cv2.imwrite(str(path), picture)
+    with context.writing(f"{file}.qml") as path:
+        path.write_text(index_style(ends), encoding="utf-8")
+    if UNCALIBRATED.name in values:
+        text = f"{index.name} is of {values}: compare it within this map only, or calibrate the frames with "
+        text += "--radiometry reflectance"
+        context.warn("index-uncalibrated", "", text)
+    context.metric(f"index.{index.name}", {"formula": index.formula, "values": values})
+    return context.run_file(f"{file}.tif")
 
 
 @stage(
