@@ -173,7 +173,7 @@ def _micasense(
 
 def _tilted_reading(header: FrameHeader, irradiance: float) -> dict[str, str]:
     """Of a first-generation sensor: the share of light from the sun by the cosine of its incidence."""
-    from geomosaic.radiometry.sun import sun_direction
+    from geomosaic.geodesy.sun import sun_direction
     from geomosaic.radiometry.sun_sensor import sensor_axis, transmitted
 
     exif = header.exif

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.constants import sourced, tuned
+from geomosaic.geodesy.sun import sun_direction
 from geomosaic.radiometry.calibration import Calibration, Vignetting
-from geomosaic.radiometry.sun import sun_direction
 from geomosaic.radiometry.sun_sensor import horizontal_irradiance, sensor_axis
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.xmp import Xmp, number, numbers

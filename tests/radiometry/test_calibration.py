@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from geomosaic.geodesy.sun import sun_direction
 from geomosaic.radiometry.calibration import Calibration, Vignetting
 from geomosaic.radiometry.panel import find_panel, middle_of
-from geomosaic.radiometry.sun import sun_direction
 from geomosaic.radiometry.sun_sensor import horizontal_irradiance, sensor_axis, transmitted
 from geomosaic_simulate.multispectral import PANEL_TEXT
 
