@@ -115,7 +115,7 @@ def gone(session: int, seconds: float) -> bool:
 
 
 def test_a_run_says_where_its_results_lie(desk: Desk) -> None:
-    code, out, err = desk.run("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3", "--workers", "1")
+    code, out, err = desk.ask("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3", "--workers", "1")
     assert code == 0
     assert out == (
         "total      run/total.txt\ntold       run/told.txt\nrecording  run/run.mcap\n"
@@ -125,7 +125,7 @@ def test_a_run_says_where_its_results_lie(desk: Desk) -> None:
     assert lines[0] == "warning: four.jpg: 4 numbers are many"
     assert lines[2].startswith("[2/5] Raise to a power: ") and len(lines) == 6
     assert (desk.folder / "run" / "total.txt").read_text().startswith("100.0 ")
-    code, _, err = desk.run("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3")
+    code, _, err = desk.ask("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3", "--workers", "1")
     assert "[2/5] Raise to a power: unchanged, from the cache" in err
 
 
@@ -177,7 +177,7 @@ def test_a_terminal_shows_a_bar_with_the_time_left(desk: Desk) -> None:
     text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
     assert re.search(r"\[2/5\] Raise to a power \S+ 0:00:0\d 2/4, time left \S+ +powers", text)
     assert "warning: four.jpg: 4 numbers are many" in text
-    assert re.search(r"\[2/5\] Raise to a power: 1\.\d s", text)
+    assert re.search(r"\[2/5\] Raise to a power: \d+\.\d s", text)
 
 
 @pytest.mark.parametrize(
@@ -213,13 +213,13 @@ def test_bad_usage_is_one_line_and_exit_2(arguments: list[str], line: str, desk:
 
 def test_a_fault_is_one_line_exit_1_and_has_a_traceback_on_demand(desk: Desk) -> None:
     desk.folder.joinpath("numbers.txt").write_text("one")
-    code, _, err = desk.run("run", "toy.yaml", "-o", "run")
+    code, _, err = desk.ask("run", "toy.yaml", "-o", "run", "--workers", "1")
     assert code == 1 and err.count("\n") == 1
     assert err.startswith(
         "geomosaic: stage toy.read of toys 1.2 failed: ValueError: could not convert string"
     )
     desk.environment["GEOMOSAIC_TRACEBACK"] = "1"
-    code, _, err = desk.run("run", "toy.yaml", "-o", "run")
+    code, _, err = desk.ask("run", "toy.yaml", "-o", "run", "--workers", "1")
     assert code == 1 and "pipeline_toy.py" in err and "Traceback" in err
 
 
@@ -360,7 +360,7 @@ def test_simulate_has_the_options_its_stage_declares(plugged: Desk) -> None:
 def test_export_works_on_a_finished_run(plugged: Desk) -> None:
     code, _, err = plugged.ask("export", "toy", "run")
     assert code == 2 and "run: is no finished run (run.json is missing); give a run's folder" in err
-    assert plugged.run("run", "toy.yaml", "-o", "run")[0] == 0
+    assert plugged.ask("run", "toy.yaml", "-o", "run", "--workers", "1")[0] == 0
     code, out, _ = plugged.ask("export", "toy", "run", "--digits", "3")
     assert (code, out) == (0, "run/export.txt\n")
     assert (plugged.folder / "run" / "export.txt").read_text() == "30.000 3"
@@ -421,6 +421,6 @@ def test_help_names_units_and_defaults(desk: Desk) -> None:
     assert code == 0
     for option in ("--pos", "--camera", "--dem-offset", "--gcp", "--crs", "--gsd", "--adjust", "--reference"):
         assert option in out
-    code, out, err = desk.run()
+    code, out, err = desk.ask()
     assert code == 2 and err.startswith("Usage: geomosaic") and out == ""
-    assert desk.run("--version")[:2] == (0, "geomosaic 0.1.0\n")
+    assert desk.ask("--version")[:2] == (0, "geomosaic 0.1.0\n")

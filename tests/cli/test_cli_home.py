@@ -18,6 +18,7 @@ from geomosaic.pipeline.recipe_names import recipe_names
 from geomosaic.requests.run_request import default_folder
 from geomosaic_simulate.survey import SimulatedSurvey
 
+QUICK = ("-q", "--workers", 1, "--set", "adjustment.solve.method=least_squares")
 COMMAND = [sys.executable, "-m", "geomosaic.cli.main"]
 
 
@@ -85,13 +86,14 @@ def test_a_dry_run_refuses_what_the_run_refuses(
 def test_a_recipe_by_name_quietly_into_a_folder_beside_the_frames(
     survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert geomosaic("run", "quick-look", survey.frames, "-q", "--workers", 1) == 0
+    assert geomosaic("run", "quick-look", survey.frames, *QUICK) == 0
     said = capsys.readouterr()
     assert said.out == said.err == ""
     run = survey.frames.with_name("frames-quick-look")
     assert summary(run)["recipe"]["name"] == "quick look" and (run / "mosaic.tif").is_file()
-    for more in (("replay", run / "run.mcap", "-o", run.with_name("again")), ("export", "vrt", run)):
-        assert geomosaic(*more, "-q") == 0
+    again = ("-o", run.with_name("again"), "--from", "mosaic.compose")
+    for more in (("replay", run / "run.mcap", *again, *QUICK[:3]), ("export", "vrt", run, "-q")):
+        assert geomosaic(*more) == 0
         said = capsys.readouterr()
         assert said.out == said.err == "", more[0]
     assert (run / "mosaic.vrt").is_file() and (run.with_name("again") / "mosaic.tif").is_file()

@@ -198,7 +198,7 @@ def test_pos_crs_and_ground_height_reach_their_stages(
     arguments = ["mosaic", str(four), "-o", str(tmp_path / "r"), "--pos", str(pos), "--workers", "1"]
     assert main(arguments) == 2
     assert "--pos-crs" in capsys.readouterr().err
-    code = main([*arguments, "--pos-crs", "EPSG:32632", "--ground-height", "120.5"])
+    code = main([*arguments, "--pos-crs", "EPSG:32632", "--ground-height", "120.5", "--adjust", "none"])
     said = capsys.readouterr()
     assert code == 0, said.err
     stages = read_recording(tmp_path / "r" / "run.mcap").stages

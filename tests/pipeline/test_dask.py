@@ -54,9 +54,10 @@ def local(survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder
 
 
-@pytest.fixture
-def team(tmp_path: Path) -> Iterator[Team]:
-    with dask_team(tmp_path / "dask") as team:
+@pytest.fixture(scope="module")
+def team(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Team]:
+    """A cluster that stays: each of two tests kills a worker of three."""
+    with dask_team(tmp_path_factory.mktemp("dask"), workers=3) as team:
         yield team
 
 
@@ -94,7 +95,7 @@ def powers(
 @pytest.mark.parametrize(
     ("deadly", "words"),
     [
-        (lambda team: [team.kill() for _ in range(2)], "no Dask worker is left at tcp://"),
+        (lambda team: team.kill(), "no Dask worker is left at tcp://"),
         (lambda team: team.scheduler.kill(), "the Dask scheduler at tcp://.* is gone"),
     ],
 )
@@ -109,16 +110,16 @@ def test_a_cluster_that_is_gone_is_one_line_and_what_is_done_is_kept(
     """Without anybody left a run had waited for ever; a dead scheduler was a `CancelledError` after a page of
     Dask's own words."""
     monkeypatch.setattr(executor, "DASK_PATIENCE_S", 1.0)
-    striking = Striking("powers", lambda: deadly(team))
-    with pytest.raises(
-        GeomosaicError, match=f"{words}.*; start it anew and run again: finished work is kept"
-    ):
-        powers(team, tmp_path / "run", striking.progress)
+    with dask_team(tmp_path / "dying", workers=1) as dying:
+        striking = Striking("powers", lambda: deadly(dying))
+        with pytest.raises(
+            GeomosaicError, match=f"{words}.*; start it anew and run again: finished work is kept"
+        ):
+            powers(dying, tmp_path / "run", striking.progress)
     assert capfd.readouterr().err == ""
     kept = len([p for p in (tmp_path / "run").rglob("items/*/*") if p.is_file()])
     seen: list[int] = []
-    with dask_team(tmp_path / "another", workers=1) as other:
-        found = powers(other, tmp_path / "run", lambda done, *_: seen.append(done))
+    found = powers(team, tmp_path / "run", lambda done, *_: seen.append(done))
     assert found == [float(i * i) for i in range(12)] and 4 <= seen[0] == kept < 12
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +25,22 @@ _FLOWN = {
     "--gps-outliers": 1, "--gps-outlier-m": 60, "--yaw-wrong-share": 0.1, "--turned": "9", "--seed": 4,
     "--workers": 1,
 }  # fmt: skip
-_made: list[Path] = []
 
 
 def bad_survey(folders: pytest.TempPathFactory) -> Path:
-    """Its folder: frames, truth, and the run; not to be changed. Made when it is first asked for."""
-    if not _made:
-        survey = folders.mktemp("bad-survey")
-        assert (
-            main(["simulate", "frames", str(survey), *(str(w) for pair in _FLOWN.items() for w in pair)]) == 0
-        )
-        run = ["-o", str(survey / "run"), "--workers", "1", "--set", "matching.sift.keypoints=1200"]
-        assert main(["mosaic", str(survey / "frames"), *run]) == 0
-        _made.append(survey)
-    return _made[0]
+    """Its folder: frames, truth, and the run; not to be changed. Made when it is first asked for, once for all
+    processes that share the tests."""
+    shared = folders.getbasetemp().parent if "PYTEST_XDIST_WORKER" in os.environ else folders.getbasetemp()
+    survey, made = shared / "bad-survey", shared / "bad-survey" / "made"
+    with (shared / "bad-survey.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.exists():
+            words = [str(word) for pair in _FLOWN.items() for word in pair]
+            assert main(["simulate", "frames", str(survey), *words]) == 0
+            run = ["-o", str(survey / "run"), "--workers", "1", "--set", "matching.sift.keypoints=1200"]
+            assert main(["mosaic", str(survey / "frames"), *run]) == 0
+            made.touch()
+    return survey
 
 
 def planted(survey: Path) -> list[tuple[str, str]]:

@@ -154,10 +154,10 @@ def test_a_mosaic_of_frames_in_folders(tmp_path: Path) -> None:
         for i, frame in enumerate(frames):
             frame.rename(tmp_path / "card" / f"{k}" / f"{i}.jpg")
     run = tmp_path / "run"
-    assert mosaic(tmp_path / "card", run) == 0
+    assert mosaic(tmp_path / "card", run, "--adjust", "least_squares") == 0
     text = (run / "positions.csv").read_text()
     assert [line.split(",")[0] for line in text.splitlines()[1:]] == ["0_0.jpg", "1.jpg", "1_0.jpg"]
     assert warned(run, "frame-copy") == []
     fourth.rename(tmp_path / "card" / "1" / "2.jpg")
-    assert mosaic(tmp_path / "card", run) == 0
+    assert mosaic(tmp_path / "card", run, "--adjust", "least_squares") == 0
     assert summary(run)["frames"]["total"] == 4

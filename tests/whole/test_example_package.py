@@ -43,15 +43,15 @@ def test_the_example_is_a_stage_like_any_other(site: Path, tmp_path: Path) -> No
     survey = small_survey(tmp_path, lines=1, frames_per_line=3, width_px=240, height_px=180, pos_in="exif")
     described = geomosaic(site, "stages", "haze.estimate")
     assert described.stdout.startswith("haze.estimate: Estimate haze (Haze, version 1)\n"), described.stderr
-    arguments = ["run", EXAMPLE / "haze.yaml", survey.frames, "-o", tmp_path / "run", "--workers", 2]
-    done = geomosaic(site, *arguments)
+    arguments = ["run", EXAMPLE / "haze.yaml", survey.frames, "-o", tmp_path / "run", "--workers"]
+    done = geomosaic(site, *arguments, 2)
     assert done.returncode == 0, done.stderr
     assert re.search(r"^haze {7}0\.\d\d in the worst frame$", done.stdout, re.MULTILINE)
     with (tmp_path / "run" / "haze.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [r["frame"] for r in rows] == [f"F000{i}.jpg" for i in (1, 2, 3)]
     assert all(0.0 <= float(r["dark_level"]) < 0.5 for r in rows)
-    again = geomosaic(site, *arguments, "--set", "haze.estimate.hazy=0")
+    again = geomosaic(site, *arguments, 1, "--set", "haze.estimate.hazy=0")
     assert "warning: F0001.jpg: hazy" in again.stderr
 
 
