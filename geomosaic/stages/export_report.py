@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from dataclasses import dataclass
+from typing import Any, Final
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.params import StageParams, param
-from geomosaic.pipeline.stage import Context, RunFile, Stage
-from geomosaic.placement.model import Placement
+from geomosaic.pipeline.stage import Context, RunFile
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
@@ -23,67 +24,89 @@ from geomosaic.report.glance import Glance
 from geomosaic.report.map_images import ReferenceSeen
 from geomosaic.report.pdf import print_page
 from geomosaic.report.surface import SurfaceSection, surface_section
+from geomosaic.stages.quality_compare import FlownFrames
 from geomosaic.stages.reporting import run_name
-from geomosaic.survey.model import Survey
 
 ACCURACY_REPORT: Final = "accuracy_report.json"
 PDF: Final = "report.pdf"
 
 
-class ExportReport(Stage):
+@dataclass(frozen=True)
+class AdjustedFlight(FlownFrames):
+    """These with the tie points between the frames."""
+
+    ties: TiePoints
+
+
+@dataclass(frozen=True)
+class JudgedMosaic(InputGroup):
+    """The mosaic, and what other stages found about it."""
+
+    mosaic: Mosaic
+    mosaic_file: RunFile
+    comparison: Comparison | None = None
+    verdict: Verdict | None = None
+    given: GivenMosaic | None = None
+    reference_seen: ReferenceSeen | None = None
+    accuracy_file: RunFile | None = None
+
+
+@dataclass(frozen=True)
+class SurfaceFiles(InputGroup):
+    """The rasters of a surface, and how it compares with another one."""
+
+    surface_file: RunFile
+    confidence_file: RunFile
+    terrain_file: RunFile
+    surface_comparison: SurfaceComparison | None = None
+
+
+class ReportParams(StageParams):
+    """See each parameter's help."""
+
+    pdf: bool = param(False, help=f"also print the page to {PDF}, by a browser of the Chromium family")
+
+
+@stage(
+    "export.report", "Write the report", group="Export", version=9, outputs="report_file", cached=False,
+    results=("report.html", ACCURACY_REPORT, PDF),
+)  # fmt: skip
+def export_report(
+    of: AdjustedFlight, made: JudgedMosaic, params: ReportParams, context: Context,
+    surface: SurfaceFiles | None = None,
+) -> RunFile:  # fmt: skip
     """Runs every time, since it also reports what run.json holds so far."""
-
-    id = "export.report"
-    display_name = "Write the report"
-    group = "Export"
-    version = 9
-    cached = False
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "placement": Placement, "ties": TiePoints, "adjusted": Adjusted,
-        "mosaic": Mosaic, "mosaic_file": RunFile,
-    }  # fmt: skip
-    optional_inputs: ClassVar[dict[str, type]] = {
-        "comparison": Comparison, "verdict": Verdict, "surface_file": RunFile, "confidence_file": RunFile,
-        "terrain_file": RunFile, "surface_comparison": SurfaceComparison, "given": GivenMosaic,
-        "reference_seen": ReferenceSeen, "accuracy_file": RunFile,
-    }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {"report_file": RunFile}
-    results: ClassVar[tuple[str, ...]] = ("report.html", ACCURACY_REPORT, PDF)
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        pdf: bool = param(False, help=f"also print the page to {PDF}, by a browser of the Chromium family")
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Renders the page and writes it."""
-        mosaic_file = context.path_of(inputs["mosaic_file"])
-        page = render_report(
-            FramesReport(
-                survey=inputs["survey"],
-                placement=inputs["placement"],
-                ties=inputs["ties"],
-                adjusted=inputs["adjusted"],
-                mosaic=inputs["mosaic"],
-                mosaic_file=mosaic_file,
-                image=context.optional_cache(Glance, str(mosaic_file)).found(),
-                comparison=inputs.get("comparison"),
-                verdict=inputs.get("verdict"),
-                surface=_surface(inputs, context),
-                others=_other_images(inputs, context),
-                summary=context.summary(),
-                name=run_name(context),
-            )
+    mosaic_file, seen, accuracy = context.path_of(made.mosaic_file), made.reference_seen, made.accuracy_file
+    page = render_report(
+        FramesReport(
+            survey=of.survey,
+            placement=of.placement,
+            ties=of.ties,
+            adjusted=of.adjusted,
+            mosaic=made.mosaic,
+            mosaic_file=mosaic_file,
+            image=context.optional_cache(Glance, str(mosaic_file)).found(),
+            comparison=made.comparison,
+            verdict=made.verdict,
+            surface=None if surface is None else _section(surface, context),
+            others=OtherImages(
+                None if made.given is None else made.given.image,
+                None if seen is None else seen.image,
+                None if accuracy is None else context.path_of(accuracy),
+            ),
+            summary=context.summary(),
+            name=run_name(context),
         )
-        with context.writing("report.html") as path:
-            path.write_text(page, encoding="utf-8")
-        if "verdict" in inputs:
-            with context.writing(ACCURACY_REPORT) as path:
-                path.write_text(_accuracy_report(context.summary(), inputs["adjusted"]), encoding="utf-8")
-        if params.pdf:
-            with context.writing(PDF) as path:
-                print_page(context.path_of(context.run_file("report.html")), path)
-        return {"report_file": context.run_file("report.html")}
+    )
+    with context.writing("report.html") as path:
+        path.write_text(page, encoding="utf-8")
+    if made.verdict is not None:
+        with context.writing(ACCURACY_REPORT) as path:
+            path.write_text(_accuracy_report(context.summary(), of.adjusted), encoding="utf-8")
+    if params.pdf:
+        with context.writing(PDF) as path:
+            print_page(context.path_of(context.run_file("report.html")), path)
+    return context.run_file("report.html")
 
 
 def _accuracy_report(summary: Mapping[str, Any], adjusted: Adjusted) -> str:
@@ -117,18 +140,8 @@ def _accuracy_report(summary: Mapping[str, Any], adjusted: Adjusted) -> str:
     return json.dumps(parts, indent=1) + "\n"
 
 
-def _surface(inputs: Mapping[str, Any], context: Context) -> SurfaceSection | None:
-    if "surface_file" not in inputs:
-        return None
+def _section(of: SurfaceFiles, context: Context) -> SurfaceSection:
     surface, confidence, terrain = (
-        context.path_of(inputs[name]) for name in ("surface_file", "confidence_file", "terrain_file")
+        context.path_of(file) for file in (of.surface_file, of.confidence_file, of.terrain_file)
     )
-    return surface_section(surface, confidence, terrain, context.summary(), inputs.get("surface_comparison"))
-
-
-def _other_images(inputs: Mapping[str, Any], context: Context) -> OtherImages:
-    given, reference = (
-        inputs[name].image if name in inputs else None for name in ("given", "reference_seen")
-    )
-    accuracy = inputs.get("accuracy_file")
-    return OtherImages(given, reference, None if accuracy is None else context.path_of(accuracy))
+    return surface_section(surface, confidence, terrain, context.summary(), of.surface_comparison)

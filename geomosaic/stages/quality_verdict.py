@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,121 +14,108 @@ from geomosaic.composition.model import Mosaic
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.views import PosedFrames
 from geomosaic.export.on_map import work_from_map
-from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.params import StageParams, param
-from geomosaic.pipeline.stage import Context, Stage
+from geomosaic.pipeline.stage import Context
 from geomosaic.placement.graph import connected_parts
-from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality import statement
 from geomosaic.quality.accuracy import Requirement, accuracy_of, usual_requirement
 from geomosaic.quality.ground_doubt import Land, land_doubt
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Verdict, VerdictInputs, verdict_of
 from geomosaic.stages.chips import Chips
+from geomosaic.stages.input_groups import AdjustedBlock
 from geomosaic.survey.model import Survey
 
 
-class QualityVerdict(Stage):
+class VerdictParams(StageParams):
+    """See each parameter's help."""
+
+    accuracy_m: float | Literal["auto"] = param(
+        "auto",
+        help="required horizontal RMSE against the world; auto: what the positions can give",
+        unit="m",
+        ge=0.0,
+    )
+    accuracy_vertical_m: float | Literal["none"] = param(
+        "none", help="required vertical RMSE", unit="m", ge=0.0
+    )
+    accuracy_relative_permille: float | Literal["auto"] = param(
+        "auto",
+        help="required RMSE of distances in the map; auto: what the positions can give",
+        unit="per mille",
+        ge=0.0,
+    )
+
+
+def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The grade, why, and what would fix it."""
+    verdict = summary.get("verdict")
+    if not isinstance(verdict, dict):
+        return []
+    why = f" {verdict['cause']};" if verdict["cause"] else ""
+    fix = [("fix", verdict["fix"])] if verdict["fix"] else []
+    answered = [(q.removesuffix(" accuracy"), answer) for q, answer in verdict.get("answers", [])]
+    return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *fix, *answered]
+
+
+def _shortcoming(summary: Mapping[str, Any]) -> str:
+    """The verdict, if it is bad."""
+    verdict = summary.get("verdict")
+    if not isinstance(verdict, dict) or verdict["grade"] != "bad":
+        return ""
+    (_, text), *others = _conclusions(summary)
+    return "; ".join([f"the verdict is {text}", *(fix for what, fix in others if what == "fix")])
+
+
+@stage(
+    "quality.verdict", "Judge the mosaic", group="Quality", version=21, outputs="verdict", wants_frames=True,
+    concurrent=True, conclusions=_conclusions, shortcoming=_shortcoming,
+)  # fmt: skip
+def quality_verdict(
+    of: AdjustedBlock, mosaic: Mosaic, ownership: Ownership, params: VerdictParams, context: Context
+) -> Verdict:
     """Checks the seams in the pixels, the residuals for patterns, and judges; it changes nothing."""
-
-    id = "quality.verdict"
-    display_name = "Judge the mosaic"
-    group = "Quality"
-    version = 21
-    wants_frames: ClassVar[bool] = True
-    concurrent: ClassVar[bool] = True
-    inputs: ClassVar[dict[str, type]] = {
-        "survey": Survey, "ground": GroundSurface, "ties": TiePoints, "adjusted": Adjusted, "mosaic": Mosaic,
-        "ownership": Ownership,
-    }  # fmt: skip
-    outputs: ClassVar[dict[str, type]] = {"verdict": Verdict}
-
-    class Params(StageParams):
-        """See each parameter's help."""
-
-        accuracy_m: float | Literal["auto"] = param(
-            "auto",
-            help="required horizontal RMSE against the world; auto: what the positions can give",
-            unit="m",
-            ge=0.0,
-        )
-        accuracy_vertical_m: float | Literal["none"] = param(
-            "none", help="required vertical RMSE", unit="m", ge=0.0
-        )
-        accuracy_relative_permille: float | Literal["auto"] = param(
-            "auto",
-            help="required RMSE of distances in the map; auto: what the positions can give",
-            unit="per mille",
-            ge=0.0,
-        )
-
-    @classmethod
-    def conclusions(cls, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """The grade, why, and what would fix it."""
-        verdict = summary.get("verdict")
-        if not isinstance(verdict, dict):
-            return []
-        why = f" {verdict['cause']};" if verdict["cause"] else ""
-        fix = [("fix", verdict["fix"])] if verdict["fix"] else []
-        answered = [(q.removesuffix(" accuracy"), answer) for q, answer in verdict.get("answers", [])]
-        return [("verdict", f"{verdict['grade']}:{why} {verdict['text']}"), *fix, *answered]
-
-    @classmethod
-    def shortcoming(cls, summary: Mapping[str, Any]) -> str:
-        """The verdict, if it is bad."""
-        verdict = summary.get("verdict")
-        if not isinstance(verdict, dict) or verdict["grade"] != "bad":
-            return ""
-        (_, text), *others = cls.conclusions(summary)
-        return "; ".join([f"the verdict is {text}", *(fix for what, fix in others if what == "fix")])
-
-    def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        """Judges, and says it in run.json where nobody can miss it."""
-        survey: Survey = inputs["survey"]
-        adjusted: Adjusted = inputs["adjusted"]
-        mosaic: Mosaic = inputs["mosaic"]
-        ground: GroundSurface = inputs["ground"]
-        chips = Chips(context, survey, inputs["ties"], adjusted)
-        used = inputs["ownership"].used.tolist()
-        frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, ground)
-        seams = check_seams(frames, mosaic.grid, mosaic.seamlines, context, chips.look)
-        image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
-        land = Land(inputs["ownership"], adjusted.poses, survey.work_frame, ground, adjusted.ground)
-        required = _required(params, survey, adjusted, pixel_m)
-        seen = VerdictInputs(
-            seams,
-            () if image is None else residual_patterns(image, adjusted.cameras),
-            connected_parts(len(survey.frames), inputs["ties"].frames),
-            inputs["ownership"].shares(),
-            land_doubt(land, required.local_m / pixel_m),
-            {warning["code"] for warning in context.summary().get("warnings", ())},
-            [f.name for f in survey.frames],
-            pixel_m,
-        )
-        known = seams.length_px[np.isfinite(seams.length_px)]
-        median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
-        placed = any(f.position.known for f in survey.frames) or any(not c.check for c in adjusted.control)
-        seam_px = float("nan") if median_px is None else median_px
-        accuracy = accuracy_of(adjusted, seam_px, pixel_m, placed=placed)
-        verdict = verdict_of(adjusted, seen, accuracy, required)
-        chips.record()
-        rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
-        edges = [work_from_map(survey, ring) for _, ring in rings]
-        context.recorder.outlines("seams", [survey.frames[frame].name for frame, _ in rings], edges)
-        context.report("verdict", reported(verdict, pixel_m))
-        context.report("accuracy", statement.reported(accuracy, verdict.required))
-        if verdict.grade != "good":
-            context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.fix}")
-        context.metric("seams.median_px", median_px)
-        context.metric("seams.percentile_95_px", most_px)
-        context.metric("seams.measured", int(known.size))
-        context.metric("seams.asked", len(seams.left))
-        return {"verdict": verdict}
+    survey, adjusted, ties = of.survey, of.adjusted, of.ties
+    chips = Chips(context, survey, ties, adjusted)
+    used = ownership.used.tolist()
+    frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, of.ground)
+    seams = check_seams(frames, mosaic.grid, mosaic.seamlines, context, chips.look)
+    image, pixel_m = adjusted.image_residuals, mosaic.grid.gsd_m
+    land = Land(ownership, adjusted.poses, survey.work_frame, of.ground, adjusted.ground)
+    required = _required(params, survey, adjusted, pixel_m)
+    seen = VerdictInputs(
+        seams,
+        () if image is None else residual_patterns(image, adjusted.cameras),
+        connected_parts(len(survey.frames), ties.frames),
+        ownership.shares(),
+        land_doubt(land, required.local_m / pixel_m),
+        {warning["code"] for warning in context.summary().get("warnings", ())},
+        [f.name for f in survey.frames],
+        pixel_m,
+    )
+    known = seams.length_px[np.isfinite(seams.length_px)]
+    median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)
+    placed = any(f.position.known for f in survey.frames) or any(not c.check for c in adjusted.control)
+    seam_px = float("nan") if median_px is None else median_px
+    accuracy = accuracy_of(adjusted, seam_px, pixel_m, placed=placed)
+    verdict = verdict_of(adjusted, seen, accuracy, required)
+    chips.record()
+    rings = [(s.frame, polygon[0]) for s in mosaic.seamlines for polygon in s.polygons]
+    edges = [work_from_map(survey, ring) for _, ring in rings]
+    context.recorder.outlines("seams", [survey.frames[frame].name for frame, _ in rings], edges)
+    context.report("verdict", reported(verdict, pixel_m))
+    context.report("accuracy", statement.reported(accuracy, verdict.required))
+    if verdict.grade != "good":
+        context.warn(f"verdict-{verdict.grade}", "", f"{verdict.cause}; {verdict.fix}")
+    context.metric("seams.median_px", median_px)
+    context.metric("seams.percentile_95_px", most_px)
+    context.metric("seams.measured", int(known.size))
+    context.metric("seams.asked", len(seams.left))
+    return verdict
 
 
-def _required(
-    params: QualityVerdict.Params, survey: Survey, adjusted: Adjusted, pixel_m: float
-) -> Requirement:
+def _required(params: VerdictParams, survey: Survey, adjusted: Adjusted, pixel_m: float) -> Requirement:
     """What the user asks for, else what the inputs can give."""
     stated_m = [max(f.position.deviations_m[:2]) for f in survey.frames if f.position.known]
     usual = usual_requirement(adjusted, np.array(stated_m), pixel_m)

@@ -45,4 +45,6 @@ def test_what_an_extra_brings_is_named_where_it_is_missing(
 
     error = ModuleNotFoundError("No module named 'rerun'", name="rerun")
     assert main._failed(error, Stop()) == 2
-    assert capsys.readouterr().err == "geomosaic: rerun isn't installed; pip install 'geomosaic-ortho[view]'\n"
+    assert (
+        capsys.readouterr().err == "geomosaic: rerun isn't installed; pip install 'geomosaic-ortho[view]'\n"
+    )

@@ -27,7 +27,7 @@ from geomosaic.report.accuracy_table import accuracy_table
 from geomosaic.report.control import mapped_points, point_figures
 from geomosaic.report.control_layers import arrow_scale, control_layers
 from geomosaic.report.frames import FramesReport, render_report
-from geomosaic.stages.export_report import ExportReport
+from geomosaic.stages.export_report import export_report
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_programs_find_the_points_and_their_figures_beside_the_page(run, tmp_pat
     context = Context(folder, stage_id="export.report", work_folder=tmp_path / "work", summary=summary)
     given = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic", "verdict")}
     given["mosaic_file"] = context.run_file("mosaic.tif")
-    ExportReport().run(given, ExportReport.Params(), context)
+    export_report().run(given, export_report.Params(), context)
     told = json.loads((folder / "accuracy_report.json").read_text(encoding="utf-8"))
     assert (told["accuracy"], told["verdict"]) == (summary["accuracy"], summary["verdict"])
     assert [p["name"] for p in told["points"] if p["blunder"]] == ["GCP-03", "CHK-15"]

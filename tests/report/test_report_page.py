@@ -25,7 +25,7 @@ from geomosaic.report.glance import glance
 from geomosaic.report.parts import frame_table
 from geomosaic.report.warnings import warnings_of
 from geomosaic.stages.export_cog import export_cog
-from geomosaic.stages.export_report import ExportReport
+from geomosaic.stages.export_report import export_report
 from geomosaic.stages.quality_compare import quality_compare
 
 
@@ -236,7 +236,7 @@ def test_both_stages_in_a_run_folder(run, tmp_path):
     given = {**inputs, "mosaic_file": mosaic_file, **compared}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("geomosaic.report.map_images.open_map", None)  # the reference isn't opened again
-        out = ExportReport().run(given, ExportReport.Params(), context)
+        out = export_report().run(given, export_report.Params(), context)
     assert out["report_file"].name == "report.html"
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "absolute RMSE" in page and seen.image.uri in page
@@ -269,5 +269,5 @@ def test_the_mosaic_is_reduced_for_the_report_while_it_is_exported(run, tmp_path
     monkeypatch.setattr("geomosaic.report.frames.glance", None)  # it isn't reduced again
     context = Context(tmp_path, stage_id="export.report", key="another", summary=run["summary"])
     inputs = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic")}
-    ExportReport().run({**inputs, **made}, ExportReport.Params(), context)
+    export_report().run({**inputs, **made}, export_report.Params(), context)
     assert small.uri in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ from geomosaic.pipeline.stage import Context
 from geomosaic.quality.surface import compare_surface
 from geomosaic.report.frames import FramesReport, render_report
 from geomosaic.report.surface import SurfaceSection, surface_section
-from geomosaic.stages.export_report import ExportReport
+from geomosaic.stages.export_report import export_report
 
 HOSTILE = "dem <img src=x onerror=alert(1)>.tif"
 ROWS, COLS = 200, 1000
@@ -169,6 +169,6 @@ def test_the_stage_shows_the_runs_own_files(run, made_up, tmp_path):
         "terrain_file": "terrain.tif",
     }
     for given in (inputs, inputs | {name: context.run_file(file) for name, file in files.items()}):
-        ExportReport().run(given, ExportReport.Params(), context)
+        export_report().run(given, export_report.Params(), context)
         shown = (folder / "report.html").read_text(encoding="utf-8")
         assert ("click two places" in shown) == ("surface_file" in given)
