@@ -25,7 +25,9 @@ LONGEST = (
     "test_degenerate_blocks", "test_cli_staircase", "test_bad_input", "test_ccd_rivals", "test_control",
     "test_cli_commands", "test_strips_command", "test_mosaic_trim", "test_surface_matching", "test_fuzz_short",
     "test_bundle", "test_bundle_oracle", "test_adjustment_surface", "test_bench_flights", "test_recording_kills",
-    "test_ccd_radiometry", "test_design_effect", "test_cli_home", "test_start", "test_dirty",
+    "test_ccd_radiometry", "test_design_effect", "test_stale", "test_placement", "test_start", "test_dirty",
+    "test_mosaic_tones", "test_survey_makefile", "test_mosaic_grid", "test_recording_frames_gone", "test_plugin",
+    "test_python", "test_messages", "test_example_package", "test_cli_home",
 )  # fmt: skip
 """Files that take longest go first: one that a worker is given last is what all wait for."""
 

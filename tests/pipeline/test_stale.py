@@ -30,7 +30,8 @@ QUICK = ("--adjust", "least_squares")
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
-    return small_survey(tmp_path_factory.mktemp("survey"), lines=1, frames_per_line=3, seed=21)
+    folder = tmp_path_factory.mktemp("survey")
+    return small_survey(folder, lines=1, frames_per_line=3, width_px=320, height_px=240, seed=21)
 
 
 def told(survey: SimulatedSurvey) -> list[object]:
@@ -71,8 +72,8 @@ def test_changed_images_and_masks_give_another_mosaic(survey: SimulatedSurvey, t
     assert np.nanmean(first) + np.nanmean(second) == pytest.approx(255.0, abs=3.0)
     assert abs(np.nanmean(first) - np.nanmean(second)) > 10.0
     assert "matching.sift" not in summary(tmp_path / "run")["cached_stages"]
-    mask = np.full((360, 480), 255, np.uint8)
-    mask[:180] = 0
+    mask = np.full((240, 320), 255, np.uint8)
+    mask[:120] = 0
     for frame in sorted(frames.glob("*.jpg")):
         cv2.imwrite(str(frames / f"{frame.stem}_mask.png"), mask)
     assert mosaic(frames, tmp_path / "run", *told(survey)) == 0

@@ -54,7 +54,9 @@ def test_flights_of_a_folder_are_run_and_their_results_merged(
     table = (tmp_path / "flights.md").read_text()
     assert "| good | 0 | 6 of 6 |" in table and "| bad | 2 | - |" in table
 
-    (data / "good.yaml").write_text("frames: six/frames\nexpect: {seams_px: 0.00001}\n")
+    (data / "good.yaml").write_text(
+        "frames: six/frames\noptions: {adjust: least_squares}\nexpect: {seams_px: 0.00001}\n"
+    )
     assert main([*words, "--only", "good"]) == 1
     assert "seams_px" in json.loads((tmp_path / "flights.json").read_text())["flights"]["good"]["missed"][0]
 
