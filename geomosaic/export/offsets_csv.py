@@ -1,4 +1,4 @@
-"""offsets.csv: the offsets of every line of every pair, written fast and read with care."""
+"""offsets.csv: the offsets of every line of every pair, written fast; true ones are read with care."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import io
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.ccd.model import LABELS, Floats, PairOffsets
 from geomosaic.doors.files import read_text
@@ -17,7 +16,7 @@ from geomosaic.errors import FileError, InputError, OutputError
 from geomosaic.survey.strips import StripGeometry
 
 COLUMNS: Final = ("pair", "line", "dcol_px", "dline_px", "sd_col_px", "sd_line_px", "label")
-_TRUTH_COLUMNS = COLUMNS[:4]
+_TRUTH_COLUMNS: Final = COLUMNS[:4]
 _ROWS_AT_ONCE = 4096
 _MOST_BYTES_A_ROW = 200
 _LARGEST = 1e9
@@ -51,73 +50,46 @@ def _texts(pair: PairOffsets) -> Iterator[str]:
         yield "".join([row % cells for cells in table])
 
 
-def read_offsets_csv(path: Path, geometry: StripGeometry) -> tuple[PairOffsets, ...]:
-    """The offsets in a stranger's offsets.csv, which must fit the geometry.
-
-    Raises: `FileError` or `InputError` with one line that names the file and the fix.
-    """
-    found = []
-    for pair, rows in _pairs(path, geometry, COLUMNS):
-        sd = np.stack([rows["sd_col_px"], rows["sd_line_px"]])
-        if (sd < 0.0).any():
-            raise FileError("has a negative standard deviation", file=path, fix=_FIX)
-        label = np.full(len(rows), len(LABELS), dtype=np.uint8)
-        for k, word in enumerate(LABELS):
-            label[rows["label"] == word] = k
-        if (label == len(LABELS)).any():
-            line = int(np.argmax(label == len(LABELS)))
-            problem = f"the label of pair {pair}, line {line} is none of {', '.join(LABELS)}"
-            raise FileError(problem, file=path, fix=_FIX)
-        found.append(PairOffsets(pair, rows["dcol_px"].copy(), rows["dline_px"].copy(), sd[0], sd[1], label))
-    return tuple(found)
-
-
 def read_true_offsets(path: Path, geometry: StripGeometry) -> dict[int, Floats]:
     """Offsets (lines, 2) dcol, dline by pair, of a file that has at least the columns pair to dline_px.
 
     Raises: `FileError` or `InputError` with one line that names the file and the fix.
     """
-    return {
-        pair: np.stack([rows["dcol_px"], rows["dline_px"]], axis=1)
-        for pair, rows in _pairs(path, geometry, _TRUTH_COLUMNS)
-    }
+    return {pair: rows[:, 2:].copy() for pair, rows in _pairs(path, geometry)}
 
 
-def _pairs(
-    path: Path, geometry: StripGeometry, columns: tuple[str, ...]
-) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Each pair of the geometry with its rows, in order and whole."""
-    table = _table(path, geometry, columns)
-    starts = np.flatnonzero(np.diff(table["pair"], prepend=-1.0))
+def _pairs(path: Path, geometry: StripGeometry) -> Iterator[tuple[int, Floats]]:
+    """Each pair of the geometry with its rows (lines, 4), in order and whole."""
+    table = _table(path, geometry)
+    starts = np.flatnonzero(np.diff(table[:, 0], prepend=-1.0))
     wanted = [k for k in geometry.pairs if geometry.lines[k] and geometry.lines[k + 1]]
-    if table["pair"][starts].tolist() != wanted:
+    if table[starts, 0].tolist() != wanted:
         there = ", ".join(str(k) for k in wanted)
         raise InputError(f"hasn't the pairs of this geometry, which are {there}", file=path, fix=_FIX)
     for pair, rows in zip(wanted, np.split(table, starts[1:]), strict=True):
         lines = geometry.lines[pair]
-        if len(rows) != lines or not np.array_equal(rows["line"], np.arange(lines)):
+        if not np.array_equal(rows[:, 1], np.arange(lines)):
             problem = f"hasn't the lines 0 to {lines - 1} of pair {pair}, one row each"
             raise InputError(problem, file=path, fix=_FIX)
         yield pair, rows
 
 
-def _table(path: Path, geometry: StripGeometry, columns: tuple[str, ...]) -> NDArray[Any]:
+def _table(path: Path, geometry: StripGeometry) -> Floats:
+    """The columns `_TRUTH_COLUMNS`."""
     most = _MOST_BYTES_A_ROW * (sum(geometry.lines) + 100)
     header, _, rows = read_text(path, most, "offsets of these strips", _FIX).partition("\n")
     names = tuple(name.strip() for name in header.split(","))
-    if not set(columns) <= set(names) or len(set(names)) < len(names):
-        raise FileError(f"hasn't the columns {', '.join(columns)}", file=path, fix=_FIX)
-    kinds = [("label", "U12") if name == "label" else (name, np.float64) for name in columns]
-    places = [names.index(name) for name in columns]
+    if not set(_TRUTH_COLUMNS) <= set(names) or len(set(names)) < len(names):
+        raise FileError(f"hasn't the columns {', '.join(_TRUTH_COLUMNS)}", file=path, fix=_FIX)
+    places = [names.index(name) for name in _TRUTH_COLUMNS]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of a file without rows
-            file = io.StringIO(rows)
-            table = np.loadtxt(file, kinds, delimiter=",", comments=None, usecols=places, ndmin=1)
+            table = np.loadtxt(io.StringIO(rows), delimiter=",", comments=None, usecols=places, ndmin=2)
     except ValueError as error:
         problem = "isn't a table of offsets: a row is short or holds no numbers"
         raise FileError(problem, file=path, fix=_FIX) from error
-    for name in columns:
-        if name != "label" and not (np.abs(table[name]) <= _LARGEST).all():
+    for name, column in zip(_TRUTH_COLUMNS, table.T, strict=True):
+        if not (np.abs(column) <= _LARGEST).all():
             raise FileError(f"has a {name} that is not finite", file=path, fix=_FIX)
     return table
