@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from geomosaic.constants import sourced
-from geomosaic.doors.raster import Raster
 from geomosaic.radiometry.calibration import REFLECTANCE_ONE
+
+if TYPE_CHECKING:
+    from geomosaic.doors.raster import Raster
 
 REFLECTANCE: Final = "reflectance"
 RELATIVE: Final = "relative reflectance"

@@ -416,6 +416,14 @@ def test_the_command_line_loads_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 
+def test_a_run_loads_no_library_before_a_stage_needs_it() -> None:
+    code = (
+        "import sys, geomosaic.pipeline.runner;"
+        "print([n for n in ('osgeo', 'rasterio', 'scipy') if n in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
 def test_help_names_units_and_defaults(desk: Desk) -> None:
     code, out, _ = desk.ask("mosaic", "--help-all")
     assert code == 0
