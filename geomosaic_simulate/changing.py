@@ -76,6 +76,31 @@ def paint_cars(window: Pixels, cars: Floats, west_m: float, north_m: float, pixe
             fill_polygon(window, box_m(x, y, along, length, width), west_m, north_m, pixel_m, value)
 
 
+def changes_at(land: Landscape, count: int, side_m: float, bounds_m: Bounds) -> Floats:
+    """Squares painted on the ground in the bounds, well apart: (count, 4) west, south, east, north."""
+    west, south, east, north = bounds_m
+    columns = max(1, int(np.ceil(np.sqrt(count))))
+    rows = max(1, -(-count // columns))
+    found = []
+    for k in range(count):
+        across, along = (float(hashed(land.seed, 7100 + m, k)) for m in range(2))
+        x = west + (east - west) * (k % columns + 0.2 + 0.6 * across) / columns
+        y = south + (north - south) * (k // columns + 0.2 + 0.6 * along) / rows
+        found.append((x - side_m / 2.0, y - side_m / 2.0, x + side_m / 2.0, y + side_m / 2.0))
+    return np.array(found).reshape(-1, 4)
+
+
+def paint_changes(window: Pixels, changes: Floats, west_m: float, north_m: float, pixel_m: float) -> None:
+    """Paint squares of `changes_at` into a window (rows, cols, 3) (in place): white on dark ground, black on
+    bright."""
+    for west, south, east, north in changes:
+        rows = slice(*(max(0, round((north_m - y) / pixel_m)) for y in (north, south)))
+        cols = slice(*(max(0, round((x - west_m) / pixel_m)) for x in (west, east)))
+        if window[rows, cols].size:
+            bright = float(window[rows, cols].mean())
+            window[rows, cols] = _PAINTS[0] if bright < 128.0 else _PAINTS[1]
+
+
 def gusts(trees: Floats, wind_m: float, rng: np.random.Generator) -> Floats:
     """How far the wind bends each crown in one frame (n, 2) east and north, sd wind_m: a gust and its own."""
     common, own = rng.standard_normal(2), rng.standard_normal((len(trees), 2))

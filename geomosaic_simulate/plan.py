@@ -42,9 +42,13 @@ class SurveyPlan:
     of Yue et al. 2021 and ignores the flight's own numbers; its heights count from `ground_height_m`.
     With a `dem` (ellipsoidal heights) the ground is the DEM's, and `ground_height_m` its height in the
     survey's middle. Frames and lines are counted from 1. See docs/simulation.md.
+
+    Surveys of one seed and several epochs show the same ground, each flown and disturbed anew; `changes`
+    squares of change_px ground pixels were painted on the ground before this one.
     """
 
     seed: int = 1
+    epoch: int = 0
     kind: str = "block"
     scale: float = 1.0
 
@@ -97,6 +101,8 @@ class SurveyPlan:
     moving_cars: float = 0.0
     wind_in_trees_m: float = 0.0
     clouds: float = 0.0
+    changes: int = 0
+    change_px: float = 10.0
 
     position_sd_m: float = 1.5
     height_sd_m: float = 2.0
@@ -193,8 +199,8 @@ class SurveyPlan:
                self.hot_spot) < 0.0:  # fmt: skip
             raise InputError("a share, number or time is below 0", fix="give 0 or more")
         if min(self.take_off_frames, self.landing_frames, self.oblique_frames, self.horizon_frames,
-               self.duplicates) < 0:  # fmt: skip
-            raise InputError("a number of frames is below 0", fix="give 0 or more")
+               self.duplicates, self.epoch, self.changes) < 0:  # fmt: skip
+            raise InputError("a number of frames, changes or the epoch is below 0", fix="give 0 or more")
         if not (0.0 <= self.clouds <= 1.0 and 0.0 <= self.auto_exposure <= 1.0):
             raise InputError("a share is outside 0 to 1", fix="give a share such as 0.3")
         if self.water_share + self.smooth_forest_share > 1.0:
@@ -296,6 +302,6 @@ class SurveyPlan:
         return frozenset(found)
 
     def rng(self, purpose: str, frame: int = 0) -> np.random.Generator:
-        """A generator of its own for each purpose (and frame), all from the one seed."""
-        key = (*purpose.encode(), frame)
+        """A generator of its own for each purpose (and frame), all from the one seed and the epoch."""
+        key = (*purpose.encode(), frame, *((self.epoch,) if self.epoch else ()))
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))

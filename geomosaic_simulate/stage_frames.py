@@ -121,6 +121,15 @@ class SimulateFrames(Stage):
         smooth_forest_share: float = param(
             _PLAN.smooth_forest_share, help="share of the land under forest without texture", ge=0, le=1
         )
+        epoch: int = param(
+            _PLAN.epoch, help="number of the survey of the same ground: each is flown anew", ge=0, le=1000
+        )
+        changes: int = param(
+            _PLAN.changes, help="squares painted on the ground before this epoch", ge=0, le=1000
+        )
+        change_px: float = param(
+            _PLAN.change_px, help="side of these squares", unit="ground px", ge=1, le=1000
+        )
         moving_cars: float = param(
             _PLAN.moving_cars, help="cars under way on each 80 m of road, on average", ge=0, le=10
         )

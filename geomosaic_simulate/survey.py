@@ -15,7 +15,15 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
 from geomosaic_simulate import control
-from geomosaic_simulate.changing import cars_at, glitter, gusts, paint_cars, sway
+from geomosaic_simulate.changing import (
+    cars_at,
+    changes_at,
+    glitter,
+    gusts,
+    paint_cars,
+    paint_changes,
+    sway,
+)
 from geomosaic_simulate.flight import Flight, Observed, battery_offset, fly, observe, position_bias
 from geomosaic_simulate.landscape import Bounds, Landscape
 from geomosaic_simulate.light import automatic_gain, clouds_shade, hot_spot, motion_blur, shaken
@@ -43,6 +51,7 @@ from geomosaic_simulate.write import (
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
+CHANGE_COLUMNS = ("west_m", "south_m", "east_m", "north_m")
 _DEM_MARGIN_M = 60.0
 _DEM_REACH = 0.3
 
@@ -60,6 +69,7 @@ class SimulatedSurvey:
     dsm: Path | None
     cover: Path | None
     moving_cars: Path | None
+    changes: Path | None
     truth: Path
     control: Path | None
     gcp_list: Path | None
@@ -116,6 +126,10 @@ def simulate_frames(
     try:
         texture = _write_ground(plan, paths, scratch, camera, flight, world, sights, progress)
 
+        inner = inner_bounds(flight, world)
+        changes = changes_at(landscape_of(plan), plan.changes, plan.change_px * plan.pixel_m, inner)
+        if paths.changes:
+            write_csv(paths.changes, CHANGE_COLUMNS, changes.tolist())
         cars = [
             cars_at(landscape_of(plan), plan.moving_cars, float(flight.time_s[i]), sights[i].bounds_m)
             for i in range(plan.frames)
@@ -126,7 +140,7 @@ def simulate_frames(
             write_csv(paths.moving_cars, CAR_COLUMNS, rows)
 
         def image(i: int) -> bytes:
-            light = _frame(plan, camera, flight, readouts[i], world, sights[i], texture, cars[i], i)
+            light = _frame(plan, camera, flight, readouts[i], world, sights[i], texture, cars[i], changes, i)
             return frame_bytes(plan, reported, flight, observed, i, light)
 
         for n, (i, data) in enumerate(zip(plan.kept, in_threads(image, plan.kept), strict=True)):
@@ -192,6 +206,7 @@ def _frame(
     sight: Sight,
     texture: Texture,
     cars: Floats,
+    changes: Floats,
     i: int,
 ) -> NDArray[np.float32]:
     """One frame as it is stored, values of [0, 255]."""
@@ -204,6 +219,7 @@ def _frame(
         world = dataclasses.replace(world, trees=landscape_of(plan).trees_in(sight.bounds_m))
     ground, west_m, north_m = texture.window(sight.bounds_m)
     glitter(ground, west_m, north_m, plan.pixel_m, landscape_of(plan), plan.rng("water", i))
+    paint_changes(ground, changes, west_m, north_m, plan.pixel_m)
     paint_cars(ground, cars, west_m, north_m, plan.pixel_m)
     if plan.wind_in_trees_m:
         trees = landscape_of(plan).trees_in(sight.bounds_m)
@@ -232,6 +248,14 @@ def smear_px(plan: SurveyPlan, camera: Camera, flight: Flight, i: int) -> Floats
     above_m = float(flight.lon_lat_height[i, 2]) - plan.ground_height_m
     per_m = camera.focal_length_px / max(above_m, 1.0)
     return plan.exposure_time_s * per_m * np.array([-right, up])
+
+
+def inner_bounds(flight: Flight, world: World) -> Bounds:
+    """West, south, east and north on the map of the inner half of the survey's nadir points."""
+    of_survey = [i for i, role in enumerate(flight.role) if role == "survey"]
+    at = world.map_from_enu(flight.poses.positions_m[of_survey])[:, :2]
+    (west, south), (east, north) = np.quantile(at, 0.15, axis=0), np.quantile(at, 0.85, axis=0)
+    return float(west), float(south), float(east), float(north)
 
 
 def landscape_of(plan: SurveyPlan) -> Landscape:
@@ -371,6 +395,7 @@ def _paths(out: Path, plan: SurveyPlan) -> SimulatedSurvey:
         dsm=truth / "dsm.tif" if plan.buildings_stand or plan.trees_stand else None,
         cover=truth / "cover.tif" if plan.water_share + plan.smooth_forest_share > 0.0 else None,
         moving_cars=truth / "moving_cars.csv" if plan.moving_cars > 0.0 else None,
+        changes=truth / "changes.csv" if plan.changes else None,
         truth=truth / "truth.json",
         control=out / "gcp.csv" if plan.control_points else None,
         gcp_list=out / "gcp_list.txt" if plan.control_points else None,

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from geomosaic import __version__
+from geomosaic.cli.compare import compare
 from geomosaic.cli.control import control
 from geomosaic.cli.doctor import doctor
 from geomosaic.cli.fetch import fetch
@@ -60,7 +61,7 @@ _REPLAY = RequestCommand(
 _COMMANDS: Mapping[str, Sequence[RequestCommand | Callable[..., Any]]] = {
     "Make a mosaic": (_MOSAIC, _WATCH, _STRIPS, _RUN),
     "Before a run": (fetch, frames, control, recipes, stages),
-    "After a run": (inspect, view, measure, evaluate, _REPLAY, diff, misplacement),
+    "After a run": (inspect, view, measure, compare, evaluate, _REPLAY, diff, misplacement),
     "Installation and simulation": (doctor, qgis_script),
 }
 """Commands by their heading in the help, in the order of work."""

@@ -44,10 +44,10 @@ def add_folder(app: typer.Typer, folder: str) -> None:
 def _given() -> dict[str, set[str]]:
     """Names of artefacts that runs of frames and of strips have."""
     from geomosaic.pipeline.registry import installed
-    from geomosaic.requests import mosaic_request, strips_request
+    from geomosaic.requests import mosaic_stages, strips_request
 
     return {
-        "frames": _outputs(installed().all()[0], mosaic_request.STAGES),
+        "frames": _outputs(installed().all()[0], mosaic_stages.STAGES),
         "strips": _outputs(installed().all()[0], strips_request.STAGES),
     }
 

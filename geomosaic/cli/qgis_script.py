@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from geomosaic.errors import OutputError
-from geomosaic.requests import mosaic_request, strips_request
+from geomosaic.requests import mosaic_stages, strips_request
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.option import flag_of, kinds_of, option_of
 from geomosaic.requests.strips_request import StripsRequest
@@ -35,7 +35,7 @@ _COMMANDS: Final = {
 }
 """By command: its name in the toolbox, its help, the parameter that it takes without an option."""
 _REQUESTS: Final[dict[str, tuple[type[MosaicRequest | StripsRequest], Sequence[str]]]] = {
-    "mosaic": (MosaicRequest, mosaic_request.STAGES),
+    "mosaic": (MosaicRequest, mosaic_stages.STAGES),
     "strips": (StripsRequest, strips_request.STAGES),
 }
 _PLAIN: Final = (

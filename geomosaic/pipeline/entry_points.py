@@ -16,6 +16,7 @@ OWN: Final = {
     "placement.pos": "placement_pos:placement_pos",
     "matching.flying_height": "matching_flying_height:matching_flying_height",
     "matching.sift": "matching_sift:matching_sift",
+    "matching.reference": "matching_reference:matching_reference",
     "adjustment.solve": "adjustment_solve:adjustment_solve",
     "survey.strips": "survey_strips:survey_strips",
     "ccd.offsets": "ccd_offsets:ccd_offsets",

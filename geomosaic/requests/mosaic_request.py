@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 from geomosaic.requests.of_frames import FramesRequest, crs_of
 from geomosaic.requests.option import (
     ACCURACY,
@@ -25,42 +26,6 @@ from geomosaic.requests.run_request import default_folder, recipe_of
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
 
-STAGES: Final = (
-    "survey.read",
-    "matching.flying_height",
-    "projection.ground",
-    "placement.pos",
-    "mosaic.estimate",
-    "matching.sift",
-    "adjustment.solve",
-    "adjustment.rig",
-    "surface.dense",
-    "surface.terrain",
-    "mosaic.ground",
-    "mosaic.tones",
-    "mosaic.seams",
-    "mosaic.compose",
-    "export.cog",
-    "export.surface",
-    "quality.compare",
-    "quality.surface",
-    "quality.verdict",
-    "quality.accuracy",
-    "export.layers",
-    "export.project",
-    "mosaic.given",
-    "export.report",
-)
-OPTIONAL: Final = (
-    "matching.flying_height",
-    "surface.dense",
-    "surface.terrain",
-    "mosaic.ground",
-    "export.surface",
-    "quality.compare",
-    "quality.surface",
-)
-"""Run only where they are asked for; the flying height is measured unless the ground's height is given."""
 SURFACES: Final = ("ties", "dense")
 
 
@@ -235,6 +200,14 @@ class MosaicRequest(FramesRequest):
             sets="quality.compare.reference",
         )
     )
+    coregister: bool = asked(
+        Option(
+            "put the mosaic onto the --reference: its places found in the frames are control points in plan",
+            None,
+            ACCURACY,
+        ),
+        False,
+    )
     surface_reference: Path | None = asked(
         Option(
             "elevation model or point cloud to compare the surface of --surface dense with",
@@ -285,10 +258,13 @@ class MosaicRequest(FramesRequest):
             )
         if self.panel and self.radiometry != "reflectance":
             raise InputError("--panel has an effect only on reflectance", fix="add --radiometry reflectance")
+        if self.coregister and self.reference is None:
+            raise InputError("--coregister needs a map to put the mosaic onto", fix="add --reference TIF")
         if self.ortho is not None and not dense:
             raise InputError("--ortho has an effect only on a dense surface", fix="add --surface dense")
         wanted = dict.fromkeys(OPTIONAL, dense) | {
             "matching.flying_height": self.ground_height is None,
+            "matching.reference": self.coregister,
             "quality.compare": self.reference is not None,
             "quality.surface": self.surface_reference is not None,
         }
@@ -302,6 +278,8 @@ class MosaicRequest(FramesRequest):
             browser()
         stages, given = self.stages(), self.parameters()
         self.prepare(stages)
+        if self.coregister:
+            given["matching.reference"] = {"reference": self.reference}
         if self.height_datum is not None:
             given.setdefault("export.surface", {})["heights"] = self.height_datum
         if self.align_to is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.common_offsets import height_reference
-from geomosaic.adjustment.procedure.control_points import ground_control
+from geomosaic.adjustment.procedure.control_points import control_blunders, ground_control
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
 from geomosaic.matching.model import TiePoints
@@ -23,8 +23,11 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_figures
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.stages.reporting import record_adjusted
-from geomosaic.survey.model import Survey
+from geomosaic.survey.model import MapPlaces, Survey
 from geomosaic.survey.names import some
+
+_OF_SURVEYED = ("control-disagrees", "control-imprecise")
+"""Warnings about surveyed points that do not hold for places of a map."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +83,13 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     conclusions=_conclusions,
 )  # fmt: skip
 def adjustment_solve(
-    matched: MatchedFrames, params: SolveParams, context: Context
+    matched: MatchedFrames, params: SolveParams, context: Context, map_places: MapPlaces | None = None
 ) -> tuple[Adjusted, GroundSurface]:
     """Moves the frames so that they agree."""
-    block = block_of(matched.survey, matched.prior_ground, matched.placement, matched.ties)
+    survey = matched.survey
+    if map_places is not None:
+        survey = replace(survey, control=(*survey.control, *map_places.points))
+    block = block_of(survey, matched.prior_ground, matched.placement, matched.ties)
     settings = Settings(**params.model_dump(exclude={"method"}))
     adjusted = METHODS[params.method](block, settings, context)
     _warn_of_loose_frames(context, block, adjusted, params.method == "bundle")
@@ -98,6 +104,8 @@ def adjustment_solve(
     lens_found, lens_warnings = lens_notes(block, adjusted.cameras)
     for note in lens_found:
         context.inform(note)
+    if map_places is not None:
+        adjusted = _of_map(context, adjusted)
     for warning in (*lens_warnings, *adjusted.warnings):
         context.warn(warning.code, warning.frame, warning.text)
     _report_control(context, adjusted)
@@ -110,6 +118,20 @@ def adjustment_solve(
     context.metric("ground.reason", ground_reason(adjusted, params.ground))
     record_adjusted(context, matched.survey, block, adjusted, params.method)
     return adjusted, adjusted.ground
+
+
+def _of_map(context: Context, adjusted: Adjusted) -> Adjusted:
+    """The outcome without places of a reference map that contradict the others: ground that changed."""
+    used = [c for c in adjusted.control if not c.check]
+    changed = {c.name for c, wrong in zip(used, control_blunders(used), strict=True) if wrong}
+    context.metric("reference.contradicting", len(changed))
+    sd_m = adjusted.figures.get("control_sd_m.plan")
+    if sd_m is not None:
+        text = f"places of the reference map agree with the frames to {sd_m:.2g} m per axis"
+        context.inform(text + (f"; {len(changed)} contradict the others" if changed else ""))
+    warnings = tuple(w for w in adjusted.warnings if w.code not in _OF_SURVEYED)
+    control = tuple(c for c in adjusted.control if c.check or c.name not in changed)
+    return replace(adjusted, warnings=warnings, control=control)
 
 
 def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: TiePoints) -> Block:

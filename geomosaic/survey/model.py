@@ -141,6 +141,13 @@ class ControlPoint:
 
 
 @dataclass(frozen=True)
+class MapPlaces:
+    """Places of a reference map that frames show: control points in plan."""
+
+    points: tuple[ControlPoint, ...]
+
+
+@dataclass(frozen=True)
 class Band:
     """A band of a rig that `Survey.frames` don't show: its camera, and its file of each capture.
 

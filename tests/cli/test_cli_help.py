@@ -165,7 +165,7 @@ def test_a_misspelt_command_proposes_the_nearest(
 def test_a_run_ends_with_verdict_accuracy_and_what_to_open(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
+    from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 
     steps = [{"stage": id} for id in STAGES if id not in OPTIONAL]
     steps[0]["params"] = {"frames": str(tmp_path)}

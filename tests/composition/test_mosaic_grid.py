@@ -39,7 +39,7 @@ from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.placement.model import Placement
-from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
+from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 from geomosaic.stages.mosaic_compose import mosaic_compose
 from geomosaic.stages.mosaic_seams import mosaic_seams
 from geomosaic.survey.model import Frame

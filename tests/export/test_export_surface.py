@@ -25,7 +25,7 @@ from geomosaic.export.surface_heights import HeightSystem, height_system, write_
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.pipeline.stage import Context
-from geomosaic.requests.mosaic_request import STAGES
+from geomosaic.requests.mosaic_stages import STAGES
 from geomosaic.requests.run_request import recipe_of
 from geomosaic.stages.export_surface import export_surface
 from geomosaic.surface.cells import Cells

@@ -19,7 +19,7 @@ from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
-from geomosaic.requests.mosaic_request import OPTIONAL, STAGES
+from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 from geomosaic.requests.run_request import recipe_of
 from geomosaic_simulate.survey import SimulatedSurvey
 

@@ -19,7 +19,7 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic_simulate.changing import cars_at
+from geomosaic_simulate.changing import cars_at, changes_at, paint_changes
 from geomosaic_simulate.flight import fly
 from geomosaic_simulate.landscape import Landscape
 from geomosaic_simulate.plan import SurveyPlan
@@ -245,3 +245,29 @@ def test_the_ortho_is_the_mean_over_each_pixels_square() -> None:
     mean = square_mean(texture)[30, 5:55, 1].astype(float) - 128.0
     amplitude = 2.0 / 50.0 * abs((mean * np.exp(2j * np.pi * np.arange(5, 55) / 5.0)).sum())
     assert amplitude == pytest.approx(100.0 * np.sin(np.pi / 5.0) / (np.pi / 5.0), rel=0.03)
+
+
+def test_an_epoch_is_another_flight_over_the_same_ground() -> None:
+    plan = SurveyPlan(seed=4, lines=1, frames_per_line=3)
+    first, again, later = (fly(dataclasses.replace(plan, epoch=epoch)) for epoch in (0, 0, 1))
+    assert (first.poses.positions_m == again.poses.positions_m).all()
+    off = np.linalg.norm(first.poses.positions_m - later.poses.positions_m, axis=1)
+    assert (off > 0.01).all() and (off < 20.0).all()
+
+
+def test_changes_are_squares_of_the_ground_apart_from_each_other() -> None:
+    land, bounds = Landscape(4), (100.0, 200.0, 160.0, 260.0)
+    squares = changes_at(land, 5, 1.0, bounds)
+    assert squares.shape == (5, 4) and (changes_at(land, 5, 1.0, bounds) == squares).all()
+    assert squares[:, 2] - squares[:, 0] == pytest.approx([1.0] * 5)
+    middle = squares[:, :2] + 0.5
+    assert ((middle > bounds[:2]) & (middle < bounds[2:])).all()
+    apart = np.linalg.norm(middle[:, None] - middle[None], axis=2)[np.triu_indices(5, 1)]
+    assert apart.min() > 5.0
+    for grey, painted in ((60, 225), (200, 40)):
+        window = np.full((600, 600, 3), grey, np.uint8)
+        paint_changes(window, squares, 100.0, 260.0, 0.1)
+        changed = (window != grey).any(axis=2)
+        assert changed.sum() == 500 and window[changed][:, 0].max() in (painted, grey)
+        row, col = round((260.0 - middle[0, 1]) / 0.1), round((middle[0, 0] - 100.0) / 0.1)
+        assert changed[row, col]

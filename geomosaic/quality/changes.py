@@ -1,0 +1,292 @@
+"""Differences of two maps of one place that the accuracy of both does not explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import shapely
+from rasterio import Affine
+from rasterio.enums import Resampling
+from rasterio.features import shapes
+from rasterio.vrt import WarpedVRT
+from rasterio.windows import Window
+from scipy import ndimage
+
+from geomosaic.arrays import Bools, Floats
+from geomosaic.constants import NORMAL_PER_MAD, tuned
+from geomosaic.doors.raster import OWN, Raster, open_raster, reading
+from geomosaic.errors import InputError
+from geomosaic.estimation.linear import least_squares
+from geomosaic.quality.compare import Comparison, registered
+from geomosaic.quality.figures import Similarity, best_similarity
+from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma
+
+IMAGE, HEIGHT = "image", "height"
+_BLOCK_PX = tuned(1024, "px", "compared at once: more takes memory; less reads margins twice")
+_SMOOTH_PX = tuned(0.7, "px", "smoothing of both images: 0 finds noise; more hides what is small")
+_TONE_PX = tuned(129, "px", "window in which tones are brought together: less hides changes as tones")
+_IMAGE_SIGMA = tuned(
+    6.0, "deviations", "of grey values beyond chance: fewer find noise; more miss faint ones"
+)
+_HEIGHT_SIGMA = tuned(4.0, "deviations", "of a height beyond chance: fewer find noise; more miss low changes")
+_LEAST_SHARE = tuned(0.06, "of the span", "least grey difference: less finds shadows and haze")
+_LEAST_PX = tuned(6, "px", "of a change's core: fewer are specks")
+_LEAST_CELLS = tuned(9, "cells", "of a change of height: fewer are mismatches")
+_LEAST_REACH_PX = tuned(1.0, "px", "by which edges may lie apart: resampling alone moves them by half of it")
+_FAR = tuned(3.0, "robust deviations", "of a vector or height that is a change itself, not the maps' offset")
+_ROUNDS = tuned(5, "rounds", "of re-weighting: found changes drop out in two or three")
+_STRENGTH = tuned(4.0, "steps a deviation", "of a stored strength: fewer are coarse; more end below 64")
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How the new map lies on the old one. similarity: best over most vectors; sd_px: what it leaves, per
+    axis, in the new map's pixels."""
+
+    similarity: Similarity
+    sd_px: float
+
+    @property
+    def reach_px(self) -> int:
+        """By how much edges of both may lie apart."""
+        return int(np.ceil(_LEAST_REACH_PX + _FAR * self.sd_px))
+
+    @property
+    def shift_m(self) -> float:
+        """Length of the shift between both."""
+        return float(np.hypot(self.similarity.shift_east_m, self.similarity.shift_north_m))
+
+
+@dataclass(frozen=True)
+class Change:
+    """A difference. kind: IMAGE or HEIGHT. outline: on the new map. sigma: largest, in deviations. rise_m,
+    volume_m3: mean and sum of the change of height, NaN for an image."""
+
+    kind: str
+    outline: Any
+    sigma: float
+    area_m2: float
+    rise_m: float = float("nan")
+    volume_m3: float = float("nan")
+
+
+@dataclass(frozen=True)
+class HeightChanges:
+    """Changes of height; offset_m: by which the new surface lies higher in common, before these count."""
+
+    changes: tuple[Change, ...]
+    offset_m: float
+
+
+def registration(comparison: Comparison) -> Registration:
+    """How two maps lie to one another, by most of the vectors between them.
+
+    Raises: `InputError` where too little of both looks alike.
+    """
+    at_m, off_m = comparison.vectors_m[:, :2], comparison.vectors_m[:, 2:]
+    kept = np.ones(len(at_m), dtype=bool)
+    for _ in range(_ROUNDS):
+        similarity, _ = best_similarity(at_m[kept], off_m[kept])
+        if not np.isfinite(similarity.scale):
+            break
+        left = np.linalg.norm(off_m - _moves(similarity, at_m), axis=1)
+        sd_m = float(np.median(left[kept])) / np.sqrt(2.0 * np.log(2.0))
+        kept = left <= _FAR * max(sd_m, 1e-3 * comparison.gsd_m)
+    if not np.isfinite(similarity.scale):
+        problem = f"only {len(at_m)} places look alike in both maps"
+        raise InputError(problem, fix="compare runs of the same place, of a like season and resolution")
+    return Registration(similarity, sd_m / comparison.gsd_m)
+
+
+def _moves(s: Similarity, at_m: Floats) -> Floats:
+    """What a similarity moves places (n, 2) by."""
+    z = (at_m - [s.centre_east_m, s.centre_north_m]) @ [1.0, 1.0j]
+    moved = s.scale * np.exp(1j * s.rotation_rad) * z - z + complex(s.shift_east_m, s.shift_north_m)
+    return np.stack([moved.real, moved.imag], axis=-1)
+
+
+def image_changes(old: Path, new: Path, on_old: Registration) -> tuple[Change, ...]:
+    """Where the images of two maps differ by more than noise, tones and edges that lie apart explain.
+
+    A pixel has changed if it is brighter or darker than all pixels of the other map within
+    `Registration.reach_px`, seen from either map. Tones are brought together window by window first.
+    """
+    with open_map(new) as b, open_map(old) as a:
+        _, metres = pixel_m(b, new)
+        over = registered(b.transform, on_old.similarity, metres)
+        with on_grid_of(b, a, old, over) as before:
+            noise, span = _noise(b, before)
+            least = max(_IMAGE_SIGMA * noise, _LEAST_SHARE * span)
+            strength = np.zeros((b.height, b.width), dtype=np.uint8)
+            margin = _TONE_PX + 2 * on_old.reach_px
+            for block in blocks(b.height, b.width, _BLOCK_PX):
+                outer = grown(block, margin, b.height, b.width)
+                excess = _excess(_pair(b, before, outer), noise, on_old.reach_px)
+                row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
+                here = excess[row : row + block.height, col : col + block.width]
+                there = np.s_[block.row_off : block.row_off + block.height,
+                              block.col_off : block.col_off + block.width]  # fmt: skip
+                deviations = np.minimum(np.round(_STRENGTH * here / noise), 255)
+                strength[there] = np.where(here > least, deviations, 0)
+        found = _outlines(strength, b.transform, _LEAST_PX, on_old.reach_px)
+        return tuple(
+            Change(IMAGE, outline, float(strength[at].max()) / _STRENGTH, outline.area * metres**2)
+            for outline, at in found
+        )
+
+
+@dataclass(frozen=True)
+class _InOneTone:
+    """Two images (rows, cols) in one tone, and where both are valid."""
+
+    new: Floats
+    old: Floats
+    both: Bools
+
+
+def _pair(b: Raster, on_b: WarpedVRT, window: Window) -> _InOneTone:
+    (new, new_valid), (old, old_valid) = read_luma(b, window), read_luma(on_b, window)
+    both = new_valid & old_valid
+    after, before = (np.asarray(cv2.GaussianBlur(i, (0, 0), _SMOOTH_PX), np.float64) for i in (new, old))
+    off = np.where(both, after - before, 0.0)
+    alike = both
+    for _ in range(2):
+        weight = alike.astype(np.float64)
+        share = cv2.blur(weight, (_TONE_PX, _TONE_PX))
+        tone = cv2.blur(off * weight, (_TONE_PX, _TONE_PX)) / np.maximum(share, 1e-3)
+        left = np.abs(off - tone)
+        spread = NORMAL_PER_MAD * float(np.median(left[both])) if both.any() else 0.0
+        alike = both & (left <= _FAR * max(spread, 1.0))
+    return _InOneTone(np.asarray(after - tone), before, both)
+
+
+def _noise(b: Raster, before: WarpedVRT) -> tuple[float, float]:
+    """Deviation of grey values between both maps, and their span, by the middle of the map."""
+    side = min(_BLOCK_PX, b.width, b.height)
+    middle = Window((b.width - side) // 2, (b.height - side) // 2, side, side)
+    pair = _pair(b, before, middle)
+    if not pair.both.any():
+        pair = _pair(b, before, Window(0, 0, b.width, b.height))
+    off = (pair.new - pair.old)[pair.both]
+    values = pair.old[pair.both]
+    if not off.size:
+        raise InputError("the maps show no place in common", fix="compare runs of the same place")
+    span = 255.0 if b.dtypes[0] == "uint8" else float(np.quantile(values, 0.99) - np.quantile(values, 0.01))
+    return max(NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off)))), 1e-3 * span), span
+
+
+def _excess(pair: _InOneTone, noise: float, reach_px: int) -> Floats:
+    """By how much grey values lie beyond those of the other map within reach, seen from either."""
+    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1,) * 2)
+    inside = cv2.erode(pair.both.astype(np.uint8), near) > 0
+
+    def beyond(one: Floats, other: Floats) -> Floats:
+        return np.asarray(np.maximum(one - cv2.dilate(other, near), cv2.erode(other, near) - one))
+
+    excess = np.minimum(beyond(pair.new, pair.old), beyond(pair.old, pair.new))
+    return np.where(inside, np.maximum(excess, 0.0), 0.0)
+
+
+def _outlines(strength: Any, transform: Affine, least: int, reach_px: int) -> list[tuple[Any, Any]]:
+    """Polygons of connected pixels, grown by what comparing took off them, each with its pixels' index."""
+    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1,) * 2)
+    labels, count = ndimage.label(
+        cv2.dilate((strength > 0).astype(np.uint8), near), np.ones((3, 3), dtype=int)
+    )
+    core = np.bincount(labels[strength > 0], minlength=count + 1)
+    out = []
+    for number, (rows, cols) in enumerate(ndimage.find_objects(labels), start=1):
+        if core[number] < least:
+            continue
+        mask = (labels[rows, cols] == number).astype(np.uint8)
+        at = transform @ Affine.translation(cols.start, rows.start)
+        parts = [shapely.geometry.shape(g) for g, _ in shapes(mask, mask=mask > 0, transform=at)]
+        index = tuple(n + first for n, first in zip(np.nonzero(mask), (rows.start, cols.start), strict=True))
+        out.append((shapely.unary_union(parts), index))
+    return out
+
+
+@dataclass(frozen=True)
+class SurfaceRasters:
+    """A run's surface.tif and surface_confidence.tif."""
+
+    surface: Path
+    confidence: Path
+
+
+def height_changes(
+    old: SurfaceRasters, new: SurfaceRasters, on_old: Registration, map_m: float
+) -> HeightChanges:
+    """Where the surfaces of two maps differ by more than their deviations explain.
+
+    What both have in common, an offset and a tilt, is the georeference's and does not count. A deviation is
+    that of both surfaces and of the slope times what the maps lie apart. map_m: the new map's pixel.
+    """
+    with open_raster(new.surface, OWN) as b:
+        cell_m, metres = pixel_m(b, new.surface)
+        over = registered(b.transform, on_old.similarity, metres)
+        after, before = _heights(b, None), _heights_on(b, old.surface, over)
+        sd = [_heights_on(b, new.confidence, b.transform), _heights_on(b, old.confidence, over)]
+        transform = b.transform
+    rise = after - before
+    plane = _plane(rise)
+    left = rise - plane
+    off_m = on_old.sd_px * map_m
+    slope = np.maximum(*(np.hypot(*np.gradient(h, cell_m)) for h in (after, before)))
+    sd_m = np.sqrt(np.square(sd[0]) + np.square(sd[1]) + np.square(np.nan_to_num(slope) * off_m))
+    z = left / np.maximum(sd_m, 1e-6)
+    known = np.isfinite(z)
+    if not known.any():
+        return HeightChanges((), float("nan"))
+    scale = max(1.0, NORMAL_PER_MAD * float(np.median(np.abs(z[known]))))
+    beyond = np.where(known, np.abs(z) / scale, 0.0)
+    specked = (beyond > _HEIGHT_SIGMA).astype(np.uint8)
+    far = cv2.morphologyEx(specked, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    strength = np.where(far > 0, np.minimum(np.round(_STRENGTH * beyond), 255), 0).astype(np.uint8)
+    changes = []
+    for outline, at in _outlines(strength, transform, _LEAST_CELLS, 0):
+        rises = left[at][np.isfinite(left[at])]
+        volume = float(rises.sum()) * cell_m**2
+        sigma = float(strength[at].max()) / _STRENGTH
+        change = Change(HEIGHT, outline, sigma, outline.area * metres**2)
+        changes.append(replace(change, rise_m=float(rises.mean()), volume_m3=volume))
+    return HeightChanges(tuple(changes), float(np.nanmedian(plane)))
+
+
+def _heights(raster: Any, window: Window | None) -> Floats:
+    with reading(Path(raster.name)):
+        values = raster.read(1, window=window, masked=True)
+    return np.asarray(values.filled(np.nan), dtype=np.float64)
+
+
+def _heights_on(b: Raster, path: Path, transform: Affine | None) -> Floats:
+    """A raster's first band on a surface's grid."""
+    with open_raster(path, OWN) as other, WarpedVRT(
+        other, crs=b.crs, transform=transform or b.transform, width=b.width, height=b.height,
+        resampling=Resampling.bilinear, nodata=other.nodata,
+    ) as there:  # fmt: skip
+        return _heights(there, None)
+
+
+def _plane(rise: Floats) -> Floats:
+    """Offset and tilt that two surfaces differ by, by most of their cells, at every cell."""
+    rows, cols = np.indices(rise.shape)
+    design = np.column_stack(
+        [np.ones(rise.size), (rows / rise.shape[0] - 0.5).ravel(), (cols / rise.shape[1] - 0.5).ravel()]
+    )
+    values, found = rise.ravel(), np.zeros(3)
+    known = np.isfinite(values)
+    kept = known.copy()
+    found[0] = float(np.median(values[known])) if known.any() else 0.0
+    for _ in range(_ROUNDS):
+        left = np.abs(values - design @ found)
+        spread = NORMAL_PER_MAD * float(np.median(left[known])) if known.any() else 0.0
+        kept = known & (left <= _FAR * max(spread, 1e-6))
+        if kept.sum() < len(found):
+            break
+        found = least_squares(design[kept], values[kept])
+    return np.asarray((design @ found).reshape(rise.shape))

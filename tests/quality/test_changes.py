@@ -1,0 +1,148 @@
+"""Changes between two maps: what was planted is found, and nothing else, whatever lies between both flights."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from pyogrio.raw import read
+from rasterio.transform import Affine
+from small_surveys import geomosaic
+
+from geomosaic.errors import InputError
+from geomosaic.quality.changes import SurfaceRasters, height_changes, image_changes, registration
+from geomosaic.quality.compare import compare
+from geomosaic.quality.compared_block import ComparisonOptions
+
+SIDE, PIXEL_M, EAST, NORTH = 500, 0.1, 671_000.0, 5_330_000.0
+PLACES = ((120, 150), (260, 330), (390, 110), (330, 410))
+"""Row and col of the first pixel of each square of 10 px."""
+
+
+def ground(seed: int) -> np.ndarray:
+    """Texture of all sizes, with edges, (rows, cols) of 0 to 255."""
+    rng = np.random.default_rng(seed)
+    image = np.full((SIDE, SIDE), 110.0, np.float32)
+    for size, contrast in ((4, 8.0), (10, 14.0), (40, 20.0)):
+        few = rng.standard_normal((SIDE // size + 2, SIDE // size + 2)).astype(np.float32)
+        image += contrast * cv2.resize(few, (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+    for _ in range(60):
+        row, col, high, wide = (int(v) for v in rng.integers((0, 0, 8, 8), (SIDE, SIDE, 60, 60)))
+        image[row : row + high, col : col + wide] += float(rng.uniform(-50.0, 50.0))
+    return np.clip(image, 5.0, 250.0)
+
+
+def run(folder: Path, grey: np.ndarray, shift_m: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """A run's folder with its mosaic. shift_m: by which its georeference is off."""
+    folder.mkdir(parents=True)
+    place = Affine(PIXEL_M, 0.0, EAST + shift_m[0], 0.0, -PIXEL_M, NORTH + shift_m[1])
+    kind = {"width": SIDE, "height": SIDE, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    with rasterio.open(folder / "mosaic.tif", "w", driver="GTiff", transform=place, **kind) as tiff:
+        tiff.write(np.repeat(np.clip(np.rint(grey), 0, 255).astype(np.uint8)[None], 3, axis=0))
+    accuracy = {"absolute": {"rmse_h_m": 0.8, "rmse_v_m": 1.0}}
+    (folder / "run.json").write_text(json.dumps({"artefacts": {}, "accuracy": accuracy}), encoding="utf-8")
+    return folder
+
+
+def later(grey: np.ndarray, seed: int, squares: bool = True) -> np.ndarray:
+    """The same ground half a pixel aside, with noise, a brighter sun, light that falls off, and squares."""
+    rng = np.random.default_rng(seed + 100)
+    changed = grey.copy()
+    for row, col in PLACES if squares else ():
+        here = changed[row : row + 10, col : col + 10]
+        here[:] = 230.0 if here.mean() < 128.0 else 25.0
+    by = np.array([[1.0, 0.0, 0.45], [0.0, 1.0, -0.3]], np.float32)
+    aside = cv2.warpAffine(changed, by, (SIDE, SIDE), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    light = np.linspace(0.97, 1.05, SIDE)[None, :]
+    return np.asarray(aside * light + 4.0 + rng.normal(0.0, 1.5, aside.shape))
+
+
+def found(old: Path, new: Path) -> list[shapely.Geometry]:
+    before, after = old / "mosaic.tif", new / "mosaic.tif"
+    on_old = registration(compare(after, before, ComparisonOptions(search_px=64)))
+    assert on_old.sd_px < 0.2
+    return [change.outline for change in image_changes(before, after, on_old)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_planted_squares_of_10_px_are_found_and_nothing_else(seed: int, tmp_path: Path) -> None:
+    old = run(tmp_path / "old", ground(seed))
+    new = run(tmp_path / "new", later(ground(seed), seed), (0.7, -1.1))
+    outlines = found(old, new)
+    assert len(outlines) == len(PLACES)
+    for row, col in PLACES:
+        east, north = EAST + 0.7 + (col + 5.45) * PIXEL_M, NORTH - 1.1 - (row + 4.7) * PIXEL_M
+        (there,) = [o for o in outlines if o.contains(shapely.Point(east, north))]
+        assert 0.5 < there.area < 2.6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_two_flights_over_the_same_ground_differ_nowhere(seed: int, tmp_path: Path) -> None:
+    old = run(tmp_path / "old", ground(seed))
+    assert not found(old, run(tmp_path / "new", later(ground(seed), seed, squares=False)))
+
+
+def test_maps_of_other_places_are_refused(tmp_path: Path) -> None:
+    maps = [run(tmp_path / f"{seed}", ground(seed)) / "mosaic.tif" for seed in (1, 2)]
+    with pytest.raises(InputError, match=r"places look alike in both maps; compare runs of the same place"):
+        registration(compare(maps[0], maps[1], ComparisonOptions(search_px=16)))
+
+
+def surface(folder: Path, height_m: np.ndarray, sd_m: float) -> SurfaceRasters:
+    place = Affine(0.4, 0.0, EAST, 0.0, -0.4, NORTH)
+    kind = {
+        "width": 125,
+        "height": 125,
+        "count": 1,
+        "dtype": "float32",
+        "crs": "EPSG:32632",
+        "nodata": -9999.0,
+    }
+    for name, values in (("surface", height_m), ("surface_confidence", np.full((125, 125), sd_m))):
+        path = folder / f"{name}.tif"
+        with rasterio.open(path, "w", driver="GTiff", transform=place, **kind) as tiff:
+            tiff.write(values.astype(np.float32)[None])
+    return SurfaceRasters(folder / "surface.tif", folder / "surface_confidence.tif")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_heap_is_found_and_neither_offset_nor_tilt_nor_noise(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    row, col = np.indices((125, 125))
+    hills = 500.0 + 3.0 * np.sin(col / 20.0) + 2.0 * np.cos(row / 15.0)
+    heap = np.where((np.abs(row - 40) <= 4) & (np.abs(col - 70) <= 4), 0.6, 0.0)
+    old, new = run(tmp_path / "old", ground(seed)), run(tmp_path / "new", later(ground(seed), seed, False))
+    before = surface(old, hills + rng.normal(0.0, 0.05, hills.shape), 0.05)
+    after = hills + heap + 1.7 + 0.001 * col + rng.normal(0.0, 0.05, hills.shape)
+    after[100:110, 10:30] = -9999.0
+    on_old = registration(compare(new / "mosaic.tif", old / "mosaic.tif", ComparisonOptions(search_px=64)))
+    heights = height_changes(before, surface(new, after, 0.05), on_old, PIXEL_M)
+    (change,) = heights.changes
+    assert change.rise_m == pytest.approx(0.6, abs=0.06)
+    assert change.volume_m3 == pytest.approx(0.6 * 81 * 0.4**2, rel=0.1)
+    assert change.outline.contains(shapely.Point(EAST + 70.5 * 0.4, NORTH - 40.5 * 0.4))
+    assert heights.offset_m == pytest.approx(1.76, abs=0.03)
+
+
+def test_the_command_writes_polygons_and_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = run(tmp_path / "old", ground(1))
+    new = run(tmp_path / "new", later(ground(1), 1), (0.7, -1.1))
+    assert geomosaic("compare", old, new, "-q") == 0
+    lines = capsys.readouterr().out
+    assert "image      4 changes" in lines and "apart; then equal to 0.0" in lines
+    folder = tmp_path / "new-changes"
+    meta, _, geometry, fields = read(folder / "changes.gpkg")
+    assert len(geometry) == 4 and meta["crs"] == "EPSG:32632"
+    assert set(fields[list(meta["fields"]).index("kind")]) == {"image"}
+    assert cv2.imread(str(folder / "changes.png")).shape == (SIDE, SIDE, 3)
+    assert geomosaic("compare", old, new, "-o", tmp_path / "c", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["apart_is_explained"] and told["apart_m"] == pytest.approx(1.30, abs=0.06)
+    assert geomosaic("compare", old, tmp_path, "-q") == 2
