@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from geomosaic.cli.options import Quiet
+from geomosaic.cli.options import Port, Quiet
 from geomosaic.cli.requested import typer_option, typer_parser
-from geomosaic.errors import InputError
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.option import folder_given
 
@@ -40,9 +39,7 @@ def control(
     camera: Annotated[Path | None, typer_option(MosaicRequest, "camera")] = None,
     dem: Annotated[Path | None, typer_option(MosaicRequest, "dem")] = None,
     ground_height: Annotated[float | None, typer_option(MosaicRequest, "ground_height")] = None,
-    port: Annotated[
-        int, typer.Option(help="port on this machine; 0 is any free one", metavar="N", min=0, max=65535)
-    ] = 0,
+    port: Port = 0,
     quiet: Quiet = False,
 ) -> None:
     """Mark control and check points in a browser.
@@ -79,12 +76,7 @@ def control(
     for note in notes:
         reporter.warning(note.text)
     session = MarkingSession(oriented, surveyed, folder)
-    try:
-        server = PageServer(session, port)
-    except OSError as error:
-        fix = "leave out --port, or give another number"
-        raise InputError(f"port {port} cannot be used ({error.strerror})", fix=fix) from error
-    with server:
+    with PageServer(session, port) as server:
         print(f"open       {server.url}", flush=True)
         print(f"marks      {folder / TABLE}; Ctrl-C ends", flush=True)
         try:
