@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from geomosaic.cli.options import AsJson
-from geomosaic.errors import FileError, InputError
+from geomosaic.errors import InputError
 
 if TYPE_CHECKING:
     from geomosaic.quality.measured import Figure
-    from geomosaic.quality.run_measures import MeasuredPolygon, RunRasters
+    from geomosaic.quality.run_measures import MeasuredPolygon
 
 
 def measure(
@@ -36,10 +36,11 @@ def measure(
     """
     from geomosaic.doors.vector import LINE, POLYGON, read_shapes
     from geomosaic.quality.run_measures import ASSUMED, measure_lines, measure_polygons
+    from geomosaic.viewer.run_view import run_rasters
 
     if line is None and polygon is None:
         raise InputError("there is nothing to measure", fix="give --line FILE or --polygon FILE")
-    rasters = _rasters(run)
+    rasters = run_rasters(run)
     found: dict[str, Any] = {"run": str(run)}
     if line is not None:
         found["crs"], lines = measure_lines(rasters, read_shapes(line, LINE), line)
@@ -55,22 +56,6 @@ def measure(
         if name in found:
             _show(found[name])
     print(f"On the map ({found['crs']}), 1 sigma; {ASSUMED}.")
-
-
-def _rasters(run: Path) -> RunRasters:
-    from geomosaic.pipeline.files import path_within
-    from geomosaic.pipeline.run_results import read_summary
-    from geomosaic.quality.run_measures import RunRasters
-
-    summary = read_summary(run)
-    accuracy, surface, confidence = (
-        path_within(run, name) for name in ("accuracy.tif", "surface.tif", "surface_confidence.tif")
-    )
-    if not accuracy.is_file():
-        fix = "make the mosaic again: geomosaic mosaic writes accuracy.tif"
-        raise FileError("the run has no accuracy.tif", file=run, fix=fix)
-    matched = surface.is_file() and confidence.is_file()
-    return RunRasters(accuracy, summary, *((surface, confidence) if matched else (None, None)))
 
 
 def _line(number: int, of: Figure) -> dict[str, Any]:

@@ -29,6 +29,10 @@ ASSUMED: Final = (
     "the mismatch at seams and a pixel's rounding count as independent from vertex to vertex; the scale's "
     "deviation is added"
 )
+VOLUMES_ASSUMED: Final = (
+    "a volume counts from the plane that fits the rim best; heights inside count as off by one error in "
+    "common, those of the rim by another: the safe side"
+)
 _PER_AXIS = sourced(0.6006, "median mismatch", "a point's deviation along an axis", "1 / (2 sqrt(ln 2))")
 _ROUNDED = sourced(0.2887, "pixel", "deviation of a place read from pixels", "1 / sqrt(12)")
 
@@ -61,7 +65,7 @@ def measure_lines(rasters: RunRasters, lines: Shapes, file: Path) -> tuple[str, 
     """
     with open_raster(rasters.accuracy, OWN) as accuracy:
         crs = CRS.from_user_input(accuracy.crs.to_wkt())
-        scale = _scale_sd(rasters.summary)
+        scale = scale_sd_of(rasters.summary)
         found = []
         for line in on_map(lines, crs, file):
             sd_m = relative_sd_m(accuracy, rasters.summary, shapely.get_coordinates(line))
@@ -76,7 +80,7 @@ def measure_polygons(rasters: RunRasters, polygons: Shapes, file: Path) -> tuple
     """
     with open_raster(rasters.accuracy, OWN) as accuracy:
         crs = CRS.from_user_input(accuracy.crs.to_wkt())
-        scale = _scale_sd(rasters.summary)
+        scale = scale_sd_of(rasters.summary)
         found = []
         for number, polygon in enumerate(on_map(polygons, crs, file), start=1):
             if not polygon.is_valid or polygon.area == 0.0:
@@ -111,7 +115,7 @@ def relative_sd_m(accuracy: Raster, summary: Mapping[str, Any], at_m: Floats) ->
 
     The least deviation of accuracy.tif is what the whole map has in common.
     """
-    stated = _sampled(accuracy, 1, at_m)
+    stated = sampled(accuracy, 1, at_m)
     common_m = float(accuracy.tags(1).get("STATISTICS_MINIMUM", "nan"))
     gsd_m = float(summary.get("mosaic", {}).get("gsd_m", 0.0))
     seams_px = summary.get("metrics", {}).get("seams", {}).get("median_px") or 0.0
@@ -119,7 +123,7 @@ def relative_sd_m(accuracy: Raster, summary: Mapping[str, Any], at_m: Floats) ->
     return np.asarray(np.sqrt(np.maximum(stated**2 - common_m**2, 0.0) + own_m**2))
 
 
-def _scale_sd(summary: Mapping[str, Any]) -> float:
+def scale_sd_of(summary: Mapping[str, Any]) -> float:
     """Of the map's scale, as a share, as far as run.json states it."""
     stated = summary.get("accuracy", {}).get("relative", {}).get("scale_permille")
     return 1e-3 * float(stated) if isinstance(stated, int | float) and np.isfinite(stated) else 0.0
@@ -141,8 +145,8 @@ def _volume(rasters: RunRasters, polygon: Any) -> Volume | None:
         inside = np.column_stack([east, north])
         rings = [shapely.segmentize(shapely.LinearRing(r), transform.a) for r in rings_of_polygon(polygon)]
         rim = np.concatenate([shapely.get_coordinates(ring)[:-1] for ring in rings])
-        heights = [np.column_stack([at, _sampled(surface, 1, at)]) for at in (inside, rim)]
-        sds = [_sampled(confidence, 1, at) for at in (inside, rim)]
+        heights = [np.column_stack([at, sampled(surface, 1, at)]) for at in (inside, rim)]
+        sds = [sampled(confidence, 1, at) for at in (inside, rim)]
     if not len(inside) or not all(np.isfinite(height).all() for height in heights):
         return None
     return volume_of(heights[0], heights[1], sds[0], sds[1], abs(transform.a * transform.e))
@@ -163,7 +167,7 @@ def _pixels(raster: Raster, at_m: Floats) -> tuple[Floats, Floats]:
     return (at_m[:, 0] - to_map.c) / to_map.a, (at_m[:, 1] - to_map.f) / to_map.e
 
 
-def _sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
+def sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
     """A band's values (n,) at places (n, 2) of the map, NaN where there are none."""
     window, out = _window(raster, at_m), np.full(len(at_m), np.nan)
     if not (window.width and window.height):

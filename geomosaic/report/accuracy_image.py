@@ -16,10 +16,19 @@ from geomosaic.report.layers import MapImage
 from geomosaic.report.numbers import short
 
 _WIDEST_PX: Final = 500
-_ENDS: Final = (0.02, 0.98)
+ENDS: Final = (0.02, 0.98)
 """Quantiles of the deviations that are drawn in the first and the last colour."""
-_COLOURS: Final = ((65, 150, 26), (106, 217, 166), (191, 255, 255), (97, 174, 253), (28, 25, 215))
+COLOURS: Final = ((65, 150, 26), (106, 217, 166), (191, 255, 255), (97, 174, 253), (28, 25, 215))
 """Small to large, blue, green, red: those of the QGIS project."""
+
+
+def coloured_deviations(sd_m: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
+    """Deviations (rows, cols) as blue, green, red and opacity, 0 where unknown."""
+    known = np.isfinite(sd_m)
+    share = np.clip((np.where(known, sd_m, low) - low) / max(high - low, 1e-9), 0.0, 1.0)
+    stops = np.linspace(0.0, 1.0, len(COLOURS))
+    channels = [np.interp(share, stops, channel) for channel in zip(*COLOURS, strict=True)]
+    return np.dstack([*channels, np.where(known, 255, 0)]).astype(np.uint8)
 
 
 def accuracy_image(path: Path, origin: NDArray[np.float64]) -> MapImage | None:
@@ -32,11 +41,8 @@ def accuracy_image(path: Path, origin: NDArray[np.float64]) -> MapImage | None:
     known = np.isfinite(sd_m)
     if not known.any():
         return None
-    low, high = np.quantile(sd_m[known], _ENDS).tolist()
-    share = np.clip((np.where(known, sd_m, low) - low) / max(high - low, 1e-9), 0.0, 1.0)
-    stops = np.linspace(0.0, 1.0, len(_COLOURS))
-    channels = [np.interp(share, stops, channel) for channel in zip(*_COLOURS, strict=True)]
-    drawn = np.dstack([*channels, np.where(known, 255, 0)]).astype(np.uint8)
+    low, high = np.quantile(sd_m[known], ENDS).tolist()
+    drawn = coloured_deviations(sd_m, low, high)
     east_0, north_0 = origin.tolist()
     box = (west - east_0, south - north_0, east - east_0, north - north_0)
     note = f"1 σ along an axis, green {short(low, 'm')} to red {short(high, 'm')}"

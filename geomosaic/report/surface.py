@@ -84,7 +84,7 @@ def surface_section(
     low, high = np.percentile(known, [1.0, 99.0]).tolist() if known.size else (0.0, 1.0)
     off_m = 0.0 if comparison is None else reach_m(comparison.difference_m)
     return SurfaceSection(
-        _shaded(heights, pixel_m, low, high),
+        data_uri("webp", shaded(heights, pixel_m, low, high), [cv2.IMWRITE_WEBP_QUALITY, 85]),
         _box_m(surface),
         low,
         high,
@@ -117,8 +117,8 @@ def _reduced(
     return np.asarray(values.astype(np.float32).filled(np.nan)), pixel_m
 
 
-def _shaded(heights: Floats32, pixel_m: float, low: float, high: float) -> str:
-    """A data URI of heights in colours, lit from the north-west, transparent where they are unknown."""
+def shaded(heights: Floats32, pixel_m: float, low: float, high: float) -> NDArray[np.uint8]:
+    """Heights (rows, cols) lit from the north-west: blue, green, red and opacity, 0 where unknown."""
     known = np.isfinite(heights)
     whole = np.where(known, heights, np.float32(low))
     south, east = np.gradient(whole, pixel_m) if min(whole.shape) > 1 else (np.zeros_like(whole),) * 2
@@ -127,7 +127,7 @@ def _shaded(heights: Floats32, pixel_m: float, low: float, high: float) -> str:
     colours = cv2.applyColorMap(level.astype(np.uint8), cv2.COLORMAP_CIVIDIS)
     shade = _DARK + (1.0 - _DARK) * np.clip(light / _SUN[2], 0.0, 1.3) / 1.3
     drawn = np.dstack([np.clip(colours * (1.3 * shade[..., None]), 0, 255), np.where(known, 255, 0)])
-    return data_uri("webp", drawn.astype(np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 85])
+    return drawn.astype(np.uint8)
 
 
 def _profile(surface: Path, terrain: Path) -> Profile:

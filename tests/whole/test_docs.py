@@ -47,6 +47,7 @@ NOT_RUN = {
     "geomosaic control": "serves a page until it is stopped: test_marking_chromium.py opens it",
     "FRAMES-control": "what that page writes: test_marking_chromium.py mosaics with it",
     "geomosaic frames": "wants a video: test_video_frames.py makes some",
+    "geomosaic open": "serves a page until it is stopped: test_viewer_chromium.py opens it",
     "geomosaic watch": "waits for frames: test_watch.py copies some",
     "geomosaic measure": "wants lines and polygons: test_measure.py has some",
     "geomosaic view": "opens a window: test_recording_readers.py",
