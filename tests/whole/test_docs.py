@@ -225,6 +225,8 @@ def test_the_guides_run(
                 argv += SMALL.split()
             if argv[0] in ("mosaic", "run", "replay"):
                 argv += ["--workers", "1"]
+            if "-o" in argv and argv[0] == "mosaic" and "--gcp" not in argv:  # others run the bundle
+                argv += ["--adjust", "least_squares"]
             if argv[0] == "evaluate":
                 argv += ["--set", "quality.compare.patch_px=48", "--set", "quality.compare.search_px=32"]
             code = main(argv)
