@@ -19,6 +19,7 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.names import NO_NAMES, FrameNames, some
 from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
 from geomosaic.survey.pos_row import PosFile, PosRow
+from geomosaic.survey.rtklib_events import is_rtklib_events, read_rtklib_events
 from geomosaic.survey.table import Aliases, ParsedTable, read_lines, read_table, split
 from geomosaic.survey.timestamp_mrk import is_timestamp_mrk, read_timestamp_mrk
 
@@ -89,8 +90,8 @@ def read_pos(
     frames: FrameNames = NO_NAMES,
     datum: CRS | None = None,
 ) -> PosFile:
-    """Read a POS file: a table with named columns, ODM's geo.txt, Pix4D's table without a header, or DJI's
-    Timestamp.MRK.
+    """Read a POS file: a table with named columns, ODM's geo.txt, Pix4D's table without a header, DJI's
+    Timestamp.MRK, or RTKLIB's events.
 
     Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
     .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
@@ -99,6 +100,8 @@ def read_pos(
     """
     if is_timestamp_mrk(path):
         return read_timestamp_mrk(path, frames)
+    if is_rtklib_events(path):
+        return read_rtklib_events(path, frames)
     notes: list[Warn] = []
     table, stated = _table(path, crs, frames, notes)
     if table.unknown_columns:

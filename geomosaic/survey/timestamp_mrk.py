@@ -84,23 +84,24 @@ def _exposure(path: Path, line: Line) -> tuple[int, PosRow | None]:
         raise InputError(problem, file=path, fix=_FIX)
     if fix == 0 or (lat_deg == 0.0 and lon_deg == 0.0):
         return number, None
-    default = POSITION[_QUALITY.get(fix, "exif")]
+    return number, exposure_row(
+        line.number, (lon_deg, lat_deg, height_m), (east, north, up), _QUALITY.get(fix)
+    )
+
+
+def exposure_row(
+    line: int, place: tuple[float, float, float], stated_m: Sequence[float], quality: str | None
+) -> PosRow:
+    """A row without a name. place: longitude, latitude, ellipsoidal height; stated_m: deviations east, north
+    and up, 0 where not stated; quality: of the fix, a source of `accuracy.POSITION`."""
+    default = POSITION[quality or "exif"]
     usual = (default.sd_horizontal_m, default.sd_horizontal_m, default.sd_vertical_m)
-    least = (RTK_SD_FLOOR_M[0], *RTK_SD_FLOOR_M) if fix == _FIXED else usual
-    stated = zip((east, north, up), least, usual, strict=True)
+    least = (RTK_SD_FLOOR_M[0], *RTK_SD_FLOOR_M) if quality == "rtk-fixed" else usual
     sd_east, sd_north, sd_up = (
-        max(sd, floor) if 0.0 < sd < math.inf else other for sd, floor, other in stated
+        max(sd, floor) if 0.0 < sd < math.inf else other
+        for sd, floor, other in zip(stated_m, least, usual, strict=True)
     )
-    return number, PosRow(
-        "",
-        line.number,
-        lon_deg,
-        lat_deg,
-        height_m,
-        sd_east_m=sd_east,
-        sd_north_m=sd_north,
-        sd_vertical_m=sd_up,
-    )
+    return PosRow("", line, *place, sd_east_m=sd_east, sd_north_m=sd_north, sd_vertical_m=sd_up)
 
 
 def _frames_of(numbers: Sequence[int], names: Sequence[str]) -> list[list[str]] | None:

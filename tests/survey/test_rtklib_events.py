@@ -1,0 +1,62 @@
+"""RTKLIB's and Emlid Studio's events as positions of frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from geomosaic.errors import InputError
+from geomosaic.survey.names import FrameNames
+from geomosaic.survey.pos import read_pos
+from geomosaic.survey.pos_row import PosFile
+
+HEADER = """% program   : RTKLIB EX 2.5.0 Emlid
+% inp file  : raw_202306181011_RINEX_3_03\\raw.23O
+% out height : ellipsoidal
+% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)
+%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)
+"""
+EVENTS = """2023/06/18 08:11:31.364   47.123456789   -1.123456789   612.1234   1  17   0.0250   0.0140   0.0402  0.0
+2023/06/18 08:11:33.365   47.123556789   -1.123456789   612.2234   2  16   0.1250   0.1140   0.2402  0.0
+2023/06/18 08:11:35.366   47.123656789   -1.123456789   612.3234   5   9   2.1250   2.1140   4.2402  0.0
+"""
+
+
+def read(folder: Path, text: str, *names: str) -> PosFile:
+    path = folder / "flight_events.pos"
+    path.write_text(text, encoding="utf-8")
+    return read_pos(path, frames=FrameNames(names))
+
+
+def test_the_nth_event_is_the_nth_frames(tmp_path: Path) -> None:
+    found = read(tmp_path, HEADER + EVENTS, "DSC10.JPG", "DSC9.JPG", "DSC11.JPG")
+    assert [row.name for row in found.rows] == ["DSC9.JPG", "DSC10.JPG", "DSC11.JPG"]
+    first, second, third = found.rows
+    assert (first.lon_deg, first.lat_deg, first.height_ellipsoidal_m) == (
+        -1.123456789,
+        47.123456789,
+        612.1234,
+    )
+    assert (first.sd_east_m, first.sd_north_m, first.sd_vertical_m) == pytest.approx(
+        (0.02, 0.025, 0.0402), abs=0.01
+    )
+    assert second.sd_north_m is not None and third.sd_north_m is not None
+    assert 0.1 < second.sd_north_m < third.sd_north_m
+    assert found.datum_stated
+
+
+def test_heights_above_the_sea_state_no_datum(tmp_path: Path) -> None:
+    geodetic = HEADER.replace("out height : ellipsoidal", "out height : geodetic")
+    assert not read(tmp_path, geodetic + EVENTS, "a1.jpg", "a2.jpg", "a3.jpg").datum_stated
+
+
+def test_other_counts_and_other_columns_are_named_errors(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has 3 events, and there are 2 frames"):
+        read(tmp_path, HEADER + EVENTS, "a1.jpg", "a2.jpg")
+    with pytest.raises(InputError, match=r"names no latitude\(deg\)"):
+        read(
+            tmp_path, HEADER.replace("latitude(deg)", "latitude(d'\")") + EVENTS, "a1.jpg", "a2.jpg", "a3.jpg"
+        )
+    with pytest.raises(InputError, match="line 8 is no event"):
+        read(tmp_path, HEADER + EVENTS.replace("47.123656789", "forty"), "a1.jpg", "a2.jpg", "a3.jpg")
