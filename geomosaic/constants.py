@@ -43,6 +43,10 @@ def sourced(value: T, unit: str, reason: str, source: str) -> T:
 
 NORMAL_PER_MAD = sourced(1.4826, "1", "normal deviations in a median absolute deviation", "1 / Phi^-1(3/4)")
 MEDIAN_ONE = sourced(0.6745, "deviations", "median size of a normal error of one number", "Phi^-1(3/4)")
+ROUNDS = tuned(12, "rounds", "of an iteration each of which halves what is left at least; fewer show it")
+MOST_ROUNDS = tuned(50, "rounds", "of a search that ends by itself: what takes more has no solution")
+TOGETHER = tuned(256, "items", "computed at once: more do not fit the cache; fewer cost calls")
+SLIGHT = tuned(1e-6, "share", "changes nothing that is determined, and determines the rest; 0 is singular")
 MEDIAN_LENGTH = sourced(math.sqrt(math.log(4.0)), "1", "median of planar errors", "Rayleigh: sqrt(2 ln 2)")
 
 

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z, turned_by
-from geomosaic.constants import tuned
+from geomosaic.constants import MOST_ROUNDS, tuned
 
 Floats = NDArray[np.float64]
 _CONVERGED_PX = tuned(1e-4, "px", "row step that ends the search: tie points show a hundred times as much")
-MOST_ROUNDS = tuned(30, "rounds", "to find a row: three at 15 m/s, twelve at 0.1 rad; faster turns have none")
 
 LEAST_RECORDED = tuned(-0.4, "share", "of the height, from the middle row: less leaves a tenth of the rows")
 

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import MOST_ROUNDS, sourced, tuned
 
 Floats = NDArray[np.float64]
 Array = NDArray[Any]
@@ -30,10 +30,8 @@ Array = NDArray[Any]
 TERMS: Final = ("k1", "k2", "k3", "p1", "p2")
 _WIDEST_RAD = tuned(1.5, "rad", "off a fisheye's axis: tangents end at a right angle; less cuts corners")
 _FISHEYE_POWERS = sourced((2, 4, 6, 8, 1), "powers", "of the angle", "Kannala and Brandt 2006, eq. 6; Pix4D")
-_STEPS = tuned(4096, "steps", "of tables, each 0.001 of the radius: fewer are coarse; more are slow")
-_TINY = tuned(1e-12, "focal lengths", "least radius to divide by: more bends what lies near the axis")
-_CLOSE = tuned(1e-12, "focal lengths", "step that ends the inverse: more shows in derivatives; less is noise")
-_ROUNDS = tuned(50, "rounds", "of the inverse: a fisheye takes five, a strong Brown lens 30 at its corners")
+STEPS = tuned(4096, "steps", "of tables, each 0.001 of the radius: fewer are coarse; more are slow")
+_TINY = tuned(1e-12, "focal lengths", "least radius, last step of the inverse: more shows in derivatives")
 _FLATTEST = tuned(0.2, "1", "least slope of an inverse step: less lets it run off; more makes it short")
 _OUTSIDE = tuned(1.1, "corner radii", "reach of the formula: less loses corners; more extrapolates")
 
@@ -106,7 +104,7 @@ def _brown_straightened(terms: Array, xy: Floats, limit: float) -> Floats:
     if not np.any(terms):
         return ideal
     k1, k2, k3 = terms[:3]
-    for _ in range(_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         x, y = ideal[..., 0], ideal[..., 1]
         r_sq = np.minimum(x * x + y * y, limit * limit)
         slope = 1.0 + r_sq * (3.0 * k1 + r_sq * (5.0 * k2 + r_sq * 7.0 * k3))
@@ -116,7 +114,7 @@ def _brown_straightened(terms: Array, xy: Floats, limit: float) -> Floats:
         r_sq = ideal[..., 0] ** 2 + ideal[..., 1] ** 2
         if np.nanmax(r_sq, initial=0.0) > limit * limit:
             ideal *= (limit / np.maximum(np.sqrt(r_sq), limit))[..., None]
-        if np.nanmax(np.abs(step), initial=0.0) < _CLOSE:
+        if np.nanmax(np.abs(step), initial=0.0) < _TINY:
             break
     return ideal
 
@@ -127,7 +125,7 @@ def _brown_radial(terms: Array, radius: Array) -> Array:
 
 
 def _brown_radii(far: float) -> Floats:
-    return np.linspace(0.0, 3.0 * far, _STEPS)
+    return np.linspace(0.0, 3.0 * far, STEPS)
 
 
 def _brown_shares(radius: float) -> Floats:
@@ -180,10 +178,10 @@ def _fisheye_straightened(terms: Array, xy: Floats, limit: float) -> Floats:
     bent = np.maximum(np.hypot(xy[..., 0], xy[..., 1]), _TINY)
     widest = np.arctan(limit)
     theta = np.minimum(bent, widest)
-    for _ in range(_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         step = (bent - _fisheye_angle(terms, theta)) / np.maximum(_fisheye_slope(terms, theta), _FLATTEST)
         before, theta = theta, np.clip(theta + step, 0.0, widest)
-        if np.nanmax(np.abs(theta - before), initial=0.0) < _CLOSE:
+        if np.nanmax(np.abs(theta - before), initial=0.0) < _TINY:
             break
     return np.asarray(xy * (np.tan(theta) / bent)[..., None])
 
@@ -193,7 +191,7 @@ def _fisheye_radial(terms: Array, radius: Array) -> Array:
 
 
 def _fisheye_radii(far: float) -> Floats:
-    return np.tan(np.linspace(0.0, min(3.0 * far, _WIDEST_RAD), _STEPS))
+    return np.tan(np.linspace(0.0, min(3.0 * far, _WIDEST_RAD), STEPS))
 
 
 def _fisheye_shares(radius: float) -> Floats:
@@ -222,7 +220,7 @@ def fisheye_terms(coefficients: dict[int, float], widest_rad: float) -> tuple[fl
     if set(coefficients) <= {1, *(n + 1 for n in _FISHEYE_POWERS)}:
         scale = coefficients.get(1, 0.0)
         return scale, np.array([coefficients.get(n + 1, 0.0) / scale for n in _FISHEYE_POWERS])
-    theta = np.linspace(0.0, widest_rad, _STEPS)
+    theta = np.linspace(0.0, widest_rad, STEPS)
     wanted = sum(c * theta**n for n, c in coefficients.items())
     found = np.linalg.lstsq(
         np.stack([theta ** (n + 1) for n in (0, *_FISHEYE_POWERS)], 1), wanted, rcond=None
@@ -237,6 +235,6 @@ def opencv_terms(kind: str, terms: Floats, widest: float) -> Floats:
         return terms[[0, 1, 3, 4, 2]]
     if not terms[4]:
         return terms[:4]
-    theta = np.linspace(0.0, np.arctan(widest), _STEPS)
+    theta = np.linspace(0.0, np.arctan(widest), STEPS)
     odd = np.stack([theta**n for n in (3, 5, 7, 9)], axis=1)
     return np.asarray(np.linalg.lstsq(odd, _fisheye_angle(terms, theta) - theta, rcond=None)[0])

@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from geomosaic.camera.rotation import about_x, about_y, about_z
-from geomosaic.constants import tuned
+from geomosaic.constants import ROUNDS, tuned
 from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
 from geomosaic.geodesy.local import ecef_from_geodetic, enu_from_ecef_rotation, geodetic_from_ecef
 
 Floats = NDArray[np.float64]
 _HEIGHT_ROUNDS = tuned(2, "rounds", "of height at 8000 m: none leaves 6 mm, one 1e-9 m; one to spare")
-_IMAGE_ROUNDS = tuned(10, "rounds", "to find a point's line: of 200 lines three leave 5e-5 px, five 2e-9")
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ class Pushbroom:
         line, col, _ = np.broadcast_arrays(
             np.asarray(near_line, float), np.asarray(near_col, float), lonlath[..., 0]
         )
-        for _ in range(_IMAGE_ROUNDS):
+        for _ in range(ROUNDS):
             body = np.einsum(
                 "...ji,...j->...i", self.ecef_from_body(line), point - self.position_ecef_m(line)
             )

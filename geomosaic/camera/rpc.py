@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import ROUNDS, tuned
 from geomosaic.errors import InputError
 
 Floats = NDArray[np.float64]
 _OFFSETS = ("LINE_OFF", "SAMP_OFF", "LAT_OFF", "LONG_OFF", "HEIGHT_OFF")
 _SCALES = ("LINE_SCALE", "SAMP_SCALE", "LAT_SCALE", "LONG_SCALE", "HEIGHT_SCALE")
 _COEFFICIENTS = ("LINE_NUM_COEFF", "LINE_DEN_COEFF", "SAMP_NUM_COEFF", "SAMP_DEN_COEFF")
-_ROUNDS = sourced(4, "rounds", "of division by denominators: one weighs unevenly", "Tao and Hu 2001, 3")
 _RIDGE = tuned(1e-8, "half images", "per 1 of a coefficient: 1e-4 leaves 0.001 px, this 3e-8 px")
 
 
@@ -111,7 +110,7 @@ def _quotient(terms: Floats, value: Floats) -> tuple[Floats, Floats]:
     design = np.hstack([terms, -value[:, None] * terms[:, 1:]])
     weight = np.ones(len(value))
     ridge = _RIDGE * np.sqrt(len(value)) * np.eye(design.shape[1])
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         lhs = np.vstack([design * weight[:, None], ridge])
         rhs = np.concatenate([value * weight, np.zeros(len(ridge))])
         solved = np.linalg.lstsq(lhs, rhs, rcond=None)[0]

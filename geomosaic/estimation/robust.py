@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import erfc, stdtrit
 
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, SLIGHT, sourced, tuned
 from geomosaic.estimation.linear import least_squares
 
-CAUCHY = tuned(3.0, "deviations", "half weight here; less: noisy data lose weight; more: blunders keep it")
-BLUNDER = tuned(6.0, "deviations", "residuals of blunders; less: good observations are rejected")
-_REJECTED = tuned(1e-6, "share of the full weight", "0 would leave frames without other data undetermined")
 _FREEDOM = sourced(5.0, "degrees of freedom", "of image errors with long tails", "docs/results.md")
 INFORMATION: float = sourced((_FREEDOM + 2) / (_FREEDOM + 4), "1", "of Student pairs", "Lange 1989, app. B")
-THREE_SIGMA = sourced(3.0, "deviations", "beyond: not chance", "normal errors: 0.3 %")
+THREE_SIGMA = sourced(3.0, "deviations", "beyond: not chance; half weight", "normal errors: 0.3 %")
+BLUNDER = 2.0 * THREE_SIGMA
+"""Residuals of blunders: beyond it nothing keeps its weight."""
 STRONG = sourced(20.0, "evidence ratio", "that counts as strong", "Kass and Raftery 1995, section 3.2")
 LEAST_OBSERVATIONS = sourced(5, "observations", "to call one a blunder", "the median holds with 2 of 5 wrong")
-_CHANCE = sourced(0.0027, "probability", "of a blunder among normal errors", "beyond three deviations")
 _OWN = tuned(2.0, "stated deviations", "least size; less: chance agreement of others names good points")
 FAR = tuned(5.0, "deviations", "blunders by stated deviation and scatter; fewer: good points are named")
 
@@ -53,20 +51,20 @@ def irls(
 
 def cauchy_weight(standardised: Floats) -> Floats:
     """Cauchy's weights of standardised residual lengths."""
-    return np.asarray(1.0 / (1.0 + (standardised / CAUCHY) ** 2))
+    return np.asarray(1.0 / (1.0 + (standardised / THREE_SIGMA) ** 2))
 
 
 def cauchy_cost(standardised: Floats) -> Floats:
     """The cost that `cauchy_weight` minimises; the square for small residuals."""
-    return np.asarray(CAUCHY**2 * np.log1p((standardised / CAUCHY) ** 2))
+    return np.asarray(THREE_SIGMA**2 * np.log1p((standardised / THREE_SIGMA) ** 2))
 
 
 def redescending_weight(standardised: Floats) -> Floats:
     """Weights for GNSS and IMU data, nearly all of which are right: 1 up to three deviations, then falling
     with the square, next to 0 beyond six. Cauchy's would take a quarter of the weight of three good
     numbers."""
-    falling = (CAUCHY / np.maximum(standardised, CAUCHY)) ** 2
-    return np.asarray(np.where(standardised > BLUNDER, _REJECTED, falling))
+    falling = (THREE_SIGMA / np.maximum(standardised, THREE_SIGMA)) ** 2
+    return np.asarray(np.where(standardised > BLUNDER, SLIGHT, falling))
 
 
 def student_weight(standardised: Floats) -> Floats:
@@ -141,5 +139,5 @@ def _studentised(values: Floats, sd: Floats, tested: np.intp, rest: Ints) -> flo
 
 
 def _quantile(rest: int) -> float:
-    """Student's quantile for the most extreme of rest + 1 observations."""
-    return float(stdtrit(rest - 1, 1.0 - _CHANCE / (2.0 * (rest + 1))))
+    """Student's quantile for the most extreme of rest + 1 observations, as rare as three deviations are."""
+    return float(stdtrit(rest - 1, 1.0 - erfc(THREE_SIGMA / np.sqrt(2.0)) / (2.0 * (rest + 1))))

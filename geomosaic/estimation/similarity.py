@@ -9,12 +9,11 @@ from itertools import combinations, islice
 import numpy as np
 
 from geomosaic.arrays import Complexes, Floats
-from geomosaic.constants import tuned
+from geomosaic.constants import ROUNDS, tuned
 from geomosaic.estimation.linear import singular_values
 
-_ROUNDS = tuned(20, "rounds", "of re-weighting; ten converge")
 _COLLINEAR = tuned(0.05, "second by first singular value", "below it points lie on a line and a turn is free")
-_MOST_TRIPLES = tuned(500, "triples of points", "to begin from; one of four is good with a third of blunders")
+SAMPLES = tuned(500, "pairs or triples", "tried; a quarter is good with half or a third of blunders")
 
 
 def cauchy_about_median(length: Floats, medians: float = 2.0) -> Floats:
@@ -72,7 +71,7 @@ class Similarity3D:
         """The robust similarity from points (n, 3) to others (n, 3); None for fewer than 3 or on a line. It
         starts from the triple with the least median residual (Rousseeuw 1984); Cauchy's weights about the
         median residual follow. Each fit is Umeyama's (1991, section 4)."""
-        triples = (list(t) for t in islice(combinations(range(len(points)), 3), _MOST_TRIPLES))
+        triples = (list(t) for t in islice(combinations(range(len(points)), 3), SAMPLES))
         tried = [
             cls._weighted(points[t], to[t], np.ones(3))
             for t in triples
@@ -81,7 +80,7 @@ class Similarity3D:
         if not tried:
             return None
         best = min(tried, key=lambda t: float(np.median(t._residual(points, to))))
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             best = cls._weighted(points, to, cauchy_about_median(best._residual(points, to), 3.0))
         return best
 

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import tuned
+from geomosaic.constants import ROUNDS, TOGETHER, tuned
 from geomosaic.estimation.linear import inverse_each
+from geomosaic.matching.least_squares_matching import LEAST_GAIN
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -23,14 +24,12 @@ Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 _HALF_PX = tuned(10, "px", "half a window: 7 agrees a sixth worse; 14 takes twice as long, bends on relief")
 _BLUR_PX = tuned(0.6, "px", "smoothing of both images: 0 matches noise; 1 agrees a sixth less well")
-_ROUNDS = tuned(10, "rounds", "most converge in five; a window that has not in ten oscillates and is dropped")
 _CONVERGED_PX = tuned(0.03, "px", "step that ends it, a third of the accuracy: less takes rounds; more shows")
 _FARTHEST_PX = tuned(4.0, "px", "from the keypoint, an axis: less loses coarse ones; more finds other ground")
 _LEAST_LIKENESS = tuned(0.8, "correlation", "right ones have 0.96, leaves 0.85: less admits wrong ones")
-_STRETCH_SD = tuned(0.1, "1", "prior of stretch and slant: less binds roofs; more lets windows run off")
-_NOISE = tuned(4.0, "grey levels", "pixel noise that the stretch prior is weighed against: less binds more")
-_LEAST_GAIN = tuned(0.1, "1", "contrast ratio: below, the texture is not there; bounds steps too")
-_AT_ONCE = tuned(256, "windows", "computed together, 3 MB: more do not fit the cache; fewer cost calls")
+_STIFF = tuned(
+    40.0, "grey levels", "noise by deviation of stretch: less lets windows run off; more binds roofs"
+)
 _NEAR_SHARE = tuned(0.7, "half sides", "Gaussian weight: less wastes pixels; more blurs the place")
 _SIDE: Final = 2 * _HALF_PX + 1
 TEMPLATE_PX: Final = _SIDE + 2
@@ -54,10 +53,10 @@ def templates(image: Bytes, at_px: Floats) -> Bytes:
     col, row = (axis.ravel() for axis in np.meshgrid(along, along))
     smooth = _smooth(image)
     out = np.empty((len(at_px), TEMPLATE_PX, TEMPLATE_PX), np.uint8)
-    for first in range(0, len(at_px), _AT_ONCE):
-        at = at_px[first : first + _AT_ONCE].astype(np.float32) - np.float32(0.5)
+    for first in range(0, len(at_px), TOGETHER):
+        at = at_px[first : first + TOGETHER].astype(np.float32) - np.float32(0.5)
         read = _read(smooth, at[:, :1] + col, at[:, 1:] + row)
-        out[first : first + _AT_ONCE] = np.rint(read).reshape(-1, TEMPLATE_PX, TEMPLATE_PX)
+        out[first : first + TOGETHER] = np.rint(read).reshape(-1, TEMPLATE_PX, TEMPLATE_PX)
     return out
 
 
@@ -65,16 +64,16 @@ def find(windows: Bytes, image: Bytes, near_px: Floats, shapes: Floats) -> Found
     """Where an image shows windows of other images, from about where they lie.
 
     Affine least-squares matching with gain and offset (Gruen 1985) by inverse composition (Baker and Matthews
-    2004, section 3.2): derivatives are the template's and stay. The affine part is held by a belief of
-    _STRETCH_SD about the shapes given.
+    2004, section 3.2): derivatives are the template's and stay. A prior holds the affine part to the
+    shapes given.
 
     Args: windows as `templates` gives them; near_px (n, 2) corner origin; shapes (n, 2, 2): columns and rows
         of the image over those of each window.
     """
     smooth = _smooth(image)
     parts = [
-        _find_some(windows[i : i + _AT_ONCE], smooth, near_px[i : i + _AT_ONCE], shapes[i : i + _AT_ONCE])
-        for i in range(0, len(windows), _AT_ONCE)
+        _find_some(windows[i : i + TOGETHER], smooth, near_px[i : i + TOGETHER], shapes[i : i + TOGETHER])
+        for i in range(0, len(windows), TOGETHER)
     ]
     if not parts:
         return Found(np.zeros((0, 2)), np.zeros(0, np.bool_))
@@ -89,7 +88,7 @@ def _find_some(windows: Bytes, smooth: Floats32, near_px: Floats, shapes: Floats
     at, shape = near_px.astype(np.float64), shapes.astype(np.float64)
     sure = np.zeros(n, np.bool_)
     left = np.arange(n)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         turn = shape[left].astype(np.float32)
         middle = (at[left] - 0.5).astype(np.float32)
         seen = _read(
@@ -102,12 +101,12 @@ def _find_some(windows: Bytes, smooth: Floats32, near_px: Floats, shapes: Floats
         answer = (inverse[left] @ right[:, :, None])[:, :, 0]
         gain = answer[:, 6]
         likeness = right[:, 6] / np.sqrt(np.maximum((seen * seen) @ _NEAR * power[left], 1e-9))
-        step = (answer[:, :6] / np.maximum(gain, _LEAST_GAIN)[:, None]).astype(np.float64)
+        step = (answer[:, :6] / np.maximum(gain, LEAST_GAIN)[:, None]).astype(np.float64)
         moved = np.clip(step[:, :2], -1.0, 1.0)
         back = np.eye(2) - step[:, 2:].reshape(-1, 2, 2) / _HALF_PX
         at[left] -= (shape[left] @ moved[:, :, None])[:, :, 0]
         shape[left] = shape[left] @ back
-        lost = (gain < _LEAST_GAIN) | (np.abs(at[left] - near_px[left]).max(axis=1) > _FARTHEST_PX)
+        lost = (gain < LEAST_GAIN) | (np.abs(at[left] - near_px[left]).max(axis=1) > _FARTHEST_PX)
         converged = np.abs(moved).max(axis=1) < _CONVERGED_PX
         sure[left] = converged & ~lost & (likeness >= _LEAST_LIKENESS)
         left = left[~(converged | lost)]
@@ -131,7 +130,7 @@ def _derivatives(windows: Floats32) -> tuple[Floats32, Floats32, Floats32]:
     out -= ((out @ _NEAR) / _NEAR.sum())[:, :, None]
     weighted = out * _NEAR
     normal = (weighted @ out.transpose(0, 2, 1)).astype(np.float64)
-    prior_weight = np.array([0.0, 0.0, *[(_NOISE / (_STRETCH_SD * _HALF_PX)) ** 2] * 4, 0.0]) + 1e-6
+    prior_weight = np.array([0.0, 0.0, *[(_STIFF / _HALF_PX) ** 2] * 4, 0.0]) + 1e-6
     normal[:, range(7), range(7)] += prior_weight
     return out, weighted, inverse_each(normal).astype(np.float32)
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.matching.features import Features, coarsest
+from geomosaic.matching.planes import LEAST_POINTS
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
 Floats = NDArray[np.float64]
 Pair = tuple[int, int]
 MOST_COMPARED = tuned(20_000, "pairs", "all of 200 frames: fewer try neighbours in time only; more are slow")
 _COARSEST = tuned(400, "keypoints", "of a frame: fewer miss small overlaps; time grows with the square")
-_LEAST = tuned(8, "keypoints", "on one homography; four define it: fewer are chance; more miss overlaps")
 _TOLERANCE = tuned(0.01, "share", "of the extent, off the homography: less needs a plane; more admits any")
 _RATIO = tuned(0.85, "distance ratio", "looser than 0.8, as the homography filters: less loses true ones")
 _NEIGHBOURS = tuned(12, "pairs", "of a frame: fewer leave lines untied; more take time and show the same")
@@ -57,9 +57,9 @@ def alike(job: FrameComparison) -> list[int]:
     for other in job.others:
         i, j = mutual_nearest(left, root_sift(other.descriptors), _RATIO)
         good = 0
-        if len(i) >= _LEAST:
+        if len(i) >= LEAST_POINTS:
             good = int(by_homography(px[i], other.image_px[j], tolerance_px).sum())
-        out.append(good if good >= _LEAST else 0)
+        out.append(good if good >= LEAST_POINTS else 0)
     return out
 
 

@@ -17,9 +17,9 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _FINE_RADIUS_PX = tuned(3, "px", "search on finer levels: less loses patches; more finds other peaks")
-_COARSE_CORRELATION = tuned(0.3, "1", "of a guiding coarse patch: less guides by chance; more loses jumps")
+LEAST_CORRELATION = tuned(0.3, "1", "of a guiding coarse patch: less guides by chance; more loses jumps")
 _VALID_SHARE = tuned(0.9, "share", "of a patch: less correlates filled pixels; 1 loses patches at edges")
-_SMOOTHING_SIGMA_PX = tuned(0.8, "px", "Gaussian before matching: less locks to pixels; more loses texture")
+SMOOTHING_SIGMA_PX = tuned(0.8, "px", "Gaussian before matching: less locks to pixels; more loses texture")
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def measure_displacements(
         guesses = _guesses(centres, found_at, found, 2**k)
         shifts, peaks = _search(level, here, guesses, patch_px, radius)
         if k > 0:
-            good = peaks >= _COARSE_CORRELATION
+            good = peaks >= LEAST_CORRELATION
             found_at = np.asarray(centres[good], dtype=np.float64)
             found = np.asarray(shifts[good] * 2.0**k, dtype=np.float64)
     asked = _asked(levels[0], here, shifts, patch_px)
@@ -109,7 +109,7 @@ def measure_displacements(
 
 def _smoothed(image: MaskedImage) -> MaskedImage:
     """Less aliasing and noise, so that the match doesn't lock to whole pixels."""
-    pixels = np.asarray(cv2.GaussianBlur(image.pixels, (0, 0), _SMOOTHING_SIGMA_PX), dtype=np.float32)
+    pixels = np.asarray(cv2.GaussianBlur(image.pixels, (0, 0), SMOOTHING_SIGMA_PX), dtype=np.float32)
     return MaskedImage(pixels, image.valid)
 
 

@@ -20,26 +20,21 @@ Schwarz's penalty for the estimated parameters).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import MEDIAN_ONE, sourced, tuned
+from geomosaic.constants import MEDIAN_ONE, MOST_ROUNDS, sourced, tuned
+from geomosaic.estimation.robust import THREE_SIGMA
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 WRONG = sourced(4, "place", "of a wrong tag on an image that was not turned", "order of `explained`")
 """Number of "wrong tag, image not turned" among a frame's eight explanations, in `explained`'s order."""
-_CIRCLE_RAD = sourced(2.0 * np.pi, "rad", "a full turn", "definition")
-_QUARTERS_RAD = sourced(np.arange(4) * np.pi / 2.0, "rad", "turns of an image on disk", "definition")
-_KEPT = tuned(0.5, "share", "of wrong headings kept from the line before: less calls them turned images")
-_LEAST_RAD = tuned(np.radians(3.0), "rad", "scatter about a course: less makes gusts strays")
-_MOST_RAD = tuned(np.radians(30.0), "rad", "scatter about a course: more is no relation to it")
+MOST_RAD = tuned(np.radians(30.0), "rad", "of headings that agree: more takes wrong ones along")
 _FIRST_RAD = tuned(np.radians(12.0), "rad", "scatter at first: less misses the peak; more merges two")
-_NEAR_RAD = tuned(np.radians(30.0), "rad", "apart at most of tags that agree: more takes wrong ones along")
-_ROUNDS = tuned(25, "rounds", "of the estimation: fewer stop before rates settle")
-_AGREE = tuned(4.0, "deviations", "apart at most of tag and image that agree: more takes wrong ones along")
 _FEW = tuned(3.0, "frames", "that the first scatter counts for: less trusts a scatter of three frames")
 _STRAYS = tuned(
     (0.1, 0.5), "frames", "counted as seen the other way, and anyhow: less is surer of the course"
@@ -75,14 +70,16 @@ def explained(evidence: HeadingEvidence) -> Floats:
     if not known.any():
         return out
     given, image, course = given[known], image[known], evidence.course_rad[known]
-    apart = wrapped(given[:, None] - image[:, None] - _QUARTERS_RAD)
-    near = np.abs(apart[:, 0])[np.abs(apart[:, 0]) < _NEAR_RAD]
+    quarters = np.arange(4) * np.pi / 2.0
+    apart = wrapped(given[:, None] - image[:, None] - quarters)
+    near = np.abs(apart[:, 0])[np.abs(apart[:, 0]) < MOST_RAD]
     scatter = float(np.median(near)) / MEDIAN_ONE if len(near) else 0.0
     sd = np.maximum(evidence.sd_rad[known], scatter)[:, None]
-    wrong = np.full(apart.shape, 1.0 / _CIRCLE_RAD)
-    wrong[:, 0] = (1.0 - _KEPT) / _CIRCLE_RAD + _KEPT * normal(wrapped(apart[:, 0] - np.pi), sd[:, 0])
+    wrong = np.full(apart.shape, 1.0 / math.tau)
+    opposite = normal(wrapped(apart[:, 0] - np.pi), sd[:, 0])  # half of them stay those of the line before
+    wrong[:, 0] = (wrong[:, 0] + opposite) / 2.0
     tags = np.stack([normal(apart, sd), wrong], axis=1)
-    agree = np.abs(apart[:, 0]) < _AGREE * sd[:, 0]
+    agree = np.abs(apart[:, 0]) < THREE_SIGMA * sd[:, 0]
     ways = evidence.possible[known] / np.maximum(evidence.possible[known, 1:].sum(axis=1, keepdims=True), 1)
     ways[:, 0] = 1.0
     expected = (course, np.zeros(len(given)), np.full(len(given), np.nan))
@@ -90,7 +87,7 @@ def explained(evidence: HeadingEvidence) -> Floats:
     logs = np.array([f.log_likelihood for f in flown]) + np.log(_PRIORS)
     weight = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
     for e, way, share in zip(expected, flown, weight, strict=True):
-        camera = image[:, None] + _QUARTERS_RAD - e[:, None]
+        camera = image[:, None] + quarters - e[:, None]
         fits = np.stack([np.repeat(way.density(given - e)[:, None], 4, axis=1), way.density(camera)], axis=1)
         out[known] += share * _shares(tags * fits, ways)
     return out
@@ -103,7 +100,7 @@ def _shares(like: Floats, ways: Floats) -> Floats:
     """
     n = len(like)
     wrong = turned = 1.0 / (n + 2.0)
-    for _ in range(_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         by_turn = ways * [1.0 - turned, turned, turned, turned]
         share = like * np.stack([(1.0 - wrong) * by_turn, wrong * by_turn], axis=1)
         share /= share.sum(axis=(1, 2), keepdims=True)
@@ -126,28 +123,28 @@ class _Flown:
         """Densities (3, ...) of the camera's headings less expected ones: usual, opposite, any."""
         near, back = (normal(wrapped(off - self.usual - turn), self.width) for turn in (0.0, np.pi))
         usual = 1.0 - self.opposite - self.stray
-        return np.stack([usual * near, self.opposite * back, np.full(off.shape, self.stray / _CIRCLE_RAD)])
+        return np.stack([usual * near, self.opposite * back, np.full(off.shape, self.stray / math.tau)])
 
     def density(self, off: Floats) -> Floats:
         """Their sum; an unknown difference may be any."""
-        return np.where(np.isfinite(off), self.parts(off).sum(axis=0), 1.0 / _CIRCLE_RAD)
+        return np.where(np.isfinite(off), self.parts(off).sum(axis=0), 1.0 / math.tau)
 
 
 def _flown(off: Floats) -> _Flown:
     """By the differences of frames whose tags and images agree; NaN where no heading was expected."""
     whole, off = len(off), off[np.isfinite(off)]
-    n, unknown = len(off), -float(np.log(_CIRCLE_RAD))
+    n, unknown = len(off), -float(np.log(math.tau))
     if not n:
         return _Flown(0.0, _FIRST_RAD, 0.0, 1.0, whole * unknown)
     known = 1.0 + sum(_STRAYS) + n
     found = _Flown(usual_angle(off), _FIRST_RAD, _STRAYS[0] / known, _STRAYS[1] / known)
-    for _ in range(_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         parts = found.parts(off)
         on, back, stray = parts / parts.sum(axis=0)
         apart = wrapped(off - found.usual)
         usual = found.usual + float((on * apart).sum() / max(float(on.sum()), 1e-9))
         spread = (float((on * apart**2).sum()) + _FEW * _FIRST_RAD**2) / (float(on.sum()) + _FEW)
-        width = float(np.clip(np.sqrt(spread), _LEAST_RAD, _MOST_RAD))
+        width = min(float(np.sqrt(spread)), MOST_RAD)
         rates = ((float(of.sum()) + prior) / known for of, prior in zip((back, stray), _STRAYS, strict=True))
         found = _Flown(usual, width, *rates)
     log = float(np.log(found.density(off)).sum()) + (whole - n) * unknown
@@ -159,7 +156,7 @@ def usual_angle(angles_rad: Floats) -> float:
     tried = np.radians(np.arange(0.0, 360.0, 2.0))
     peak = float(tried[normal(wrapped(angles_rad - tried[:, None]), _FIRST_RAD).sum(axis=1).argmax()])
     near = wrapped(angles_rad - peak)
-    return peak + float(np.median(near[np.abs(near) < _NEAR_RAD]))
+    return peak + float(np.median(near[np.abs(near) < MOST_RAD]))
 
 
 def wrong_positions(off_m: Floats, sd_m: Floats, reach_m: float) -> Floats:
@@ -174,7 +171,7 @@ def wrong_positions(off_m: Floats, sd_m: Floats, reach_m: float) -> Floats:
     off, sd = off_m[known], np.maximum(sd_m[known], 1e-3)
     right = -0.5 * (off / sd) ** 2 - np.log(2.0 * np.pi * sd**2)
     wrong = -np.log(np.pi * max(reach_m, 1e-3) ** 2)
-    for _ in range(_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         out[known] = 1.0 / (1.0 + np.exp(np.clip(right - wrong, -700.0, 700.0)) * (1.0 - rate) / rate)
         rate = (float(out.sum()) + 1.0) / (n + 2.0)
     return out
@@ -187,7 +184,7 @@ def placed_by_pairs(pairs: Floats) -> Floats:
 
 def wrapped(angle_rad: Floats) -> Floats:
     """Angles from -pi to pi."""
-    return np.asarray((angle_rad + np.pi) % _CIRCLE_RAD - np.pi)
+    return np.asarray((angle_rad + np.pi) % math.tau - np.pi)
 
 
 def normal(off: Floats, sd: Floats | float) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
@@ -11,19 +12,18 @@ from numpy.typing import NDArray
 from scipy.fft import rfft2
 from scipy.ndimage import spline_filter
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import ROUNDS, TOGETHER, tuned
 from geomosaic.estimation.linear import eigen_each, pseudo_inverse
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = tuned(12, "rounds", "most converge sooner: fewer drop patches that begin a pixel off")
 _CONVERGED_PX = tuned(0.002, "px", "step that ends it, a tenth of the accuracy: more shows; less is slow")
 _REACH_PX = tuned(2.0, "px", "from the starting pixel: less loses offset patches; more finds other texture")
-_MARGIN_PX = sourced(4, "px", "spline past the edge: less reads a pixel aside", "_REACH_PX + 2 spline nodes")
-_LEAST_GAIN = tuned(0.05, "1", "contrast ratio of a lost patch; bounds steps: more loses haze and shade")
-_AT_ONCE = tuned(256, "patches", "computed together, 4 MB an array: more take memory; fewer cost calls")
+_MARGIN_PX: Final = int(_REACH_PX) + 2
+"""Of the spline past the edge, with its two nodes."""
+LEAST_GAIN = tuned(0.05, "1", "contrast ratio of a lost patch; bounds steps: more loses haze and shade")
 
 _SLOPE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
 
@@ -93,8 +93,8 @@ def refine(
         _eroded(reference.valid),
     )
     parts = [
-        _refine_some(basis, corners[i : i + _AT_ONCE], shifts[i : i + _AT_ONCE], patch_px)
-        for i in range(0, len(corners), _AT_ONCE)
+        _refine_some(basis, corners[i : i + TOGETHER], shifts[i : i + TOGETHER], patch_px)
+        for i in range(0, len(corners), TOGETHER)
     ]
     if not parts:
         return Match(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, dtype=bool))
@@ -140,7 +140,7 @@ def _refine_some(
     active = enough & (normal[:, 2, 2] > 1e-3 * np.maximum(count, 1.0))
     answer = np.zeros((len(corners), 4))
     warped = np.zeros_like(weight)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         at = np.flatnonzero(active)
         if not at.size:
             break
@@ -149,10 +149,10 @@ def _refine_some(
         answer[at] = np.einsum("nij,nj->ni", inverse[at], right)
         warped[at] = seen
         gain = answer[at, 2]
-        step = np.clip(answer[at, :2] / np.maximum(gain, _LEAST_GAIN)[:, None], -1.0, 1.0)
+        step = np.clip(answer[at, :2] / np.maximum(gain, LEAST_GAIN)[:, None], -1.0, 1.0)
         shift[at] -= step
         done = np.abs(step).max(axis=1) < _CONVERGED_PX
-        lost = (gain <= _LEAST_GAIN) | (np.abs(shift[at] - shifts[at]).max(axis=1) > _REACH_PX)
+        lost = (gain <= LEAST_GAIN) | (np.abs(shift[at] - shifts[at]).max(axis=1) > _REACH_PX)
         converged[at[done & ~lost]] = True
         active[at[done | lost]] = False
     sd, correlation = _assessed(_Regression(design, weight, inverse), answer, warped, patch_px)

@@ -19,7 +19,7 @@ Size = tuple[int, int]
 Pair = tuple[int, int]
 _GRAIN_PX = tuned(16.0, "px", "rounding of predictions: less lets a new frame change other pairs")
 _BY_NEIGHBOUR = tuned(0.05, "share", "of the side, search by a neighbour: less misses relief; more is slow")
-_FEWEST = tuned(6, "points", "for a plane with some check: four fit any errors")
+LEAST_POINTS = tuned(8, "points", "on one plane; four define it: fewer are chance; more miss overlaps")
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def guessed(size_px: Size, plane: Floats | None, radius_px: float) -> Guess:
 def plane_through(left_px: Floats, right_px: Floats) -> Floats | None:
     """The homography with the least squared misses; None where too few points, or no finite ones, say it."""
     good = np.isfinite(left_px).all(axis=1) & np.isfinite(right_px).all(axis=1)
-    if good.sum() < _FEWEST:
+    if good.sum() < LEAST_POINTS:
         return None
     plane, _ = cv2.findHomography(left_px[good], right_px[good], 0)
     return None if plane is None else np.asarray(plane, np.float64)

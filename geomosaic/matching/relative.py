@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-from geomosaic.constants import NORMAL_PER_MAD, tuned
+from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, SLIGHT, tuned
 from geomosaic.estimation.linear import SparseFactors
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-_ROUNDS = tuned(12, "rounds", "of voting and of re-weighting: fewer leave wrong pairs a weight")
-_FIT_ROUNDS = tuned(5, "rounds", "of re-weighting a pair's tie points")
-_MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
+MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
 _LEAST_SPREAD = tuned(np.radians(0.5), "rad, log scale", "of pairs: less rejects tilted ones; more keeps bad")
-_WEAK = tuned(1e-6, "largest weight", "datum of corrections: more holds them back; less is lost in rounding")
-_ALIKE = tuned(0.2, "rad, log scale", "of agreeing pairs: less splits by tilt; more counts wrong ones")
+ALIKE = tuned(0.2, "rad, log scale", "of agreeing pairs: less splits by tilt; more counts wrong ones")
 
 
 @dataclass(frozen=True)
@@ -46,10 +43,10 @@ def joints_of(pairs: Sequence[tuple[int, int]], both_m: Iterable[tuple[Complexes
     Neither frame is the truer one: the scale is the ratio of both clouds' extents, so that noise shrinks
     none. A pair counts with all its tie points, but some of them, evenly taken, make its similarity.
     """
-    ties, some = np.zeros(len(pairs), np.intp), np.full((2, len(pairs), _MOST_TIES), np.nan, np.complex128)
+    ties, some = np.zeros(len(pairs), np.intp), np.full((2, len(pairs), MOST_TIES), np.nan, np.complex128)
     for k, both in enumerate(both_m):
         ties[k] = len(both[0])
-        which = np.linspace(0, ties[k] - 1, min(ties[k], _MOST_TIES)).astype(np.intp)
+        which = np.linspace(0, ties[k] - 1, min(ties[k], MOST_TIES)).astype(np.intp)
         some[:, k, : len(which)] = [side[which] for side in both]
     turn, miss = _similarities(*some)
     ends = np.array(pairs, dtype=np.intp).reshape(-1, 2)
@@ -62,7 +59,7 @@ def _similarities(z: Complexes, w: Complexes) -> tuple[Complexes, Floats]:
     count = there.sum(axis=1)
     z, w = np.where(there, z, 0.0), np.where(there, w, 0.0)
     weight, turn, miss = there.astype(np.float64), np.ones(len(z), np.complex128), np.zeros(len(z))
-    for _ in range(_FIT_ROUNDS):
+    for _ in range(ROUNDS):
         total = np.maximum(weight.sum(axis=1), 1e-300)
         to_z, to_w = (v - ((weight * v).sum(axis=1) / total)[:, None] for v in (z, w))
         size_z, size_w = ((weight * np.abs(v) ** 2).sum(axis=1) for v in (to_z, to_w))
@@ -96,14 +93,14 @@ def averaged(n: int, joints: Joints) -> Complexes:
         return np.ones(n, np.complex128)
     step = np.log(joints.turn)
     value = _voted(n, joints, step, _along_tree(n, joints, step))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         off = step - (value[joints.right] - value[joints.left])
         off = off.real + 1j * np.angle(np.exp(1j * off.imag))
         turn_weight, scale_weight = (_weights(part, joints.ties) for part in (off.imag, off.real))
         correction = _least_squares(n, joints, off.imag, turn_weight) * 1j
         correction = correction + _least_squares(n, joints, off.real, scale_weight)
         value = value + correction
-        if np.abs(correction).max() < 1e-6:
+        if np.abs(correction).max() < SLIGHT:
             break
     return np.asarray(np.exp(value))
 
@@ -139,13 +136,13 @@ def _voted(n: int, joints: Joints, step: Complexes, value: Complexes) -> Complex
         mine[a].append((b, -s))
         mine[b].append((a, s))
     value = value.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         changed = False
         for i in (i for i in range(n) if len(mine[i]) > 2):
             said = np.array([value[j] + s for j, s in mine[i]])
             apart = said[:, None] - np.append(said, value[i])
             apart = np.hypot(apart.real, np.angle(np.exp(1j * apart.imag)))
-            with_it = (apart < _ALIKE).sum(axis=0)
+            with_it = (apart < ALIKE).sum(axis=0)
             best = int(with_it.argmax())
             if with_it[best] > with_it[-1]:
                 value[i], changed = said[best], True
@@ -161,5 +158,5 @@ def _least_squares(n: int, joints: Joints, off: Floats, weight: Floats) -> Float
         (np.concatenate([np.ones(len(off)), -np.ones(len(off))]),
          (np.concatenate([rows, rows]), np.concatenate([joints.right, joints.left]))), shape=(len(off), n)
     ).tocsc()  # fmt: skip
-    normal = difference.T @ diags(weight) @ difference + diags(np.full(n, _WEAK * float(weight.max())))
+    normal = difference.T @ diags(weight) @ difference + diags(np.full(n, SLIGHT * float(weight.max())))
     return SparseFactors(normal).solve(difference.T @ (weight * off))

@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import tuned
+from geomosaic.constants import TOGETHER, tuned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
-_ROWS = tuned(512, "descriptors", "compared at once: more do not fit the cache; fewer cost calls")
 _IN_CELL = tuned(150, "keypoints", "in a search cell: fewer starve the ratio test; more compare in vain")
 
 
@@ -46,8 +45,8 @@ def mutual_nearest(
         if len(there) < 2:
             continue
         candidates = right.take(there, axis=0).T
-        for start in range(0, len(here), _ROWS):
-            part = here[start : start + _ROWS]
+        for start in range(0, len(here), TOGETHER):
+            part = here[start : start + TOGETHER]
             likeness = left.take(part, axis=0) @ candidates
             rows = np.arange(len(part))
             nearest = likeness.argmax(axis=1)

@@ -15,7 +15,7 @@ from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.constants import tuned
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained, usual_angle
 from geomosaic.matching.model import TiePair
-from geomosaic.matching.relative import averaged, joints_of
+from geomosaic.matching.relative import MOST_TIES, averaged, joints_of
 from geomosaic.placement.graph import connected_parts, flight_lines
 from geomosaic.placement.prior import (
     COURSE_YAW_SD_DEG,
@@ -30,7 +30,6 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 _MISPLACED = tuned(4.0, "usual gaps", "beyond which it gives no course: less drops good ones; more keeps bad")
-_SEEN = tuned(100, "tie points", "of a pair for a median: fewer are noisy; more take time")
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
 
@@ -56,7 +55,7 @@ def seen_pairs(
     known = [t for t in pairs if located[t.left] and located[t.right]]
     if not known:
         return []
-    some = [np.linspace(0, len(t) - 1, min(len(t), _SEEN)).astype(np.intp) for t in known]
+    some = [np.linspace(0, len(t) - 1, min(len(t), MOST_TIES)).astype(np.intp) for t in known]
     frame = np.concatenate([np.repeat([t.left, t.right], len(s)) for t, s in zip(known, some, strict=True)])
     px = np.concatenate([p[s] for t, s in zip(known, some, strict=True) for p in (t.left_px, t.right_px)])
     places_m = ground_from_images(frame, px, poses, cameras, ground)[:, :2]

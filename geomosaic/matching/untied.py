@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from geomosaic.constants import tuned
 from geomosaic.matching.match import PairMatch
 
 Pair = tuple[int, int]
-MOSTLY = tuned(0.5, "share", "of faint tiles that makes a frame faint")
+
+
+def mostly(faint: float) -> bool:
+    """Whether a frame is faint by the share of its tiles that are: at least half."""
+    return faint >= 0.5
 
 
 def untied_reasons(
@@ -24,7 +27,7 @@ def untied_reasons(
         for i in pair:
             tried[i].append(match)
     return tuple(
-        (i, _reason(matches, keypoints[i], faint[i] >= MOSTLY, least))
+        (i, _reason(matches, keypoints[i], mostly(faint[i]), least))
         for i, matches in tried.items()
         if not any(len(m.left) for m in matches)
     )

@@ -13,8 +13,8 @@ from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 Floats = NDArray[np.float64]
-_ESTIMATED_SD_SHARE = tuned(0.1, "share", "of an assumed height: less binds poses; more frees the scale")
-_LEAST_ABOVE_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
+ASSUMED_SD_SHARE = tuned(0.1, "share", "of an assumed height: less binds poses; more frees the scale")
+LEAST_HEIGHT_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
 _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")
 _FAR = tuned(2.5, "usual heights", "ratio in doubt beside an impossible one: less drops good, more keeps bad")
 
@@ -62,7 +62,7 @@ def with_missing_heights(heights: FrameHeights, ground_heights_m: Floats) -> Fra
         return heights
     filled = np.interp(np.arange(len(heights.m)), known, heights.m[known])
     spread = NORMAL_PER_MAD * float(np.median(np.abs(heights.m[known] - np.median(heights.m[known]))))
-    wide = np.maximum(spread, _ESTIMATED_SD_SHARE * np.abs(filled - ground_heights_m))
+    wide = np.maximum(spread, ASSUMED_SD_SHARE * np.abs(filled - ground_heights_m))
     return FrameHeights(filled, np.where(missing, wide, heights.sd_m))
 
 
@@ -108,7 +108,7 @@ def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
         if p.height_ellipsoidal_m is not None and p.height_above_ground_m is not None
     ]
     absolute, above = np.array(both).reshape(-1, 2).T
-    return float(np.median(absolute - above)) if both and np.median(above) > _LEAST_ABOVE_M else None
+    return float(np.median(absolute - above)) if both and np.median(above) > LEAST_HEIGHT_M else None
 
 
 def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float]]:
@@ -171,7 +171,7 @@ def with_heights_above_ground(survey: Survey, above_m: float) -> tuple[Survey, f
     """
     absolute = np.array([or_nan(f.position.height_ellipsoidal_m) for f in survey.frames])
     level = float(np.nanmedian(absolute)) - above_m if np.isfinite(absolute).any() else 0.0
-    sd_m = _ESTIMATED_SD_SHARE * above_m
+    sd_m = ASSUMED_SD_SHARE * above_m
     frames = tuple(
         replace(f, position=replace(f.position, height_above_ground_m=None))
         if f.position.height_ellipsoidal_m is not None

@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.heights import FrameHeights, or_nan
 from geomosaic.placement.velocity import velocities_m_per_s
-from geomosaic.survey.accuracy import POSITION
+from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-UNKNOWN_YAW_SD_DEG = sourced(180.0, "deg", "of an unknown heading: less pulls to north", "half a turn")
 COURSE_YAW_SD_DEG = tuned(20.0, "deg", "of a heading by course: less pulls at crosswind; more ignores it")
 YAW_LIES_DEG = tuned(8.0, "degrees", "of a wrong heading: compasses are off by as much beside motors")
 
@@ -105,7 +104,7 @@ def prior_poses(
     """Poses of all frames from their observed positions and attitudes.
 
     An unknown tilt is taken as nadir, an unknown yaw as the course of the flight line; their standard
-    deviations say how little that is worth (COURSE_YAW_SD_DEG, UNKNOWN_YAW_SD_DEG).
+    deviations say how little that is worth (COURSE_YAW_SD_DEG, `survey.accuracy.ATTITUDE`).
 
     Args: lines: each frame's flight line; formula, attitude: keys of `FORMULAS` and `ATTITUDES`.
     """
@@ -118,7 +117,7 @@ def prior_poses(
     sd_yaw = np.array([f.attitude.sd_yaw_deg for f in frames])
     unknown = np.isnan(yaw)
     course = np.where(survey.located, courses_deg(positions, lines), np.nan)
-    sd_yaw[unknown] = np.where(np.isnan(course), UNKNOWN_YAW_SD_DEG, COURSE_YAW_SD_DEG)[unknown]
+    sd_yaw[unknown] = np.where(np.isnan(course), ATTITUDE["none"].sd_yaw_deg, COURSE_YAW_SD_DEG)[unknown]
     yaw = np.where(unknown, np.nan_to_num(course), yaw)
     pitch, roll = (
         np.array([getattr(f.attitude, angle) or 0.0 for f in frames]) for angle in ("pitch_deg", "roll_deg")

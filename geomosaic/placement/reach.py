@@ -10,16 +10,12 @@ from numpy.typing import NDArray
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
+from geomosaic.placement.heights import LEAST_HEIGHT_M
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
-_MOST_TILT_RAD = tuned(0.5, "rad", "cap of a tilt's deviation: more reaches everywhere; less misses pairs")
+_MOST = tuned(0.5, "rad, share", "cap of a tilt's or focal deviation: more pairs in vain; less misses pairs")
 _MOST_YAW_RAD = tuned(1.0, "rad", "cap of a heading's deviation: more pairs distant frames; less misses near")
-
-LEAST_HEIGHT_M = tuned(1.0, "m", "scale of a frame that is said to be on or below the ground")
-
-
-_MOST_FOCAL = tuned(0.5, "share", "cap of the focal deviation: an assumed lens has it; more pairs in vain")
 
 
 def half_extent_m(camera: Camera, height_m: float) -> float:
@@ -54,9 +50,9 @@ def misplacement_m(
     """
     height = heights_above_ground_m(poses, ground)
     reach = np.array([half_extent_m(c, h) for c, h in zip(cameras, height, strict=True)]) / 2.0
-    tilt = height * np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), _MOST_TILT_RAD)
+    tilt = height * np.minimum(poses.rotations_sd_rad[:, :2].max(axis=1), _MOST)
     yaw = reach * np.minimum(poses.rotations_sd_rad[:, 2], _MOST_YAW_RAD)
     focal = np.array([c.focal_length_sd_px / c.focal_length_px for c in cameras])
-    lens = reach * np.minimum(focal, _MOST_FOCAL)
+    lens = reach * np.minimum(focal, _MOST)
     position = poses.positions_sd_m[:, :2].max(axis=1)
     return np.asarray(sigmas * np.sqrt(position**2 + tilt**2 + yaw**2 + lens**2))

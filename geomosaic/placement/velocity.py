@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import SLIGHT, sourced, tuned
 from geomosaic.placement.smoothing_spline import slopes
 
 Floats = NDArray[np.float64]
@@ -17,9 +17,7 @@ Bools = NDArray[np.bool_]
 _STEPS = tuned(3, "steps", "each side, for a median: fewer show clock rounding; more straighten curves")
 _PAUSE = tuned(3.0, "usual intervals", "between lines: less splits at a lost frame; more crosses turns")
 _CORNER = sourced(1.35, "usual speeds", "change at a corner: less breaks jittery lines", "2 sin(85 deg / 2)")
-_FRACTION_S = tuned(0.01, "s", "off a whole second: less takes rounding as fine; more, fine clocks as coarse")
 _FASTEST = tuned(150.0, "m/s", "of a step: less loses survey aircraft; more joins two that fly at once")
-_ALIKE = tuned(0.5, "share", "of speed between sides: less drops jittery steps; more mixes corners")
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
         if len(before) and len(behind):
             one, other = np.median(before, axis=0), np.median(behind, axis=0)
             speed = max(float(np.linalg.norm(one)), float(np.linalg.norm(other)))
-            if float(np.linalg.norm(one - other)) > _ALIKE * speed:
+            if float(np.linalg.norm(one - other)) > speed / 2.0:
                 out[i] = one if _spread(before) < _spread(behind) else other
                 continue
         if len(steps):
@@ -108,7 +106,7 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     out, way = velocities_m_per_s(positions_m, times_s), _way(positions_m, times_s)
     if not out.any():
         return out
-    exact = bool((np.abs(times_s - np.round(times_s))[way.at] > _FRACTION_S).mean() > 0.5)
+    exact = bool((np.abs(times_s - np.round(times_s))[way.at] > SLIGHT).mean() > 0.5)
     ways = way.ways()
     clocks = [way.clock(first, last, exact) for first, last in ways]
     places = [positions_m[way.at[first : last + 1]] for first, last in ways]

@@ -6,15 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.constants import tuned
+from geomosaic.constants import TOGETHER, tuned
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 _MOST_SAMPLES = tuned(8_000_000, "samples", "around a camera, 32 MB: fewer thin horizon views; more are slow")
-_LINES_AT_ONCE = tuned(256, "lines", "computed together: all take five times the memory; fewer cost calls")
 _STEPS_PER_NODE = tuned(2, "steps", "along a line: fewer show strips beside walls; more take time")
-_SURELY = tuned(1.0, "deviations", "by which an occluder is lowered: 2 shows hidden roofs; 0 hides by noise")
 _POLE_M = tuned(1.0, "m", "widest object that hides nothing: more sees through walls and chimneys")
 _NEAR_NODES = tuned(2, "nodes", "around all rays: fewer miss the line and the next node at the edge")
 
@@ -51,8 +49,8 @@ def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Fl
     out = np.maximum(nearest + step_m * np.arange(steps), step_m / 2.0).astype(np.float32)
     corner = ground.east_0_m, ground.north_0_m
     seen = np.full((lines, steps), low - 1e4, dtype=np.float32)
-    for first in range(0, lines, _LINES_AT_ONCE):
-        part = line[first : first + _LINES_AT_ONCE]
+    for first in range(0, lines, TOGETHER):
+        part = line[first : first + TOGETHER]
         at = [
             np.float32((camera[k] - corner[k]) / ground.spacing_m)
             + out * (of(part) / ground.spacing_m).astype(np.float32)
@@ -92,6 +90,6 @@ def _hiding(ground: GroundSurface) -> Floats32:
     square = np.ones((side, side), np.uint8)
     heights = cv2.morphologyEx(ground.up_m.astype(np.float32), cv2.MORPH_OPEN, square)
     if ground.sd_m is not None:
-        lowered = ground.up_m - _SURELY * np.nan_to_num(ground.sd_m)
+        lowered = ground.up_m - np.nan_to_num(ground.sd_m)
         heights = np.minimum(heights, cv2.dilate(lowered.astype(np.float32), square))
     return np.asarray(heights, dtype=np.float32)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import tuned
+from geomosaic.constants import TOGETHER, tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid
@@ -27,7 +27,6 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 fails _MOST_OFF_PX often")
 _MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks; less computes most")
-_CELLS_AT_ONCE = tuned(256, "cells", "computed together: more do not fit the cache; fewer cost calls")
 
 
 @dataclass(frozen=True)
@@ -81,8 +80,8 @@ class MapLattice:
         spread = [_spread(axis) for axis in image]
         whole = [_cells_of(axis) for axis in spread]
         cells = np.nonzero(_to_be_exact(image, middle, camera))
-        for k in range(0, len(cells[0]), _CELLS_AT_ONCE):
-            i, j = (c[k : k + _CELLS_AT_ONCE] for c in cells)
+        for k in range(0, len(cells[0]), TOGETHER):
+            i, j = (c[k : k + TOGETHER] for c in cells)
             exact = self._exact(sight, i + top, j + left, whole[1][i, j])
             for axis, values in zip(whole, exact, strict=True):
                 axis[i, j] = values

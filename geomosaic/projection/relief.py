@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import tuned
+from geomosaic.constants import TOGETHER, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -18,7 +18,6 @@ Floats = NDArray[np.float64]
 Places = Callable[[Floats, Floats, Floats], tuple[Floats, Floats, Floats]]
 _KNOTS = tuned(17, "knots a side", "of the map projection's spline: 17 are 8e-5 m off over 300 km, 9 1e-3 m")
 _LIFT_M = tuned(100.0, "m", "for the slope with height: 1 m drowns in rounding; 10 km is 1.6e-3 m off")
-_BAND = tuned(256, "rows", "of nodes at once: more take memory; fewer cost calls")
 
 
 def relief(
@@ -41,9 +40,9 @@ def relief(
         )
     places = _places(work_frame, MapProjection(raster.crs), east, north)
     up_m = np.zeros((north.size, east.size))
-    for top in range(0, north.size, _BAND):
-        rows = north[top : top + _BAND]
-        up = up_m[top : top + _BAND]
+    for top in range(0, north.size, TOGETHER):
+        rows = north[top : top + TOGETHER]
+        up = up_m[top : top + TOGETHER]
         for _ in range(3):
             x, y, height = places(rows, east, up)
             up += known.nearest(x, y) - height

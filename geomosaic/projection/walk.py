@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import tuned
+from geomosaic.constants import SLIGHT
 
 Floats = NDArray[np.float64]
-_BEYOND = tuned(1e-7, "cells", "past a cell's border, to be in the next: less drowns in rounding")
 
 
 def pyramid(up_m: NDArray[Any]) -> list[NDArray[Any]]:
@@ -75,7 +74,7 @@ def first_drops(up_m: NDArray[Any], rays: GridRays) -> Floats:
         with np.errstate(divide="ignore", invalid="ignore"):
             border = (cell + (slope > 0.0)) * size[:, None]
             leaves = np.where(slope != 0.0, (border - at) / slope, np.inf)
-            past = _BEYOND / np.abs(slope).max(axis=1)
+            past = SLIGHT / np.abs(slope).max(axis=1)
         leaves = np.minimum(np.maximum(leaves.min(axis=1), here), last[going])
         index = cell.astype(np.intp)
         top = _highest(levels, level[going], index)

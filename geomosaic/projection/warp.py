@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.camera.exterior import MOST_ROUNDS, Pose, row_moved_px
+from geomosaic.camera.exterior import Pose, row_moved_px
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import turned_by
-from geomosaic.constants import tuned
+from geomosaic.constants import MOST_ROUNDS, TOGETHER, tuned
 from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -30,7 +30,6 @@ Axes = tuple[Floats32, Floats32, Floats32]
 """x, y and z in the camera of ground points, in m."""
 _NODES = tuned(5, "nodes a side", "of the projection's polynomial, odd: 3 are 1.0 mm off over 10 km, 5 0.8")
 _HEIGHT_ROUNDS = tuned(3, "rounds", "of node and height on hills: one leaves 6 cm, two 2e-5 m, three 1e-8")
-_ROWS_AT_ONCE = tuned(64, "rows", "computed together: more do not fit the cache; fewer cost calls")
 _CONVERGED_PX = tuned(0.004, "px", "row step that ends it: more shows at breaks; less is lost in rounding")
 
 
@@ -198,8 +197,8 @@ def frame_from_map(
     relief = None if window.relief_m is None else window.relief_m[rows, cols]
     col = np.empty((v.size, u.size), dtype=np.float32)
     row = np.empty_like(col)
-    for top in range(0, v.size, _ROWS_AT_ONCE):
-        band = slice(top, top + _ROWS_AT_ONCE)
+    for top in range(0, v.size, TOGETHER):
+        band = slice(top, top + TOGETHER)
         axes = sight.axes(window, u, v[band], None if relief is None else relief[band])
         sight.image(axes, col[band], row[band])
     return col, row

@@ -22,7 +22,7 @@ from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.planes import Guess
 from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import corrected_poses, found_turned, reheaded, seen_pairs
-from geomosaic.matching.untied import MOSTLY
+from geomosaic.matching.untied import mostly
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
@@ -73,7 +73,7 @@ class SiftParams(StageParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=17, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=18, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(
@@ -100,11 +100,11 @@ def matching_sift(
     turns, headings = found_turned(seen, placement.poses, sizes, cap_m)
     _report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
     faint = [features.look().faint for features in pairing.features]
-    mostly = sum(share >= MOSTLY for share in faint)
-    context.metric("matching.faint_frames", mostly)
-    if mostly:
+    faint_frames = sum(map(mostly, faint))
+    context.metric("matching.faint_frames", faint_frames)
+    if faint_frames:
         context.inform(
-            f"{mostly} of {len(faint)} frames are faint; their contrast is raised for matching alone"
+            f"{faint_frames} of {len(faint)} frames are faint; their contrast is raised for matching alone"
         )
     context.metric("matching.pairs_tried", len(pairs) + len(untied))
     context.metric("matching.pairs_tied", len(pairs))

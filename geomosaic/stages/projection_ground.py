@@ -43,7 +43,7 @@ class GroundParams(StageParams):
 
 
 @stage(
-    "projection.ground", "Make the ground surface", group="Projection", version=6,
+    "projection.ground", "Make the ground surface", group="Projection", version=7,
     outputs=("prior_ground", "levelled_survey"),
     formerly={"prior_ground": "ground", "levelled_survey": "survey"},
 )  # fmt: skip

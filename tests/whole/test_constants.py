@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 import geomosaic
-from geomosaic.adjustment.ground import tie_surface
-from geomosaic.adjustment.kernels import observation_groups
-from geomosaic.adjustment.terms import image_observations
+from geomosaic import constants
+from geomosaic.adjustment.ground import trial_surface
+from geomosaic.adjustment.solver import steps
+from geomosaic.ccd import layout
 from geomosaic.constants import recorded, records, varied
-from geomosaic.matching import affine_matching
+from geomosaic.matching import affine_matching, least_squares_matching
 from geomosaic.survey import plausible, strays
 
 HOUSE = Path(geomosaic.__file__).parent
@@ -124,16 +125,21 @@ def test_what_nothing_real_is_beyond_has_a_reason_and_a_source() -> None:
 
 
 def test_other_values_are_tried_by_name_wherever_the_constant_is_imported() -> None:
-    usual, windows = observation_groups.AT_ONCE, affine_matching._AT_ONCE
-    with varied(AT_ONCE=7, _GAP=0.5), varied("affine_matching", _AT_ONCE=3):
-        assert (observation_groups.AT_ONCE, image_observations.AT_ONCE) == (7, 7)
-        assert (tie_surface._GAP, affine_matching._AT_ONCE) == (0.5, 3)
-    after = observation_groups.AT_ONCE, image_observations.AT_ONCE, affine_matching._AT_ONCE
-    assert after == (usual, usual, windows)
+    usual, step_px = constants.TOGETHER, affine_matching._CONVERGED_PX
+    with varied(TOGETHER=7, _PER_HEIGHT=5.0), varied("affine_matching", _CONVERGED_PX=3.0):
+        assert (constants.TOGETHER, affine_matching.TOGETHER, least_squares_matching.TOGETHER) == (7, 7, 7)
+        assert (trial_surface._PER_HEIGHT, affine_matching._CONVERGED_PX) == (5.0, 3.0)
+    after = constants.TOGETHER, affine_matching.TOGETHER, affine_matching._CONVERGED_PX
+    assert after == (usual, usual, step_px)
+
+
+def test_a_constant_of_the_same_name_and_value_elsewhere_stays() -> None:
+    assert steps._ROUNDS is layout._ROUNDS
+    with varied("adjustment.solver.steps", _ROUNDS=3):
+        assert (steps._ROUNDS, layout._ROUNDS) == (3, 12)
 
 
 def test_an_unknown_or_ambiguous_constant_is_not_varied() -> None:
-    importlib.import_module("geomosaic.surface.costs")
-    for name in ("NO_SUCH", "_AT_ONCE"):
+    for name in ("NO_SUCH", "_CONVERGED_PX"):
         with pytest.raises(LookupError, match=name), varied(**{name: 1}):
             pass

@@ -16,13 +16,12 @@ from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import irls
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
-from geomosaic.projection.footprint import footprint
+from geomosaic.projection.footprint import FEW, footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import Spread
 
 DEM_SD_M = tuned(1.0, "m", "of a DEM that states no deviation; national models are better, satellites' worse")
-LEAST_POINTS = tuned(50, "points", "fewer make no surface: a dozen nodes, and some points to judge it by")
-_SEEN_THRICE = tuned(0.1, "share of the points", "in three frames; fewer: tilts and relief are not separable")
+LEAST_POINTS = tuned(50, "points", "fewer make no surface and judge no lens: a dozen nodes, some to judge by")
 _AS_WELL = tuned(1.1, "of the free image deviation", "less: level land gets a surface that follows noise")
 _NEAR_FLAT = tuned(3.0, "times the relief of flat land", "median of the points; more: hills are pressed flat")
 _FLAT_PX = tuned(0.5, "ground pixels", "offset by the relief of flat land; less does not show")
@@ -86,7 +85,7 @@ def chosen_ground(
         return block.ground, float("nan")
     flat, points = levelled(block.ground, bundle), bundle.points_m
     few = len(points) < LEAST_POINTS
-    if setting == "flat" or few or (setting == "auto" and np.mean(lengths > 2) < _SEEN_THRICE):
+    if setting == "flat" or few or (setting == "auto" and np.mean(lengths > 2) < FEW):
         return flat, float("nan")
     surface = surface_of(block, flat, bundle, rough=True)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])

@@ -8,10 +8,12 @@ from functools import cached_property
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.special import erf
 
-from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
+from geomosaic.adjustment.ground.trial_surface import LOWEST, Heights, Trial, even_ground, fitted
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import MEDIAN_ONE, ROUNDS, sourced, tuned
+from geomosaic.estimation.robust import BLUNDER, THREE_SIGMA
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.spread import AtOnce, Spread
 
@@ -19,24 +21,21 @@ Standing = tuple[int, float]
 _MOST_NODES = tuned(40_000, "nodes", "more: slow equations; fewer: relief between points is lost")
 _MOST_TRIAL_NODES = tuned(4_000, "nodes", "of a trial surface; some thirty are made of a block")
 _POINTS_PER_NODE = tuned(3.0, "tie points a node", "fewer: stiffness decides; more: relief is lost")
-_ROUNDS = tuned(8, "rounds", "of re-weighting, until trees and wrong matches have lost their weight")
 _CURVINGS = tuned((2.0, 4.0, 8.0, 16.0, 32.0), "1 / flying height²", "tried; lower: noise; higher: flat")
 _USUAL_CURVING = _CURVINGS[2]
-_FREE: Standing = tuned((3, 0.0), "terms, flying heights", "heights about a plane without a prior")
-_STANDINGS = tuned((_FREE, (3, 0.0125), (6, 0.1), (6, 0.0125)), "as _FREE", "0.1: hills; 0.01: even land")
+_STANDINGS: tuple[Standing, ...] = tuned(
+    ((3, 0.0), (3, 0.0125), (6, 0.1), (6, 0.0125)),
+    "terms, flying heights",
+    "0: a free plane; 0.1: hills; 0.01: even land",
+)
+_FREE = _STANDINGS[0]
 _CLEARLY = tuned(0.9, "of the free surface's error", "more: planes by chance; less: crowns become ground")
-_LOW = tuned(0.5, "share of the points", "that may be ground; more: crowns; less: low wrong matches")
 _FEWEST = tuned(10, "tie points", "fewer have no median or quantile that means something")
-_GAP = tuned(0.2, "flying heights", "side of a left-out square; less: any stiffness predicts it; more: none")
-_CAP = tuned(10.0, "median errors", "most of a left-out point, so that blunders do not choose the stiffness")
-_SIDE = tuned(0.25, "flying heights", "width of a left-out side; frames show as much beyond the tie points")
-_MOST_OF_ALL = tuned(0.5, "share of the points", "in a left-out side; with more the rest is another block")
+SIDE = tuned(0.25, "flying heights", "side of places that err alike or are left out: a third of a frame")
 _AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25), "flying heights", "bins; finer: too few points")
-_ONE_DEVIATION = sourced(0.683, "share", "within one deviation, of long tails too", "erf(1 / sqrt 2)")
 _POWERS = sourced((1.0, 2.5), "power", "of errors by distance, for wrong slope, curvature", "Wiener process")
 _OUTERMOST = tuned(0.98, "share of the points", "within a side; less: a side would begin inside the block")
 _USUAL_BEYOND = tuned(0.03, "m per m", "error beyond the points of small blocks, as of hills and woods")
-_FOLLOWED = tuned(4.5, "median residuals", "three deviations; the surface does not follow points farther off")
 
 
 def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None = None) -> GroundSurface:
@@ -62,12 +61,12 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
     curving = _best_curving(trials, trial_m)
     standing = _best_standing(trials, trial_m, curving)
     fine_m = node_spacing_m(heights.low_m, heights.high_m, spacing, _MOST_NODES)
-    last = Trial(trials.heights, fine_m, curving, standing, _ROUNDS)
+    last = Trial(trials.heights, fine_m, curving, standing, ROUNDS)
     sides = [Trial(known, trial_m, curving, standing) for _, known in trials.without_each_side.values()]
     surface, *of_sides = trials.surfaces([last, *sides])
     factor, power = _error_growth(trials, of_sides)
     residual = _residual(points_m, surface)
-    followed = points_m[residual <= _FOLLOWED * np.median(residual), :2]
+    followed = points_m[residual * MEDIAN_ONE <= THREE_SIGMA * np.median(residual), :2]
     away_m, _ = KDTree(followed).query(surface.nodes_m().reshape(-1, 2))
     sd_m = np.hypot(float(np.median(heights.sd_up_m)), factor * away_m**power)
     return replace(surface, sd_m=sd_m.reshape(surface.up_m.shape))
@@ -88,8 +87,8 @@ class _Trials:
         for eighth in range(8):
             angle = eighth * np.pi / 4.0
             along = heights.points_m[:, :2] @ [np.cos(angle), np.sin(angle)]
-            out = along > np.quantile(along, _OUTERMOST) - _SIDE * heights.height_m
-            if out.sum() >= _FEWEST and out.mean() <= _MOST_OF_ALL:
+            out = along > np.quantile(along, _OUTERMOST) - SIDE * heights.height_m
+            if out.sum() >= _FEWEST and out.mean() <= 0.5:
                 others[eighth] = out, heights.without(out)
         return others
 
@@ -112,8 +111,9 @@ def _error_growth(trials: _Trials, surfaces: Sequence[GroundSurface]) -> tuple[f
     bins = [k for k in range(1, len(_AWAY)) if np.sum(of_bin == k) >= _FEWEST]
     if len(bins) < 2:
         return _USUAL_BEYOND, 1.0
+    one_deviation = float(erf(np.sqrt(0.5)))
     middle = np.log([np.sqrt(_AWAY[k - 1] * _AWAY[k]) * height_m for k in bins])
-    off = np.log([max(np.quantile(errors[of_bin == k], _ONE_DEVIATION), 1e-9) for k in bins])
+    off = np.log([max(np.quantile(errors[of_bin == k], one_deviation), 1e-9) for k in bins])
     power = float(np.clip(np.polyfit(middle, off, 1)[0], *_POWERS))
     return float(np.exp(np.mean(off - power * middle))), power
 
@@ -121,7 +121,7 @@ def _error_growth(trials: _Trials, surfaces: Sequence[GroundSurface]) -> tuple[f
 def _best_curving(trials: _Trials, spacing_m: float) -> float:
     """The third derivative that predicts every fifth square of points with the least mean error, capped."""
     heights = trials.heights
-    cells = (heights.points_m[:, :2] - heights.low_m) / (_GAP * heights.height_m)
+    cells = (heights.points_m[:, :2] - heights.low_m) / (SIDE * heights.height_m)
     col, row = np.floor(cells).astype(np.intp).T
     out = (col + 2 * row) % 5 == 0
     if out.sum() < _FEWEST or out.all():
@@ -129,7 +129,9 @@ def _best_curving(trials: _Trials, spacing_m: float) -> float:
     known, left_out = heights.without(out), heights.points_m[out]
     surfaces = trials.surfaces([Trial(known, spacing_m, curving, _FREE) for curving in _CURVINGS])
     errors = [_residual(left_out, surface) for surface in surfaces]
-    return _CURVINGS[int(np.argmin([np.minimum(m, _CAP * np.median(m)).mean() for m in errors]))]
+    return _CURVINGS[
+        int(np.argmin([np.minimum(m, BLUNDER / MEDIAN_ONE * np.median(m)).mean() for m in errors]))
+    ]
 
 
 def _best_standing(trials: _Trials, spacing_m: float, curving: float) -> Standing:
@@ -137,7 +139,7 @@ def _best_standing(trials: _Trials, spacing_m: float, curving: float) -> Standin
     points_m = trials.heights.points_m
     trend = even_ground(points_m, trials.heights.sd_up_m, max(terms for terms, _ in _STANDINGS))
     above = points_m[:, 2] - trend(points_m[:, 0], points_m[:, 1])
-    low = above <= np.quantile(above, _LOW)
+    low = above <= np.quantile(above, LOWEST)
     corners = [(out & low, known) for eighth, (out, known) in trials.without_each_side.items() if eighth % 2]
     corners = [(out, known) for out, known in corners if out.sum() >= _FEWEST]
     total = np.zeros(len(_STANDINGS))

@@ -10,17 +10,15 @@ from math import comb
 import numpy as np
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import SLIGHT, sourced, tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 from geomosaic.estimation.robust import irls
 from geomosaic.projection.ground import GroundSurface
 
-_SLOPE = tuned(1.0, "m per m", "usual slope; less: hills are levelled; more: no return to level far out")
 _PER_HEIGHT = tuned(20.0, "places a flying height", "where slopes count; less: points bend the land")
-_REGULAR = tuned(1e-6, "usual slopes", "draws nodes to 0, so that those without points are determined")
 _TRIAL_ROUNDS = tuned(4, "rounds", "of re-weighting a trial surface, which is judged by medians")
 _ABOVE = sourced(0.05, "weight", "above the ground; more: it rises into crowns", "Eilers and Boelens 2005")
-_LOWEST = tuned(0.4, "share of the points", "that show the ground's scatter; more: crowns among them")
+LOWEST = tuned(0.4, "share of the points", "that may be ground; more: crowns; less: low wrong matches")
 
 
 class SmoothedGrid:
@@ -68,10 +66,10 @@ class SmoothedGrid:
 
 
 def _stiffness(rows: int, cols: int, spacing: float, curving: float) -> dict[int, Floats]:
-    """Normal matrix of slopes and third derivatives in flying heights, by distance below the diagonal; nodes
-    count by their area, so that the grid's spacing does not matter."""
-    out = {0: np.full((rows, cols), _REGULAR**2)}
-    for order, usual in ((1, _SLOPE), (3, curving)):
+    """Normal matrix of slopes (of 1) and third derivatives in flying heights, by distance below the diagonal;
+    nodes count by their area, so that the grid's spacing does not matter."""
+    out = {0: np.full((rows, cols), SLIGHT**2)}
+    for order, usual in ((1, 1.0), (3, curving)):
         for across in range(order + 1):
             down, along = _squares(rows, across), _squares(cols, order - across)
             scale = comb(order, across) / (usual * spacing**order) ** 2
@@ -152,7 +150,7 @@ def even_ground(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floa
         return np.where(left > 0.0, _ABOVE, 1.0 - _ABOVE)
 
     def about_lowest(left: Floats) -> Floats:
-        low = left[left <= np.quantile(left, _LOWEST)]
+        low = left[left <= np.quantile(left, LOWEST)]
         scale = np.maximum(1.5 * float(np.median(np.abs(low - np.median(low)))), sd_up_m)
         return np.asarray(1.0 / (1.0 + (left / scale) ** 2) ** 2)
 

@@ -14,15 +14,13 @@ from geomosaic.adjustment.model import Adjusted, Block, GroundControl
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import tuned
+from geomosaic.constants import SLIGHT, tuned
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import some
 
 _LEAST_SD_M = tuned(1e-4, "m", "of a position: no survey is better; zero weighs without bound")
-_LEAST_SD_RAD = tuned(1e-6, "rad", "the same of an attitude")
-_ORTHONORMAL = tuned(1e-6, "of 1", "by which a rotation matrix times its transpose may miss the unit matrix")
 
 
 def _half_turned(block: Block) -> list[int]:
@@ -117,7 +115,7 @@ def _usable_poses(block: Block) -> tuple[Poses, list[Warn]]:
     unknown = POSITION["none"]
     farthest = np.array([unknown.sd_horizontal_m, unknown.sd_horizontal_m, unknown.sd_vertical_m])
     sd_m = _sound(poses.positions_sd_m, _LEAST_SD_M, farthest)
-    sd_rad = _sound(poses.rotations_sd_rad, _LEAST_SD_RAD, np.pi)
+    sd_rad = _sound(poses.rotations_sd_rad, SLIGHT, np.pi)
     velocities = poses.velocities_m_per_s
     whole = replace(
         poses,
@@ -156,7 +154,7 @@ def _are_rotations(matrices: Floats) -> Bools:
     finite = np.nan_to_num(matrices, nan=0.0, posinf=0.0, neginf=0.0)
     off = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)).max(axis=(1, 2))
     volume = np.einsum("ni,ni->n", np.cross(finite[:, 0], finite[:, 1]), finite[:, 2])
-    return np.asarray((off < _ORTHONORMAL) & (volume > 0.0))
+    return np.asarray((off < SLIGHT) & (volume > 0.0))
 
 
 def _finite(control: GroundControl) -> bool:

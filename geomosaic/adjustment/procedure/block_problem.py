@@ -14,39 +14,36 @@ from geomosaic.adjustment.model import Block, GroundControl, Settings
 from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.attitudes import Attitudes
+from geomosaic.adjustment.terms.frame_components import PRIOR_FACTORS
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.interior_orientation import NOMINAL_READOUT_S, interior_unknowns
 from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
 from geomosaic.adjustment.terms.rolling_shutter_rotation import (
-    ALONG_VIEW,
     GUST_M_PER_S,
     IMAGE_AXES,
-    MOST_GUSTS,
-    MOST_SWING,
     RATE_SD_RAD_PER_S,
     RollingShutterRotation,
 )
 from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.heights import ASSUMED_SD_SHARE
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.reach import flying_heights_m
 
 _ZERO_SD_RAD_PER_S = tuned(0.05, "rad/s", "of a small gyroscope's zero; less: it is followed")
+_RELIEF = tuned(0.042, "share of the flying height", "of unknown ground; less: hills are pressed flat")
 _LEVEL_SD_M = tuned(2.0, "m", "of the ground's level: datums and geoid models of a DEM, barometers")
-_ANY_RELIEF = tuned(0.3, "share of the flying height", "of unknown ground; less: hills are pressed flat")
-_HILLS = tuned(50.0, "points", "independent places of relief; more: hills without a DEM tilt a block")
-_LEVEL_SD_SHARE = tuned(0.04, "share of the flying height", "of the ground's level: barometers, relief")
-_BEGUN_SD_SHARE = tuned(0.1, "share of the flying height", "of an assumed position: tilts of 5 degrees")
 
 
 def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Floats) -> BlockProblem:
     """The problem of a block with tie points that begin at points_m (p, 3), bound to the terrain. A frame
     without position is weakly drawn to its initial place, which fixes a block that nothing else fixes."""
     assumed = position_assumed(block.poses)
-    begun_sd_m = _BEGUN_SD_SHARE * flying_heights_m(block.poses, block.ground)
+    begun_sd_m = ASSUMED_SD_SHARE * flying_heights_m(block.poses, block.ground)
     sd_m = np.where(assumed[:, None], begun_sd_m[:, None], block.poses.positions_sd_m)
     reported = replace(block.poses, positions_sd_m=sd_m)
     interior = tuple(
@@ -130,8 +127,10 @@ def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutte
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
     gust_per_s = GUST_M_PER_S / flying_height_m(block)
-    drift_sd = gust_per_s * np.abs(readouts_s)[:, None] * (ALONG_VIEW if settings.turning else np.ones(3))
-    most = MOST_SWING if settings.turning else MOST_GUSTS
+    drift_sd = (
+        gust_per_s * np.abs(readouts_s)[:, None] * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))
+    )
+    most = PRIOR_FACTORS[1] if settings.turning else THREE_SIGMA
     common = settings.turning and _zero_unknown(block, settings)
     return RollingShutterRotation(_swing_sd_rad(block, settings, readouts_s), drift_sd, common, most)
 
@@ -160,13 +159,13 @@ def _zero_unknown(block: Block, settings: Settings) -> bool:
 
 def terrain_of(block: Block, image: ImageObservations) -> Terrain:
     """A DEM binds the tie points; a level ground only determines their common height. Relief is alike over
-    many points: all of them together count as 50, else they would tilt the block against the attitudes."""
+    many points: all of them together count as one, else they would tilt the block against the attitudes."""
     height, bound, share = flying_height_m(block), ~image.control, image.frame_share()
     if block.ground.kind == "dem":
         return Terrain(block.ground, DEM_SD_M / height, _LEVEL_SD_M, bound, share)
     reported_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
-    level_sd_m = float(max(_LEVEL_SD_SHARE * height, _LEVEL_SD_M, reported_sd_m))
-    relief = _ANY_RELIEF * float(np.sqrt(max(int(bound.sum()) / _HILLS, 1.0)))
+    level_sd_m = float(max(_RELIEF * height, _LEVEL_SD_M, reported_sd_m))
+    relief = _RELIEF * float(np.sqrt(max(int(bound.sum()), 1)))
     return Terrain(block.ground, relief, level_sd_m, bound, share)
 
 

@@ -17,34 +17,25 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
 from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
-from geomosaic.estimation.robust import BLUNDER
+from geomosaic.estimation.robust import BLUNDER, FAR
 from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn
 
-LEAST_COUNTED = sourced(0.5, "of the observations", "with weight; wrong, blurred frames: less", "60 surveys")
-_COUNTS = tuned(0.5, "share of a full weight", "more is no blunder")
-_OTHERS = sourced(2, "frames", "with weight for a point, without the frame itself", "rays meet from two on")
-_LEAST_POINTS = tuned(12, "points", "that agree on a pose; four determine one, so many hardly by chance")
-_WITHIN_PX = tuned(8.0, "px", "residual of a point that agrees; rolling shutters take some")
-_BETTER = tuned(0.5, "of the median residual", "most of the new pose; less sure ones are not taken")
+LEAST_POINTS = tuned(12, "points", "that agree on a pose; four determine one, so many hardly by chance")
+WITHIN_PX = tuned(8.0, "px", "residual of a point that agrees; rolling shutters take some")
 _TRIALS = sourced(1000, "samples of five", "with 1/3 of good points", "Fischler 1981: 1 - (1 - 3^-5)^1000")
-_SURE = sourced(0.984, "probability", "of a good sample, when fewer will do", "as of _TRIALS")
 _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
 """From camera axes with z backwards to OpenCV's with z forwards."""
 _UPRIGHT_DEG = tuned(20.0, "degrees", "most tilt of a nadir view")
-HALF_TURN_DEG = tuned(30.0, "degrees", "about half a turn: less than halfway to the next quarter")
-_SAME_PLACE_M = tuned(1e-3, "m", "equal positions show no scale")
-_WRONG_SCALE = tuned(4.0, "deviations", "between tie points and positions; one of ten thousand by chance")
 _WITHIN_FLIGHT_M = tuned(1.0, "m", "agreement of a code receiver's positions in a flight, whatever is stated")
-_WRONG_SHIFT = tuned(5.0, "deviations", "between control and positions; datums differ by more")
 
 
 def counted_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
-    """Share of each frame's observations that count, (n,); NaN without any."""
-    counts = np.bincount(tracks.frame, bundle.weight[: len(tracks.frame)] > _COUNTS, minlength=frames)
+    """Share of each frame's observations with more than half of the full weight, (n,); NaN without any."""
+    counts = np.bincount(tracks.frame, bundle.weight[: len(tracks.frame)] > 0.5, minlength=frames)
     with np.errstate(invalid="ignore"):
         return np.asarray(counts / np.bincount(tracks.frame, minlength=frames))
 
@@ -54,12 +45,12 @@ def resected(tracks: Tracks, bundle: Solution, cameras: Sequence[Camera], wrong:
     better than before. Random samples, then a quadratic programme of all points that agree (SQPnP, Terzakis
     and Lourakis 2020), which finds the better of two poses over a plane. Args: cameras: of each frame; wrong
     (n,): frames to resect."""
-    counts = (bundle.weight > _COUNTS) & ~wrong[tracks.frame]
-    sure = np.bincount(tracks.point, counts, minlength=tracks.points) >= _OTHERS
+    counts = (bundle.weight > 0.5) & ~wrong[tracks.frame]
+    sure = np.bincount(tracks.point, counts, minlength=tracks.points) >= 2
     positions, rotations, found = bundle.poses.positions_m.copy(), bundle.poses.rotations.copy(), False
     for i in np.flatnonzero(wrong).tolist():
         mine = np.flatnonzero((tracks.frame == i) & sure[tracks.point])
-        if len(mine) < _LEAST_POINTS:
+        if len(mine) < LEAST_POINTS:
             continue
         ground_m, image_px = bundle.points_m[tracks.point[mine]], tracks.image_px[mine]
         pose = _pose(ground_m, image_px, cameras[i])
@@ -68,7 +59,7 @@ def resected(tracks: Tracks, bundle: Solution, cameras: Sequence[Camera], wrong:
         off_px = cameras[i].image_from_camera((ground_m - pose[0]) @ pose[1]) - image_px
         now, before = (np.linalg.norm(off, axis=1) for off in (off_px, bundle.residual_px[mine]))
         now, before = (np.median(np.nan_to_num(length, nan=np.inf)) for length in (now, before))
-        if now < _BETTER * before:
+        if now < before / 2.0:
             positions[i], rotations[i], found = *pose, True
     return replace(bundle.poses, positions_m=positions, rotations=rotations) if found else None
 
@@ -77,7 +68,7 @@ def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, F
     """Position (3,) in m and rotation (3, 3), if enough points agree with them."""
     ray = camera.ray_from_image(image_px) @ _DOWNWARDS
     middle, hit = ground_m.mean(axis=0), np.isfinite(ray).all(axis=1)
-    if hit.sum() < _LEAST_POINTS:
+    if hit.sum() < LEAST_POINTS:
         return None
     try:
         done, turn, shift, agree = cv2.solvePnPRansac(
@@ -86,13 +77,12 @@ def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, F
             np.eye(3),
             None,
             iterationsCount=_TRIALS,
-            reprojectionError=_WITHIN_PX / camera.focal_length_px,
-            confidence=_SURE,
+            reprojectionError=WITHIN_PX / camera.focal_length_px,
             flags=cv2.SOLVEPNP_SQPNP,
         )
     except cv2.error:  # ground points at one place
         return None
-    if not done or agree is None or len(agree) < _LEAST_POINTS:
+    if not done or agree is None or len(agree) < LEAST_POINTS:
         return None
     from_ground = np.array(cv2.Rodrigues(turn)[0], dtype=np.float64)
     return middle - from_ground.T @ np.array(shift, dtype=np.float64).ravel(), from_ground.T @ _DOWNWARDS
@@ -107,7 +97,7 @@ def contradicted_frames(block: Block, poses: Poses, shares: Floats) -> dict[int,
     usual = float(np.median(tilt))
     aside = (tilt > usual + _UPRIGHT_DEG) & (usual <= _UPRIGHT_DEG) & (far > limit)
     found = {}
-    for i in np.flatnonzero((far > limit) & (shares < LEAST_COUNTED)).tolist():
+    for i in np.flatnonzero((far > limit) & (shares < 0.5)).tolist():
         text = f"{100.0 * (1.0 - shares[i]):.0f} % of its tie points contradict those of other frames, "
         text += f"which put it {far[i]:.0f} m from its own position; left out"
         found[i] = Warn("frame-contradicted", block.names[i], text)
@@ -179,7 +169,7 @@ def shift_and_scale(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
     stated = block.poses.positions_sd_m[frames]
     given, found = block.poses.positions_m[frames], poses.positions_m[frames]
     shift_m, out = np.median(given - found, axis=0), []
-    if np.any(np.abs(shift_m) > _WRONG_SHIFT * np.median(stated, axis=0)):
+    if np.any(np.abs(shift_m) > FAR * np.median(stated, axis=0)):
         east, north, up = shift_m
         text = (
             f"the positions lie {east:+.1f} m east, {north:+.1f} m north and {up:+.1f} m up of where the "
@@ -188,14 +178,14 @@ def shift_and_scale(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
         out.append(Warn("positions-shifted", "", text))
     given, found = given[:, :2], found[:, :2]
     extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
-    if extent_m == 0.0 or len(frames) < 3 or np.ptp(given, axis=0).max() <= _SAME_PLACE_M:
+    if extent_m == 0.0 or len(frames) < 3 or not np.ptp(given, axis=0).any():
         return out
     turn, shift = fit_similarity(found, given)
     left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
     scatter_m = float(np.median(np.abs(left))) / MEDIAN_LENGTH
     position_sd_m = max(min(float(np.median(stated[:, :2])), _WITHIN_FLIGHT_M), scatter_m)
     off, sd = 1.0 / abs(turn) - 1.0, position_sd_m / extent_m
-    if abs(off) > _WRONG_SCALE * sd:
+    if abs(off) > FAR * sd:
         text = (
             f"the block is {abs(off) * 100.0:.2f} % {'larger' if off > 0.0 else 'smaller'} than its "
             f"frames' positions say (standard deviation {sd * 100.0:.2f} %); the mosaic's scale is in "

@@ -21,13 +21,14 @@ from geomosaic.adjustment.procedure.block_solution import (
     by_all_points,
     points_on_ground,
 )
-from geomosaic.adjustment.procedure.blunder_detection import LEAST_COUNTED, counted_shares, resected
+from geomosaic.adjustment.procedure.blunder_detection import counted_shares, resected
 from geomosaic.adjustment.procedure.bundle_outcome import Work, bundle_outcome, places_of, shape_figures
 from geomosaic.adjustment.procedure.control_reference import placed_by_control, with_marks_of_whole_images
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.lens_start import with_lens_starts
 from geomosaic.adjustment.procedure.model_selection import (
+    GOOD_PX,
     chosen_model,
     contradicts,
     readout_shown,
@@ -51,7 +52,6 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Warn
 
-_SURE_PX = tuned(1.0, "px on the ground", "of the shape, with a model that no left-out point asks for")
 _WORTHWHILE = tuned(4, "times the few points", "fewer: thinning saves too little for a second solve")
 
 
@@ -148,7 +148,7 @@ def again(work: Work, block: Block, settings: Settings, start: BlockSolution | S
 def _wrong_ones_resected(work: Work) -> Work:
     """Frames with most of their tie points put aside, by what the others have found."""
     ties, solution, cameras = work.found.ties, work.found.of_ties, work.block.cameras
-    wrong = counted_shares(ties, solution, len(cameras)) < LEAST_COUNTED
+    wrong = counted_shares(ties, solution, len(cameras)) < 0.5
     poses = resected(ties, solution, cameras, wrong) if wrong.any() else None
     if poses is None:
         return work
@@ -208,7 +208,7 @@ def _leaves_open(its: Work, now: Work) -> bool:
     before_px, after_px = (
         shape_figures(w.block, places_of(w.found)).get("shape_sd_px", np.inf) for w in (now, its)
     )
-    return bool(after_px > max(before_px, _SURE_PX))
+    return bool(after_px > max(before_px, GOOD_PX))
 
 
 def _zero_of_the_gyroscope(work: Work) -> Work:

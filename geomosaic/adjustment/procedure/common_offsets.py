@@ -20,7 +20,6 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Survey
 
-_TAKE_OFF = tuned(0.5, "flying heights", "of the ground about height 0 where heights count from take-off")
 _LAND_M = sourced(800.0, "m", "of the land above the sea, which such heights leave out", "ETOPO1: mean 797 m")
 _MAY_BE_CHANCE = tuned(0.5, "share of the stated variance", "less scatter: the rest may be a common shift")
 _COMMON_SD_M = sourced(2.1, "m per axis", "common shift of a flight's positions", "u-blox NEO-M8: 2.5 m CEP")
@@ -84,7 +83,7 @@ def _in_height(block: Block, poses: Poses, ground: GroundSurface) -> float:
     found_m = reference.work_frame.geodetic_from_enu(at_m)[:, 2]
     if reference.datum_sd_m is not None:
         above_m = float(np.median(at_m[:, 2] - ground.up_at(at_m[:, 0], at_m[:, 1])))
-        take_off = abs(float(np.median(found_m)) - above_m) < _TAKE_OFF * above_m
+        take_off = abs(float(np.median(found_m)) - above_m) < above_m / 2.0
         datum_m = float(np.hypot(stated_m, _LAND_M if take_off else reference.datum_sd_m))
     off = reference.height_m[known] - found_m
     spread_m = NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off))))

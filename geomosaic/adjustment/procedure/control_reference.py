@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.adjustment.model import Block, GroundControl
+from geomosaic.adjustment.procedure.blunder_detection import WITHIN_PX
 from geomosaic.adjustment.procedure.control_points import intersection_of_rays
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
@@ -23,7 +24,6 @@ Free = Callable[[Block], tuple[Poses, tuple[Camera, ...]]]
 """Poses and the camera of each frame, of a block adjusted without control points."""
 _BY_CHANCE = tuned(1e-6, "probability", "of marks all near the first corner, if spread over whole images")
 _STEP = tuned(0.01, "share", "between the scales that are tried first; then a twentieth of it")
-_MISS_PX = tuned(5.0, "px", "residual of rays of good marks, block and marks together")
 _DOUBT_RAD = tuned(0.1, "rad", "of a turn about a line of points: more turns blocks over")
 
 
@@ -56,7 +56,7 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
 
     def cost(scale: float) -> float:
         miss_px = np.concatenate([_miss_px(poses, cameras, c, scale) for c in several])
-        return float(cauchy_cost(miss_px / scale / _MISS_PX).sum()) / 2.0
+        return float(cauchy_cost(miss_px / scale / WITHIN_PX).sum()) / 2.0
 
     best = min(np.arange(1.0, 1.0 / share, _STEP).tolist(), key=cost)
     best = min((best + np.linspace(-_STEP, _STEP, 41)).tolist(), key=cost)

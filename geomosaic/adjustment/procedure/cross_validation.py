@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
+from geomosaic.adjustment.ground.tie_surface import SIDE
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT, interior_of, with_interior
 from geomosaic.adjustment.model import Block, ImageResiduals, Settings
 from geomosaic.adjustment.problem.tracks import (
@@ -31,9 +32,11 @@ from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.solver.solve import SolveOptions, few_steps, solve
 from geomosaic.adjustment.solver.variance_components import EXACT_PX
+from geomosaic.adjustment.terms.image_observations import BEHIND
 from geomosaic.adjustment.terms.interior_orientation import part_of_camera
 from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import STEPS
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import least_squares
@@ -42,15 +45,10 @@ from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.spread import Spread
 
 _OF_ALL_LENSES = INTERIOR.index("k1")
-_ANGLES = tuned(100, "angles", "at which one lens is fitted to another: smooth functions need no more")
 BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
 LEFT_OUT = tuned(5, "tracks", "of which one is left out: more weaken the solve, fewer the judgement")
-_LEAST_TRACKS = tuned(300, "tracks", "that thinning leaves: with fewer all are taken")
-_PER_FRAME = tuned(64, "tracks", "that each frame asks for: fewer do not distinguish models by a twentieth")
 _SURE = tuned(0.25, "share of the median", "a track's least residual by both models: less, exact fits decide")
-_ALIKE = tuned(0.25, "flying heights", "side of a place where tracks err alike: a third of a frame's width")
-_MOST_FRAMES = tuned(200, "frames", "that are compared: with 100 of 195 a readout came out negative")
-_NOT_SEEN_PX = tuned(1e5, "px", "residual of a point behind a camera: as far off as any image is wide")
+MOST_FRAMES = tuned(200, "frames", "that are compared: with 100 of 195 a readout came out negative")
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ def _begun_lens(given: Camera, found: Camera) -> Camera:
 def _odd_terms(lens: Camera) -> Floats:
     """k1 to k3 of the fisheye of the same focal length that bends rays as a lens does."""
     widest = np.linalg.norm(lens.ray_from_image(lens.corners_px)[:, :2], axis=1).max()
-    angle = np.linspace(0.0, float(np.arctan(widest)), _ANGLES)
+    angle = np.linspace(0.0, float(np.arctan(widest)), STEPS)
     design = angle[:, None] ** [3, 5, 7]
     return least_squares(design, lens.lens.radial(lens.terms, np.tan(angle)) - angle)
 
@@ -166,8 +164,7 @@ class LeftOut:
         tracks, kept = part_of_tracks(tracks, self._frames)
         points_m = first.points_m[kept]
         sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
-        asked = np.flatnonzero(asked_tracks(tracks, sizes, _PER_FRAME, FEW_CELLS))
-        few = asked if len(asked) >= _LEAST_TRACKS else np.arange(tracks.points)
+        few = np.flatnonzero(asked_tracks(tracks, sizes, FEW_CELLS**2, FEW_CELLS))
         out = np.random.default_rng(0).permutation(len(few)) % LEFT_OUT == 0
         solving = np.isin(np.arange(tracks.points), few[~out])
         self.begun = part_of_solution(first, self._frames, points_m[solving])
@@ -202,15 +199,15 @@ class LeftOut:
 def _compared_frames(block: Block) -> Ints:
     """Neighbouring frames of a large block if all its cameras are among them, else all frames."""
     every = np.arange(len(block.names))
-    if len(every) <= _MOST_FRAMES:
+    if len(every) <= MOST_FRAMES:
         return every
-    some = neighbours(block, np.ones(len(every), dtype=bool), _MOST_FRAMES)
+    some = neighbours(block, np.ones(len(every), dtype=bool), MOST_FRAMES)
     return some if len({block.lens_of[i] for i in some}) == len(block.lenses) else every
 
 
 def places(points_m: Floats, height_m: float) -> Ints:
     """Number of the place of each point, (p,)."""
-    square = np.floor(points_m[:, :2] / (_ALIKE * height_m))
+    square = np.floor(points_m[:, :2] / (SIDE * height_m))
     return np.unique(square, axis=0, return_inverse=True)[1].astype(np.intp).ravel()
 
 
@@ -228,7 +225,7 @@ def _judged(test: LeftOutTest, solve: Callable[[Tracks, Model], Start], model: M
 def left_out_px(tracks: Tracks, image: ImageResiduals) -> Floats:
     """Deviations (t,) of tracks, by what a solution leaves of them."""
     length = np.linalg.norm(image.residual_px, axis=1)
-    squares = np.bincount(tracks.point, np.nan_to_num(length, nan=_NOT_SEEN_PX) ** 2, tracks.points)
+    squares = np.bincount(tracks.point, np.nan_to_num(length, nan=BEHIND) ** 2, tracks.points)
     return np.asarray(np.sqrt(squares / np.maximum(2.0 * tracks.lengths - 3.0, 1.0)))
 
 

@@ -10,11 +10,10 @@ from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import redescending_weight
-from geomosaic.estimation.similarity import similarity_design
+from geomosaic.estimation.similarity import SAMPLES, similarity_design
+from geomosaic.matching.relative import ALIKE
 
-_DRAWS = tuned(300, "pairs of frames", "tried; with half of the positions wrong a quarter of them is right")
-_ALIKE_RAD = tuned(0.2, "rad", "between turns by headings and by positions; compasses are off by 10 degrees")
-_LEAST_NOISE = tuned(0.2, "of the stated deviations", "less: a few that agree by chance outvote the rest")
+LEAST_NOISE = tuned(0.2, "of the stated deviations", "less: a few that agree by chance outvote the rest")
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def _by_headings(shape: Complexes, priors: PlanPriors) -> complex:
     """Turn and scale of the part by most of its headings and heights."""
     turns = np.conj(shape) / np.abs(shape)
     apart = np.abs(np.angle(turns[:, None] * np.conj(turns)))
-    best = turns[np.minimum(apart, _ALIKE_RAD).sum(axis=1).argmin()]
+    best = turns[np.minimum(apart, ALIKE).sum(axis=1).argmin()]
     near = np.abs(np.angle(turns * np.conj(best))) < np.maximum(3.0 * priors.yaw_sd_rad, 0.1)
     turn = complex(turns[near].mean()) if near.any() else complex(best)
     return complex(turn / abs(turn) * np.exp(-np.median(np.log(np.abs(shape)))))
@@ -83,11 +82,11 @@ def _by_pairs(place: Complexes, fixes: Fixes) -> list[complex]:
     """Turn and scale with the least median residual, of many pairs of fixes far apart; none of under 4."""
     n = len(place)
     i, j = np.triu_indices(n, 1)
-    if len(i) > _DRAWS:
-        some = np.random.default_rng(0).choice(len(i), 8 * _DRAWS, replace=len(i) < 8 * _DRAWS)
+    if len(i) > SAMPLES:
+        some = np.random.default_rng(0).choice(len(i), 8 * SAMPLES, replace=len(i) < 8 * SAMPLES)
         i, j = i[some], j[some]
         far = np.argsort(-np.abs(place[i] - place[j]), kind="stable")[: len(i) // 2]
-        far = far[:: max(1, len(far) // _DRAWS)]
+        far = far[:: max(1, len(far) // SAMPLES)]
         i, j = i[far], j[far]
     base, given = place[i] - place[j], fixes.at[i] - fixes.at[j]
     apart = (np.abs(base) > 0.0) & (np.abs(given) > 0.0)
@@ -108,7 +107,7 @@ def _improved(
     design, weight = np.concatenate(similarity_design(place)), np.ones(len(place))
     for _ in range(20):
         standard = np.abs(fixes.at - whole * place - shift) / fixes.sd_m
-        noise = max(float(np.median(standard)) / MEDIAN_LENGTH, _LEAST_NOISE)
+        noise = max(float(np.median(standard)) / MEDIAN_LENGTH, LEAST_NOISE)
         weight = redescending_weight(standard / noise)
         root = np.sqrt(weight) / (noise * fixes.sd_m)
         axis, off = whole / abs(whole), float(np.angle(whole / given))

@@ -15,17 +15,14 @@ from geomosaic.adjustment.procedure.georeference_parts import Fixes, PlanPriors,
 from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
-from geomosaic.constants import tuned
-from geomosaic.estimation.robust import CAUCHY
-from geomosaic.matching.relative import averaged, joints_of
+from geomosaic.constants import ROUNDS, SLIGHT, tuned
+from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.matching.relative import MOST_TIES, averaged, joints_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
 from geomosaic.projection.footprint import ground_from_images
 
-_MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
-_ROUNDS = tuned(4, "rounds", "of shape, then georeferencing; fewer: a long line stays bent")
-_SAME = tuned(1e-4, "rad, share of the scale", "of any frame in a round: 1 cm at 100 m, below attitudes")
 _OF_A_PAIR = tuned(6.0, "independent tie points", "of a pair, whose errors are alike; more outvote positions")
 _LOCAL_SD = tuned(0.1, "rad, share of the scale", "of a frame about the pairs' mean; more: lines bend")
 _ANYWHERE = tuned(100.0, "flying heights; of the scale the share", "deviation without a position; less pulls")
@@ -148,16 +145,16 @@ def _part(ties: _Ties, shape: Complexes, priors: PlanPriors, fixes: Fixes) -> tu
     weight = np.ones(len(shape))
     weight[fixes.frame[own]] = 0.0
     first, whole = shape, 1.0 + 0j
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         off, wanted = np.log(shape / first), (priors.nadir - middle) / whole
         prior_weight = np.full((len(shape), 2), 1.0 / _LOCAL_SD**2)
-        prior_weight[:, 1] = np.maximum(weight, 1e-6) / (priors.position_sd_m / abs(whole)) ** 2
+        prior_weight[:, 1] = np.maximum(weight, SLIGHT) / (priors.position_sd_m / abs(whole)) ** 2
         before = whole * shape
         shape, place = _agreed(ties, shape, np.column_stack([-off, wanted]), prior_weight)
         whole, shift, of_fixes = georeferenced(shape, place, priors, fixes)
         weight[fixes.frame[own]] = of_fixes[own]
         place = place + (shift - middle) / whole
-        if np.abs(np.log(whole * shape / before)).max() < _SAME:
+        if np.abs(np.log(whole * shape / before)).max() < SLIGHT:
             break
     return whole * shape, whole * place + middle
 
@@ -180,7 +177,7 @@ def _agreed(
         step, place = x.view(np.complex128).reshape(-1, 2).T
         grown = 1.0 + step
         length = np.abs(g_a * grown[ties.a] + place[ties.a] - g_b * grown[ties.b] - place[ties.b])
-        limit = CAUCHY * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
+        limit = THREE_SIGMA * np.maximum(ties.sd_m / np.sqrt(_OF_A_PAIR), 1.5 * float(np.median(length)))
         tie_weight = 1.0 / ties.sd_m**2 / (1.0 + (length / limit) ** 2)
     return shape * np.exp(np.clip(step.real, -0.5, 0.5) + 1j * step.imag), place
 
@@ -212,12 +209,12 @@ def _normals(
 
 
 def _ties(net: OffsetNet, nadir: Complexes, miss_m: Floats, part: list[int]) -> _Ties:
-    """Tie points of a part, at most _MOST_TIES a pair, frames renumbered; miss_m (m,): a pair's residual."""
+    """Tie points of a part, at most MOST_TIES a pair, frames renumbered; miss_m (m,): a pair's residual."""
     number = {frame: k for k, frame in enumerate(part)}
     pairs = []
     for (a, b), left, right, miss in zip(net.edges, net.left_m, net.right_m, miss_m, strict=True):
         if a in number:
-            some = np.linspace(0, len(left) - 1, min(len(left), _MOST_TIES)).astype(np.intp)
+            some = np.linspace(0, len(left) - 1, min(len(left), MOST_TIES)).astype(np.intp)
             sd_m = np.full(len(some), miss * np.sqrt(max(len(some) / _OF_A_PAIR, 1.0)))
             ends = np.full(len(some), number[a]), np.full(len(some), number[b])
             pairs.append((*ends, left[some] @ [1, 1j] - nadir[a], right[some] @ [1, 1j] - nadir[b], sd_m))

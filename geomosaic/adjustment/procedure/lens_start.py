@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from geomosaic.adjustment.ground.ground_choice import flying_height_m
+from geomosaic.adjustment.ground.ground_choice import LEAST_POINTS, flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.paper.misalignment import offset_net
 from geomosaic.adjustment.problem.tracks import (
@@ -37,17 +37,16 @@ from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.robust import FAR
 from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.model import Warn
 
 _FRAMES = tuned(10, "frames", "of one camera to compare starts on: with fewer focal lengths are chance")
-_LEAST = tuned(50, "tracks", "with fewer nothing is compared: ten would judge")
 _BROWN = tuned((0.5, 0.67, 0.9, 1.2, 1.6), "focal lengths by longer side", "fewer: solves end elsewhere")
 _FISHEYE = tuned((0.35, 0.5, 0.75, 1.1, 1.6), "the same of fisheyes", "8 mm on APS-C is 0.34: fewer miss one")
 STARTS = tuple((kind, f) for kind, shares in (("brown", _BROWN), ("fisheye", _FISHEYE)) for f in shares)
-_CONTRADICTED = tuned(5.0, "deviations", "of a focal length: less, other errors count as the lens's")
 _FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
 
 
@@ -102,7 +101,7 @@ def lens_notes(block: Block, cameras: Sequence[Camera]) -> tuple[list[str], list
 def _far_off(camera: Camera, focal_px: float) -> bool:
     """Whether a focal length is none that a camera can have, by what was reported of it."""
     off, sd = abs(focal_px / camera.focal_length_px - 1.0), camera.focal_length_sd_px / camera.focal_length_px
-    return off > max(_CONTRADICTED * sd, WIDE_FOCAL)
+    return off > max(FAR * sd, WIDE_FOCAL)
 
 
 def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> Camera:
@@ -115,7 +114,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
         return camera
     sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
     tracks = thin_tracks(join_tracks(part.ties), sizes, FEW_PER_FRAME, FEW_CELLS)
-    if tracks.points < _LEAST:
+    if tracks.points < LEAST_POINTS:
         return camera
     out = np.random.default_rng(0).permutation(tracks.points) % LEFT_OUT == 0
     judges = chosen_tracks(tracks, out)

@@ -14,7 +14,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.estimation.linear import inverse, least_squares, orthonormal
-from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.estimation.robust import FAR, LEAST_OBSERVATIONS, THREE_SIGMA
 from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, heading_limits_rad, position_assumed
@@ -23,11 +23,7 @@ from geomosaic.survey.model import Warn
 
 _OTHER_VELOCITY = tuned(0.1, "share of the velocity", "that justifies a new solve; less has no effect")
 _MOST_SCALE = tuned(1.5, "times", "given by solved paths; beyond it the positions show no scale")
-_LEAST_RATES = tuned(5, "frames", "fewer: the median is chance")
 _OWN_SD_RAD_PER_S = tuned(0.012, "rad/s", "of a frame about the offset: 1 ms of delay in 10 rad/s²")
-_LEAST_FRAMES = tuned(4, "frames", "fewer: what they have in common is not separable from one wrong frame")
-_CLEARLY = tuned(5.0, "its own deviations", "of the best of as many jumps as frames; less: chance")
-_MOST_PARTS = tuned(4, "jumps and slopes", "two batteries, a wrong barometer: two of each; more: noise")
 
 
 def with_solved_velocities(block: Block, poses: Poses) -> tuple[Block, bool]:
@@ -54,7 +50,7 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
     small blocks."""
     readouts_s = np.array([c.readout_s for c in block.cameras])
     known = solved.estimate.swing_rad.any(axis=(1, 2)) & (readouts_s > 0.0)
-    if known.sum() < _LEAST_RATES:
+    if known.sum() < LEAST_OBSERVATIONS:
         return block, settings
     common = np.median(solved.estimate.swing_rad[known, 0] / readouts_s[known, None], axis=0)
     poses = with_swing(block.poses, (readouts_s[:, None] * common)[:, None], readouts_s)
@@ -77,7 +73,7 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
     common, warnings = np.zeros(len(angle)), []
     for part in connected_parts(len(block.names), block.ties.frames):
         mine = np.array([i for i in part if known[i]], dtype=np.intp)
-        if len(mine) < _LEAST_FRAMES:
+        if len(mine) < LEAST_OBSERVATIONS:
             continue
         mean = np.angle(np.exp(1j * angle[mine]).sum())
         apart = np.angle(np.exp(1j * (angle[mine] - mean)))
@@ -134,7 +130,7 @@ def height_drift(block: Block, poses: Poses, frames: Ints) -> HeightDrift:
     known = set(frames[~position_assumed(block.poses)[frames]].tolist())
     order = np.array([i for i in block.sequence if i in known], dtype=np.intp)
     n = len(order)
-    if n < _LEAST_FRAMES:
+    if n < LEAST_OBSERVATIONS:
         return HeightDrift(order, np.zeros(n), ())
     off_m = block.poses.positions_m[order, 2] - poses.positions_m[order, 2]
     off_m -= off_m.mean()
@@ -153,14 +149,14 @@ def _with_one_more(
     """The parts with the best one, or a line and the best jump, added, and all rises (k,) in m; else None."""
     for line in ((), (0,)):
         others = (*parts, *line)
-        if len(set(others)) < len(others) or len(others) >= min(_MOST_PARTS, len(off_m) - 3):
+        if len(set(others)) < len(others) or len(others) >= len(off_m) - 3:
             continue
         tried = (*others, _best(off_m, others))
         shapes = _shapes(tried, len(off_m))
         rises = least_squares(shapes.T, off_m)
         left = float(((off_m - rises @ shapes) ** 2).sum())
         sds = np.sqrt(np.diag(inverse(shapes @ shapes.T)) * left / (len(off_m) - 1 - len(rises)))
-        if (np.abs(rises) > np.maximum(least_m, _CLEARLY * sds))[len(parts) :].all():
+        if (np.abs(rises) > np.maximum(least_m, FAR * sds))[len(parts) :].all():
             return tried, rises
     return None
 

@@ -16,10 +16,9 @@ from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
+from geomosaic.estimation.robust import LEAST_OBSERVATIONS
 
 CELLS: tuple[int, int] = tuned((8, 6), "columns, rows", "finer: few frames a cell; coarser: no lens shows")
-_LEAST_FRAMES = tuned(4, "frames a cell", "fewer: the mean has no deviation, chance passes for a lens")
-_COUNTS = tuned(0.1, "share of the weight of a residual of 0", "less: wrong matches, beyond 5.9 deviations")
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class ResidualPattern:
 
 
 def _valid(image: ImageResiduals) -> Bools:
-    return np.asarray((image.weight > _COUNTS) & np.isfinite(image.residual_px).all(axis=1))
+    return np.asarray((image.weight > 0.5) & np.isfinite(image.residual_px).all(axis=1))
 
 
 def residual_patterns(image: ImageResiduals, cameras: Sequence[Camera]) -> tuple[ResidualPattern, ...]:
@@ -88,7 +87,7 @@ def _pattern(name: str, place: Ints, residual_px: Floats, frames: int) -> Residu
         mean = np.nansum(of_frame, axis=1) / there[:, None]
         spread = np.nansum((of_frame - mean[:, None]) ** 2, axis=1) / (there - 1)[:, None]
         sd = np.sqrt(spread / there[:, None])
-    few = there < _LEAST_FRAMES
+    few = there < LEAST_OBSERVATIONS
     mean[few], sd[few] = np.nan, np.nan
     excess = (mean**2 - sd**2).sum(axis=1)[~few]
     systematic = float(np.sqrt(max(excess.mean(), 0.0))) if excess.size else 0.0

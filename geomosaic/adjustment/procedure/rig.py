@@ -10,13 +10,20 @@ from functools import partial
 import cv2
 import numpy as np
 
+from geomosaic.adjustment.procedure.blunder_detection import LEAST_POINTS
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.constants import MEDIAN_LENGTH, tuned
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.matching.displacement import PatchMatching, measure_displacements, patch_corners
+from geomosaic.matching.displacement import (
+    LEAST_CORRELATION,
+    SMOOTHING_SIGMA_PX,
+    PatchMatching,
+    measure_displacements,
+    patch_corners,
+)
 from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
@@ -31,13 +38,9 @@ Matches = tuple[int, Floats, Floats]
 
 _MOST_CAPTURES = tuned(12, "captures", "spread over the flight; each shows a hundred patches for 4 unknowns")
 _PATCH_PX = tuned(96, "ground px", "side; smaller: too few common edges; larger: relief shifts them apart")
-_LEAST_STEP_PX = tuned(16, "ground px", "between patches; closer ones share nearly all their pixels")
 _PATCHES = tuned(120, "patches a capture", "about; of some bands few correlate; more take time alone")
 _SEARCH_PX: tuple[int, int] = tuned((96, 8), "ground px", "of two rounds: 3 degrees in 960 px, then the rest")
-_LEAST_CORRELATION = tuned(0.3, "correlation of edges", "less: chance; more: few in red and infrared remain")
 _MOST_SD_PX = tuned(0.3, "px", "of a match; patches with more have no edges, or edges one way only")
-_LEAST_MATCHES = tuned(12, "patches in all captures", "three an unknown; of fewer the reported pose stays")
-_EDGE_SIGMA_PX = tuned(1.0, "ground px", "before gradients; less: noise counts; more: fine edges merge")
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ def register_bands(
             with ThreadPoolExecutor(threads) as pool:
                 search = partial(_matches, captures, band, found, search_px)
                 each = list(pool.map(search, (there[j] for j in some)))
-            if sum(len(ground_m) for _, ground_m, _ in each) < _LEAST_MATCHES:
+            if sum(len(ground_m) for _, ground_m, _ in each) < LEAST_POINTS:
                 break
             found = _refined(found, band, [e for e in each if len(e[1])], poses)
         out.append(found)
@@ -108,12 +111,12 @@ def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i
     window, pose = _window(captures, i), band_poses(captures.poses, so_far)[i]
     own = _edges(window, captures.poses[i], captures.cameras[i], captures.survey.frames[i])
     other = _edges(window, pose, so_far.camera, band.frames[i])
-    step_px = max(_LEAST_STEP_PX, int(np.sqrt(own.pixels.size / _PATCHES)))
+    step_px = max(1, int(np.sqrt(own.pixels.size / _PATCHES)))
     found = measure_displacements(
         other,
         own,
         patch_corners(own.pixels.shape, _PATCH_PX, step_px),
-        PatchMatching(_PATCH_PX, search_px, _LEAST_CORRELATION, _MOST_SD_PX),
+        PatchMatching(_PATCH_PX, search_px, LEAST_CORRELATION, _MOST_SD_PX),
     )
     points = window.points_m()
     there_m = _bilinear(points, found.centres_px + found.displacement_px)
@@ -142,7 +145,7 @@ def _edges(window: GroundWindow, pose: Pose, camera: Camera, frame: Frame | None
         raise ValueError("a capture without this band")
     pixels, mask = read_pixels(frame)
     on_ground, valid = seen_on(window, pose, camera, np.log1p(pixels[..., 0].astype(np.float32)), mask)
-    smooth = cv2.GaussianBlur(on_ground, (0, 0), _EDGE_SIGMA_PX)
+    smooth = cv2.GaussianBlur(on_ground, (0, 0), SMOOTHING_SIGMA_PX)
     edges = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
     valid = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
     return MaskedImage(np.where(valid, edges * 100.0, np.float32(0.0)).astype(np.float32), valid)

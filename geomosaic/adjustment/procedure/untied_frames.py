@@ -9,6 +9,9 @@ from copy import deepcopy
 
 import numpy as np
 
+from geomosaic.adjustment.procedure.cross_validation import MOST_FRAMES
+from geomosaic.adjustment.procedure.georeference_parts import LEAST_NOISE
+from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
@@ -18,11 +21,8 @@ from geomosaic.estimation.linear import cholesky, solve
 from geomosaic.estimation.robust import irls, redescending_weight
 from geomosaic.placement.prior import heading_assumed, position_assumed
 
-_NEAREST = tuned(100, "tied frames", "about an untied one; the time grows with the cube")
 _LENGTHS = tuned((2.0, 5.0, 15.0, 50.0), "distances of neighbours", "of correlation, up to a whole flight")
 _SHARES = tuned((0.3, 0.7, 0.95), "of the variance", "correlated, compared by likelihood")
-_STATED_COUNTS = tuned(3.0, "redundant frames", "weight of the stated deviation; scatter of few is chance")
-_LEAST_NOISE = tuned(0.1, "of the stated deviations", "least scatter of corrections when blunders are sought")
 
 
 def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools) -> Poses:
@@ -37,7 +37,7 @@ def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools
     for i in wanted:
         away_m = np.linalg.norm(at[known] - at[i], axis=1)
         with suppress(NotSolvableError):
-            _move(out, given, int(i), known[np.argsort(away_m, kind="stable")[:_NEAREST]])
+            _move(out, given, int(i), known[np.argsort(away_m, kind="stable")[:MOST_FRAMES]])
     return out
 
 
@@ -73,7 +73,7 @@ def _predicted(at_m: Floats, values: Floats, stated: Floats) -> tuple[Floats, fl
     apart_m, away_m = np.linalg.norm(at_m[:, None] - at_m, axis=2), np.linalg.norm(at_m, axis=1)
     spacing_m = float(np.median((apart_m + np.diag(np.full(k, np.inf))).min(axis=1))) if k > 1 else 0.0
     spacing_m = spacing_m or max(float(away_m.min()), 1.0)
-    many, base = k > 2.0 + _STATED_COUNTS, np.column_stack([np.ones(k), at_m / spacing_m])
+    many, base = k > 2.0 + LEAST_REDUNDANCY, np.column_stack([np.ones(k), at_m / spacing_m])
     trend = _trend(c, similarity=many and c == 2 and np.ptp(at_m, axis=0).max() > spacing_m)
     noise, scale = _noise(base, trend, values, stated[:-1]), float(np.mean(stated[:-1] ** 2))
     signals = [(share, length) for share in _SHARES for length in _LENGTHS] if many else []
@@ -104,7 +104,7 @@ def _noise(base: Floats, trend: Floats, values: Floats, stated: Floats) -> Float
 
     def weigh(left: Floats) -> Floats:
         length = np.linalg.norm(left, axis=1) / stated
-        noise = max(float(np.median(length)) / (MEDIAN_LENGTH if c == 2 else MEDIAN_ONE), _LEAST_NOISE)
+        noise = max(float(np.median(length)) / (MEDIAN_LENGTH if c == 2 else MEDIAN_ONE), LEAST_NOISE)
         return np.asarray((redescending_weight(length / noise) / stated**2)[:, None])
 
     if k <= 2:
@@ -124,7 +124,7 @@ def _collocated(
     by_component = trend @ solve(inner, np.einsum("cbp,bc->p", trend, base.T @ of_values))
     left = values - base @ by_component.T
     squares = float((left * (of_values - of_base @ by_component.T)).sum())
-    counts = c * _STATED_COUNTS
+    counts = c * LEAST_REDUNDANCY
     factor = (squares + counts) / (redundancy + counts)
     determinant = c * 2.0 * np.log(np.diag(cholesky(covariance)[0])).sum() + np.linalg.slogdet(inner)[1]
     unknown = trend[0].T @ (np.array([1.0, 0.0, 0.0]) - of_here[:, 0] @ base)

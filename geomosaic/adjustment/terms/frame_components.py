@@ -15,7 +15,6 @@ from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import STRONG, credible, median_of_known, redescending_weight
 
 PRIOR_FACTORS = tuned((0.1, 10.0), "times the stated deviation", "beyond: tags are not what they claim")
-_A_LITTLE = tuned(1.01, "times a factor", "by which its slope is found by difference")
 
 
 class RobustFit(NamedTuple):
@@ -116,8 +115,9 @@ class FrameGroup:
             return Component(self.name, factor, *counted, least=least, most=most)
         squares = float((weight * (miss / self.sd) ** 2)[stated].sum())
         scatter = factor * float(np.sqrt(squares / r))
-        found, above = (credible(f, r) for f in (scatter, _A_LITTLE * scatter))
-        follows = float(np.log(above / found) / np.log(_A_LITTLE)) if least < found < most else 0.0
+        a_little = 1.0 + float(np.sqrt(np.finfo(np.float64).eps))
+        found, above = (credible(f, r) for f in (scatter, a_little * scatter))
+        follows = float(np.log(above / found) / np.log(a_little)) if least < found < most else 0.0
         found = float(np.clip(found, least, most))
         return Component(self.name, found, *counted, squares, r, follows, least, most)
 

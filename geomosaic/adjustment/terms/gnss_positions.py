@@ -20,15 +20,13 @@ from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import CAMERA_FROM_BODY
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
 HORIZONTAL, VERTICAL = "horizontal", "vertical"
 LEVER_ARM, DELAY, OFFSET = "lever arm", "GNSS delay", "common offset"
 ANYWHERE_M = tuned(1e3, "m", "deviation of what is not known; more: the equations lose their digits")
 LEVER_ARM_SD_M = tuned(0.5, "m", "lever arms of small drones; less: one that is asked for is held")
 DELAY_SD_S = tuned(1.0, "s", "by which positions are late; less: one that is asked for is held")
-_OF_SIMILARITY = sourced(4.0, "unknowns", "that positions of a part have in common in plan", "similarity")
-_OF_SLOPE = sourced(2.0, "unknowns", "more of a part whose heights differ by a slope", "plane")
 
 
 @dataclass(frozen=True)
@@ -114,9 +112,10 @@ class GnssPositions(FrameTerm):
     def _groups(self, at: Estimate, components: Components) -> Iterator[FrameGroup]:
         (own, slopes), observed = self.own_miss(at, components), ~self.assumed[:, None]
         sd = self.sd(components)
-        for name, numbers, common in ((HORIZONTAL, [0, 1], _OF_SIMILARITY), (VERTICAL, [2], 1.0)):
+        # in common: a similarity in plan, a level; of parts that slope two numbers more
+        for name, numbers, common in ((HORIZONTAL, [0, 1], 4.0), (VERTICAL, [2], 1.0)):
             counted = np.isin(np.arange(3), numbers) & observed
-            more = _OF_SLOPE * slopes if name == VERTICAL else 0.0
+            more = 2.0 * slopes if name == VERTICAL else 0.0
             yield FrameGroup(name, counted, sd, self.weight, own, self.parts, common, more)
 
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:

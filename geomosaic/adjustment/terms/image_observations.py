@@ -27,12 +27,11 @@ from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import MEDIAN_LENGTH, tuned
+from geomosaic.constants import MEDIAN_LENGTH, ROUNDS, tuned
 from geomosaic.estimation.robust import INFORMATION, median_of_known, student_cost, student_weight
 
 BEHIND = tuned(1e6, "deviations", "of an image behind its camera: farther off than any in front of it")
 _LEAST_SIGMA_PX = tuned(0.02, "px", "less: exact (simulated) tie points weigh without bound")
-_SCALINGS = tuned(12, "rounds", "each halves the error of the scale; fewer: it has not converged")
 IMAGE, CONTROL_IMAGE = "image", "control image"
 
 
@@ -206,7 +205,7 @@ class ImageObservations:
 def _scale_px(error_px: Floats, shown: Floats, redundancy: float, first_px: float) -> float:
     """The scale of Student's distribution of errors with this redundancy; NaN count as beyond all."""
     error_px, scale_px = np.nan_to_num(error_px, nan=BEHIND * first_px), first_px
-    for _ in range(_SCALINGS):
+    for _ in range(ROUNDS):
         error = error_px / scale_px
         squares = float((shown * student_weight(error) * error**2).sum()) / INFORMATION
         scale_px *= float(np.sqrt(squares / redundancy))

@@ -12,6 +12,7 @@ from geomosaic.adjustment.problem.estimate import Estimate, Unknowns
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
+from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import OFF_CENTRE
 
 _LENS_SD: dict[str, tuple[float, float, float, float, float]] = tuned(
@@ -19,7 +20,6 @@ _LENS_SD: dict[str, tuple[float, float, float, float, float]] = tuned(
     "the terms' own, in the order of `lens.TERMS`",
     "wide lenses reach 0.3 in k1; decentring is a hundredth; no fisheye lens has even powers",
 )
-_FOCAL_SD = tuned(0.005, "share of the focal length", "of a calibrated one, where none is stated")
 WIDE_FOCAL = tuned(0.1, "share of the focal length", "more: it was assumed; tags that agree are good to 0.05")
 _WIDE_DISTORTION = sourced(4.0, "deviations", "of radial terms, with an assumed focal", "OpenSfM: -0.39")
 _PRINCIPAL_SD = tuned((0.003, 0.01), "share of the longer side", "more: it takes up how frames rotate")
@@ -31,7 +31,7 @@ def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
     or neither reported nor asked for. The principal point is known no better than the focal length, within
     _PRINCIPAL_SD. Of a distortion of known deviation each term alone moves the frame's corner by no more than
     that."""
-    focal = camera.focal_length_sd_px or _FOCAL_SD * camera.focal_length_px
+    focal = camera.focal_length_sd_px or FOCAL_LENGTH["camera-file"].sd_relative * camera.focal_length_px
     least, most = (sd * max(camera.width_px, camera.height_px) for sd in _PRINCIPAL_SD)
     principal = min(max(focal, least), most)
     lens = np.array(_LENS_SD[camera.kind])

@@ -17,17 +17,20 @@ from geomosaic.adjustment.terms.frame_components import common_similarity, commo
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components, Term
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, sourced, tuned
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS, sourced
 from geomosaic.estimation.linear import inverse_each
-from geomosaic.estimation.robust import credible, median_of_known, redescending_weight, student_weight
+from geomosaic.estimation.robust import (
+    LEAST_OBSERVATIONS,
+    credible,
+    median_of_known,
+    redescending_weight,
+    student_weight,
+)
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import Warn
 
 CONTROL_PLAN, CONTROL_HEIGHT = "control plan", "control height"
-LEAST_POINTS = sourced(5, "points", "fewer: no precision", "10 coordinates less 4 of a similarity")
 _COARSER = sourced(1.5, "stated deviations", "beyond: a warning", "F test at 1 %, 12 degrees: 1.48")
-_BEND = sourced(6, "numbers", "of a polynomial of the second degree: level, slope, bend", "by its definition")
-_ROUNDS = tuned(12, "rounds", "of re-weighting, which then has converged to a hundredth")
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ def control_components(residuals: ControlResiduals, sd_m: Floats, most_px: float
     stated = sd_m[residuals.point]
     plan = _factor(residuals.off_m[:, :2], stated[:, :2], residuals.own_sd_m[:, :2], residuals.common[0])
     known, height = _height_known(stated), 1.0
-    if known.sum() >= LEAST_POINTS:
+    if known.sum() >= LEAST_OBSERVATIONS:
         off, own = residuals.off_m[known, 2:], residuals.own_sd_m[known, 2:]
         height = _factor(off, stated[known, 2:], own, residuals.common[1])
     return {"control image": min(residuals.image_px, most_px), CONTROL_PLAN: plan, CONTROL_HEIGHT: height}
@@ -126,7 +129,7 @@ def with_precision(control: Sequence[GroundControl], components: Components) -> 
 def precision_figures(control: Sequence[GroundControl], components: Components) -> dict[str, float]:
     """Median deviations of the points that took part, in m; nothing where they were too few to tell."""
     used = np.array([c.sd_m for c in control if not c.check and c.observations]).reshape(-1, 3)
-    if len(used) < LEAST_POINTS:
+    if len(used) < LEAST_OBSERVATIONS:
         return {}
     found = {"control_sd_m.plan": components[CONTROL_PLAN] * float(np.median(used[:, 0]))}
     known = _height_known(used)
@@ -161,11 +164,11 @@ def intersection_residuals(
 ) -> ControlResiduals | None:
     """Of control points intersected by the present poses from two frames or more; None for too few."""
     some = image.of(np.flatnonzero(image.by_hand & image.used))
-    if len(np.unique(some.tracks.point)) < LEAST_POINTS:
+    if len(np.unique(some.tracks.point)) < LEAST_OBSERVATIONS:
         return None
     point, of = np.unique(some.tracks.point, return_inverse=True)
     points, scale_px = at.points_m.copy(), np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         here = replace(at, points_m=points)
         rows = some.projections_in_own_rows(here, some.computed_px(here))
         computed, _, _, by_point = project_by_levers(rows)
@@ -186,7 +189,7 @@ def intersection_residuals(
     frames = np.zeros(len(point), dtype=np.intp)
     np.add.at(frames, np.unique(np.column_stack([of, some.tracks.frame]), axis=0)[:, 0], 1)
     good = np.isfinite(own_sd_m).all(axis=1) & np.isfinite(points[point]).all(axis=1) & (frames > 1)
-    if good.sum() < LEAST_POINTS:
+    if good.sum() < LEAST_OBSERVATIONS:
         return None
     point, own_sd_m = point[good], own_sd_m[good]
     at_m = points[point]
@@ -210,7 +213,7 @@ def _without_common(
         bend = _bend(at_m[known, :2], off_m[known, 2], sd_m[known, 2])
         if bend is not None:
             off_m[known, 2] -= bend
-            common_up = float(_BEND)
+            common_up = 6.0  # level, slope, bend
     off_m[~known, 2] = 0.0
     return off_m, common_up
 
@@ -219,11 +222,11 @@ def _bend(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats | None:
     """The polynomial of the second degree that residuals in height (k,) have in common, as a bent block
     leaves at precise points; None with fewer than two points more than its numbers, or where it may be chance
     (Schwarz 1978)."""
-    if len(at_m) < _BEND + 2:
-        return None
     x, y = ((at_m - at_m.mean(axis=0)) / max(float(np.ptp(at_m, axis=0).max()), 1e-9)).T
     design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
-    fit = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], _ROUNDS, rcond=1e-6)
+    if len(x) < design.shape[1] + 2:
+        return None
+    fit = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], ROUNDS, rcond=1e-6)
     found, weight = fit.fitted[:, 0], fit.weight[:, 0]
     squares = [float(((its * weight) ** 2).sum()) for its in (miss_m, miss_m - found)]
     gain = len(x) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
@@ -257,7 +260,7 @@ def _factor(off_m: Floats, stated_m: Floats, own_m: Floats, common: float) -> fl
 
     factor = _root(lambda f: lost * float(np.median(lengths(f))) / typical)
     weight, redundancy = np.ones(len(off_m)), 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         weight = redescending_weight(lengths(factor))
         redundancy = max(float(c * weight.sum()) - common, 1.0)
         factor = _root(partial(scatter, weight=weight, redundancy=redundancy))

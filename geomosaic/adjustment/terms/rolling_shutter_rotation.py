@@ -15,13 +15,8 @@ from geomosaic.constants import sourced, tuned
 
 RATE_SD_RAD_PER_S = sourced(0.3, "rad/s", "of each function; more: they take up poses", "a Sequoia: 0.26")
 GUST_M_PER_S = tuned(0.5, "m/s", "error of a velocity; 0: chance differences set readout and scale")
-MOST_SWING = tuned(10.0, "times the first deviation", "of swings: ten times as fast is a crash")
-MOST_GUSTS = tuned(3.0, "times GUST_M_PER_S", "nothing flies a survey in stronger gusts")
-MOST_DRIFT = tuned(1.0, "times GUST_M_PER_S", "of drifts; more: climbs and tilts are confused")
 LEAST_SWING = tuned(0.02, "times the first deviation", "less: swings that shrank could not grow again")
-ALONG_VIEW: Floats = tuned(np.array([1e-3, 1e-3, 1.0]), "of a drift's deviation", "where frames rotate")
-IMAGE_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "as velocities do")
-_STIFF = tuned(0.03, "of the largest axis's deviation", "below it an axis is held, see IMAGE_AXES")
+IMAGE_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "its last axis is held")
 DRIFTS = "drift across the view", "drift along the view"
 
 
@@ -75,10 +70,10 @@ class RollingShutterRotation(FrameTerm):
         of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))
         redundancy = 1.0 - variances[:, self.columns(at)] / sd**2
         least = [1.0 if self.common else LEAST_SWING] * terms + [LEAST_SWING] * 2
-        most = [self.most_swing] * terms + [MOST_DRIFT] * 2
+        most = [self.most_swing] * terms + [1.0] * 2
         for k, name in enumerate(self.component_names()):
             factor, its = components[name], sd * (of == k)
-            of_term = (its > _STIFF * its.max(axis=1, keepdims=True)).astype(float)
+            of_term = (its > 2.0 * IMAGE_AXES.min() * its.max(axis=1, keepdims=True)).astype(float)
             counted = np.pad(of_term, ((0, 0), (6, 0))), np.pad(-own, ((0, 0), (6, 0)))
             r = float((of_term * redundancy).sum()) - (its.max(axis=0) > 0.0).sum()
             if r <= LEAST_REDUNDANCY:

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.adjustment.procedure.blunder_detection import HALF_TURN_DEG, headings_off_deg
+from geomosaic.adjustment.procedure.blunder_detection import headings_off_deg
 from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
+from geomosaic.matching.explanations import MOST_RAD
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed
 from geomosaic.quality import ranking
@@ -191,7 +192,7 @@ def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterat
     course = np.radians(courses_deg(found.positions_m, tuple(lines)))
     lies_rad = Rotation(found.rotations).yaw_pitch_roll()[0] + np.pi / 2.0 * np.array(solved.turned)
     lies_rad[heading_assumed(solved.prior.poses)] = np.nan
-    half = np.abs(np.abs(off_deg) - 180.0) < HALF_TURN_DEG
+    half = np.abs(np.abs(off_deg) - 180.0) < np.degrees(MOST_RAD)
     for line in np.unique(lines):
         mine = np.flatnonzero(lines == line)
         for i in (i for i in mine if solved.names[i] not in turned):
@@ -202,7 +203,7 @@ def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterat
             if len(others) < _LEAST_OTHERS or abs(usual) < _TOGETHER:
                 continue
             here, there = np.degrees([lies_rad[i], np.angle(usual) + course[i]]) % 360.0
-            if not abs(abs(here - there) - 180.0) < HALF_TURN_DEG:
+            if not abs(abs(here - there) - 180.0) < np.degrees(MOST_RAD):
                 continue
             text = (
                 f"its image stands on its head beside the others of its line (heading {here:.0f} degrees, "
