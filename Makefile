@@ -81,6 +81,9 @@ bench-dirty: setup ## 100 surveys as people deliver them, and 30 plain ones (abo
 bench-fixes: setup ## whether each fix that a verdict names changes the outcome, on simulated surveys (about 15 minutes)
 	$(PY) -m tools.bench.bench_fixes --seed $(SEED) --results docs/results/fixes --out out/bench-fixes
 
+bench-reflectance: setup ## reflectance of simulated multispectral flights against the truth (about 2 minutes); SEED=n
+	$(PY) -m tools.bench.bench_reflectance --seed $(SEED) --results docs/results/reflectance --out out/bench-reflectance
+
 bench-halves: DATA = ../flights
 bench-halves: setup ## two maps of every second frame of real flights, beside what both state (about 10 minutes); DATA=../flights
 	$(PY) -m tools.bench.bench_halves "$(DATA)" --results docs/results/halves --out out/bench-halves

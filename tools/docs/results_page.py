@@ -35,9 +35,10 @@ QUESTIONS = (
     "What does the recording cost?",
     "Is it safe with damaged files and interrupted runs?",
     "Does it work in a GIS and on a new machine?",
+    "Is the reflectance of multispectral frames right?",
     "Can others carry the code on?",
 )
-FLIGHTS, DIRTY, STATED, _, FAULTS, _, _, _, PAPER, *_, HOUSE = QUESTIONS
+FLIGHTS, DIRTY, STATED, _, FAULTS, _, _, _, PAPER, *_, REFLECTED, HOUSE = QUESTIONS
 SIGNIFICANT = 2.6
 """Standard deviations beyond which a slope differs from 0 (99 %)."""
 HEAD = """# Results
@@ -102,6 +103,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
     readers: dict[str, Callable[[Any, str, str], Iterable[Row]]] = {
         "flights": of_flights, "dirty": of_dirty, "halves": of_halves, "accuracy_raster": of_raster,
         "fixes": of_fixes, "worst": of_worst, "paper": of_paper, "house": of_house,
+        "reflectance": of_reflectance,
     }  # fmt: skip
     for name, reader in readers.items():
         data = _read(folder / f"{name}.json")
@@ -216,6 +218,12 @@ def of_fixes(data: Any, command: str, date: str) -> Iterator[Row]:
     right, cases = sum(bool(row["right"]) for row in data["rows"]), len(data["rows"])
     what = "fixes that the verdict names: the figure is good after the fix"
     yield Row(STATED, what, "all", f"{right} of {cases}", right == cases, command, date)
+
+
+def of_reflectance(data: Any, command: str, date: str) -> Iterator[Row]:
+    for row in data["rows"]:
+        what = f"{row['case']}: 99 % of the {row['of']} lie within"
+        yield Row(REFLECTED, what, "0.02", f"{row['q99']:.4f}", bool(row["right"]), command, date)
 
 
 def of_worst(data: Any, command: str, date: str) -> Iterator[Row]:
