@@ -20,7 +20,7 @@ from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_raster, open_with_osgeo, reading
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.export.surface import NODATA
-from geomosaic.radiometry.quantity import UNCALIBRATED, quantity_of
+from geomosaic.radiometry.quantity import TEMPERATURE, UNCALIBRATED, quantity_of
 
 Floats32 = NDArray[np.float32]
 FORMULAS: Final = {
@@ -77,11 +77,19 @@ class Index:
 
     @classmethod
     def for_mosaic(cls, mosaic: Path, formula: str, name: str | None = None) -> Index:
-        """As `of`; auto: NDVI where there is a near-infrared band, else GLI."""
-        if formula != AUTO:
+        """As `of`; auto: NDVI, without a near-infrared band GLI; temperature: the thermal band."""
+        if formula not in (AUTO, TEMPERATURE):
             return cls.of(formula, name)
         with open_raster(mosaic, OWN) as raster:
-            return cls.of("NDVI" if "nir" in _numbers(raster) else "GLI", name)
+            there = _numbers(raster)
+            meant = {band: quantity_of(raster, k) for band, k in there.items()}
+        if formula == AUTO:
+            return cls.of("NDVI" if "nir" in there else "GLI", name)
+        for band, quantity in meant.items():
+            if quantity is not None and quantity.name == TEMPERATURE:
+                return cls.of(band, name or TEMPERATURE)
+        fix = "mosaic frames whose values are degrees, in 32-bit floats"
+        raise InputError("no band holds temperatures", file=mosaic, fix=fix)
 
     @property
     def bands(self) -> list[str]:
@@ -135,11 +143,12 @@ def band_key(name: str) -> str:
 
 @dataclass(frozen=True)
 class MosaicBands:
-    """A mosaic's bands by their names in formulas; what the values of those in use are."""
+    """A mosaic's bands by their names in formulas; what the values of those in use are; the index's unit."""
 
     raster: Raster
     numbers: Mapping[str, int]
     values: str
+    unit: str
 
     @classmethod
     def of(cls, raster: Raster, index: Index) -> MosaicBands:
@@ -151,7 +160,8 @@ class MosaicBands:
         numbers = {name: there[name] for name in index.bands}
         meant = [quantity_of(raster, k) or UNCALIBRATED for k in numbers.values()]
         by = {f"{q.name} by {q.source}" if q.source else q.name for q in meant}
-        return cls(raster, numbers, " and ".join(sorted(by)))
+        unit = meant[0].unit if isinstance(index.tree, ast.Name) else ""
+        return cls(raster, numbers, " and ".join(sorted(by)), unit)
 
     def read(self, window: Window) -> dict[str, Floats32]:
         """Physical values (rows, cols) by band, NaN where the mosaic shows nothing."""
@@ -187,6 +197,7 @@ def write_index(mosaic: Path, out: Path, index: Index, done: Callable[[int, int]
         band = made.GetRasterBand(1)
         band.SetNoDataValue(NODATA)
         band.SetDescription(index.name)
+        band.SetUnitType(bands.unit)
         for row, values in _rows(bands, index):
             done(row, raster.height)
             band.WriteArray(np.where(np.isfinite(values), values, np.float32(NODATA)), 0, row)

@@ -22,8 +22,10 @@ _HEIGHTS: Final = ("#00224d", "#414d6b", "#7b7b78", "#bbae6e", "#fde737")
 """Low to high: CIVIDIS, which the report draws heights in too."""
 _DOUBT: Final = ("#1a9641", "#a6d96a", "#ffffbf", "#fdae61", "#d7191c")
 """Sure to doubtful."""
-LEAVES: Final = _DOUBT[::-1]
+_LEAVES: Final = _DOUBT[::-1]
 """Bare to green."""
+_HEAT: Final = ("#000004", "#57106e", "#bc3754", "#f98e09", "#fcffa4")
+"""Cold to hot: INFERNO."""
 _SOURCES: Final = {
     1: ("tie surface", "#1a9641"),
     2: ("matched", "#2b83ba"),
@@ -185,13 +187,21 @@ def _pseudocolour(band: int, ends: tuple[float, float], colours: Sequence[str], 
 def index_layers(folder: Path) -> list[ProjectLayer]:
     """Those of the indices that were made of a run's mosaic."""
     paths = sorted(folder.glob("index_*.tif"))
-    return [_coloured(path, path.stem.removeprefix("index_"), 1, LEAVES) for path in paths]
+    return [_coloured(path, path.stem.removeprefix("index_"), 1, index_colours(path)) for path in paths]
 
 
-def index_style(ends: tuple[float, float]) -> str:
+def index_colours(path: Path) -> Sequence[str]:
+    """Those of an index, or of temperatures."""
+    with open_raster(path, OWN) as raster:
+        return _HEAT if raster.units[0] else _LEAVES
+
+
+def index_style(path: Path, ends: tuple[float, float]) -> str:
     """An index's colours between two ends as a style file of QGIS (QML)."""
+    with open_raster(path, OWN) as raster:
+        unit = raster.units[0] or ""
     document = Element("qgis", version=VERSION, styleCategories="Symbology")
-    SubElement(document, "pipe").append(_pseudocolour(1, ends, LEAVES, ""))
+    SubElement(document, "pipe").append(_pseudocolour(1, ends, index_colours(path), unit))
     return tostring(document, "unicode")
 
 

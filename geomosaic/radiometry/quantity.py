@@ -31,6 +31,7 @@ class Quantity:
 
 
 UNCALIBRATED: Final = Quantity("uncalibrated values as recorded")
+CELSIUS: Final = Quantity(TEMPERATURE, "the camera", unit="°C")
 CENTIKELVIN: Final = Quantity(TEMPERATURE, "the camera", *_CELSIUS, "°C")
 
 

@@ -268,5 +268,6 @@ def index_picture(index: Path, ends: tuple[float, float], colours: Sequence[str]
 
     bar = drawn(np.linspace(*ends, 256, dtype=np.float32)[None])
     with open_raster(index, OWN) as raster:
+        unit = raster.units[0] or ""
         name = f"{raster.descriptions[0]} of {raster.tags()['VALUES']}"
-    return with_legend(drawn(values), bar, [f"{ends[0]:.3g}", name, f"{ends[1]:.3g}"])
+    return with_legend(drawn(values), bar, [f"{ends[0]:.3g} {unit}", name, f"{ends[1]:.3g} {unit}"])

@@ -17,13 +17,13 @@ from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import write_positions
 from geomosaic.export.project import write_project
 from geomosaic.export.project_layers import project_of
-from geomosaic.export.project_rasters import LEAVES, index_style
+from geomosaic.export.project_rasters import index_colours, index_style
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.quality.statement import answers, asprs_statement
 from geomosaic.quality.verdict import Verdict
-from geomosaic.radiometry.quantity import UNCALIBRATED
+from geomosaic.radiometry.quantity import TEMPERATURE, UNCALIBRATED
 from geomosaic.report.surface import index_picture
 from geomosaic.stages.input_groups import AdjustedBlock
 
@@ -81,14 +81,14 @@ class IndexParams(StageParams):
     formula: str = param(
         AUTO,
         help=f"{', '.join(FORMULAS)}, or a formula of band names such as (nir - red) / (nir + red); auto: "
-        "NDVI, of a colour camera GLI",
+        "NDVI, of a colour camera GLI; temperature: the thermal band",
     )
     name: str | None = param(None, help="of the files; the index's own, index for another formula")
 
 
 def _check_index(params: IndexParams) -> None:
     """The formula is one."""
-    if params.formula != AUTO:
+    if params.formula not in (AUTO, TEMPERATURE):
         Index.of(params.formula, params.name)
 
 
@@ -107,11 +107,11 @@ def export_index(mosaic_file: RunFile, params: IndexParams, context: Context) ->
         with context.writing(f"{file}.tif") as path:
             write_cog(plain, path)
         ends = index_ends(plain, index)
-        picture = index_picture(plain, ends, LEAVES)
+        picture, style = index_picture(plain, ends, index_colours(plain)), index_style(plain, ends)
     with context.writing(f"{file}.png") as path:
         cv2.imwrite(str(path), picture)
     with context.writing(f"{file}.qml") as path:
-        path.write_text(index_style(ends), encoding="utf-8")
+        path.write_text(style, encoding="utf-8")
     if UNCALIBRATED.name in values:
         text = f"{index.name} is of {values}: compare it within this map only, or calibrate the frames with "
         text += "--radiometry reflectance"

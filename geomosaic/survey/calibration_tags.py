@@ -11,8 +11,10 @@ import numpy as np
 from geomosaic.constants import sourced, tuned
 from geomosaic.geodesy.sun import sun_direction
 from geomosaic.radiometry.calibration import Calibration, Vignetting
+from geomosaic.radiometry.quantity import CELSIUS, CENTIKELVIN, Quantity
 from geomosaic.radiometry.sun_sensor import horizontal_irradiance, sensor_axis
 from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.strays import camera_kind
 from geomosaic.survey.xmp import Xmp, number, numbers
 
 _LEVELS = sourced(65536.0, "digital numbers", "of 16 bits: the models take shares of it", "MicaSense, DJI")
@@ -46,9 +48,12 @@ def sensor_model(header: FrameHeader) -> SensorModel | None:
     return next((model for read in (_micasense, _parrot, _dji) if (model := read(header))), None)
 
 
-def thermal(header: FrameHeader) -> bool:
-    """Whether the values are temperatures, as of MicaSense's thermal band."""
-    return (header.xmp or {}).get("Camera:BandName", "").upper() == "LWIR"
+def temperature(header: FrameHeader) -> Quantity | None:
+    """How values are temperatures: those of MicaSense's thermal band, and floats of a thermal camera; None
+    where they are not."""
+    if (header.xmp or {}).get("Camera:BandName", "").upper() == "LWIR":
+        return CENTIKELVIN
+    return CELSIUS if camera_kind(header) == "thermal" and header.dtype == "float32" else None
 
 
 def _micasense(header: FrameHeader) -> SensorModel | None:

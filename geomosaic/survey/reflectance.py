@@ -15,13 +15,14 @@ from geomosaic.constants import tuned
 from geomosaic.doors.raster import FRAME, open_raster, reading
 from geomosaic.errors import InputError
 from geomosaic.radiometry.panel import find_panel, middle_of
-from geomosaic.radiometry.quantity import CENTIKELVIN, UNCALIBRATED, reflectance
-from geomosaic.survey.calibration_tags import SensorModel, sensor_model, thermal
+from geomosaic.radiometry.quantity import UNCALIBRATED, reflectance
+from geomosaic.survey.calibration_tags import SensorModel, sensor_model, temperature
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
-from geomosaic.survey.model import UnusedImage
+from geomosaic.survey.model import UnusedImage, Warn
 from geomosaic.survey.names import FrameNames
+from geomosaic.survey.strays import camera_kind
 from geomosaic.survey.table import is_number, read_lines, read_table
 from geomosaic.survey.xmp import number
 
@@ -31,6 +32,10 @@ _LOW_M = tuned(
 )
 _MOST_BANDS = tuned(100, "lines", "of a panel's table: cameras have up to ten bands")
 _GIVE_PANEL: Final = "give a photo of a panel with --panel IMAGE=ALBEDO"
+_GREY: Final = (
+    "thermal frames are read as the grey pictures that their JPEG files show, not as temperatures: for "
+    "degrees convert them to TIFF in 32-bit floats first (DJI Thermal Analysis Tool; flyr for FLIR)"
+)
 _LEAVE: Final = "leave out --radiometry reflectance to have values as recorded"
 
 Albedo = Mapping[str, float] | None
@@ -99,15 +104,18 @@ def with_reflectance(draft: SurveyDraft) -> SurveyDraft:
     a panel nor the sun sensor gives reflectance.
     """
     bands = _by_band(draft)
-    hot = {band for band, files in bands.items() if all(map(thermal, files.values()))}
-    meant = dict.fromkeys(hot, CENTIKELVIN)
+    firsts = {band: next(iter(files.values())) for band, files in bands.items() if files}
+    meant = {band: kind for band, header in firsts.items() if (kind := temperature(header)) is not None}
     if draft.inputs.radiometry == "none":
-        rest = dict.fromkeys(bands.keys() - hot, UNCALIBRATED) if draft.rig else {}
-        return replace(draft, quantities=meant | rest)
+        rest = dict.fromkeys(bands.keys() - meant.keys(), UNCALIBRATED) if draft.rig else {}
+        grey = [h.name for h in draft.headers if camera_kind(h) == "thermal" and h.dtype == "uint8"]
+        warnings = [Warn("thermal-grey", "", _GREY)] if grey else []
+        warnings = [*draft.folder_warnings, *warnings]
+        return replace(draft, quantities=meant | rest, folder_warnings=tuple(warnings))
     shown = [
         BandFiles(band, files, {name: _model(header) for name, header in files.items()})
         for band, files in bands.items()
-        if band not in hot
+        if band not in meant
     ]
     models = [model for one in shown for model in one.models.values()]
     panels = _given(draft.inputs.panels, bands) if draft.inputs.panel else _found(draft.headers)

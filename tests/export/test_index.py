@@ -14,8 +14,8 @@ from geomosaic.composition.tiles import TileKind
 from geomosaic.composition.window import Composed, Window
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.export.index import FORMULAS, USUAL, Index, index_ends, write_index
-from geomosaic.export.project_rasters import LEAVES, index_layers, index_style
-from geomosaic.radiometry.quantity import UNCALIBRATED, Quantity, reflectance
+from geomosaic.export.project_rasters import index_colours, index_layers, index_style
+from geomosaic.radiometry.quantity import CENTIKELVIN, UNCALIBRATED, Quantity, reflectance
 from geomosaic.report.surface import index_picture
 
 GRID = OutputGrid("EPSG:32632", 5e5, 5e6, 0.5, 40, 30)
@@ -85,9 +85,24 @@ def test_a_picture_has_a_legend_and_a_style_the_same_ends(tmp_path: Path) -> Non
     assert index_ends(out, Index.of("NDVI")) == USUAL
     low, high = index_ends(out, Index.of("nir - red"))
     assert low < high
-    picture = index_picture(out, USUAL, LEAVES)
+    picture = index_picture(out, USUAL, index_colours(out))
     assert picture[:30, 0, 3].max() == 0 and picture[:30, 1, 3].min() == 255
     assert picture.shape[0] == 66 and picture[32, :, 3].min() == 255
-    assert 'classificationMax="1"' in index_style(USUAL)
+    assert 'classificationMax="1"' in index_style(out, USUAL)
     (layer,) = index_layers(tmp_path)
     assert layer.title == "a" and FORMULAS
+
+
+def test_temperatures_are_degrees_with_colours_of_their_own(tmp_path: Path) -> None:
+    """0.6 of 32768 are 196.61 K in hundredths."""
+    mosaic = rig_mosaic(tmp_path / "mosaic.tif", CENTIKELVIN)
+    index = Index.for_mosaic(mosaic, "temperature")
+    out = tmp_path / "index_temperature.tif"
+    assert write_index(mosaic, out, index, lambda done, all: None) == "temperature by the camera"
+    with rasterio.open(out) as found:
+        assert found.units == ("°C",) and found.descriptions == ("temperature",)
+        assert found.read(1)[0, 1] == pytest.approx(32.77 - 273.15, abs=0.01)
+    assert index_colours(out) != index_colours(written(tmp_path, "NDVI", UNCALIBRATED))
+    assert "°C" in index_style(out, (-10.0, 30.0))
+    with pytest.raises(InputError, match="no band holds temperatures"):
+        Index.for_mosaic(rig_mosaic(tmp_path / "plain.tif", UNCALIBRATED), "temperature")

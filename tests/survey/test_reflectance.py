@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 from small_surveys import mosaic, small_survey, summary
+from survey_files import exif_block, gps, write_jpeg, xmp_attributes
 
 from geomosaic.errors import InputError
+from geomosaic.radiometry.quantity import CELSIUS
+from geomosaic.survey.calibration_tags import temperature
+from geomosaic.survey.header import read_header
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
@@ -144,3 +150,18 @@ def test_values_of_a_rig_that_nobody_calibrates_are_called_so(flown: SimulatedSu
     assert "uncalibrated values as recorded" in (run / "report.html").read_text()
     with rasterio.open(run / "mosaic.tif") as found:
         assert found.tags(2)["QUANTITY"] == "uncalibrated values as recorded" and found.scales == (1.0,) * 3
+
+
+def test_frames_of_a_thermal_camera_are_degrees_in_floats_and_grey_pictures_in_jpeg(tmp_path: Path) -> None:
+    source = xmp_attributes("http://www.dji.com/drone-dji/1.0/", "drone-dji", ImageSource="InfraredCamera")
+    exif = exif_block(
+        Make="DJI", Model="M30T", DateTimeOriginal="2024:05:17 10:11:12", FocalLength=Fraction("9.1"),
+        FocalLengthIn35mmFilm=40, **gps(9.1, 48.7, 412.5),
+    )  # fmt: skip
+    pixels = np.random.default_rng(1).integers(0, 255, (90, 120, 3), dtype=np.uint8)
+    (tmp_path / "jpeg").mkdir()
+    write_jpeg(tmp_path / "jpeg" / "a.jpg", pixels, exif, source)
+    survey = read_survey(SurveyInputs(tmp_path / "jpeg"))
+    assert "thermal-grey" in [w.code for w in survey.warnings] and survey.quantity is None
+    header = replace(read_header(tmp_path / "jpeg" / "a.jpg"), dtype="float32", bands=1)
+    assert temperature(header) == CELSIUS

@@ -51,6 +51,7 @@ NOT_RUN = {
     "geomosaic watch": "waits for frames: test_watch.py copies some",
     "geomosaic measure": "wants lines and polygons: test_measure.py has some",
     "geomosaic view": "opens a window: test_recording_readers.py",
+    "--formula temperature": "wants a thermal band: test_index.py has one",
     "NDVI": "wants a near-infrared band: test_index.py has one",
     "--radiometry": "wants a multispectral rig's frames: test_reflectance.py has some",
     "--dask": "wants a cluster: test_dask.py has one",
