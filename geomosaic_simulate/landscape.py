@@ -120,7 +120,7 @@ class Landscape:
         """The deck and the abutments of the bridge in the middle of a cell's western edge, if it has one."""
         if not self.bridges or i % 2 or j % 2:
             return ()
-        return bridge(self.edge_m(i, j, True))
+        return bridge(_edge_m(self, i, j, True))
 
     def cover(self, i: int, j: int) -> str:
         """What covers a cell: a key of `COVERS`, or nothing."""
@@ -151,23 +151,10 @@ class Landscape:
             for i in range(west - 1, east + 2):
                 yield i, j
 
-    def node_m(self, i: int, j: int) -> Floats:
-        """The lattice corner (i, j) after its jitter."""
-        jitter = [self.number(i, j, 1) - 0.5, self.number(i, j, 2) - 0.5]
-        return (np.array([i, j], dtype=np.float64) + np.multiply(0.42, jitter)) * CELL_M
-
-    def edge_m(self, i: int, j: int, upward: bool) -> Floats:
-        """The bent edge (points, 2) from node (i, j) to its eastern or, `upward`, its northern neighbour."""
-        a, b = self.node_m(i, j), self.node_m(i + (not upward), j + upward)
-        bend = (self.number(i, j, 4 if upward else 3) - 0.5) * 0.28
-        t = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
-        across = np.array([a[1] - b[1], b[0] - a[0]])
-        return np.asarray(a + (b - a) * t + across * bend * 2.0 * t * (1.0 - t))
-
     def patch_m(self, i: int, j: int, u: Floats, v: Floats) -> Floats:
         """Points (..., 2) of the Coons patch between a cell's edges; u eastward, v northward in [0, 1]."""
-        south, north = self.edge_m(i, j, False), self.edge_m(i, j + 1, False)
-        west, east = self.edge_m(i, j, True), self.edge_m(i + 1, j, True)
+        south, north = _edge_m(self, i, j, False), _edge_m(self, i, j + 1, False)
+        west, east = _edge_m(self, i, j, True), _edge_m(self, i + 1, j, True)
         t = np.linspace(0.0, 1.0, _EDGE_POINTS)
 
         def on(edge: Floats, at: Floats) -> Floats:
@@ -186,6 +173,25 @@ class Landscape:
         us = np.concatenate([u[0] + (u[1] - u[0]) * t, 0 * t + u[1], u[1] - (u[1] - u[0]) * t, 0 * t + u[0]])
         vs = np.concatenate([0 * t + v[0], v[0] + (v[1] - v[0]) * t, 0 * t + v[1], v[1] - (v[1] - v[0]) * t])
         return self.patch_m(i, j, us, vs)
+
+
+def _node_m(land: Landscape, i: int, j: int) -> Floats:
+    """The lattice corner (i, j) after its jitter."""
+    jitter = [land.number(i, j, 1) - 0.5, land.number(i, j, 2) - 0.5]
+    return (np.array([i, j], dtype=np.float64) + np.multiply(0.42, jitter)) * CELL_M
+
+
+@lru_cache(maxsize=2048)
+def _edge_m(land: Landscape, i: int, j: int, upward: bool) -> Floats:
+    """The bent edge (points, 2) from node (i, j) to its eastern or, `upward`, its northern neighbour. Every
+    patch of the cells beside it asks for it."""
+    a, b = _node_m(land, i, j), _node_m(land, i + (not upward), j + upward)
+    bend = (land.number(i, j, 4 if upward else 3) - 0.5) * 0.28
+    t = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
+    across = np.array([a[1] - b[1], b[0] - a[0]])
+    edge = np.asarray(a + (b - a) * t + across * bend * 2.0 * t * (1.0 - t))
+    edge.setflags(write=False)
+    return edge
 
 
 def _pick(colours: tuple[Colour, ...], number: float, shade: float) -> Colour:
@@ -298,7 +304,7 @@ def _clear_of(trees: Floats, buildings: tuple[Building, ...]) -> Floats:
 def _ways(land: Landscape, i: int, j: int) -> tuple[Way, ...]:
     ways = []
     for upward in (False, True):
-        line = land.edge_m(i, j, upward)
+        line = _edge_m(land, i, j, upward)
         r = land.numbers(i, j, 51 if upward else 50, 4, 4)
         if (i if upward else j) % 2 == 0:
             cars = []
