@@ -29,7 +29,8 @@ Labels = NDArray[np.int16]
 Bytes = NDArray[np.uint8]
 _LEVELS = sourced(4, "halvings", "fewer show brightness steps; more are slow", "Burt and Adelson 1983")
 STEP_PX: Final = 1 << _LEVELS
-_HALO_PX = sourced(4 * STEP_PX, "px", "reach of the bands: less makes windows show", "4 (1 + 2 + 4 + 8)")
+HALO_PX: Final = 4 * STEP_PX
+"""Reach of the bands: four pixels of each level, in whole steps."""
 _LEAST_WEIGHT = tuned(np.float32(1e-4), "full weight", "of an owner: 0 blackens its very edge; more shows it")
 
 
@@ -132,7 +133,7 @@ def _reached(mine: NDArray[np.bool_]) -> tuple[slice, slice] | None:
         if not used.size:
             return None
         first, last = used[0] // STEP_PX * STEP_PX, used[-1] // STEP_PX * STEP_PX + STEP_PX
-        found.append(slice(max(int(first) - _HALO_PX, 0), min(int(last) + _HALO_PX, length)))
+        found.append(slice(max(int(first) - HALO_PX, 0), min(int(last) + HALO_PX, length)))
     return found[0], found[1]
 
 
@@ -197,7 +198,7 @@ def _add(sums: Floats32, values: Floats32, weight: Floats32, at: tuple[slice, ..
 
 BLENDS: Final[Mapping[str, Blend]] = Named(
     {
-        "multi_band": Blend(multi_band, lambda reach_px: _HALO_PX),
+        "multi_band": Blend(multi_band, lambda reach_px: HALO_PX),
         "feather": Blend(feather, lambda reach_px: STEP_PX * -(-(round(reach_px / 2.0) + 1) // STEP_PX)),
         "hard": Blend(hard, lambda reach_px: 0),
     },

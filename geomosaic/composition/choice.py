@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 _PLACE_PX = tuned(192, "frame px", "side of a tested place: larger dilutes houses; smaller lacks context")
 _BLOCK_PX = tuned(32, "frame px", "compared square: larger is alike by land forms; smaller by chance")
-_MOST_PLACES = tuned(60, "places", "tested in two frames each: the median is good to 0.01; more take time")
+MOST_PLACES = tuned(60, "places", "tested in two frames each: the median is good to 0.01; more take time")
 _NEIGHBOURS = tuned(4, "frames", "nearest to a frame, one a side: fewer leave seams untested")
 _APART_M = tuned(1.0, "m", "the grounds' difference where they are tested: less moves frames by 1 or 2 px")
 _LEAST_LESS = tuned(0.03, "1 - correlation", "gain on what stands: less is noise; more misses small towns")
@@ -120,7 +120,7 @@ def _places(land: _Land, views: Sequence[FrameView]) -> tuple[list[tuple[int, in
             if (_apart_m(land, corner, _BLOCK_PX) > _APART_M).any():
                 found.append((i, j))
                 corners.append(corner)
-    some = np.unique(np.linspace(0, len(found) - 1, min(_MOST_PLACES, len(found))).astype(int))
+    some = np.unique(np.linspace(0, len(found) - 1, min(MOST_PLACES, len(found))).astype(int))
     return [found[k] for k in some], np.array([corners[k] for k in some]).reshape(-1, 2)
 
 

@@ -32,7 +32,7 @@ from geomosaic.composition.raster import MosaicFiles, Raster, index_kind, writin
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.seamlines import SeamLabels
 from geomosaic.composition.spread import InProcessSpooler, SpooledResult, Spooler
-from geomosaic.composition.tiles import TileKind
+from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.tones import Tones
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.visibility import FrameOnMap, VisibilityTest, visible_cells
@@ -43,7 +43,6 @@ from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.survey.model import Frame, Survey
 
-WINDOW_PX = tuned(512, "px", "blended window: smaller is mostly margin; 1024 is 9 % faster but takes 2 GB")
 AUTO = "auto"
 AUTO_FEATHER_PX = tuned(48, "mosaic px", "default feather: less shows lines; more doubles detail")
 
@@ -93,7 +92,7 @@ def compose(
     if name == AUTO:
         name = "multi_band" if kind.dtype == "uint8" else "feather"
     reach_px = feather_m / grid.gsd_m
-    labels = SeamLabels(grid, WINDOW_PX, cut=area is not None and area.asked)
+    labels = SeamLabels(grid, TILE_PX, cut=area is not None and area.asked)
     names = [frame.name for frame in survey.frames]
     tiles = TileKind(kind.bands, np.dtype(kind.dtype))
     bands = {} if survey.quantity is None else {survey.band: survey.quantity}
@@ -116,7 +115,7 @@ def compose(
         spread,
     )
     gave_pixels: set[int] = set()
-    whole = windows(grid, WINDOW_PX)
+    whole = windows(grid, TILE_PX)
     order = whole if area is None else area.touched(grid, whole)
     with (
         unreferenced_is_fine(),

@@ -37,11 +37,11 @@ COMPOSE: Final = Rate(
 )
 WRITE: Final = Rate(0.01, 0.1, "core s/MP filled", "the packed tiles are copied: 0.015", _HERE)
 SURFACE: Final = Rate(
-    0.8,
-    5.0,
-    "core s/MP filled",
-    "a surface of cells of 4 ground pixels matched, what it hides found, frames projected onto it",
-    "18 frames of 9 MP: 1.7; widened",
+    13.0,
+    80.0,
+    "core s/million cells",
+    "a surface matched, what it hides found, frames projected onto it",
+    "18 frames of 9 MP in cells of 4 ground pixels: 27; widened",
 )
 _SCENE: Final = "8 strips of 4,096 x 35,000 lines on two cores by joint: 0.074 s/MP, 0.91 GB; widened"
 STRIPS: Final = Rate(0.05, 0.5, "s/MP", "offsets to overviews; SIFT chains take several times joint", _SCENE)
@@ -65,15 +65,11 @@ _LONGEST_MATCHED_PX = sourced(3000, "px", "side kept for matching", "default of 
 _SIFT_BYTES_PER_PX = sourced(130.0, "bytes/px", "six float images, doubled", "Lowe 2004, 3: 6 x 4 x 4 x 4/3")
 _PROGRAM_BYTES = tuned(250e6, "bytes", "of a process's libraries: less states the memory too low")
 _WINDOW_BYTES = tuned(100e6, "bytes", "of a composing process's window: less states the memory too low")
-_PLANNED_BYTES = tuned(600.0, "bytes", "of a planned window: less states memory too low past 10,000 windows")
-_MASK_BYTES = sourced(1.0 / 8.0, "bytes/px", "of the mask on disk; another misstates space", "a bit a pixel")
 _HALVES = sourced(1.0 / 4.0, "share", "kept halved: less states the space too low", "1 of 2 x 2 pixels")
-_SOURCE_BYTES = tuned(0.05, "bytes/px", "of the packed frame indices: less states the space too low")
 
 
 _FRAMES_BYTES = sourced(0.45, "bytes/px", "of reduced frames and keypoints", "18 frames of 9 MP: 3.9 MB each")
-_SURFACE_BYTES = sourced(8.0, "bytes/px", "of a surface of 4 px cells on disk", "18 frames: 360 MB for 46 MP")
-_SURFACE_CELL_PX = tuned(4.0, "ground px", "cell for which `_SURFACE_BYTES` holds: another misstates them")
+_SURFACE_BYTES = sourced(128.0, "bytes/cell", "of a surface on disk", "18 frames: 360 MB for 2.9 million")
 
 
 @dataclass(frozen=True)
@@ -123,12 +119,11 @@ class SizeEstimate:
 
 @dataclass(frozen=True)
 class FilledPixels:
-    """The pixels of a grid: the share that images fill, and bytes of one. sources: whether frame indices are
-    kept; surface_cell_px: the side of the cells of a surface that is matched, None without one."""
+    """The pixels of a grid: the share that images fill, and bytes of one. surface_cell_px: the side of the
+    cells of a surface that is matched, None without one."""
 
     share: float
     pixel_bytes: int
-    sources: bool = False
     surface_cell_px: float | None = None
 
 
@@ -137,18 +132,15 @@ def estimate(grid: OutputGrid, of: FilledPixels, before: Before, threads: int) -
     pixels = float(grid.width_px) * float(grid.height_px)
     filled = of.share * pixels
     raw_gb = filled * of.pixel_bytes / 1e9
-    scratch = _HALVES * raw_gb + filled * (_MASK_BYTES + (_SOURCE_BYTES if of.sources else 0.0)) / 1e9
-    of_surface = 0.0
-    if of.surface_cell_px is not None:
-        of_surface = filled * (_SURFACE_CELL_PX / of.surface_cell_px) ** 2
-    scratch += (before.disk_bytes + _SURFACE_BYTES * of_surface) / 1e9
+    of_surface = 0.0 if of.surface_cell_px is None else filled / of.surface_cell_px**2
+    scratch = _HALVES * raw_gb + (before.disk_bytes + _SURFACE_BYTES * of_surface) / 1e9
     s = [
         before.core_s[k] + ((compose + write) * filled + surface * of_surface) / 1e6 / threads
         for k, (compose, write, surface) in enumerate(
             ((COMPOSE.least, WRITE.least, SURFACE.least), (COMPOSE.most, WRITE.most, SURFACE.most))
         )
     ]
-    memory = (before.memory_bytes + pixels / 512.0**2 * _PLANNED_BYTES) / 1e9
+    memory = before.memory_bytes / 1e9
     return SizeEstimate(
         width_px=grid.width_px,
         height_px=grid.height_px,
@@ -177,7 +169,6 @@ def estimate_scene(
             f"or --set mosaic.strips.max_gigapixels={math.ceil(gigapixels)}",
         )
     pixels = of.share * width_px * height_px
-    scratch = pixels * _MASK_BYTES
     memory = 2.0 * _PROGRAM_BYTES + SCENE_MEMORY.least * width_px
     raw_gb = pixels * of.pixel_bytes / 1e9
     packed_gb = PACKED.least * raw_gb, PACKED.most * raw_gb
@@ -187,7 +178,7 @@ def estimate_scene(
         height_px=height_px,
         gsd_m=None,
         filled_share=of.share,
-        scratch_gb=scratch / 1e9,
+        scratch_gb=0.0,
         mosaic_gb=packed_gb,
         parts_gb=(3.0 * packed_gb[0], 3.0 * packed_gb[1]) if on_map else (0.0, 0.0),
         memory_gb=(0.5e-9 * memory, (memory + SCENE_MEMORY.most * width_px) / 1e9),

@@ -13,6 +13,7 @@ from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frames import Decoded, decode
 from geomosaic.composition.hidden import Clear
 from geomosaic.composition.scene import Scene, margin_px
+from geomosaic.composition.tiles import TILE_PX
 from geomosaic.composition.tones import Tones, evened
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.visibility import FrameOnMap
@@ -22,7 +23,6 @@ from geomosaic.projection.lattice import WindowInFrame
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
 
 Floats32 = NDArray[np.float32]
-TILE_PX = tuned(512, "mosaic px", "resampled at once, each from its lattice: smaller is slower")
 
 _NODES_OFF_PX = tuned(1.0, "frame px", "tolerance past its nodes: less loses edge pixels; more takes time")
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.composition.limits import COARSER
 from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
@@ -18,7 +19,6 @@ MAX_GIGAPIXELS = tuned(100.0, "gigapixels", "1000 km² at 0.1 m; more is mostly 
 MOST_PIXELS_PER_FRAME_PIXEL = tuned(200.0, "1", "more is nearly empty; a diagonal line fills 1 %")
 _ROUNDED = tuned(0.05, "share", "off the frames' GSD, for two digits: below 0.048 some have none")
 _FINER = tuned(0.5, "frame GSDs", "warns below: four times the space for nothing; more warns too often")
-_COARSER = tuned(4.0, "frame GSDs", "warns above: 15 of 16 pixels are lost, mostly by a slip")
 _LEFT_OUT_SHARE = tuned(0.1, "share", "frames dropped as too far: more drops survey; less lets a few stop it")
 _STRETCHED = tuned(4.0, "grids", "growth by one frame that warns: less names line ends; more stays silent")
 
@@ -43,7 +43,7 @@ def far_from_own(gsd_m: float, ground_pixel_m: float) -> str:
     both = f"the mosaic's pixel is {gsd_m:.3g} m, the frames' own is {ground_pixel_m:.3g} m"
     if gsd_m < _FINER * ground_pixel_m:
         return f"{both}: it can't show more than the frames do, and takes room and time for nothing"
-    return f"{both}: most of what the frames show is lost" if gsd_m > _COARSER * ground_pixel_m else ""
+    return f"{both}: most of what the frames show is lost" if gsd_m > COARSER * ground_pixel_m else ""
 
 
 def output_grid(

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Final
 
 import cv2
 import numpy as np
@@ -13,9 +14,9 @@ from numpy.typing import NDArray
 
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.model import OutputGrid
-from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
+from geomosaic.composition.scene import CELL_PX, LEAST_CELL_PX, Scene, bounds_window, ground_of, margin_px
 from geomosaic.composition.views import FrameView
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.projection.horizon import hidden_m
 from geomosaic.projection.warp import frame_from_map
 from geomosaic.spread import Spread
@@ -23,13 +24,13 @@ from geomosaic.spread import Spread
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
-_SIDES_PX = sourced((8, 4, 2, 1), "mosaic px", "cells that divide planning cells", "mosaic.ownership: 8 px")
 _STEP_M = tuned(1.0, "m", "depth in an occlusion: less is kerbs and noise; more sees through sheds")
 _EDGE_M = tuned(0.25, "m", "depth at its edge: less frays it by noise; more shows roof edges twice")
 _LEAST_M2 = tuned(1.0, "m2", "of an occlusion or an island: smaller is noise, with visible seams")
 _ABOUT_CELLS = tuned(1, "cells", "added around: 0 doubles edges; simulated SSIM 0.759, with it 0.762")
 _PER_M = tuned(10.0, "steps per m", "of depth in a byte: fewer are coarse; more saturate at once")
-_BEYOND = sourced(255, "steps", "of a place that the frame does not show", "highest byte")
+_BEYOND: Final = int(np.iinfo(np.uint8).max)
+"""Of a place that the frame does not show."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,10 @@ def occluded_scene(scene: Scene, spread: Spread) -> tuple[Scene, tuple[Hidden, .
 
 def side_px_of(scene: Scene) -> int:
     """The side of the cells of what is hidden: as the ground's nodes lie, and a part of a planning cell."""
-    return next((s for s in _SIDES_PX if s * scene.grid.gsd_m <= 1.5 * scene.ground.spacing_m), 1)
+    side_px = LEAST_CELL_PX
+    while side_px > 1 and side_px * scene.grid.gsd_m > 1.5 * scene.ground.spacing_m:
+        side_px //= 2
+    return side_px
 
 
 def occlusion_depth(scene: Scene, side_px: int, view: FrameView) -> OcclusionDepth:

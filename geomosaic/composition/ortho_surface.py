@@ -18,8 +18,6 @@ _UNSURE_NODES = tuned(8.0, "node spacings", "deviation to smooth at: 6 cuts roof
 _WIDE_M = tuned(2.5, "m", "least width of a smoothed area: less smooths single crowns")
 _WIDE_NODES = tuned(12.0, "node spacings", "least width smoothed: 6 leaves 30.1 % wrong walls, not 23.9 %")
 _SMOOTHING_M = tuned(4.0, "m", "Gaussian: less still stretches what frames show; more makes woods lean")
-_APRON_M = tuned(2.0, "m", "from sure to smoothed heights: less makes a wall; more skips small woods")
-_SQUARE_M = tuned(1.0, "m", "smoothing grid, a quarter of the Gaussian: coarser shows; finer takes time")
 
 
 def ortho_surface(ground: GroundSurface) -> GroundSurface:
@@ -33,7 +31,7 @@ def ortho_surface(ground: GroundSurface) -> GroundSurface:
     inside_m = cv2.distanceTransform(unsure.view(np.uint8), cv2.DIST_L2, 5) * ground.spacing_m
     up = ground.up_m.astype(np.float32)
     smoothed = np.where(unsure, _smooth(up, ground.spacing_m), up)
-    up = filled(smoothed, ~unsure | (inside_m > _APRON_M))
+    up = filled(smoothed, ~unsure | (inside_m > _SMOOTHING_M / 2.0))
     return replace(ground, up_m=np.where(unsure, up, ground.up_m))
 
 
@@ -48,7 +46,7 @@ def _wide(flags: Bools, spacing_m: float) -> Bools:
 def _smooth(up: Floats32, spacing_m: float) -> Floats32:
     """Heights (rows, cols) without single ones that are far off, smoothed in squares."""
     rows, cols = up.shape
-    by = max(_SQUARE_M / spacing_m, 1.0)
+    by = max(_SMOOTHING_M / 4.0 / spacing_m, 1.0)
     size = max(round(cols / by), 1), max(round(rows / by), 1)
     small = cv2.medianBlur(cv2.resize(up, size, interpolation=cv2.INTER_AREA), 5)
     small = cv2.GaussianBlur(small, (0, 0), _SMOOTHING_M / (spacing_m * by), borderType=cv2.BORDER_REPLICATE)

@@ -11,22 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.composition.area import Area
+from geomosaic.composition.blends import HALO_PX
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.model import OutputGrid, Trimmed
-from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, distances_m, ground_of, margin_px
+from geomosaic.composition.scene import (
+    CELL_PX,
+    LEAST_CELL_PX,
+    Scene,
+    bounds_window,
+    distances_m,
+    ground_of,
+    margin_px,
+)
 from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.window import Window
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.projection.warp import frame_from_map
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-_LEAST_CELL_PX = tuned(8, "mosaic px", "finest cell: smaller follows leaves and takes long")
 _MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
 _CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
 _MOST_CELLS = tuned(16_000_000, "cells", "128 MB of owners: more take memory; fewer coarsen large mosaics")
 _APART = tuned(4, "cells", "between exact places: farther misses shutter turns by cells; nearer takes time")
-_AROUND_AREA_PX = sourced(64, "mosaic px", "around an area: the reach of bands", "mosaic.blends")
 
 
 @dataclass(frozen=True)
@@ -126,7 +133,7 @@ def cell_px_of(scene: Scene) -> int:
     """The side of a mosaic's cells: a power of two."""
     grid = scene.grid
     across_px = [v.gsd_m / grid.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in scene.views]
-    longest_px, side = float(np.median(across_px)) if across_px else 0.0, _LEAST_CELL_PX
+    longest_px, side = float(np.median(across_px)) if across_px else 0.0, LEAST_CELL_PX
     while side < _MOST_CELL_PX and (
         longest_px >= 2 * side * _CELLS_ACROSS or grid.width_px * grid.height_px > _MOST_CELLS * side**2
     ):
@@ -248,7 +255,7 @@ def within(ownership: Ownership, area: Area) -> Ownership:
     """The ownership of a mosaic that is cut to an area: cells in it and about it, as far as blends look."""
     grid, side = ownership.grid, ownership.cell_px
     inside = area.cells(grid, Window(0, 0, grid.width_px, grid.height_px), side)
-    reach = 2 * (-(-_AROUND_AREA_PX // side) + 1) + 1
+    reach = 2 * (-(-HALO_PX // side) + 1) + 1
     about = cv2.dilate(inside.view(np.uint8), np.ones((reach, reach), np.uint8)) > 0
     return replace(ownership, owner=np.where(about, ownership.owner, np.int32(0)), area=area)
 

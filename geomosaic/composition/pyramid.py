@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 
 from geomosaic.composition.tiles import TILE_PX, Flags, PackedTile, TileKind
 from geomosaic.composition.window import Window
-from geomosaic.constants import tuned
-
-_MOST_OVERVIEWS = tuned(7, "halvings", "of a 512-row block, then four rows: more would leave it none")
 
 
 @dataclass
@@ -53,7 +50,7 @@ class RasterPyramid:
         while True:
             shape = -(-height // TILE_PX), -(-width // TILE_PX)
             self.levels.append(RasterLevel(width, height, np.zeros((*shape, 3), np.int64)))
-            if not overviews or shape == (1, 1) or len(self.levels) > _MOST_OVERVIEWS:
+            if not overviews or shape == (1, 1):
                 break
             width, height = -(-width // 2), -(-height // 2)
         self._lock, self._end = threading.Lock(), 0

@@ -14,7 +14,7 @@ from geomosaic.composition.ownership import Ownership, frame_cells
 from geomosaic.composition.scene import Scene, bounds_window, distances_m
 from geomosaic.composition.tones import Tones, evened
 from geomosaic.composition.views import FrameView
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.projection.resample import resample
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
@@ -30,8 +30,6 @@ _HIGH_M = tuned(2.0, "m", "least height of an object: cars lean too little; a st
 _WIDEST_M = tuned(60.0, "m", "widest object: less misses halls; more takes hills for objects")
 _FINE_M = tuned(2.0, "m", "coarsest node spacing that shows houses: coarser surfaces show ridges")
 _SOME = tuned(4, "cells", "between samples of brightness: all would take longer than the cut")
-_LEAST_WHITE = tuned(1e-6, "values", "divisor of black images: 0 divides by zero")
-_WHITE = sourced(255.0, "grey levels", "of 8 bits, the scale on which values are compared", "definition")
 
 
 @dataclass(frozen=True)
@@ -185,8 +183,9 @@ def to_8_bits(parts: Sequence[SeamPart]) -> np.float32:
     """What takes values to a scale of 8 bits."""
     every = slice(None, None, _SOME)
     some = [p.values[every, every][p.may[every, every]] for p in parts]
-    white = max((float(np.quantile(of, 0.99)) for of in some if of.size), default=_WHITE)
-    return np.float32(1.0 if white <= _WHITE and white > 1.0 else _WHITE / max(white, _LEAST_WHITE))
+    most = float(np.iinfo(np.uint8).max)
+    white = max((float(np.quantile(of, 0.99)) for of in some if of.size), default=most)
+    return np.float32(1.0 if white <= 0.0 or 1.0 < white <= most else most / white)
 
 
 def _areas(nearest: Ownership, scene: Scene) -> NDArray[np.intp]:

@@ -14,7 +14,6 @@ from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 
 _MOST_LABELS = tuned(4_000_000, "cells", "of the outlined raster, 16 MB: fewer are coarse; more take time")
-_SIMPLIFY_LABELS = tuned(1.0, "cells", "of an outline's simplification: less leaves stairs; more moves it")
 _MOST_LISTED = tuned(20, "holes", "largest ones listed: more are not looked at")
 
 
@@ -55,7 +54,7 @@ class SeamLabels:
         if not rough:
             return ()
         lines = shapely.line_merge(shapely.unary_union(shapely.boundary(rough)))
-        smooth = shapely.simplify(shapely.get_parts(lines), _SIMPLIFY_LABELS * cell_m)
+        smooth = shapely.simplify(shapely.get_parts(lines), cell_m)
         faces = shapely.get_parts(shapely.polygonize(shapely.get_parts(shapely.unary_union(smooth))))
         by_frame: dict[int, list[shapely.Polygon]] = {}
         for face in faces:

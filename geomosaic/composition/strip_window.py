@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,14 +12,12 @@ from geomosaic.ccd.layout import StripLookup
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.composition.strip_lines import LineBlock
 from geomosaic.composition.strip_taps import between
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
 Floats32 = NDArray[np.float32]
 _ROWS = tuned(32, "px", "resampled at once: more do not fit a processor's cache")
 _STRETCHES = tuned(64, "stretches", "in a piece, as wide as a TH-1 strip: more widen its weights")
-_STRETCH_PX = tuned(64, "px", "most columns with one shift: more save little and exceed narrow parts")
-_ALIKE_PX = sourced(1.0 / 32.0, "px", "slope in one shift: more shows at seams", "OpenCV: cv2.INTER_TAB_SIZE")
-_BEYOND_PX = tuned(64.0, "px", "past a strip's edge, still computed: less loses half a stretch; more is slow")
+_STRETCH_PX = tuned(64, "px", "most columns with one shift, computed past an edge: more save little")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,7 @@ def _off(knots_px: Floats, image_px: Floats, lines: LineBlock) -> Floats:
     """
     col, line = image_px
     height, width = lines.pixels.shape
-    near = _within(col, width, _BEYOND_PX) & _within(line - lines.first, height, _BEYOND_PX)
+    near = _within(col, width, _STRETCH_PX) & _within(line - lines.first, height, _STRETCH_PX)
     off = np.stack([col - knots_px, line - (np.arange(len(line))[:, None] + 0.5)])
     if near.all():
         return off
@@ -91,7 +90,7 @@ def _stretch(knots_px: Floats, off_px: Floats) -> int:
     """How many columns lie off their places alike, by the steepest slope between knots."""
     steepest = np.abs(np.diff(off_px, axis=2) / np.diff(knots_px)).max()
     stretch = _STRETCH_PX
-    while stretch > 1 and steepest * stretch > _ALIKE_PX:
+    while stretch > 1 and steepest * stretch * cv2.INTER_TAB_SIZE > 1.0:
         stretch //= 2
     return stretch
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
 
-TILE_PX = sourced(512, "px", "GeoTIFF tile: smaller is more to look up; larger more to read", "GDAL: COG")
+TILE_PX = sourced(512, "px", "of the file, blended and resampled at once; larger takes memory", "GDAL: COG")
 _EFFORT = tuned(2, "ISA-L level", "1 gains 1 % less; 3 takes a quarter longer for half a percent")
 Flags = NDArray[np.bool_]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import cv2
 import numpy as np
@@ -12,11 +13,12 @@ from scipy.sparse.linalg import spsolve
 
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
-from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import cauchy_weight
 
-_WHITE = sourced(256.0, "grey levels", "white of the tone curve: 255 cannot move", "number of grey levels")
+_WHITE: Final = float(np.iinfo(np.uint8).max + 1)
+"""Of the tone curve of pictures: the highest grey level itself could not move."""
 _GAIN_SD = tuned(0.2, "log brightness", "prior, half a stop: less forbids exposure; more follows noise")
 _SLOPE_SD = tuned(0.1, "log brightness", "prior, middle to corner: 10 % by the sun's side")
 _VIGNETTE_SD = tuned(0.5, "log brightness", "prior, middle to corner: half at most")

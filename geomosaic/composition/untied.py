@@ -9,10 +9,7 @@ import shapely
 
 from geomosaic.composition.limits import Limits
 from geomosaic.composition.views import FrameView, SeenPart, seen_part
-from geomosaic.constants import sourced
 from geomosaic.projection.ground import GroundSurface
-
-_MOST = sourced(0.5, "share of a frame", "from here on most of it counts", "majority")
 
 
 def needless(
@@ -37,9 +34,9 @@ def needless(
     shown = shapely.union_all([outline(seen(view)) for view in views if tied[view.frame]])
 
     def needed(part: SeenPart) -> bool:
-        if part.quality is not None and np.mean(part.quality >= 1.0) < _MOST:
+        if part.quality is not None and np.mean(part.quality >= 1.0) < 0.5:
             return False
         land = outline(part)
-        return not shapely.intersection(land, shown).area >= _MOST * land.area > 0.0
+        return not shapely.intersection(land, shown).area >= 0.5 * land.area > 0.0
 
     return frozenset(frame for frame, part in alone.items() if not needed(part))

@@ -8,6 +8,7 @@ import stat
 from pathlib import Path
 from typing import Final
 
+from geomosaic.constants import tuned
 from geomosaic.errors import FileError
 
 RUN_MARKER: Final = ".geomosaic.json"
@@ -67,6 +68,9 @@ def check_regular(path: Path, fix: str, named: str = "") -> None:
         kind = next((kind for is_kind, kind in _KINDS if is_kind(mode)), "something else")
         fix = "write what it gives to a file first" if stat.S_ISFIFO(mode) else fix
         raise FileError(f"is no regular file but {kind}{named}", file=file, fix=fix)
+
+
+TEXT_BYTES = tuned(64 << 20, "bytes", "of a table: 200,000 lines of 300 characters; more is something else")
 
 
 def read_bytes(path: Path, most_bytes: int, kind: str, fix: str) -> bytes:

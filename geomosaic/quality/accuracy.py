@@ -9,26 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, GroundPlaces
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
 from geomosaic.quality.check_points import CheckPoints, check_points
+from geomosaic.quality.figures import circle_of, interval_of
 
 Floats = NDArray[np.float64]
 NOT_STATED: Final = float("nan")
 _ASPRS = "ASPRS Positional Accuracy Standards, edition 2 (2023)"
-CE90 = sourced(1.5175, "times RMSE_H", "circle that holds 90 %", "2.1460 / sqrt(2), normal and circular")
-CE95 = sourced(1.7308, "times RMSE_H", "circle that holds 95 %", "NSSDA (FGDC-STD-007.3), 2.4477 / sqrt(2)")
-LE90 = sourced(1.6449, "times RMSE_V", "interval that holds 90 %", "normal distribution")
-LE95 = sourced(1.9600, "times RMSE_V", "interval that holds 95 %", "NSSDA (FGDC-STD-007.3)")
 LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservation is stated", _ASPRS)
 LEAST_POINTS = tuned(3, "check or control points", "fewer say less than the covariance does")
 _OVER_M = tuned(100.0, "m", "length of the distances that are stated beside the whole map's")
-_ABOUT = tuned((0.7, 1.4), "times that length", "distances that count; closer bounds find too few")
 _PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; less is called right elsewhere")
 _RTK_M = tuned(0.3, "m", "stated deviation below which positions are of carrier phases: code GNSS is above")
 _GNSS_M = tuned(3.0, "m", "deviation of a coordinate by code GNSS; less would call most flights doubtful")
 _PERMILLE = tuned(3.0, "per mille", "of distances in a map by code GNSS: 30 cm over 100 m")
 _EXACT = tuned(1e-3, "share of the shift", "least scatter beside it, for a distribution with a width")
-_MEDIAN_LENGTH = sourced(1.1774, "deviations of a coordinate", "median length of a plane error", "Rayleigh")
 
 
 @dataclass(frozen=True)
@@ -53,7 +48,7 @@ class AbsoluteAccuracy:
         """
         shift_m = float(np.hypot(*self.shift_m[:2]))
         if not shift_m > 0.0:
-            return CE90 * self.rmse_h_m
+            return circle_of(0.9) * self.rmse_h_m
         from scipy.stats import rice  # half a second, which few runs need
 
         sd_m = np.sqrt(max(self.rmse_h_m**2 - shift_m**2, (_EXACT * shift_m) ** 2) / 2.0)
@@ -65,7 +60,7 @@ class AbsoluteAccuracy:
         `ce90_m`."""
         shift_m = abs(float(self.shift_m[2]))
         if not shift_m > 0.0:
-            return LE90 * self.rmse_v_m
+            return interval_of(0.9) * self.rmse_v_m
         from scipy.stats import foldnorm
 
         sd_m = np.sqrt(max(self.rmse_v_m**2 - shift_m**2, (_EXACT * shift_m) ** 2))
@@ -142,7 +137,7 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float, *, placed: b
     has the errors of two frames in it, as a distance between places of two frames does. placed: whether
     positions or control points place the map in the world; else its absolute accuracy is not stated.
     """
-    local_m2 = 2.0 * (np.nan_to_num(seam_px) * pixel_m / _MEDIAN_LENGTH) ** 2
+    local_m2 = 2.0 * (np.nan_to_num(seam_px) * pixel_m / MEDIAN_LENGTH) ** 2
     places, figures = adjusted.places, check_points(adjusted.control)
     absolute = _estimated(places if placed else None, local_m2 / 2.0)
     if figures is not None and figures.count >= LEAST_POINTS:
@@ -220,7 +215,7 @@ def _relative(places: GroundPlaces | None, local_m2: float) -> RelativeAccuracy:
     whole_m = float(length_m.max())
 
     def rmse_m(over_m: float) -> float:
-        near = (length_m > _ABOUT[0] * over_m) & (length_m < _ABOUT[1] * over_m)
+        near = (length_m**2 > over_m**2 / 2.0) & (length_m**2 < 2.0 * over_m**2)
         return float(np.sqrt(np.maximum(variance_m2[near], 0.0).mean())) if near.any() else NOT_STATED
 
     scale = places.similar()[:, 2]

@@ -33,9 +33,6 @@ Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 _BLOCK = tuned(256, "cells", "side of a block, 19 MB of covariances: more take memory; fewer cost calls")
-_WITHIN = tuned(
-    (0.5, 0.0, 0.999), "sides", "where a cell's frame is looked up, the middle first, to its edges"
-)
 
 
 @dataclass(frozen=True)
@@ -136,9 +133,9 @@ class AccuracyCells:
         """The frame plus 1 that gives the middle of each cell, or else any of it; 0 outside the mosaic."""
         owner, side = self.ownership.owner, self.ownership.cell_px
         found = np.zeros((window.height, window.width), dtype=np.intp)
-        for down, across in product(_WITHIN, repeat=2):
-            rows = ((window.row + np.arange(window.height) + down) * self.by).astype(np.intp) // side
-            cols = ((window.col + np.arange(window.width) + across) * self.by).astype(np.intp) // side
+        for down, across in product((self.by // 2, 0, self.by - 1), repeat=2):
+            rows = ((window.row + np.arange(window.height)) * self.by + down) // side
+            cols = ((window.col + np.arange(window.width)) * self.by + across) // side
             there = owner[np.ix_(rows.clip(0, owner.shape[0] - 1), cols.clip(0, owner.shape[1] - 1))]
             np.copyto(found, there, where=found == 0)
         if self.ownership.area is not None:

@@ -14,6 +14,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.constants import sourced, tuned
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import footprint, ground_from_image
+from geomosaic.survey.extent import TOO_FAR_M
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -21,7 +22,6 @@ _CELLS = tuned(8, "cells", "per frame side: fewer hide a pond; more empty good g
 _SEEN_BY = tuned(2, "frames", "others that see the ground: fewer expect ties at single coverage")
 _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: land up to 3 %, water 75 %")
 _BARE_PART = tuned(0.1, "share", "of a frame in one piece, six cells: less reports chance")
-_FARTHEST_M = tuned(1e6, "m", "from a survey's centre: farther is beyond any horizon")
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class BareGround:
     @cached_property
     def parts(self) -> list[Any]:
         """Polygons of ground without tie points, the largest first: where no frame has any."""
-        known = (np.abs(self.corners_m) < _FARTHEST_M).all(axis=(2, 3))
+        known = (np.abs(self.corners_m) < TOO_FAR_M).all(axis=(2, 3))
         bare = shapely.union_all(_squares(self.corners_m[known & self.seen & ~self.tied]))
         tied = _squares(self.corners_m[known & self.tied])
         adjacent = shapely.union_all(tied[shapely.STRtree(tied).query(bare, "intersects")])

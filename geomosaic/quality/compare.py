@@ -15,6 +15,7 @@ from rasterio.windows import Window
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.quality.compared_block import (
+    GLANCE_PX,
     ComparedBlock,
     ComparisonOptions,
     compare_block,
@@ -27,7 +28,6 @@ from geomosaic.quality.ssim import SsimTerms, pooled
 
 Floats = NDArray[np.float64]
 
-_BLOCK_PX = tuned(1536, "px", "compared at once: smaller reads margins twice; larger takes memory")
 _FAR_SCALE = tuned(0.2, "share", "change of scale that no two images of one ground have: more admits chance")
 
 
@@ -89,7 +89,7 @@ def compare(
         _, metres = pixel_m(a, mosaic)
         pair = stack.enter_context(on_grid_of(a, b, reference))
         step_px = options.step_px
-        side = max(step_px, _BLOCK_PX // step_px * step_px)
+        side = max(step_px, GLANCE_PX // step_px * step_px)
         windows = list(blocks(a.height, a.width, side) if parts is None else parts)
         if not windows:
             raise InputError(

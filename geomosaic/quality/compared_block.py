@@ -22,7 +22,7 @@ from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_t
 
 Floats = NDArray[np.float64]
 
-_GLANCE_PX = tuned(1024, "px", "reduced images for one gain and offset: larger takes time to read")
+GLANCE_PX = tuned(1024, "px", "read at once: smaller reads margins twice; larger takes memory")
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def compared_tones(
 
     Raises: `FileError` where the mosaic has none.
     """
-    scale = max(1.0, *(np.sqrt(len(windows)) * max(w.width, w.height) / _GLANCE_PX for w in windows))
+    scale = max(1.0, *(np.sqrt(len(windows)) * max(w.width, w.height) / GLANCE_PX for w in windows))
     read: list[list[Any]] = []
     for window in windows:
         shape = max(1, round(window.height / scale)), max(1, round(window.width / scale))

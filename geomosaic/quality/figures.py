@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +56,17 @@ class Figures:
     after_similarity_px: float
     jump_99_px: float
     jump_rms_px: float
+
+
+def circle_of(share: float) -> float:
+    """Radius, in horizontal RMSE, of the circle that holds a share of normal errors, equal east and north
+    (Rayleigh's distribution; NSSDA, FGDC-STD-007.3)."""
+    return math.sqrt(-math.log1p(-share))
+
+
+def interval_of(share: float) -> float:
+    """Half of the interval, in deviations, that holds a share of normal errors."""
+    return NormalDist().inv_cdf((1.0 + share) / 2.0)
 
 
 def best_similarity(at_m: Floats, displacement_m: Floats) -> tuple[Similarity, Floats]:

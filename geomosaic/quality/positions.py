@@ -12,14 +12,11 @@ import numpy as np
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import tuned
-from geomosaic.doors.files import read_text
+from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.geodesy.local import LocalFrame
 
 _NUMBERS = ("lon_deg", "lat_deg", "height_ellipsoidal_m", "yaw_deg", "pitch_deg", "roll_deg")
-
-_MAX_BYTES = tuned(64 << 20, "bytes", "200,000 frames: less refuses surveys; more lets a file fill memory")
 
 
 def read_poses(path: Path, names: Sequence[str], work_frame: LocalFrame) -> Poses:
@@ -48,7 +45,7 @@ def read_poses(path: Path, names: Sequence[str], work_frame: LocalFrame) -> Pose
 
 
 def _rows(path: Path) -> dict[str, list[float]]:
-    text = read_text(path, _MAX_BYTES, "a positions.csv", "give a positions.csv")
+    text = read_text(path, TEXT_BYTES, "a positions.csv", "give a positions.csv")
     try:
         reader = csv.DictReader(io.StringIO(text, newline=""))
         columns, rows = reader.fieldnames or (), list(reader)

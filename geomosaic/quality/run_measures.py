@@ -16,7 +16,7 @@ from rasterio import Affine
 from rasterio.features import geometry_mask
 from rasterio.windows import Window
 
-from geomosaic.constants import sourced
+from geomosaic.constants import MEDIAN_LENGTH
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.doors.vector import Shapes
 from geomosaic.errors import InputError
@@ -33,8 +33,6 @@ VOLUMES_ASSUMED: Final = (
     "a volume counts from the plane that fits the rim best; heights inside count as off by one error in "
     "common, those of the rim by another: the safe side"
 )
-_PER_AXIS = sourced(0.6006, "median mismatch", "a point's deviation along an axis", "1 / (2 sqrt(ln 2))")
-_ROUNDED = sourced(0.2887, "pixel", "deviation of a place read from pixels", "1 / sqrt(12)")
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,8 @@ def relative_sd_m(accuracy: Raster, summary: Mapping[str, Any], at_m: Floats) ->
     common_m = float(accuracy.tags(1).get("STATISTICS_MINIMUM", "nan"))
     gsd_m = float(summary.get("mosaic", {}).get("gsd_m", 0.0))
     seams_px = summary.get("metrics", {}).get("seams", {}).get("median_px") or 0.0
-    own_m = np.hypot(_PER_AXIS * float(seams_px), _ROUNDED) * gsd_m
+    mismatch_px, rounding_px = float(seams_px) / (np.sqrt(2.0) * MEDIAN_LENGTH), 1.0 / np.sqrt(12.0)
+    own_m = np.hypot(mismatch_px, rounding_px) * gsd_m
     return np.asarray(np.sqrt(np.maximum(stated**2 - common_m**2, 0.0) + own_m**2))
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import printable
-from geomosaic.doors.plain import read_json
+from geomosaic.doors.plain import JSON_BYTES, read_json
 from geomosaic.errors import FileError
 
 
@@ -52,7 +52,6 @@ CRITERIA = (
     ScoreQuestion("overall", "The mosaic as a whole"),
 )
 
-_MOST_BYTES = tuned(64_000, "bytes", "of a scores file: the form saves some 500")
 _MOST_LETTERS = tuned(200, "letters", "of a run's or viewer's name: more do not fit a line")
 _FIX: Final = "give files that a report's score form saved"
 
@@ -78,7 +77,7 @@ class RunScores:
 
 def read_opinion(path: Path) -> Opinion:
     """A file of a report's form. Raises: `FileError` where it is anything else."""
-    content = read_json(path, _MOST_BYTES, "scores", _FIX)
+    content = read_json(path, JSON_BYTES, "scores", _FIX)
     given = content.get("scores") if isinstance(content, dict) else None
     if not isinstance(given, dict):
         raise FileError("holds no scores", file=path, fix=_FIX)

@@ -11,7 +11,7 @@ from geomosaic.adjustment.model import Adjusted, ImageResiduals
 from geomosaic.adjustment.problem.tracks import Tracks, nearest_to_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.quality.misalignment import pair_misalignments
@@ -20,13 +20,6 @@ Floats = NDArray[np.float64]
 
 DOWN_WEIGHTED = tuned(0.5, "full weight", "below, a tie point counts as down-weighted")
 SAMPLED_TIES = tuned(4000, "tie points", "shown in a plan, 100 KB: fewer hide where the ground has none")
-_MIX = sourced(
-    (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9),
-    "odd numbers",
-    "hash of frame, col and row, unique but by 1e-8",
-    "golden ratio; xxHash's primes 2, 5",
-)
-_SHIFT = sourced(29, "bits", "brings high bits down while hashing", "splitmix64: 27 to 31")
 
 
 def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, ...]:
@@ -34,29 +27,23 @@ def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, 
     took no part in it."""
     if image is None or not len(image.frame):
         return tuple(np.full(len(t), np.nan) for t in ties.pairs)
-    marks = _marks(image.frame, image.image_px)
-    order = np.lexsort((marks, image.frame))
-    frames, marks, weights = image.frame[order], marks[order], image.weight[order]
+    order = np.lexsort((*image.image_px.T[::-1], image.frame))
+    frames, marks, weights = image.frame[order], _marks(image.image_px[order]), image.weight[order]
     out = []
     for t in ties.pairs:
         sides = []
         for frame, px in ((t.left, t.left_px), (t.right, t.right_px)):
             first, end = np.searchsorted(frames, (frame, frame + 1))
-            mine = _marks(np.full(len(px), frame), px)
+            mine = _marks(px)
             at = np.minimum(first + np.searchsorted(marks[first:end], mine), len(marks) - 1)
             sides.append(np.where(marks[at] == mine, weights[at], np.nan))
         out.append(np.fmin(*sides))
     return tuple(out)
 
 
-def _marks(frame: NDArray[np.intp], px: Floats) -> NDArray[np.uint64]:
-    """One number for each observation, (k,): frame, col and row, mixed."""
-    places = np.ascontiguousarray(px.T, np.float64).view(np.uint64)
-    mixed = np.zeros(len(px), dtype=np.uint64)
-    for part, odd in zip((frame.astype(np.uint64), *places), _MIX, strict=True):
-        mixed = (mixed ^ part) * np.uint64(odd)
-        mixed ^= mixed >> np.uint64(_SHIFT)
-    return mixed
+def _marks(px: Floats) -> NDArray[np.complex128]:
+    """One number for each observation (k, 2) of a frame, in the order of cols, then rows."""
+    return np.ascontiguousarray(px, np.float64).view(np.complex128)[:, 0]
 
 
 def pose_columns(poses: Poses) -> dict[str, Floats]:

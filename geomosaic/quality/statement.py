@@ -9,8 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from geomosaic.quality.accuracy import (
-    CE95,
-    LE95,
     LEAST_CHECK_POINTS,
     AbsoluteAccuracy,
     Accuracy,
@@ -18,6 +16,7 @@ from geomosaic.quality.accuracy import (
     Requirement,
     metres,
 )
+from geomosaic.quality.figures import circle_of, interval_of
 from geomosaic.quality.seam_check import SeamCheck
 
 _STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
@@ -127,10 +126,10 @@ def reported(accuracy: Accuracy, required: Requirement) -> dict[str, Any]:
         "absolute": {
             "rmse_h_m": absolute.rmse_h_m,
             "ce90_m": absolute.ce90_m,
-            "ce95_m": CE95 * absolute.rmse_h_m,
+            "ce95_m": circle_of(0.95) * absolute.rmse_h_m,
             "rmse_v_m": absolute.rmse_v_m,
             "le90_m": absolute.le90_m,
-            "le95_m": LE95 * absolute.rmse_v_m,
+            "le95_m": interval_of(0.95) * absolute.rmse_v_m,
             "how": absolute.how,
             "check_points": absolute.check_points,
             "shift_m": absolute.shift_m.tolist(),

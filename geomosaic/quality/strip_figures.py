@@ -14,11 +14,11 @@ import numpy as np
 
 from geomosaic.ccd.model import LABELS, MEASURED, Flags, Floats, StripOffsets
 from geomosaic.constants import sourced, tuned
+from geomosaic.quality.figures import interval_of
 from geomosaic.survey.strips import StripGeometry
 
 LIMIT_PX = sourced(1.0, "px", "misplacement of a bad scene", "Cheng et al. 2018, SRRS 39(2), table 1")
 SEGMENT_LINES = tuned(512, "lines", "of one RMS: longer drowns a fault; shorter lets chance decide")
-_INTERVAL_90 = sourced(1.6449, "deviations", "half of a normal's 90 % interval", "Phi^-1(0.95)")
 _LEAST_LINES = tuned(32, "lines", "known of a segment: fewer let a patch decide; more leave it unjudged")
 
 
@@ -124,7 +124,7 @@ def scene_errors(offsets: StripOffsets, truth: Mapping[int, Floats], geometry: S
         error = np.where(seen[:, None], found - true, np.nan)
         sd = np.stack([pair.sd_col_px, pair.sd_line_px], axis=1)
         errors.append(error)
-        inside.append((np.abs(error) <= _INTERVAL_90 * sd)[seen])
+        inside.append((np.abs(error) <= interval_of(0.9) * sd)[seen])
         labels.append(pair.label[seen])
         measured.append(np.hypot(*error.T)[seen & (pair.label == MEASURED)])
     within, label = np.concatenate(inside), np.concatenate(labels)
@@ -157,7 +157,7 @@ def misplacement_rate(scenes: Sequence[AssessedScene]) -> MisplacementRate:
     n, k, unknown = len(known), sum(known), len(scenes) - len(known)
     if n == 0:
         return MisplacementRate(0, 0, np.nan, np.nan, np.nan, unknown)
-    z = 1.96
+    z = interval_of(0.95)
     middle = (k + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * float(np.sqrt(k * (n - k) / n + z * z / 4))
     return MisplacementRate(n, k, k / n, max(middle - half, 0.0), min(middle + half, 1.0), unknown)

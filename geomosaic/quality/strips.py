@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +36,13 @@ from geomosaic.quality.strip_resampling import resampled_onto
 
 BLOCK_LINES = tuned(64, "lines", "of one residual: fewer do not hold two rows of patches; more lose jitter")
 _PIECE_LINES = tuned(64 * BLOCK_LINES, "lines", "read at once: more take memory; fewer read margins twice")
-_MARGIN_LINES = tuned(2 * BLOCK_LINES, "lines", "around a piece: less loses patches at its ends")
 _PATCH_PX = tuned(28, "px", "three fit an overlap of 96 px: smaller match by chance; larger leave few")
-_SEARCH_PX = tuned(14, "px", "farther is not found: less misses offsets; more finds chance peaks")
+_MARGIN_LINES: Final = 2 * BLOCK_LINES
+"""Around a piece."""
+_SEARCH_PX: Final = _PATCH_PX // 2
+_AGREE_PX: Final = 0.5 * LIMIT_PX
+"""Between patches: half of the limit."""
 _LEAST_CORRELATION = tuned(0.5, "1", "of a patch: less confuses cloud and ground; more loses low contrast")
-_AGREE_PX = tuned(0.5, "px", "between patches, half of the limit: less parts by noise; more joins clouds")
 _LEAST_AGREEING = tuned(0.75, "share", "of a block's patches: less mixes clouds in; 1 fails by one patch")
 _LEAST_PATCHES = tuned(2, "patches", "that agree in a block: one always does; more lose narrow overlaps")
 _LEAST_SD_PX = tuned(0.01, "px", "of a patch: less lets a few decide; more weighs all alike")

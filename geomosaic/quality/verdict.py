@@ -19,11 +19,11 @@ from geomosaic.quality.check_points import check_points
 from geomosaic.quality.criteria import ASKED, CRITERIA, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
+from geomosaic.survey.names import some
 
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
 _ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
 _CHANCE = sourced(0.05, "share", "of medians below their lower limit", "the usual one-sided level")
-_NAMED = tuned(3, "frames", "named in a line; more fill it")
 OF_LAND: Final = ("ground unknown", "rim", "surface unsure")
 _WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
 
@@ -130,19 +130,13 @@ def _effect(of: Evidence, adjusted: Adjusted, seen: VerdictInputs, required: Req
         ends = [seen.names[int(side[worst])] for side in (seen.seams.left, seen.seams.right) if seen.names]
         said += [f"most between {' and '.join(ends)}"] * bool(ends)
     elif of.name == "frames not tied" and seen.names:
-        said.append(_some([seen.names[i] for i in sorted(seen.land) if adjusted.status[i] != "tied"]))
+        said.append(some([seen.names[i] for i in sorted(seen.land) if adjusted.status[i] != "tied"]))
     elif of.name in OF_LAND:
         said.append("accuracy.tif shows where")
     elif of.name == "control points":
         off = {p.name: np.nanmax(np.abs(p.residual_m / p.sd_m)) for p in adjusted.control if not p.check}
         said.append(f"most at {max(off, key=lambda name: off[name])}")
     return ", ".join(said)
-
-
-def _some(names: Sequence[str]) -> str:
-    """The first of them, and how many more."""
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
 
 
 def _judged(name: str, value: float, required: Requirement, pixel_m: float) -> Evidence:

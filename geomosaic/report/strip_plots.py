@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.ccd.model import MEASURED, UNRELIABLE, Floats, PairOffsets
+from geomosaic.quality.figures import interval_of
 from geomosaic.quality.jitter import Spectrum
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
 from geomosaic.quality.strips import StripQuality
@@ -15,7 +16,6 @@ from geomosaic.report.plots import LEFT, RIGHT, Axis, PlotFrame, Scale, Series, 
 from geomosaic.report.svg import COLOURS, DASHES, document, nice_ticks, points, tag, text
 
 _MOST_POINTS = 2000
-_INTERVAL_90 = 1.6449
 _TOP, _PANEL, _GAP, _BOTTOM = 30.0, 112.0, 14.0, 62.0
 _LABEL_COLOURS = {1: COLOURS[4], 2: COLOURS[1]}
 _PAIR_COLOURS = (COLOURS[0], COLOURS[2], COLOURS[3], COLOURS[4], COLOURS[5], COLOURS[6])
@@ -96,7 +96,7 @@ def _thinned(pair: PairOffsets) -> tuple[Floats, Floats, Floats, NDArray[np.int6
         return np.empty(0), np.empty((0, 2)), np.empty((0, 2)), np.empty(0, dtype=np.int64)
     count = np.diff(starts, append=n)
     values = np.stack([pair.dcol_px, pair.dline_px], axis=1)
-    reach = _INTERVAL_90 * np.stack([pair.sd_col_px, pair.sd_line_px], axis=1)
+    reach = interval_of(0.9) * np.stack([pair.sd_col_px, pair.sd_line_px], axis=1)
     return (
         starts + count / 2.0,
         np.add.reduceat(values, starts, axis=0) / count[:, None],

@@ -14,7 +14,6 @@ from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.mosaic_compose import mosaic_compose
 from geomosaic.stages.mosaic_seams import mosaic_seams
 from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
 from geomosaic.stages.surface_dense import surface_dense
@@ -30,7 +29,7 @@ def mosaic_estimate(
     The pixel and the limit are mosaic.seams', the memory mosaic.compose's. It runs every time: the disk's
     room is of today.
     """
-    compose, seams = params_of(context, mosaic_compose), params_of(context, mosaic_seams)
+    seams = params_of(context, mosaic_seams)
     names = [f.name for f in survey.frames]
     cameras = [survey.camera_of(i) for i in range(len(names))]
     if not any(survey.located):
@@ -61,7 +60,6 @@ def mosaic_estimate(
     filled = FilledPixels(
         min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
         pixel_bytes,
-        compose.sources,
         params_of(context, surface_dense).cell_px if dense else None,
     )
     expected = estimate(

@@ -19,7 +19,7 @@ from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
 from geomosaic.survey.reflectance import RADIOMETRY
-from geomosaic.survey.small import HALF, LEAST_PX, Small, Spare, small_of
+from geomosaic.survey.small import Small, Spare, small_of
 from geomosaic.survey.strays import LEAVE_OUT
 from geomosaic.survey.usable import DAMAGED
 
@@ -48,8 +48,7 @@ def seen(looking: Looking) -> FirstLook:
     wholeness, half = looked_at(looking.path)
     if half is None:
         return FirstLook(wholeness, b"")
-    if HALF * min(half.shape[:2]) >= LEAST_PX:
-        looking.spare.leave(small_of(half))
+    looking.spare.leave(small_of(half))
     return FirstLook(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
 
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.surface.costs import PER_BIT, UNSEEN_COST
+from geomosaic.surface.edge_refinement import AROUND_CELLS
 
 Bytes = NDArray[np.uint8]
 Costs = NDArray[np.uint16]
 Steps = NDArray[np.int16]
 _SLOPE_BITS = tuned(1.5, "bits", "cost of one step: lower, noise becomes relief; higher, slopes are stairs")
 _JUMP_BITS = tuned(7.0, "bits", "cost of any jump: lower, single cells leap; higher, house edges are cut")
-_DISTINCT_CELLS = tuned(13, "cells", "window side of the distinctness test: smaller, chance matches pass")
 _SLOPE_COST: Final = np.uint8(PER_BIT * _SLOPE_BITS)
 _JUMP_COST: Final = np.uint8(PER_BIT * _JUMP_BITS)
 _TURN: Final = np.uint8(32)
@@ -134,7 +134,7 @@ def distinctness(costs: Bytes, total: Costs) -> NDArray[np.float32]:
     chosen = np.take_along_axis(costs, total.argmin(axis=0)[None], axis=0)[0]
     less = (costs.mean(axis=0, dtype=np.float32) - chosen) / np.float32(PER_BIT)
     less[chosen >= UNSEEN_COST] = 0.0
-    window = (_DISTINCT_CELLS, _DISTINCT_CELLS)
+    window = (AROUND_CELLS, AROUND_CELLS)
     return np.asarray(cv2.blur(less.astype(np.float32), window), dtype=np.float32)
 
 

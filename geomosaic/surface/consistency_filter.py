@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
+from geomosaic.surface.edge_refinement import AROUND_CELLS
 from geomosaic.surface.refinement import SURE, UNSEEN
 from geomosaic.surface.tile_sgm import TileHeights
 
@@ -21,12 +22,8 @@ _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 _SD_CELLS = tuned((1.0, 0.3, 0.15, 0.1, 0.05), "cells", "by correlation; 68 % of simulated ones are within")
 _WRONG = tuned((0.5, 0.35, 0.22, 0.12, 0.02), "share", "that have a step's other height, by correlation")
 _ASIDE_CELLS = tuned(0.3, "cells", "horizontal error: simulated crowns of slope 3 are off by 0.6 to 1.3")
-_AROUND_CELLS = tuned(
-    13, "cells", "window of steps and support: `edge_refinement`'s reach both ways, and itself"
-)
 _DISTINCT_BITS = tuned(4.5, "bits", "kept without correlation: simulated lakes stay below 4.6, woods do not")
 _WITNESSES = tuned(3, "frames", "for a cell kept by cost alone: two lift meadows at the rim by 14 to 24 m")
-_LEAST_VIEWS = sourced(2, "frames", "views that a match takes", "a pair")
 _SUPPORT = tuned(0.12, "share", "sure cells around: lakes reach 0.05, so less keeps waves; 0.25 loses groves")
 _LIKE_AROUND_CELLS = tuned(7, "cells", "window for equal sure cells: crowns vary too much over 13")
 _LIKE_CELLS = tuned(5.0, "cells", "range of equal heights: crowns rise by 2 to 3 a cell; 2.5 loses some")
@@ -81,14 +78,14 @@ def consistent_heights(
     east, north = cells.axes_m()
     base_m = base.up_at(east, north[:, None]).astype(np.float32)
     sure = (found.alike >= SURE).astype(np.float32)
-    support = cv2.blur(sure, (_AROUND_CELLS, _AROUND_CELLS), borderType=cv2.BORDER_CONSTANT)
+    support = cv2.blur(sure, (AROUND_CELLS, AROUND_CELLS), borderType=cv2.BORDER_CONSTANT)
     witnessed = found.seeing >= _WITNESSES
     distinct = witnessed & (found.distinct >= _DISTINCT_BITS)
     by_two = ~witnessed & (found.alike >= _LEAST_ALIKE) & (support >= _SURE_ABOUT_TWO)
     by_two &= _support_at_same_height(found, cells.cell_m) >= _SUPPORT_OF_TWO
     supported = by_two | (witnessed & (support >= _SUPPORT))
     kept = (supported | distinct) & (found.alike > UNSEEN)
-    views = np.where(kept, np.maximum(found.views, np.uint8(_LEAST_VIEWS) * (distinct | by_two)), np.uint8(0))
+    views = np.where(kept, np.maximum(found.views, np.uint8(2) * (distinct | by_two)), np.uint8(0))
     over_m = _bilateral(np.where(kept, found.up_m - base_m, np.float32(0.0)), cells.cell_m)
     sd_m = np.where(kept, _sd_m(found, cells.cell_m), np.float32(np.nan))
     inner = slice(RIM_CELLS, -RIM_CELLS), slice(RIM_CELLS, -RIM_CELLS)
@@ -118,9 +115,9 @@ def _sd_m(found: TileHeights, cell_m: float) -> Floats32:
     """Of matched heights: by how alike frames are, by the lean of the surface, by steps nearby."""
     own = cell_m * np.interp(found.alike, _ALIKE, _SD_CELLS)
     lean = np.hypot(*np.gradient(found.up_m))
-    element = np.ones((_AROUND_CELLS, _AROUND_CELLS), dtype=np.uint8)
+    element = np.ones((AROUND_CELLS, AROUND_CELLS), dtype=np.uint8)
     apart = cv2.dilate(found.up_m, element) - cv2.erode(found.up_m, element)
-    step = np.where(apart > _AROUND_CELLS * cell_m / 4.0, apart, np.float32(0.0))
+    step = np.where(apart > AROUND_CELLS * cell_m / 4.0, apart, np.float32(0.0))
     wrong = np.sqrt(np.interp(found.alike, _ALIKE, _WRONG)) * step
     return np.asarray(np.sqrt(own**2 + (_ASIDE_CELLS * lean) ** 2 + wrong**2), dtype=np.float32)
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.surface.census import NOT_SEEN, Bits
-from geomosaic.surface.plane_sweep import PlaneSweep
+from geomosaic.surface.census import BITS, NOT_SEEN, Bits
+from geomosaic.surface.plane_sweep import AT_ONCE, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
@@ -20,7 +20,8 @@ Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
 _MOST_BITS = tuned(14, "bits", "cap a frame: 12 differ by chance; lower, bad views count as mismatches")
 AGREEING = sourced(2, "frames", "best beside the first", "simulated towns: 1 to 3 % wrong roofs, 3: 2 to 7 %")
-CHANCE_BITS = sourced(12, "bits", "bits that differ by chance", "half of the census's")
+CHANCE_BITS: Final = BITS // 2
+"""That differ by chance."""
 _UNSEEN_BITS = tuned(8, "bits", "cost of a height that < 2 frames see: more favours seen ones; less unseen")
 _CHANCE_FRAMES = tuned(0.3, "frames", "weight of chance: with 0 one agreeing frame counts as two")
 PER_BIT: Final = 4
@@ -41,7 +42,6 @@ _COSTS: Final = np.array([_cost_of(*divmod(i, _PER_FRAME)) for i in range(256)],
 _COUNTED: Final = np.array([_PER_FRAME + min(bits, _MOST_BITS) for bits in range(256)], dtype=np.uint8)
 """One frame and its bits, by bits; nothing for none."""
 _COUNTED[_NONE] = 0
-_AT_ONCE = tuned(1 << 15, "points", "costs computed in one go: more do not fit a processor's cache")
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def census_costs(
     for at, frames in asked:
         if len(frames) < 2:
             continue
-        by = max(_AT_ONCE // steps[0][at].size, 1)
+        by = max(AT_ONCE // steps[0][at].size, 1)
         for first in range(0, len(steps), by):
             here = (slice(first, first + by), *at)
             height_m = heights.metres(here)

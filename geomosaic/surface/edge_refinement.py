@@ -21,7 +21,9 @@ from geomosaic.surface.visibility import Asked, hidden_from
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 _SIDES = tuned(0.7, "correlation", "to be offered to neighbours: 0.5 leaves 20 % wrong wall edges, not 18 %")
-_AROUND_CELLS = sourced(6, "cells", "reach of offers", "wrong wall edges: 2: 26 %, 4: 22 %, 6 to 10: 18 %")
+_REACH_CELLS = sourced(6, "cells", "reach of offers", "wrong wall edges: 2: 26 %, 4: 22 %, 6 to 10: 18 %")
+AROUND_CELLS: Final = 2 * _REACH_CELLS + 1
+"""Side of a window: the reach both ways and the cell itself."""
 _STEP_CELLS = tuned(2.5, "cells", "range that makes a step: less is slope and noise; 4 loses 1.5 % of crowns")
 _MOVES_CELLS = tuned(((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0)), "cells", "moves tried by round")
 _WINDOW = tuned(3, "half cells", "comparison window: larger cuts corners; 5 has 19 % wrong crowns, not 17")
@@ -29,7 +31,10 @@ _MOST_GREY = tuned(30, "grey levels", "cap, and value where unseen: higher lets 
 _KEPT_GREY = tuned(0.5, "grey levels", "gain that another height needs: 0 lets noise move cells")
 _DENSER: Final = 2
 """Windows' pixels along a cell's side."""
-_RIM_CELLS = sourced(2, "cells", "reach of windows past a square", "_WINDOW twice")
+_RIM_CELLS: Final = _WINDOW // 2 // _DENSER + 2
+"""Reach of windows past a square."""
+REFINED_CELLS: Final = _REACH_CELLS + _RIM_CELLS
+"""Reach of all that is refined."""
 _FAR_M: Final = np.float32(1e6)
 
 
@@ -40,7 +45,7 @@ def refine_edges(swept: SweptPictures, height_m: Floats32, alike: Floats32, aske
     there.
     """
     sure, cell_m = alike >= _SIDES, swept.sweep.cells.cell_m
-    window = np.ones((2 * _AROUND_CELLS + 1,) * 2, dtype=np.uint8)
+    window = np.ones((AROUND_CELLS, AROUND_CELLS), dtype=np.uint8)
     lowest = cv2.erode(np.where(sure, height_m, _FAR_M), window)
     highest = cv2.dilate(np.where(sure, height_m, -_FAR_M), window)
     lowest, highest = (np.where(abs(a) < _FAR_M, a, height_m).astype(np.float32) for a in (lowest, highest))

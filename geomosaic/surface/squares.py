@@ -11,15 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import tuned
-from geomosaic.surface.plane_sweep import Block, PlaneSweep
+from geomosaic.surface.plane_sweep import AT_ONCE, Block, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 SquareView = tuple[Bytes, Mask | None]
-_AT_ONCE = tuned(1 << 16, "points", "computed in one go: fewer cost calls; more do not fit a core's cache")
 _NOBODY: Final = -1
 
 
@@ -71,7 +69,7 @@ class Squares:
 
     def some(self, points: int) -> Iterator[Squares]:
         """A few at a time, of whose cells so many points each are looked at."""
-        count = max(_AT_ONCE // max(points * self._size[0] * self._size[1], 1), 1)
+        count = max(AT_ONCE // max(points * self._size[0] * self._size[1], 1), 1)
         for first in range(0, len(self), count):
             asked = self._asked[first : first + count]
             yield Squares(self._sweep, self._pictures, asked, self._rim, self._size)

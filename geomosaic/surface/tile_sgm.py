@@ -16,7 +16,7 @@ from geomosaic.surface.agreement import agreeing
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.census import Bits, census
 from geomosaic.surface.costs import SweepHeights, census_costs
-from geomosaic.surface.edge_refinement import refine_edges
+from geomosaic.surface.edge_refinement import REFINED_CELLS, refine_edges
 from geomosaic.surface.plane_sweep import PlaneSweep, SweepView
 from geomosaic.surface.refinement import UNSEEN, likeness, refined
 from geomosaic.surface.squares import SweptPictures
@@ -27,7 +27,6 @@ Bytes = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
 MARGIN_CELLS = tuned(16, "cells", "run-in of the paths: smaller makes tile borders visible")
-_LOOKED_AT_CELLS = tuned(8, "cells", "refined margin: the reach of `edge_refinement` and its windows")
 _NEAR_HEIGHTS = tuned(24, "heights", "least search around the coarse height: fewer lose masts and crown rims")
 _PAST_HEIGHTS = tuned(8, "heights", "search past the coarse range: fewer cut off what that level missed")
 _MOST_HEIGHTS = tuned(40, "heights", "cap at high walls: time is proportional; 64 gains less than 0.2 %")
@@ -97,7 +96,7 @@ def match_tile(
     """Heights of cells, by the frames that see them, two at least."""
     sweep = PlaneSweep(search.cells, base, frames, search.lowest_m, search.highest_m)
     seen = [p.census for p in pictures]
-    unrefined = MARGIN_CELLS - _LOOKED_AT_CELLS
+    unrefined = MARGIN_CELLS - REFINED_CELLS
     shapes = [p.grey.shape for p in pictures]
     asked: Asked = asked_frames(sweep, shapes, _BLOCK_CELLS, unrefined, _CANDIDATES)
     hidden: dict[int, Floats32] = {}

@@ -10,19 +10,13 @@ from typing import Any, Final
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS
-from geomosaic.constants import tuned
 from geomosaic.doors.files import printable
-from geomosaic.doors.plain import read_json, read_yaml, shown
+from geomosaic.doors.plain import JSON_BYTES, YAML_BYTES, read_json, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
 from geomosaic.survey.shutters import UNREPORTED_SD_S
 
-_MAX_BYTES = tuned(
-    {".json": 128 << 20, ".yaml": 256 << 10},
-    "bytes by suffix",
-    "JSON may be a whole reconstruction; YAML takes half a minute a megabyte",
-)
 _OPENSFM_MODELS: Final = {
     "perspective": "brown",
     "simple_radial": "brown",
@@ -63,8 +57,8 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
 
 def _load(path: Path) -> Any:
     if path.suffix.lower() == ".json":
-        return read_json(path, _MAX_BYTES[".json"], "a camera file", _FIX)
-    return read_yaml(path, _MAX_BYTES[".yaml"], "a camera file", _FIX)
+        return read_json(path, JSON_BYTES, "a camera file", _FIX)
+    return read_yaml(path, YAML_BYTES, "a camera file", _FIX)
 
 
 def _camera(name: str, entry: Entry, path: Path) -> Camera:

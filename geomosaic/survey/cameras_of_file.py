@@ -10,11 +10,11 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.cameras import CameraChoice, reported_camera, shutter_warnings
+from geomosaic.survey.focal_lengths import SAME_SHAPE
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Warn
 from geomosaic.survey.shutters import shutter
 
-_MAX_ASPECT_DIFFERENCE = tuned(0.003, "share", "of resized sides: more gives crops the whole lens")
 _UNLIKE_TAGS = tuned(1.5, "ratio", "camera file to tags: less rejects tags 5 % off; more accepts other units")
 
 
@@ -95,7 +95,7 @@ def _fitting(header: FrameHeader, cameras: Sequence[Camera], path: Path, wanted:
 
 def _same_shape(camera: Camera, header: FrameHeader) -> bool:
     scales = header.width_px / camera.width_px, header.height_px / camera.height_px
-    return abs(scales[0] / scales[1] - 1.0) <= _MAX_ASPECT_DIFFERENCE
+    return abs(scales[0] / scales[1] - 1.0) <= SAME_SHAPE
 
 
 def _scaled(camera: Camera, width_px: int, height_px: int, say_size: bool) -> Camera:

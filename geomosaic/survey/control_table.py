@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs
 from geomosaic.survey.head import has_numbers, names_known, read_head
@@ -34,7 +33,6 @@ ALIASES: Final[Aliases] = {
 """Columns of a table of control points; a point has one line per image it was measured in, or one."""
 
 GIVE_CRS: Final = "write the EPSG code of x and y in the first line of the --gcp file, such as EPSG:n"
-_MOST_LINES = tuned(200_000, "lines", "most points in ten images each: more is another kind of file")
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 _MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(?=\s|$)", re.IGNORECASE)
 """Of a line of gcp_list.txt what stands before the image, and the image up to its extension."""
@@ -45,7 +43,7 @@ def control_table(path: Path, frames: FrameNames) -> tuple[ParsedTable, StatedCr
 
     Raises: `InputError` naming the file, the line and the fix.
     """
-    lines = read_lines(path, _MOST_LINES, "measurements")
+    lines = read_lines(path, "measurements")
     if not lines:
         raise InputError("the file of control points is empty", file=path, fix="give a line per measurement")
     stated, lines = read_head(path, lines, ALIASES, GIVE_CRS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,8 @@ from geomosaic.survey.model import ElevationModel, Warn
 Floats = NDArray[np.float64]
 _MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
 _AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills and spikes at its edge")
-_METRES = tuned(
-    {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0},
-    "m by unit",
-    "names of the metre, and none; a DEM in other units is refused",
-)
+_METRES: Final = frozenset({"", "m", "metre", "meter", "metres", "meters"})
+"""Names of the metre, and none; a DEM in other units is refused."""
 
 
 @dataclass(frozen=True)
@@ -182,11 +180,11 @@ def _part(start: int, size: int, wanted_start: int, wanted_size: int, count: int
 
 
 def _read(source: Raster, window: Window, shape: tuple[int, ...], how: Resampling) -> Floats:
-    """Heights as the band's scale, offset and unit have them, NaN where there are none."""
+    """Heights as the band's scale and offset have them, NaN where there are none."""
     band = source.read(1, window=window, out_shape=shape, masked=True, resampling=how)
     heights = band.astype(np.float64).filled(np.nan) * source.scales[0] + source.offsets[0]
     heights[~np.isfinite(heights)] = np.nan
-    return np.asarray(heights * _METRES[(source.units[0] or "").lower()])
+    return np.asarray(heights)
 
 
 def _counted(values: Floats) -> tuple[tuple[float, int], ...]:

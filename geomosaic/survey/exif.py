@@ -11,10 +11,9 @@ from typing import Any, Final
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import printable
-from geomosaic.survey.exif_tags import Tags, tags_from_block
+from geomosaic.survey.exif_tags import LONGEST_BYTES, Tags, tags_from_block
 
 _FLOAT: Final = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_LONGEST_ITEM = tuned(1000, "characters", "wanted ones have under 100; patterns take time by length")
 _FIRST_YEAR = tuned(1900, "year", "an earlier one is of an unset clock and would order frames wrongly")
 _MM_PER_UNIT = sourced(
     {2.0: 25.4, 3.0: 10.0, 4.0: 1.0, 5.0: 0.001},
@@ -65,7 +64,7 @@ def exif_from_gdal(items: Mapping[str, str]) -> Exif:
     tags: Tags = {}
     for key, text in items.items():
         name = key.removeprefix("EXIF_")
-        if len(text) > _LONGEST_ITEM:
+        if len(text) > LONGEST_BYTES:
             continue
         if re.fullmatch(rf"(\s*\({_FLOAT}\))+\s*", text):
             tags[name] = tuple(float(n) for n in re.findall(r"[^()\s]+", text))

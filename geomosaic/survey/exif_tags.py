@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 
@@ -13,81 +12,61 @@ from geomosaic.constants import sourced, tuned
 Tags = dict[str, str | tuple[float, ...]]
 """EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
 
-_TAGS: Final = "CIPA DC-008 (EXIF), section 4.6"
-_MAIN = sourced(
+_TAGS = sourced(
     {
-        0x010F: "Make",
-        0x0110: "Model",
-        0x0132: "DateTime",
-        0x8769: "Exif",
-        0x8825: "GPS",
-        0xC61A: "BlackLevel",
+        "": {
+            0x010F: "Make",
+            0x0110: "Model",
+            0x0132: "DateTime",
+            0x8769: "Exif",
+            0x8825: "GPS",
+            0xC61A: "BlackLevel",
+        },
+        "Exif": {
+            0x829A: "ExposureTime",
+            0x829D: "FNumber",
+            0x8827: "PhotographicSensitivity",
+            0x8833: "ISOSpeed",
+            0x9003: "DateTimeOriginal",
+            0x9004: "DateTimeDigitized",
+            0x9010: "OffsetTime",
+            0x9011: "OffsetTimeOriginal",
+            0x9012: "OffsetTimeDigitized",
+            0x9290: "SubSecTime",
+            0x9291: "SubSecTimeOriginal",
+            0x9292: "SubSecTimeDigitized",
+            0x920A: "FocalLength",
+            0xA002: "PixelXDimension",
+            0xA003: "PixelYDimension",
+            0xA20E: "FocalPlaneXResolution",
+            0xA210: "FocalPlaneResolutionUnit",
+            0xA405: "FocalLengthIn35mmFilm",
+            0xA431: "BodySerialNumber",
+        },
+        "GPS": {
+            1: "GPSLatitudeRef",
+            2: "GPSLatitude",
+            3: "GPSLongitudeRef",
+            4: "GPSLongitude",
+            5: "GPSAltitudeRef",
+            6: "GPSAltitude",
+            31: "GPSHPositioningError",
+        },
     },
     "tag",
-    "names of wanted tags, main directory",
+    "names of wanted tags by directory, that of the main one empty",
     "CIPA DC-008 (EXIF), section 4.6; Adobe DNG 1.4 for BlackLevel",
-)
-_EXIF = sourced(
-    {
-        0x829A: "ExposureTime",
-        0x829D: "FNumber",
-        0x8827: "PhotographicSensitivity",
-        0x8833: "ISOSpeed",
-        0x9003: "DateTimeOriginal",
-        0x9004: "DateTimeDigitized",
-        0x9010: "OffsetTime",
-        0x9011: "OffsetTimeOriginal",
-        0x9012: "OffsetTimeDigitized",
-        0x9290: "SubSecTime",
-        0x9291: "SubSecTimeOriginal",
-        0x9292: "SubSecTimeDigitized",
-        0x920A: "FocalLength",
-        0xA002: "PixelXDimension",
-        0xA003: "PixelYDimension",
-        0xA20E: "FocalPlaneXResolution",
-        0xA210: "FocalPlaneResolutionUnit",
-        0xA405: "FocalLengthIn35mmFilm",
-        0xA431: "BodySerialNumber",
-    },
-    "tag",
-    "names of wanted tags, EXIF directory",
-    "CIPA DC-008 (EXIF), section 4.6",
-)
-_GPS = sourced(
-    {
-        1: "GPSLatitudeRef",
-        2: "GPSLatitude",
-        3: "GPSLongitudeRef",
-        4: "GPSLongitude",
-        5: "GPSAltitudeRef",
-        6: "GPSAltitude",
-        31: "GPSHPositioningError",
-    },
-    "tag",
-    "names of wanted tags, GPS directory",
-    "CIPA DC-008 (EXIF), section 4.6",
 )
 _KINDS = sourced(
     {
-        1: "u1",
-        2: "text",
-        3: "u2",
-        4: "u4",
-        5: "u4",
-        7: "u1",
-        8: "i2",
-        9: "i4",
-        10: "i4",
-        11: "f4",
-        12: "f8",
+        1: ("u1",), 2: ("S1",), 3: ("u2",), 4: ("u4",), 5: ("u4", "u4"), 7: ("u1",), 8: ("i2",), 9: ("i4",),
+        10: ("i4", "i4"), 11: ("f4",), 12: ("f8",),
     },
     "field type",
-    "numpy's types; others are skipped",
+    "numpy's types, of a ratio both numbers'; others are skipped",
     "TIFF 6.0 (Adobe 1992), section 2",
-)
-_RATIONALS = sourced((5, 10), "field type", "numerator and denominator", "TIFF 6.0 (Adobe 1992), section 2")
-_MOST_ENTRIES = tuned(1000, "entries", "of a directory: cameras write 60; a damaged count says up to 65,535")
-_LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
+)  # fmt: skip
+LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
 
 
 def tags_from_block(block: bytes) -> Tags:
@@ -98,11 +77,11 @@ def tags_from_block(block: bytes) -> Tags:
     order = {b"II*\x00": "<", b"MM\x00*": ">"}.get(bytes(block[:4]))
     if order is None or len(block) < 8:
         return {}
-    tags = _directory(block, struct.unpack_from(f"{order}I", block, 4)[0], order, _MAIN)
-    for pointer, names in (("Exif", _EXIF), ("GPS", _GPS)):
+    tags = _directory(block, struct.unpack_from(f"{order}I", block, 4)[0], order, _TAGS[""])
+    for pointer in ("Exif", "GPS"):
         at = tags.pop(pointer, None)
         if isinstance(at, tuple) and len(at) == 1 and at[0] >= 0.0:
-            tags |= _directory(block, int(at[0]), order, names)
+            tags |= _directory(block, int(at[0]), order, _TAGS[pointer])
     return tags
 
 
@@ -110,14 +89,14 @@ def _directory(block: bytes, at: int, order: str, names: Mapping[int, str]) -> T
     found: Tags = {}
     if at + 2 > len(block):
         return found
-    entries = min(struct.unpack_from(f"{order}H", block, at)[0], _MOST_ENTRIES, (len(block) - at - 2) // 12)
+    entries = min(struct.unpack_from(f"{order}H", block, at)[0], (len(block) - at - 2) // 12)
     for entry in range(at + 2, at + 2 + 12 * entries, 12):
         number, kind, count = struct.unpack_from(f"{order}HHI", block, entry)
         if number not in names or kind not in _KINDS:
             continue
-        size = count * (1 if kind == 2 else int(_KINDS[kind][1])) * (2 if kind in _RATIONALS else 1)
+        size = count * sum(np.dtype(part).itemsize for part in _KINDS[kind])
         start = entry + 8 if size <= 4 else struct.unpack_from(f"{order}I", block, entry + 8)[0]
-        if 0 < size <= _LONGEST_BYTES and start + size <= len(block):
+        if 0 < size <= LONGEST_BYTES and start + size <= len(block):
             value = _value(bytes(block[start : start + size]), kind, order)
             if value is not None:
                 found[names[number]] = value
@@ -130,10 +109,10 @@ def _value(data: bytes, kind: int, order: str) -> str | tuple[float, ...] | None
             return data.decode()
         except UnicodeDecodeError:
             return data.decode("latin-1")
-    numbers = np.frombuffer(data, dtype=f"{order}{_KINDS[kind]}").astype(np.float64)
-    if kind in _RATIONALS:
-        above, below = numbers[::2], numbers[1::2]
-        if (below == 0.0).any():
+    parts = np.frombuffer(data, dtype=f"{order}{_KINDS[kind][0]}").astype(np.float64)
+    numbers, *below = parts.reshape(-1, len(_KINDS[kind])).T
+    for divisor in below:
+        if (divisor == 0.0).any():
             return None
-        numbers = above / below
+        numbers = numbers / divisor
     return tuple(numbers.tolist())

@@ -76,7 +76,7 @@ SENSORS = sourced(
     "pixel pitch by part of make and model, the first that fits; a wrong one scales the focal length",
     "Theta-Limited/DroneModels; QGroundControl; Raspberry Pi; M30T as M3T, Vue TZ20 as Boson, others Tau 2",
 )
-_SHAPE = tuned(0.01, "share", "of a ratio of sides: 336 x 256 and 4:3 differ by 0.016")
+SAME_SHAPE = tuned(0.003, "share", "of a ratio of sides: 336 x 256 and 4:3 differ by 0.016; more takes crops")
 _ONE_LENGTH = sourced(
     {"zr10"},
     "model",
@@ -146,7 +146,7 @@ def _sensor(header: FrameHeader) -> Sensor | None:
 
 
 def _shaped(ratio: float, shapes: tuple[float, ...]) -> bool:
-    return not shapes or any(abs(ratio / shape - 1.0) < _SHAPE for shape in shapes)
+    return not shapes or any(abs(ratio / shape - 1.0) <= SAME_SHAPE for shape in shapes)
 
 
 def agreed(focals: dict[str, float]) -> str | None:

@@ -22,12 +22,6 @@ JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 TIFF_SUFFIXES: Final = frozenset({".tif", ".tiff"})
 PNG_SUFFIXES: Final = frozenset({".png"})
 DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
-_BYTES = sourced(
-    {"uint8": 1, "uint16": 2, "int16": 2, "float32": 4},
-    "bytes by type",
-    "of a pixel in one band; other types count as 8",
-    "definition of the types",
-)
 _MOST_SIDE_PX = sourced(32_766, "px", "of a frame: cv2.remap fails beyond", "OpenCV, remap: less than 32,767")
 _MOST_BYTES = tuned(4 << 30, "bytes", "of a decoded frame: the largest have 3.6e9; more fills the memory")
 _MOST_RATIO = sourced(4000, "ratio", "pixels to file: more is a damaged header", "LZW: 4096; DEFLATE: 1032")
@@ -67,7 +61,7 @@ def read_header(path: Path) -> FrameHeader:
     """
     header = _jpeg_header(path) if path.suffix.lower() in JPEG_SUFFIXES else _raster_header(path)
     size = f"{header.width_px} x {header.height_px} pixels"
-    needed = header.width_px * header.height_px * header.bands * _BYTES.get(header.dtype, 8)
+    needed = header.width_px * header.height_px * header.bands * _bytes_of(header.dtype)
     if max(header.width_px, header.height_px) > _MOST_SIDE_PX or needed > _MOST_BYTES:
         fix = f"a frame has at most {_MOST_SIDE_PX:,} px a side and {_MOST_BYTES >> 30} GB of pixels"
         raise FileError(f"{size} in {header.bands} bands are too many", file=path, fix=fix)
@@ -121,10 +115,15 @@ def _tags(raster: Raster, path: Path) -> tuple[bytes, bytes]:
         return file.read(_EXIF_BYTES), "".join(raster.tags(ns="xml:XMP").values()).encode()
 
 
+def _bytes_of(kind: str) -> int:
+    """Bytes of a pixel in one band, of types that numpy lacks those of its longest number."""
+    return np.dtype(kind if kind in np.sctypeDict else np.float64).itemsize
+
+
 def _check_packing(tiff: Raster, path: Path) -> None:
     """`FileError` where so few bytes can't be an image of such a size."""
     size = path.stat().st_size
-    unpacked = tiff.width * tiff.height * sum(_BYTES.get(str(kind), 8) for kind in tiff.dtypes)
+    unpacked = tiff.width * tiff.height * sum(_bytes_of(kind) for kind in tiff.dtypes)
     if unpacked > max(_SMALL_BYTES, _MOST_RATIO * size):
         problem = f"{size:,} bytes can't hold {tiff.width} x {tiff.height} pixels in {tiff.count} bands"
         raise FileError(problem, file=path, fix=FRAME.fix)
@@ -140,7 +139,7 @@ def check_blocks(tiff: Raster, path: Path, fix: str) -> None:
     across, down = -(-tiff.width // cols), -(-tiff.height // rows)
     by_band = tiff.interleaving is not None and tiff.interleaving.name == "band"
     most = max(2, _MOST_LOOKED_AT // (tiff.count if by_band else 1))
-    bits = int(tiff.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 8 * _BYTES.get(str(tiff.dtypes[0]), 8)))
+    bits = int(tiff.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 8 * _bytes_of(tiff.dtypes[0])))
     largest = rows * -(-cols * bits * (1 if by_band else tiff.count) // 8)
     for band in tiff.indexes if by_band else (1,):
         for i in np.unique(np.linspace(0, across * down - 1, min(across * down, most)).astype(np.int64)):

@@ -16,13 +16,7 @@ _EOI: Final = b"\xff\xd9"
 _FRAME_HEADERS = sourced(
     frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}),
     "marker",
-    "segments with the image's size; the three between are not",
-    "ITU-T T.81, table B.1",
-)
-_PROGRESSIVE = sourced(
-    frozenset({0xC2, 0xC6, 0xCA, 0xCE}),
-    "marker",
-    "frame headers of images in scans, of which no row is known to be whole",
+    "segments with the image's size; each fourth, from 0xC2 on, of one in scans",
     "ITU-T T.81, table B.1",
 )
 _WITHOUT_LENGTH = sourced(
@@ -102,7 +96,7 @@ def parse_structure(data: bytes | mmap.mmap, path: Path, whole: bool = True) -> 
         if marker == 0xDA:
             break
         if marker in _FRAME_HEADERS and len(body) >= 6:
-            size_at, progressive, sampling = at + 5, marker in _PROGRESSIVE, body[7::3]
+            size_at, progressive, sampling = at + 5, marker % 4 == 2, body[7::3]
             size = (body[0], int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big"), body[5])
         elif marker == 0xDD and len(body) >= 2:
             restart = int.from_bytes(body[:2], "big")

@@ -28,7 +28,6 @@ from geomosaic.survey.pos_row import PosFile, PosRow
 
 Floats = NDArray[np.float64]
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
-_SWAPPED_M = tuned(50_000.0, "m", "median from GPS that suggests swapped columns: less blames a wrong CRS")
 
 
 @dataclass(frozen=True)
@@ -236,7 +235,7 @@ def _against_exif(
     known = np.array([[p.lon_deg, p.lat_deg] for _, p, _ in both])
     away = distances_m(given, known)
     swapped = distances_m(given[:, ::-1], known) if (np.abs(given[:, 0]) <= 90.0).all() else away
-    if np.median(away) > _SWAPPED_M and np.median(swapped) < _FAR_M:
+    if np.median(away) > _FAR_M and np.median(swapped) < _FAR_M:
         raise InputError(
             f"longitude and latitude are swapped: the frames' own GPS says {known[0, 0]:.5f}, "
             f"{known[0, 1]:.5f} for {both[0][2]}",

@@ -10,18 +10,16 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.windows import Window
 
-from geomosaic.constants import sourced
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import decoded
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
-from geomosaic.survey.small import HALF, Spare, brightness, means, padded
+from geomosaic.survey.small import HALF, REDUCTIONS, Spare, brightness, means, padded
 
 Mask = NDArray[np.uint8]
 
-REDUCTIONS = sourced((1, 2, 4, 8), "px a side", "of smaller decodes; others blur", "libjpeg: 8 x 8 blocks")
 _FIX: Final = "copy it again from the camera, or take it out of the folder"
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from geomosaic.constants import tuned
-from geomosaic.doors.files import read_text
+from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import AmbiguousCrsError, StatedCrs, label, required_crs
@@ -23,7 +23,6 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, ParsedTable
 
 Floats = NDArray[np.float64]
-_PRJ_BYTES = tuned(64 << 10, "bytes", "of a .prj file: a CRS takes some thousand")
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
 _FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
 _ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")
@@ -49,7 +48,7 @@ def given_crs(path: Path, crs: str | None, fix: str) -> StatedCrs | None:
         return required_crs(crs, fix)
     if not prj.is_file():
         return None
-    text = read_text(prj, _PRJ_BYTES, "a .prj file", "give the CRS as WKT, or remove it")
+    text = read_text(prj, TEXT_BYTES, "a .prj file", "give the CRS as WKT, or remove it")
     try:
         return required_crs(" ".join(text.split()), "give the CRS as WKT, or remove it")
     except InputError as error:

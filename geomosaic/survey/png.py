@@ -9,9 +9,8 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from geomosaic.constants import tuned
+from geomosaic.survey.xmp import XMP_BYTES
 
-_MOST_XMP_BYTES = tuned(8 << 20, "bytes", "of an unpacked XMP packet: less misses one; more fills the memory")
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _XMP = b"XML:com.adobe.xmp\0"
 
@@ -53,6 +52,6 @@ def _text(content: bytes) -> bytes:
     if not packed:
         return text
     try:
-        return zlib.decompressobj().decompress(text, _MOST_XMP_BYTES)
+        return zlib.decompressobj().decompress(text, XMP_BYTES)
     except zlib.error:
         return b""

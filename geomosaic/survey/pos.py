@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs, crs_of
 from geomosaic.survey.attitude import read_angles
@@ -76,7 +75,6 @@ ALIASES: Final[Aliases] = {
 """Columns and the names they go by; capitals, blanks and units don't matter. docs/inputs.md has it too."""
 
 Floats = NDArray[np.float64]
-_MOST_LINES = tuned(200_000, "lines", "of a POS file: the largest blocks have 50,000; more is a log")
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
 _GIVE_CRS: Final = "give the EPSG code of x and y with --pos-crs, such as EPSG:n"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
@@ -149,7 +147,7 @@ def read_pos(
 def _table(
     path: Path, given: str | None, frames: FrameNames, notes: list[Warn]
 ) -> tuple[ParsedTable, StatedCrs | None]:
-    lines = read_lines(path, _MOST_LINES, "lines of frames")
+    lines = read_lines(path, "lines of frames")
     if not lines:
         raise InputError("the POS file is empty", file=path, fix="give a header line and a line per frame")
     odm, lines = read_head(path, lines, ALIASES, _GIVE_CRS)

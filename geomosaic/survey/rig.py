@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Final
 
-from geomosaic.constants import sourced
 from geomosaic.errors import InputError
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Warn
@@ -26,7 +25,6 @@ _OWN: Final = ("green", "red", "rededge", "red edge")
 """Bands by how much of a field or a town they show with sharp edges: the first there is carries the rig."""
 _SUFFIX: Final = re.compile(r"(.+)_([A-Za-z]{1,4}|\d{1,2})", re.ASCII)
 """`IMG_0001_GRE`, `IMG_0001_4`: the capture's name and the band's."""
-LEAST_BANDS = sourced(2, "bands", "of a rig's capture: one band is a camera", "definition of a rig")
 
 
 @dataclass(frozen=True)
@@ -111,8 +109,8 @@ def _grouped(files: Sequence[BandHeader]) -> bool:
     """Whether captures hold several bands, each once, and bands several captures or all files one."""
     bands = Counter(f.band for f in files)
     each = Counter((f.capture, f.band) for f in files)
-    several = Counter(f.capture for f in files).most_common(1)[0][1] >= LEAST_BANDS
-    return len(bands) >= LEAST_BANDS and several and max(each.values()) == 1
+    several = Counter(f.capture for f in files).most_common(1)[0][1] > 1
+    return len(bands) > 1 and several and max(each.values()) == 1
 
 
 def _rank(band: str, count: int, files: Sequence[BandHeader]) -> tuple[float, float, float, str]:

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.constants import tuned
-from geomosaic.doors.files import read_text
-from geomosaic.doors.plain import read_yaml, shown
+from geomosaic.doors.files import TEXT_BYTES, read_text
+from geomosaic.doors.plain import YAML_BYTES, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
 
 Floats = NDArray[np.float64]
@@ -21,11 +20,6 @@ ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
 ATTITUDE_COLUMNS: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _KEYS: Final = ("line_rate_hz", "orbit", "attitude", "looks")
 _LOOK_KEYS: Final = ("forward_tan", "right_tan")
-_MOST_BYTES = tuned(
-    {"model": 64 << 10, "table": 64 << 20},
-    "bytes by kind",
-    "a table of 200 s at 3 kHz has 60 MB; YAML is slow",
-)
 _FIX: Final = "give YAML with line_rate_hz, looks, and the CSV files orbit and attitude"
 
 
@@ -75,7 +69,7 @@ def model_tables(path: Path) -> dict[str, Path]:
 
 
 def _entry(path: Path) -> dict[str, Any]:
-    entry = read_yaml(path, _MOST_BYTES["model"], "a model", _FIX)
+    entry = read_yaml(path, YAML_BYTES, "a model", _FIX)
     if not isinstance(entry, dict):
         raise InputError("is no model of CCD strips", file=path, fix=_FIX)
     for key in entry:
@@ -108,7 +102,7 @@ def _table_path(model: Path, name: Any) -> Path:
 
 def _table(model: Path, name: Any, columns: tuple[str, ...]) -> Floats:
     path = _table_path(model, name)
-    first, _, rest = read_text(path, _MOST_BYTES["table"], "a model's table", _FIX).partition("\n")
+    first, _, rest = read_text(path, TEXT_BYTES, "a model's table", _FIX).partition("\n")
     if tuple(cell.strip() for cell in first.split(",")) != columns:
         raise InputError(f"its first line isn't {','.join(columns)}", file=path, fix=_FIX)
     try:

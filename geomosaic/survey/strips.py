@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import check_regular
-from geomosaic.doors.plain import read_yaml, shown
+from geomosaic.doors.plain import YAML_BYTES, read_yaml, shown
 from geomosaic.doors.raster import STRIP, open_raster
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.geodesy.local import geodetic_from_ecef
@@ -19,21 +21,12 @@ from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
 from geomosaic.survey.strip_pixels import GreyScale
 
-_MAX_BYTES = tuned(64 << 10, "bytes", "of a geometry file: 64 CCDs take some thousand; YAML is slow")
 _MOST_CCDS = tuned(64, "CCDs", "of a focal plane: TH-1 has 8; each opens a file and takes memory")
 _MOST = tuned(1e9, "any unit", "largest number in a geometry file: products stay in 64 bits")
 EARTH_RADIUS_M = sourced(6371000.0, "m", "by which the vertical turns between rows", "GRS 80, mean radius")
 _ALTITUDE_M = tuned(500e3, "m", "where no model says it: imaging satellites fly at 400 to 800 km")
 _LEAST_OVERLAP_PX = tuned(8, "px", "of neighbouring strips: narrower ones cannot be matched")
-_BITS = sourced(
-    {"uint8": 8, "uint16": 16, "int16": 15, "float32": 16}, "bits by type", "without the sign", "definition"
-)
-_RANGES = sourced(
-    {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767), "float32": (-3.5e38, 3.5e38)},
-    "grey levels by type",
-    "a nodata value lies within",
-    "definition",
-)
+_KINDS: Final = frozenset({"uint8", "uint16", "int16", "float32"})
 _KEYS: Final = (
     "ccds", "width_px", "overlap_px", "read_px", "row_separation_lines", "ground_pixel_m", "line_rate_hz",
     "altitude_m", "bit_depth", "nodata", "dem", "rpc", "model",
@@ -132,8 +125,10 @@ def read_geometry(path: Path) -> StripGeometry:
             file=path,
             fix="correct width_px or give the strips that belong to it",
         )
-    bit_depth = int(number("bit_depth", _BITS[kind], 8, whole=True))
-    if bit_depth > _BITS[kind]:
+    values = np.finfo(kind) if kind == "float32" else np.iinfo(kind)
+    ends, bits = (float(values.min), float(values.max)), min(int(values.max).bit_length(), 16)
+    bit_depth = int(number("bit_depth", bits, 8, whole=True))
+    if bit_depth > bits:
         raise InputError(
             f"bit_depth is {bit_depth}, but the strips are {kind}", file=path, fix="give at most theirs"
         )
@@ -149,7 +144,7 @@ def read_geometry(path: Path) -> StripGeometry:
         line_rate_hz=number("line_rate_hz", None, 1e-3),
         altitude_m=number("altitude_m", _ALTITUDE_M, 10.0),
         bit_depth=bit_depth,
-        nodata=number("nodata", nodata, *_RANGES[kind], whole=kind != "float32") if given_nodata else nodata,
+        nodata=number("nodata", nodata, *ends, whole=kind != "float32") if given_nodata else nodata,
         scale=None,
         **{key: _file(entry, key, path) for key in ("dem", "rpc", "model")},
     )
@@ -164,7 +159,7 @@ def _above(model: Pushbroom) -> float:
 
 
 def _load(path: Path) -> Mapping[str, Any]:
-    entry = read_yaml(path, _MAX_BYTES, "a geometry file", _FIX)
+    entry = read_yaml(path, YAML_BYTES, "a geometry file", _FIX)
     if not isinstance(entry, dict) or "ccds" not in entry:
         raise InputError("is no geometry of CCD strips: it has no 'ccds'", file=path, fix=_FIX)
     return entry
@@ -239,7 +234,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
         with open_raster(ccd.path, STRIP) as strip:
             width, count, kind, nodata = strip.width, strip.count, strip.dtypes[0], strip.nodata
             lines.append(int(strip.height))
-        if count != 1 or kind not in _BITS:
+        if count != 1 or kind not in _KINDS:
             problem = f"has {count} bands" if count != 1 else f"has {kind} pixels"
             raise FileError(problem, file=ccd.path, fix="a strip has one band of 8 to 16 bits, or float32")
         found = int(width), str(kind), nodata

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.doors.files import decoded, read_bytes
+from geomosaic.doors.files import TEXT_BYTES, decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Aliases = Mapping[str, tuple[str, ...]]
 """Column -> the names it goes by, in lower case with underscores and without units."""
 
-_MAX_BYTES = tuned(64 << 20, "bytes", "200,000 lines of 300 characters: a larger file is something else")
+_MOST_LINES = tuned(200_000, "lines", "the largest blocks have 50,000 frames: more is a log, or another file")
 _LONGEST_LINE = tuned(20_000, "characters", "500 columns of 40: a longer line is no table's")
 _MOST_COLUMNS = tuned(500, "columns", "of a header; each is looked up under every name")
 _UNITS = sourced(
@@ -116,18 +116,18 @@ class Line:
     comment: bool
 
 
-def read_lines(path: Path, most: int, item: str) -> list[Line]:
+def read_lines(path: Path, item: str) -> list[Line]:
     """Lines with content of a text file, in any of the encodings of `doors.files.read_text`.
 
-    Args: most: lines at all; item: what a line is of, as in `lines of frames`.
+    Args: item: what a line is of, as in `lines of frames`.
     Raises: `FileError`, saying what it is instead of a table.
     """
-    content = read_bytes(path, _MAX_BYTES, "a table", _WANTED)
+    content = read_bytes(path, TEXT_BYTES, "a table", _WANTED)
     if kind := _other_kind(content[:4096]):
         raise FileError(f"is {kind}, no table", file=path, fix=_WANTED)
     found = decoded(content, path, _WANTED).splitlines()
-    if len(found) > most:
-        problem = f"has {len(found):,} lines, more than {most:,} {item}"
+    if len(found) > _MOST_LINES:
+        problem = f"has {len(found):,} lines, more than {_MOST_LINES:,} {item}"
         raise FileError(problem, file=path, fix="is it the right file?")
     lines = []
     for number, raw in enumerate(found, start=1):

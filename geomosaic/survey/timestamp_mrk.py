@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Final
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import sourced
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.survey.accuracy import POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.model import Warn
@@ -23,7 +23,6 @@ from geomosaic.survey.names import FrameNames, natural_key
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Line, read_lines
 
-_MOST_LINES = tuned(200_000, "lines", "exposures: the largest blocks have 50,000; more is a log")
 _FIXED = sourced(50, "code", "of an RTK solution with fixed ambiguities", "DJI, Phantom 4 RTK User Manual")
 _QUALITY: Final = {_FIXED: "rtk-fixed", 34: "rtk-float", 16: "exif"}
 _WORD: Final = re.compile(r"[^\s,\[\]]+")
@@ -43,7 +42,7 @@ def read_timestamp_mrk(path: Path, frames: FrameNames) -> PosFile:
 
     Raises: `InputError` naming the file, the line and the fix.
     """
-    lines = [line for line in read_lines(path, _MOST_LINES, "exposures") if not line.comment]
+    lines = [line for line in read_lines(path, "exposures") if not line.comment]
     exposures = [_exposure(path, line) for line in lines]
     named = _frames_of([number for number, _ in exposures], frames.all)
     if named is None:

@@ -18,7 +18,7 @@ Xmp = dict[str, str]
 `sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
 last word."""
 
-_MAX_BYTES = tuned(1 << 20, "bytes", "of an image's XMP: cameras write some thousand; more takes time")
+XMP_BYTES = tuned(1 << 20, "bytes", "of an image's XMP: cameras write some thousand; more takes time")
 _MOST_MARKS = tuned(20_000, "tags", "cameras write 400, editors 5000; more fills the XML reader's memory")
 _MOST_PREFIXES = tuned(100, "prefixes", "of a packet: far more than programs write; each is searched for")
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
@@ -35,7 +35,7 @@ def parse_xmp(data: bytes) -> Xmp | None:
     commas, of other lists the first item. Prefixes
     that the packet uses but never declares (seen in drones' firmware) are declared for it.
     """
-    packet = _packet(data[:_MAX_BYTES])
+    packet = _packet(data[:XMP_BYTES])
     if packet is None:
         return {}
     if packet.count(b"<") > _MOST_MARKS or _LONG_NAMESPACE.search(packet):

@@ -50,8 +50,7 @@ def composed(folder: Path, survey, poses, ground, used=None, **options):
 
 def small_tiles(monkeypatch: pytest.MonkeyPatch, side_px: int) -> None:
     """Many windows of a small mosaic: each is a tile."""
-    monkeypatch.setattr(compose_module, "WINDOW_PX", side_px)
-    for module in (blended, pyramid, raster, tiles):
+    for module in (compose_module, blended, pyramid, raster, tiles):
         monkeypatch.setattr(module, "TILE_PX", side_px)
 
 

@@ -237,9 +237,9 @@ def test_an_honest_big_survey_fits() -> None:
 
 def test_a_scene_of_strips_has_the_same_limit() -> None:
     told = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0)
-    assert told.disk_gb[0] == pytest.approx(0.54 * (2 * 0.6 + 1 / 8), rel=0.01)
+    assert told.disk_gb[0] == pytest.approx(0.54 * 2 * 0.6, rel=0.01)
     laid = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0, on_map=True)
-    assert laid.disk_gb[0] == pytest.approx(0.54 * (4 * 0.6 + 1 / 8), rel=0.01)
+    assert laid.disk_gb[0] == pytest.approx(0.54 * 4 * 0.6, rel=0.01)
     assert laid.minutes[0] > told.minutes[0]
     with pytest.raises(InputError, match="check the strips' sizes"):
         estimate_scene((260_000, 500_000), FilledPixels(1.0, 2), 100.0)

@@ -204,12 +204,12 @@ def test_devices_and_pipes_are_no_geometry_model_or_rpc(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("read", [read_geometry, read_model])
-def test_a_file_over_64_kb_is_refused_before_it_is_parsed(
+def test_a_file_over_256_kb_is_refused_before_it_is_parsed(
     folder: Path, read: Callable[[Path], object]
 ) -> None:
     path = folder / "long.yaml"
-    path.write_text(yaml.safe_dump(PLAIN) + "dem: [" + "1," * 32768 + "]")
-    with pytest.raises(FileError, match=r"is too large for a \w+( file)?: more than 64 kB"):
+    path.write_text(yaml.safe_dump(PLAIN) + "dem: [" + "1," * 131_072 + "]")
+    with pytest.raises(FileError, match=r"is too large for a \w+( file)?: more than 256 kB"):
         read(path)
 
 

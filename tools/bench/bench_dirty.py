@@ -30,7 +30,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from geomosaic.quality.accuracy import CE90, LE90
+from geomosaic.quality.figures import circle_of, interval_of
 from tools.bench.bench_dirty_judge import of_map, of_positions
 from tools.bench.bench_flights import commit
 
@@ -183,11 +183,17 @@ def calibration(rows: list[Row]) -> list[str]:
     for r in rows:
         stated = r.get("accuracy") or {}
         absolute, relative = stated.get("absolute") or {}, stated.get("relative") or {}
+        within_90 = interval_of(0.9)
         for name, off, sd, times in (
-            ("absolute within CE90", r.get("map_absolute_m"), absolute.get("rmse_h_m"), CE90),
-            ("100 m within 90 %", r.get("over_100_m"), relative.get("rmse_m_per_100m"), LE90),
-            ("whole map within 90 %", r.get("over_whole_m"), relative.get("rmse_m_whole"), LE90),
-            ("scale within 90 %", r.get("scale_off_permille"), relative.get("scale_permille"), LE90),
+            ("absolute within CE90", r.get("map_absolute_m"), absolute.get("rmse_h_m"), circle_of(0.9)),
+            ("100 m within 90 %", r.get("over_100_m"), relative.get("rmse_m_per_100m"), within_90),
+            ("whole map within 90 %", r.get("over_whole_m"), relative.get("rmse_m_whole"), within_90),
+            (
+                "scale within 90 %",
+                r.get("scale_off_permille"),
+                relative.get("scale_permille"),
+                interval_of(0.9),
+            ),
         ):
             if off is not None and sd is not None:
                 held.setdefault(name, []).append(abs(off) <= times * sd)

@@ -30,9 +30,9 @@ import rasterio
 from numpy.typing import NDArray
 
 from geomosaic.constants import sourced
-from geomosaic.quality.accuracy import LE90
 from geomosaic.quality.compare import compare
 from geomosaic.quality.compared_block import ComparisonOptions
+from geomosaic.quality.figures import interval_of
 from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES
 from tools.bench.bench_dirty_judge import MOST_PLACES
 from tools.bench.bench_flights import PROGRAM, commit
@@ -92,7 +92,7 @@ def compared(one: Path, other: Path) -> dict[str, Any]:
         rmse = [r[key] for r in relative]
         near = (from_m > 0.7 * over_m) & (from_m < 1.4 * over_m)
         if near.any() and None not in rmse:
-            most_m = LE90 * float(np.hypot(*rmse))
+            most_m = interval_of(0.9) * float(np.hypot(*rmse))
             row |= {
                 f"off_{name}_m": float(np.sqrt(np.mean(off_m[near] ** 2))),
                 f"stated_{name}_m": float(np.hypot(*rmse)),

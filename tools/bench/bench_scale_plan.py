@@ -20,13 +20,13 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.compose import WINDOW_PX
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.grid import output_grid
 from geomosaic.composition.model import MapPixels
 from geomosaic.composition.ownership import cell_px_of, nearest_nadir
 from geomosaic.composition.plan import Asking, Planning, windows
 from geomosaic.composition.scene import Scene
+from geomosaic.composition.tiles import TILE_PX
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.visibility import cells_in_view
 from geomosaic.geodesy.local import LocalFrame
@@ -41,7 +41,7 @@ REACH_PX = 32.0
 
 def scene_of(number_of_windows: int) -> tuple[Scene, tuple[bool, ...]]:
     """A square block whose mosaic has about so many windows, and which of its frames are in use: all."""
-    side_m = number_of_windows**0.5 * WINDOW_PX * GSD_M
+    side_m = number_of_windows**0.5 * TILE_PX * GSD_M
     across, along = (
         max(int((side_m - px * GSD_M) / step) + 1, 1)
         for px, step in zip((WIDE_PX, HIGH_PX), STEP_M, strict=True)
@@ -83,7 +83,7 @@ def planned(number_of_windows: int) -> dict[str, Any]:
     halo_px = BLENDS["multi_band"].halo_px(REACH_PX)
     seen = {v.frame: cells_in_view(scene, v, halo_px) for v in scene.views}
     at = took("who sees what", at)
-    order = windows(scene.grid, WINDOW_PX)
+    order = windows(scene.grid, TILE_PX)
     at = took("order of windows", at)
     sources = {v.frame: FrameSource(scene.grid, ownership, v) for v in scene.views}
     planning = Planning(ownership, sources, seen, halo_px, REACH_PX)

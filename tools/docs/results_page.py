@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomosaic.quality.accuracy import CE90, LE90
+from geomosaic.quality.figures import circle_of, interval_of
 
 FOLDER = Path("docs/results")
 QUESTIONS = (
@@ -177,11 +177,12 @@ def of_dirty(data: Any, command: str, date: str) -> Iterator[Row]:
                     len(good) >= 0.9 * len(right))  # fmt: skip
         none = [r for r in mine if r["outcome"] == "no mosaic"]
         yield share(f"{name}: no mosaic", "none", len(none), len(mine), not none)
+    in_90 = interval_of(0.9)
     for what, off, key, part, times in (
-        ("places within the stated CE90", "map_absolute_m", "rmse_h_m", "absolute", CE90),
-        ("distances over 100 m within the stated 90 %", "over_100_m", "rmse_m_per_100m", "relative", LE90),
-        ("distances over the map within the stated 90 %", "over_whole_m", "rmse_m_whole", "relative", LE90),
-        ("scale within the stated 90 %", "scale_off_permille", "scale_permille", "relative", LE90),
+        ("places within the stated CE90", "map_absolute_m", "rmse_h_m", "absolute", circle_of(0.9)),
+        ("distances over 100 m within the stated 90 %", "over_100_m", "rmse_m_per_100m", "relative", in_90),
+        ("distances over the map within the stated 90 %", "over_whole_m", "rmse_m_whole", "relative", in_90),
+        ("scale within the stated 90 %", "scale_off_permille", "scale_permille", "relative", in_90),
     ):  # fmt: skip
         pairs = [
             (r.get(off), ((r.get("accuracy") or {}).get(part) or {}).get(key))

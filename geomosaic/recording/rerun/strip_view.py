@@ -8,6 +8,7 @@ import numpy as np
 
 from geomosaic.arrays import Floats
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.quality.figures import interval_of
 from geomosaic.quality.strip_figures import LIMIT_PX
 from geomosaic.recording.file.model import Recording, StripCurve, StripResidual
 from geomosaic.recording.file.reader import printable
@@ -15,7 +16,6 @@ from geomosaic.recording.inspect.summary import largest_length
 
 LINE: Final = "line"
 STRIP_PLAN: Final = "/strip_plan"
-_INTERVAL_90 = 1.6449
 _COLOURS = {"dcol": (90, 170, 250), "dline": (130, 200, 90), "not measured": (235, 110, 60)}
 _LEFT: Final = "/strips_left"
 _MEANING = "px; blue dcol, green dline, orange not measured"
@@ -28,7 +28,7 @@ def log_strips(recording: Recording, stream: Any) -> None:
 
     for curve in _last(recording):
         at = f"/strips/{curve.pair}"
-        interval = _INTERVAL_90 * curve.sd_px
+        interval = interval_of(0.9) * curve.sd_px
         bounds = np.stack([curve.offset_px - interval, curve.offset_px + interval], axis=2).reshape(-1, 4)
         hidden = np.where(curve.label[:, None] > 0, curve.offset_px, np.nan)
         names = ["dcol, px", "dline, px"]
