@@ -8,7 +8,7 @@ import numpy as np
 from geomosaic.ccd.model import Flags, Images
 from geomosaic.constants import tuned
 
-_BOX_PX = tuned(17, "px", "three boxes make a Gaussian of 8.5 px: smaller removes detail that matching needs")
+BOX_PX = tuned(17, "px", "three boxes make a Gaussian of 8.5 px: smaller removes detail that matching needs")
 
 
 def column_gains(image: Images, valid: Flags) -> Images:
@@ -44,5 +44,5 @@ def flattened(image: Images, valid: Flags) -> Images:
 def _blurred(image: Images) -> Images:
     """Three boxes in place of a Gaussian."""
     for _ in range(3):
-        image = np.asarray(cv2.blur(image, (_BOX_PX, _BOX_PX)), dtype=np.float32)
+        image = np.asarray(cv2.blur(image, (BOX_PX, BOX_PX)), dtype=np.float32)
     return image

@@ -6,10 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets
-from geomosaic.constants import tuned
-
-_SURE_PX = tuned(0.5, "px", "deviation up to which a gap counts as low contrast: more hides real gaps")
+from geomosaic.ccd.model import BRIDGED, MEASURED, RELIABLE_SD_PX, UNRELIABLE, PairOffsets
 
 
 @dataclass(frozen=True)
@@ -46,6 +43,6 @@ def _why(offsets: PairOffsets, first: int, after: int, sd_px: float) -> str:
     if offsets.label[first] == UNRELIABLE:
         return f"nothing seen alike in both strips for too long: may be off by {sd_px:.2g} px"
     assert offsets.label[first] == BRIDGED
-    if sd_px <= _SURE_PX:
+    if sd_px <= RELIABLE_SD_PX:
         return f"too little seen alike in both strips (cloud, water, no texture): carried over {source}"
     return f"carried over {source}, its deviation grows to {sd_px:.2g} px"

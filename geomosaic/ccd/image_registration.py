@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
 
-from geomosaic.ccd.columns import flattened
+from geomosaic.ccd.columns import BOX_PX, flattened
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
@@ -33,14 +33,13 @@ _PIECE_LINES = tuned(16 * _PATCH_LINES, "lines", "read at once: fewer read margi
 _LEAST_CORRELATION = tuned(0.4, "1", "peak of a patch: less lets chance peaks in; more loses low contrast")
 _ODD_PX = tuned(1.5, "px", "off the median of 7 patches: less drops jitter; more lets wrong peaks in")
 _LEAST_PATCHES = sourced(5, "patches", "for a pair's curve", "scipy: make_smoothing_spline takes at least 5")
-_BLUR_PX = sourced(8, "px", "half a box of `columns`: less makes pieces differ at their ends", "(17 - 1) / 2")
 _PHASE_SD_PX = tuned(0.02, "px", "pixel locking of parabola peaks: less claims too much; more too little")
 
 
 def image_registration(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
     """A smoothing spline through the peaks of the correlation of patches of 64 lines."""
     found: dict[int, list[Floats]] = {pair: [] for pair in strips.pairs}
-    spare = settings.search_lines_px + 3 * _BLUR_PX
+    spare = settings.search_lines_px + 3 * (BOX_PX // 2)
     for done, (pair, first, stop, total) in enumerate(pieces(strips, _PIECE_LINES)):
         overlap = strips.overlap(pair, first - spare, stop + spare)
         found[pair].append(patches(overlap, strips.geometry, settings, spare))

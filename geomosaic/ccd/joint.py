@@ -16,6 +16,7 @@ from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
     RELIABLE_SD_PX,
+    SURE_SD_PX,
     UNKNOWN_SD_PX,
     UNRELIABLE,
     CcdSettings,
@@ -36,8 +37,6 @@ _MARGIN_LINES = tuned(2000, "lines", "overlap of windows: fewer bridge gaps from
 _LEAST_KNOTS = tuned(16, "knots", "shared by a pair: fewer leave it to the prior; more refuse short scenes")
 _MOST_ROUNDS = tuned(2, "rounds", "searches for lost lines: one misses hidden steps; each takes a solution")
 _DOUBTFUL_LINES = tuned(3.0, "lines", "doubtful at lost lines: less trusts the wrong side; more loses some")
-_RESAMPLING_SD_PX = tuned((0.004, 0.003), "px: columns, lines", "from resampling: less claims too much")
-_MEASURED_SD_PX = tuned(0.25, "px", "for a measured line: more admits lines that hang on neighbours")
 
 
 def joint(
@@ -146,8 +145,7 @@ def _of_pair(strips: Strips, k: int, whole: KnotOffsets, step: int, known_px: Fl
     broken = np.flatnonzero(np.abs(np.diff(known_px)) > 0.5)
     unsure = _near(at, broken, np.abs(np.diff(known_px)[broken]) + _DOUBTFUL_LINES)
     outside = (at < -step) | (at > shared_lines(strips, pair) + step)
-    sd = np.hypot(whole.sd_px[k], _RESAMPLING_SD_PX)
-    sd_col, sd_line = (np.interp(at, centres, sd[:, axis]) for axis in (0, 1))
+    sd_col, sd_line = (np.interp(at, centres, whole.sd_px[k, :, axis]) for axis in (0, 1))
     nearest = np.clip(np.rint((at - centres[0]) / step).astype(int), 0, knots - 1)
     label = _labels(whole.own[k][nearest] >= 0.5, outside | unsure, np.maximum(sd_col, sd_line))
     sd_col[outside], sd_line[outside | unsure] = UNKNOWN_SD_PX, UNKNOWN_SD_PX
@@ -163,7 +161,7 @@ def _near(at: Floats, places: Ints, reach: Floats) -> Flags:
 
 
 def _labels(own: Flags, outside: Flags, sd_px: Floats) -> np.ndarray:
-    label = np.where(own & (sd_px <= _MEASURED_SD_PX), MEASURED, BRIDGED)
+    label = np.where(own & (sd_px <= SURE_SD_PX), MEASURED, BRIDGED)
     label[(sd_px > RELIABLE_SD_PX) | outside] = UNRELIABLE
     return label.astype(np.uint8)
 

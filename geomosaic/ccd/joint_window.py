@@ -13,12 +13,11 @@ from typing import Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.least_squares_matching import KnotOffsetsMeasured, PairImages, measure, pair_images
-from geomosaic.ccd.model import CcdSettings, Flags, Floats
+from geomosaic.ccd.model import SURE_SD_PX, CcdSettings, Flags, Floats
 from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
@@ -36,12 +35,8 @@ _MOVED_PX = tuned(0.06, "px", "offset that makes a cloud: less rejects bright gr
 _MOVED_DEVIATIONS = tuned(4.0, "deviations", "significance of it: less rejects bright ground by chance")
 _UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; less loses bright ground")
 _KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
-_ENOUGH_FIT = tuned(0.3, "share", "suspect knots that must fit to decide: less is chance; more loses ground")
-_SURE_SD_PX = tuned(0.25, "px", "of knots that train the predictor: less leaves few; more learns noise")
-_LEAST_FIT = tuned(0.25, "share", "cells that fit in a measured knot: more loses knots half under cloud")
+_LEAST_FIT = tuned(0.25, "share", "of cells that fit a knot, knots that decide: more loses half clouds")
 _LEAST_KNOTS = tuned(8, "knots", "for a pair's median level: fewer may be mostly one cloud's")
-_LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: less claims too much")
-_NEARBY_KNOTS = tuned(31, "knots", "averaging of information, odd: fewer show single knots' contrast")
 
 
 @dataclass(frozen=True)
@@ -125,9 +120,6 @@ def solved_window(
             now, cells, used, habits = _refined(ready, now, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
-    information = np.stack([np.diagonal(c.information, axis1=1, axis2=2) for c in cells])
-    nearby = uniform_filter1d(information, _NEARBY_KNOTS, axis=1)
-    variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
     own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
@@ -173,7 +165,7 @@ def _off_curves(
     part, rest = share > _MOSTLY, share < _HARDLY
     measured = np.where((part | rest)[..., None, None], measured, 0.0)
     fits = np.stack([c.fit >= _LEAST_FIT for c in cells]) & found
-    if not part.any() or fits[part].mean() < _ENOUGH_FIT:
+    if not part.any() or fits[part].mean() < _LEAST_FIT:
         return False, False
     level = _level(offset, found & rest, now)
     weighed = measured
@@ -206,7 +198,7 @@ def _refined(
         weight, factor = _plausible(offset - solution.offsets_px, measured)
         share = (weight / factor[:, None])[..., None, None]
         information, near_by = measured * share, close * share
-    known = np.trace(information, axis1=2, axis2=3) > 2 * _SURE_SD_PX**-2
+    known = np.trace(information, axis1=2, axis2=3) > 2 * SURE_SD_PX**-2
     habits = learned(solution, known, habits)
     final = smooth(offset, information + _ANCHOR, level, habits, covariance=last)
     return final, cells, found, habits

@@ -9,6 +9,7 @@ against what noise and resampling explain: a cloud, a misread ground or a lost l
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
@@ -17,11 +18,12 @@ from scipy.ndimage import uniform_filter1d
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
 
-_STEP = sourced(1.0 / 32.0, "px", "of cv2.remap's tables, as `_lands` expects", "OpenCV: cv2.INTER_TAB_SIZE")
 _MISFIT_PX = tuned(0.06, "px", "resampling and relief in a cell: less rejects ground; more admits clouds")
+_STEP: Final = 1 / cv2.INTER_TAB_SIZE
+"""Pixels of cv2.remap's tables, as `_lands` expects."""
 _ALIKE_MISFIT_PX = tuned(0.33, "px", "the same, correlated by pixel: less claims too much at high contrast")
 _CLOSE_MISFIT_PX = tuned(0.117, "px", "the same for learning: less learns noise; more smooths jitter away")
 _MOST_RATIO = tuned(1.8, "1", "misfit of full weight: less loses cells by chance; more admits half clouds")
@@ -177,17 +179,17 @@ def _definite(matrix: Floats) -> Floats:
 
 def _lands(at: Floats) -> Floats:
     """Where the image that cv2.remap takes from `at` really comes from: the kernel's centre of mass."""
-    steps = np.arange(32, dtype=np.float32) * np.float32(_STEP)
+    steps = np.arange(cv2.INTER_TAB_SIZE, dtype=np.float32) * np.float32(_STEP)
     ramp = np.arange(16, dtype=np.float32)[None, :]
     centre = cv2.remap(
         ramp,
         steps[None, :] + 8,
-        np.zeros((1, 32), np.float32),
+        np.zeros((1, len(steps)), np.float32),
         cv2.INTER_CUBIC,
         borderMode=cv2.BORDER_REPLICATE,
     )
     off = centre[0].astype(np.float64) - 8.0 - steps
-    return np.asarray(at + off[np.rint(at / _STEP).astype(np.int64) % 32])
+    return np.asarray(at + off[np.rint(at / _STEP).astype(np.int64) % len(steps)])
 
 
 def noise_floor(rest: Floats) -> float:

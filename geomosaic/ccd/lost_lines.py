@@ -21,9 +21,8 @@ from geomosaic.constants import tuned
 
 Ints = NDArray[np.intp]
 _KNOTS_APART = tuned(10, "knots", "left out at a step: fewer include its smoothed part; more say less")
-_KNOTS_FITTED = tuned(8, "knots", "under each line beyond: fewer follow noise; more miss bending relief")
 _ENOUGH_PAIRS = tuned(3, "pairs", "for a median as motion of all: of two it has half of either's step")
-_STEEP_KNOTS = tuned(8, "knots", "over which a rise is taken: fewer see a part of a step; more see relief")
+_STEEP_KNOTS = tuned(8, "knots", "of a rise, and of lines fitted beyond: fewer follow noise; more see relief")
 _STEEP_COARSE_PX = tuned(3.5, "lines", "rise on the path of 2 px bins: less tests its bins; more misses some")
 _LEAST_COARSE = tuned(3, "lines", "least step on the path: smaller drowns in bins; larger is missed later")
 _COARSE_PX = tuned((-0.8, 0.0, 0.8), "px", "tried about the path: wider misses between; more take time")
@@ -112,7 +111,7 @@ def _pair_curve(offset_px: Floats, index: int, knot_lines: int) -> _PairCurve:
 
 def _step(pair: RowPair, curve: _PairCurve, knot: int, coarse: bool) -> tuple[int, int] | None:
     """The line from which on dline is larger, and by how much; None where there is no step."""
-    near, far = _KNOTS_APART, _KNOTS_APART + _KNOTS_FITTED
+    near, far = _KNOTS_APART, _KNOTS_APART + _STEEP_KNOTS
     own, motion, knot_lines = curve.own, curve.motion, curve.knot_lines
     if knot < far or knot + far >= len(own):
         return None

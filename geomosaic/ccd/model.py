@@ -23,10 +23,11 @@ Progress = Callable[[int, int], None]
 """Hears how much of how much is done; may raise to stop the work."""
 
 LABELS: Final = ("measured", "bridged", "unreliable")
-MEASURED = sourced(0, "label", "own evidence in the images; fixed by recordings", "docs/recording.md")
-BRIDGED = sourced(1, "label", "from neighbouring lines and pairs; fixed by recordings", "docs/recording.md")
-UNRELIABLE = sourced(2, "label", "hardly known or seen by one CCD; fixed by recordings", "docs/recording.md")
+"""Own evidence in the images; from neighbouring lines and pairs; hardly known, or seen by one CCD. Recordings
+fix their order."""
+MEASURED, BRIDGED, UNRELIABLE = range(len(LABELS))
 RELIABLE_SD_PX = sourced(0.6, "px", "more admits misplaced lines; less loses usable ones", "1 px / 1.645")
+SURE_SD_PX = tuned(0.25, "px", "for a measured line, to learn from: more admits what hangs on neighbours")
 UNKNOWN_SD_PX = tuned(10.0, "px", "of unseen lines, as far as TH-1 is off nominal: less claims too much")
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from geomosaic.ccd.banded import Banded
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Flags, Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse, solve
 
 _OWN_PX = tuned(2.0, "px", "deviation of own parts: less flattens relief and warmth; more runs off in gaps")
@@ -65,24 +65,24 @@ class Smoothed:
         return self.motion[None] + self.own
 
 
-LEVEL = sourced(np.array([1.0]), "1", "prediction: the next stays at the level", "zero first difference")
-STRAIGHT = sourced(np.array([2.0, -1.0]), "1", "prediction: goes straight on", "zero second difference")
-CUBIC = sourced(np.array([4.0, -6.0, 4.0, -1.0]), "1", "prediction: a cubic", "zero fourth difference")
+def prediction(order: int) -> Floats:
+    """The weights by which a difference of an order is zero: 1 stays at the level, 2 goes straight on."""
+    return -np.poly(np.ones(order))[1:]
 
 
 def first_habits(likely: Expected) -> Habits:
     """What is expected before anything was seen: motion by its usual change, own parts by relief."""
     jerk = _JERK * likely.moves_px_per_line * likely.knot_lines
     relief = _RELIEF * likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
-    motion = (Curve(STRAIGHT, jerk),)
+    motion = (Curve(prediction(2), jerk),)
     fine, warmth = (0.02, 0.03), 0.05
     own = [
         tuple(
-            Curve(weights, by_px, stride)
-            for weights, by_px, stride in (
-                (STRAIGHT, sd, 1),
-                (STRAIGHT, math.hypot(warmth, by), _OWN_STRIDE),
-                (LEVEL, 2 * math.hypot(warmth, by), _OWN_STRIDE),
+            Curve(prediction(order), by_px, stride)
+            for order, by_px, stride in (
+                (2, sd, 1),
+                (2, math.hypot(warmth, by), _OWN_STRIDE),
+                (1, 2 * math.hypot(warmth, by), _OWN_STRIDE),
             )
         )
         for sd, by in zip(fine, (0.0, relief), strict=True)
@@ -183,9 +183,9 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
         bending, slow, level = before.own[axis]
         apart.append(
             (
-                _spread(curves, list(known), Curve(CUBIC, 0.002), bending, 1.2),
-                _spread(curves, list(known), Curve(STRAIGHT, 0.003, _OWN_STRIDE), slow, 1.2),
-                _spread(curves, list(known), Curve(LEVEL, 0.003, _OWN_STRIDE), level, _LASTING),
+                _spread(curves, list(known), Curve(prediction(4), 0.002), bending, 1.2),
+                _spread(curves, list(known), Curve(prediction(2), 0.003, _OWN_STRIDE), slow, 1.2),
+                _spread(curves, list(known), Curve(prediction(1), 0.003, _OWN_STRIDE), level, _LASTING),
             )
         )
     return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)

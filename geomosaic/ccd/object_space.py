@@ -25,7 +25,7 @@ Heights = Callable[[Floats, Floats], Floats]
 _HEIGHT_ROUNDS = tuned(3, "rounds", "of ray and ground (TH-1): one leaves 1.5 m, two 8 mm, three 0.05 mm")
 _DEM_SD_M = tuned(10.0, "m", "0.04 px of TH-1's: less makes virtual_line claim too much; more too little")
 _NO_DEM_SD_M = tuned(200.0, "m", "of ground without a DEM: less calls hills reliable; more hardly any line")
-_SAMPLE_LINES = tuned(129, "lines", "of a scene, to sample the DEM: fewer miss hills; more read more of it")
+SAMPLE_LINES = tuned(129, "lines", "of a scene, to sample the DEM: fewer miss hills; more read more of it")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def read_object_space(geometry: StripGeometry) -> ObjectSpace | None:
                 fix="give the tables of the whole scene; time 0 is the first line's upper edge",
             )
     level_m = 0.0 if g.rpc is None else float(read_rpc(g.rpc).offset[4])
-    lines = np.linspace(0.0, max(g.lines), _SAMPLE_LINES)[:, None]
+    lines = np.linspace(0.0, max(g.lines), SAMPLE_LINES)[:, None]
     cols = np.linspace(0.0, g.width_px, 3)
     sampled = [model.ground_from_image(k, cols, lines, level_m) for k in range(len(g.ccds))]
     lonlat = np.concatenate([ground[..., :2].reshape(-1, 2) for ground in sampled])

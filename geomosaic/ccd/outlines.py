@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.layout import SceneLayout
-from geomosaic.ccd.line_poses import LinePoses
+from geomosaic.ccd.line_poses import STEP_LINES, LinePoses
 from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.scene_rpc import SceneRpc
@@ -19,13 +18,8 @@ from geomosaic.estimation.linear import solve_each
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strips import StripGeometry
 
-_COMPUTED: Final = (
-    "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
-    "relief, 0.5 px of jitter at 22 Hz, seed 1"
-)
 _ALONG = tuned(33, "points", "per long side: 33 are within 1.1 m, 9 within 4 m; more make long files")
 _ACROSS = tuned(9, "points", "per short side: two are 65 m off; more make long files")
-_STEP_LINES = tuned(16, "lines", "between poses: 16 move an outline by 0.06 m, 64 by 0.8 m")
 _RPC_ROUNDS = tuned(8, "rounds", "of Newton's method: one leaves 67 m, two 0.4 mm; more for bent RPCs")
 _STEP_DEG = tuned(1e-5, "degrees", "of a numerical slope, 1 m: less drowns in rounding; more misses bends")
 
@@ -52,8 +46,8 @@ def outlines(
     if space is not None:
         scene = raster + np.array([0.0, layout.first_line])
         camera = ideal_camera(g, space.model)
-        ideal = LinePoses(camera, scene[:, 1].min(), scene[:, 1].max(), _STEP_LINES)
-        real = LinePoses(space.model, 0.0, max(g.lines), _STEP_LINES)
+        ideal = LinePoses(camera, scene[:, 1].min(), scene[:, 1].max(), STEP_LINES)
+        real = LinePoses(space.model, 0.0, max(g.lines), STEP_LINES)
         return Outlines(
             _lonlat(space, ideal, 0, scene), {k: _lonlat(space, real, k, ring) for k, ring in rings.items()}
         )

@@ -37,7 +37,6 @@ _OFFSET_SD = tuned(0.01, "full scale", "prior of an offset: less makes it a gain
 _ODD_COLUMN = tuned(0.1, "share", "off its neighbours: less drops good columns; more keeps dead ones")
 _LEAST_CORRELATION = tuned(0.3, "1", "below, the flatter side is noise: less lets a stuck CCD in")
 _LIKE_VARIANCE = tuned(4.0, "ratio", "of variances that needs no correlation: less parts level ground")
-_LEAST_VARIANCE = tuned(1e-6, "counts²", "of a uniform side: 0 lets a stuck CCD pass by rounding")
 
 
 @dataclass(frozen=True)
@@ -201,6 +200,6 @@ def _stuck(xx: float, yy: float, xy: float) -> bool:
     Args: xx, yy the sides' variances, xy their covariance, counts².
     """
     low, high = sorted((xx, yy))
-    return low < _LEAST_VARIANCE or (
+    return low <= float(np.finfo(np.float32).eps) * max(high, 1.0) or (
         high > _LIKE_VARIANCE * low and xy < _LEAST_CORRELATION * float(np.sqrt(low * high))
     )

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.rpc import Rpc, fit_rpc
 from geomosaic.ccd.layout import SceneLayout
-from geomosaic.ccd.line_poses import LinePoses
+from geomosaic.ccd.line_poses import STEP_LINES, LinePoses
 from geomosaic.ccd.model import Floats
-from geomosaic.ccd.object_space import ObjectSpace
+from geomosaic.ccd.object_space import SAMPLE_LINES, ObjectSpace
 from geomosaic.ccd.virtual_layout import ideal_camera
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
@@ -21,15 +20,9 @@ from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strip_companions import read_rpc
 from geomosaic.survey.strips import StripGeometry
 
-_COMPUTED: Final = (
-    "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
-    "relief, 0.5 px of jitter at 22 Hz, seed 1"
-)
-_ROWS = tuned(65, "rows", "of the residual raster: 17 to 129 agree within 1e-4 px; fewer let jitter in")
 _COLS_OF_A_CCD = tuned(5, "columns", "in each row: 2 to 17 agree within 1e-4 px; more take time")
 _NODES = tuned((15, 25, 5), "columns, lines, heights", "of the fit: 3 heights leave 1.1 px, 5 1e-4 px")
 _SPAN_M = tuned(500.0, "m", "margin of heights: 0 leaves level ground no span; 2000 fits as well")
-_STEP_LINES = tuned(64, "lines", "between poses: 64 leave the residuals; 512 treble them")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +62,7 @@ def scene_rpc(geometry: StripGeometry, layout: SceneLayout, space: ObjectSpace |
         )
     raster, ground = (np.concatenate(parts) for parts in zip(*seen, strict=True))
     line = raster[:, 1] + layout.first_line
-    poses = LinePoses(camera, line.min() - _STEP_LINES, line.max() + _STEP_LINES, _STEP_LINES)
+    poses = LinePoses(camera, line.min() - STEP_LINES, line.max() + STEP_LINES, STEP_LINES)
     ideal = np.stack(poses.image(0, ground, line), axis=-1)
     moved = _cubic(ideal, raster - ideal)
     low, high = space.span_m
@@ -102,7 +95,7 @@ def _seen(
     geometry: StripGeometry, layout: SceneLayout, space: ObjectSpace
 ) -> Iterator[tuple[Floats, Floats]]:
     """Raster cols and rows (n, 2), and what the strips' pixels there see (n, 3), Earth-fixed."""
-    rows = np.unique(np.linspace(0, layout.height_px - 1, _ROWS).round().astype(int))
+    rows = np.unique(np.linspace(0, layout.height_px - 1, SAMPLE_LINES).round().astype(int))
     seams = layout.seams_px
     for k, lines in enumerate(geometry.lines):
         if not lines:

@@ -8,7 +8,6 @@ off the way they went.
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Final
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -17,14 +16,9 @@ from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Flags, Floats
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
-_COMPUTED: Final = (
-    "chosen; figures computed with simulate.strip_plan.StripPlan: 4 CCDs, 8192 lines, seed 1, with 900 m of "
-    "relief and at a contrast of 2 %"
-)
 _SIDE_KNOTS = tuned(4, "knots", "each side of a step: fewer find stray knots; more blur a cloud's edge")
 _MOST_APART_KNOTS = tuned(24, "knots", "between the sides' middles: fewer miss gaps; more hide motion")
 _LEAST_PX = tuned(0.5, "px", "of a step: ground has 0.1, 0.26 at low contrast; more passes low clouds")
-_LOST_PX = tuned(0.7, "lines", "known change that is a lost line: less finds relief; more calls it a cloud")
 _MOST_SPREAD = tuned(0.3, "share", "scatter of a side: more makes steps of noise; less misses half a pixel")
 _PIECE_KNOTS = tuned(3, "knots", "two give a slope, the middle one its straightness; the code needs three")
 _STRAIGHT_PX = tuned(0.15, "px", "bend of a piece: 99 % have 0.06; more admits noisy slopes; less leaves few")
@@ -40,7 +34,7 @@ def widest_step(offset_px: Floats, own: Flags, known_px: Floats, likely: Expecte
     Args: offset_px (pairs, knots, 2) measured at knots where own (pairs, knots). known_px (pairs, knots): of
     dline, beforehand; where lines were lost in any pair no other steps are looked for.
     """
-    lost = (np.abs(np.diff(known_px, axis=1, prepend=known_px[:, :1])) > _LOST_PX).any(axis=0)
+    lost = (np.abs(np.diff(known_px, axis=1, prepend=known_px[:, :1])) > 0.5).any(axis=0)
     own = own & (uniform_filter1d(lost.astype(np.float64), _MOST_APART_KNOTS + 1) < 1e-9)
     steps = [
         _against(offset_px[[p, q]], own[p] & own[q], likely) for p, q in combinations(range(len(own)), 2)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import (
@@ -34,7 +35,6 @@ _AGREE_PX = tuned(1.0, "px", "of one shift: less parts points by jitter; more ad
 _NEAR_PX = tuned(0.5, "px", "off the scene's offset, for measured lines: more admits misplaced ones")
 _LEAST_POINTS = tuned(6, "points", "that agree: fewer do by chance among 100; more lose low contrast")
 _ABNORMAL_PX = tuned(2.0, "px", "off its neighbours' line: less rejects jitter; more keeps clouds")
-_MOST_TRIED = tuned(500, "points", "as a shift: a few right ones suffice; more take time by the square")
 
 
 @dataclass(frozen=True)
@@ -135,17 +135,14 @@ def matched_points(
 
 
 def consensus(moved_px: Floats, agree_px: float = _AGREE_PX) -> tuple[Floats, Flags]:
-    """The shift on which most agree, and who does: RANSAC (Fischler and Bolles 1981), up to 500 points tried.
+    """The shift on which most agree, and who does: each point's is tried.
 
     Args: moved_px (m, 2). Returns: (2,) their mean, (m,).
     """
-    inside = np.zeros(len(moved_px), dtype=bool)
-    for tried in moved_px[:: max(1, -(-len(moved_px) // _MOST_TRIED))]:
-        near = (np.abs(moved_px - tried) <= agree_px).all(axis=1)
-        if near.sum() > inside.sum():
-            inside = near
-    if not inside.any():
-        return np.zeros(2), inside
+    if not len(moved_px):
+        return np.zeros(2), np.zeros(0, dtype=bool)
+    agreeing = cKDTree(moved_px).query_ball_point(moved_px, agree_px, p=np.inf, return_length=True)
+    inside = np.asarray((np.abs(moved_px - moved_px[np.argmax(agreeing)]) <= agree_px).all(axis=1))
     for _ in range(3):
         closer = (np.abs(moved_px - moved_px[inside].mean(axis=0)) <= agree_px).all(axis=1)
         if closer.sum() < inside.sum():

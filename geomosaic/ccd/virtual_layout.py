@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.layout import Ends, StripLookup
-from geomosaic.ccd.line_poses import LinePoses
+from geomosaic.ccd.line_poses import EVERY_LINES, SPARE_LINES, STEP_LINES, LinePoses
 from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.constants import tuned
@@ -18,16 +17,9 @@ from geomosaic.errors import InputError
 from geomosaic.estimation.linear import least_squares
 from geomosaic.survey.strips import StripGeometry
 
-_COMPUTED: Final = (
-    "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
-    "relief, 0.5 px of jitter at 22 Hz, seed 1"
-)
 KNOT_PX = tuned(64, "columns", "knot spacing: 64 is off by 2e-4 px, 256 by 4e-3; closer takes time")
-_HEIGHT_ROWS = tuned(16, "rows", "between ground heights, of _IMAGE_ROWS: 16 is off by 8e-6 px, 64 by 1e-4")
-_IMAGE_ROWS = tuned(4, "rows", "between solved rows: 4 is off by 2e-3 px, 8 by 7e-3, 16 by 3e-2")
+_HEIGHT_ROWS = tuned(16, "rows", "between ground heights, of EVERY_LINES: 16 is off by 8e-6 px, 64 by 1e-4")
 _SAMPLE_LINES = tuned(512, "lines", "of extents and first guesses, off by 1.4: more miss jitter's peaks")
-_SAMPLE_STEP = tuned(8, "lines", "between their poses: 8 is off by 0.007 px, 32 by 0.1; less takes memory")
-_SPARE_LINES = tuned(64, "lines", "of poses past the wanted ones: guesses are off by 1.4; more take time")
 _FIT_POINTS = tuned(2000, "points", "of the mean attitude: 500 leave 0.01 px of jitter, 8000 differ by 0.003")
 _NOWHERE_PX = tuned(-1e6, "px", "a place no line sees: nearer ones would draw parts of the strip there")
 
@@ -42,7 +34,7 @@ def ideal_camera(geometry: StripGeometry, model: Pushbroom) -> Pushbroom:
     lines = np.linspace(0.0, last, _FIT_POINTS)
     share = lines / last - 0.5
     level, slope = least_squares(np.stack([np.ones_like(share), share], axis=1), model.attitude_rad(lines))
-    spare = g.row_separation_lines + _SPARE_LINES
+    spare = g.row_separation_lines + SPARE_LINES
     at = np.linspace(-spare, last + spare, 4)
     attitude = level + (at / last - 0.5)[:, None] * slope
     forward, right = _even_looks(g, model, 0.5 * last)
@@ -107,12 +99,12 @@ class VirtualLayout:
         heights_at = start + _steps(rows, _HEIGHT_ROWS)
         poses = LinePoses(self.camera, heights_at[0], heights_at[-1] + 1.0, _HEIGHT_ROWS)
         ground = self.space.ground(poses, 0, knots, heights_at[:, None])
-        ground = _rows_between(ground, _HEIGHT_ROWS, _IMAGE_ROWS)
-        solved_at = start + _IMAGE_ROWS * np.arange(float(len(ground)))
+        ground = _rows_between(ground, _HEIGHT_ROWS, EVERY_LINES)
+        solved_at = start + EVERY_LINES * np.arange(float(len(ground)))
         near = solved_at + np.interp(solved_at, self.sample_lines, self.shift_lines[ccd])
-        real = LinePoses(self.space.model, near[0] - _SPARE_LINES, near[-1] + _SPARE_LINES)
+        real = LinePoses(self.space.model, near[0] - SPARE_LINES, near[-1] + SPARE_LINES)
         image = np.nan_to_num(np.stack(real.image(ccd, ground, near[:, None])), nan=_NOWHERE_PX)
-        image = np.moveaxis(_rows_between(np.moveaxis(image, 0, -1), _IMAGE_ROWS, 1)[:rows], -1, 0)
+        image = np.moveaxis(_rows_between(np.moveaxis(image, 0, -1), EVERY_LINES, 1)[:rows], -1, 0)
         return StripLookup(knots, image)
 
 
@@ -122,12 +114,12 @@ def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "al
     Raises: `InputError` if the strips have no lines in common, where those are wanted.
     """
     g, camera = geometry, ideal_camera(geometry, space.model)
-    spare = 0.5 * g.row_separation_lines + 2.0 * _SPARE_LINES
+    spare = 0.5 * g.row_separation_lines + 2.0 * SPARE_LINES
     longest = max(g.lines)
     count = math.ceil((longest + 2.0 * spare) / _SAMPLE_LINES) + 1
     at = np.linspace(-spare, longest + spare, count)
-    ideal = LinePoses(camera, at[0], at[-1], _SAMPLE_STEP)
-    real = LinePoses(space.model, at[0] - spare, at[-1] + spare, _SAMPLE_STEP)
+    ideal = LinePoses(camera, at[0], at[-1], STEP_LINES)
+    real = LinePoses(space.model, at[0] - spare, at[-1] + spare, STEP_LINES)
     step, width = g.width_px - g.overlap_px, g.width_px
     shifts, columns, starts, stops = np.zeros((len(g.ccds), count)), [], [], []
     lefts, rights = [], []

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
 
 import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.ccd.line_poses import LinePoses
+from geomosaic.ccd.line_poses import EVERY_LINES, SPARE_LINES, LinePoses
 from geomosaic.ccd.model import (
     BRIDGED,
     RELIABLE_SD_PX,
@@ -24,15 +23,9 @@ from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
-_COMPUTED: Final = (
-    "chosen; figures computed with simulate.strip_plan.StripPlan: 8 CCDs of 4096 px, 4000 lines, 900 m of "
-    "relief, 0.5 px of jitter at 22 Hz, seed 1"
-)
 _PIECE_LINES = tuned(8192, "lines", "predicted at once: more take memory; fewer make poses more often")
-_SPARE_LINES = tuned(200, "lines", "of poses past the nominal ones: attitudes jump by 80; more take time")
 _MODEL_SD_PX = tuned(0.1, "px", "left by a calibrated model: less claims too much; 0.6 trusts nothing")
 _STEP_M = tuned(50.0, "m", "of the numerical parallax: 5 to 500 agree; far less drowns in rounding")
-_RELIEF_STEP_LINES = tuned(4, "lines", "between lines of relief: 4 is off by 1e-4 px, 32 by 8e-3")
 
 
 def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
@@ -92,7 +85,7 @@ def relief_px(geometry: StripGeometry, space: ObjectSpace) -> dict[int, Floats]:
         out[pair] = np.empty(n)
         for start, stop in _pieces(n):
             poses = _poses(space, geometry, pair, start, stop)
-            knots = np.arange(float(start), stop + _RELIEF_STEP_LINES, _RELIEF_STEP_LINES) + 0.5
+            knots = np.arange(float(start), stop + EVERY_LINES, EVERY_LINES) + 0.5
             on_dem, on_level = (
                 _predicted(heights, geometry, poses, pair, knots)[1] for heights in (space, level)
             )
@@ -109,9 +102,7 @@ def _pieces(lines: int) -> Iterator[tuple[int, int]]:
 def _poses(space: ObjectSpace, g: StripGeometry, pair: int, start: int, stop: int) -> LinePoses:
     """Poses of a left strip's lines and of the right strip's that see the same ground."""
     apart = g.side(pair) * g.row_separation_lines
-    return LinePoses(
-        space.model, start + min(apart, 0.0) - _SPARE_LINES, stop + max(apart, 0.0) + _SPARE_LINES
-    )
+    return LinePoses(space.model, start + min(apart, 0.0) - SPARE_LINES, stop + max(apart, 0.0) + SPARE_LINES)
 
 
 def _predicted(space: ObjectSpace, g: StripGeometry, poses: LinePoses, pair: int, line: Floats) -> Floats:

@@ -11,7 +11,6 @@ from geomosaic.constants import tuned
 
 BLOCK_LINES = tuned(32, "lines", "of joint evidence: fewer fail at low contrast; more include clouds")
 _PIXELS_PER_FACT = tuned(24.0, "px", "that are one fact: fewer saturate fair matches; more mute low contrast")
-_MOST_EVIDENCE = tuned(30.0, "log-likelihood", "cap of a block: more lets a few blocks outvote all others")
 
 
 def halved(image: Images) -> Images:
@@ -24,8 +23,8 @@ def volume(pair: RowPair, blocks: int, settings: CcdSettings) -> Floats:
     """Evidence for every shift, block by block of 32 lines (Lewis 1995 for the normalised correlation).
 
     Half the images' resolution, band-passed; the evidence is the log likelihood ratio -n/2 log(1 - r^2) of
-    a correlation r over n independent facts against none at all (Kay 1998, section 7), bounded so that one
-    good block says no more than another.
+    a correlation r over n independent facts against none at all (Kay 1998, section 7), of a correlation
+    of 0.99 at most.
 
     The pair's nominal column and known lines are shift 0 here.
 
@@ -52,8 +51,7 @@ def volume(pair: RowPair, blocks: int, settings: CcdSettings) -> Floats:
         window = trail[top : top + half + 2 * reach_l, begin + shift - reach_c : end + shift + reach_c]
         r = cv2.matchTemplate(window, pattern, cv2.TM_CCOEFF_NORMED).astype(np.float64)
         r = np.clip(np.nan_to_num(r), 0.0, 0.99)
-        evidence = -0.5 * facts * np.log1p(-(r**2))
-        out[block] = _MOST_EVIDENCE * np.tanh(evidence / _MOST_EVIDENCE)
+        out[block] = -0.5 * facts * np.log1p(-(r**2))
     return out
 
 

@@ -24,10 +24,8 @@ from geomosaic.spread import Spread
 Bools = NDArray[np.bool_]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
-_STEP_M = tuned(1.0, "m", "depth in an occlusion: less is kerbs and noise; more sees through sheds")
+_STEP_M = tuned(1.0, "m", "depth and width of an occlusion: less is kerbs and noise; more sees through sheds")
 _EDGE_M = tuned(0.25, "m", "depth at its edge: less frays it by noise; more shows roof edges twice")
-_LEAST_M2 = tuned(1.0, "m2", "of an occlusion or an island: smaller is noise, with visible seams")
-_ABOUT_CELLS = tuned(1, "cells", "added around: 0 doubles edges; simulated SSIM 0.759, with it 0.762")
 _PER_M = tuned(10.0, "steps per m", "of depth in a byte: fewer are coarse; more saturate at once")
 _BEYOND: Final = int(np.iinfo(np.uint8).max)
 """Of a place that the frame does not show."""
@@ -94,15 +92,15 @@ def occlusion_depth(scene: Scene, side_px: int, view: FrameView) -> OcclusionDep
 
 
 def occluded(below_m: Floats32, cell_m: float) -> Bools:
-    """What is hidden: below a line of sight, somewhere by a step, and no islands in it or of it."""
+    """What is hidden: below a line of sight, somewhere by a step, and no islands in it or of it
+    that are less than a step wide; and the cells about it, where edges would be doubled."""
     low = (below_m > _EDGE_M).view(np.uint8)
     number, parts = cv2.connectedComponents(low, connectivity=4)
     deep = np.zeros(number, dtype=bool)
     deep[parts[below_m > _STEP_M]] = True
-    hidden, least = deep[parts] & (low > 0), max(round(_LEAST_M2 / cell_m**2), 1)
+    hidden, least = deep[parts] & (low > 0), max(round((_STEP_M / cell_m) ** 2), 1)
     hidden = ~_without_islands(~_without_islands(hidden, least), least)
-    side = 2 * _ABOUT_CELLS + 1
-    return np.asarray(cv2.dilate(hidden.view(np.uint8), np.ones((side, side), np.uint8)) > 0)
+    return np.asarray(cv2.dilate(hidden.view(np.uint8), np.ones((3, 3), np.uint8)) > 0)
 
 
 def _without_islands(flags: Bools, least: int) -> Bools:

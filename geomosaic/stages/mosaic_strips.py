@@ -62,7 +62,7 @@ def _plugged(params: StripMosaicParams) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.strips", "Compose the scene of strips", group="Mosaic", version=3, outputs=("strip_mosaic",
+    "mosaic.strips", "Compose the scene of strips", group="Mosaic", version=4, outputs=("strip_mosaic",
     "outlines", "raster_file"), results=(RPC,), plugged=_plugged,
 )  # fmt: skip
 def mosaic_strips(

@@ -16,7 +16,6 @@ Floats32 = NDArray[np.float32]
 Asked = Sequence[tuple[Block, Sequence[int]]]
 _REACH_CELLS = tuned(16, "cells", "along a ray: shorter sees through high houses; longer takes time")
 _NEAREST_CELLS = tuned(1.5, "cells", "start of the occlusion search: nearer, a leaning surface hides itself")
-_TOLERANCE_CELLS = tuned(1.0, "cells", "height error that still counts as visible: 0 hides cells by noise")
 
 _MOST_HIDDEN = tuned(0.3, "share", "of a block seen by < 2 frames: yards have less, uncertain crowns more")
 
@@ -54,7 +53,7 @@ def hidden_below(
 ) -> Floats32:
     """The height over the base of the cells at a block from which on a frame sees a cell, if the land (rows,
     cols of the tile) is height_m high: the highest line of sight's foot that anything on the way to the
-    camera throws."""
+    camera throws, less a cell's side for errors of heights."""
     east, north, rise = sweep.towards(frame, at)
     rows, cols = (np.arange(n, dtype=np.float32)[s] for n, s in zip(height_m.shape, at, strict=True))
     col, row = np.meshgrid(cols, rows)
@@ -68,7 +67,7 @@ def hidden_below(
             borderMode=cv2.BORDER_REPLICATE,
         )
         np.maximum(low, there - away * rise, out=low)
-    return np.asarray(low - np.float32(_TOLERANCE_CELLS * cell_m))
+    return np.asarray(low - np.float32(cell_m))
 
 
 def hidden_from(sweep: PlaneSweep, asked: Asked, height_m: Floats32, cell_m: float) -> dict[int, Floats32]:
