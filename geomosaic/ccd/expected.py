@@ -24,8 +24,7 @@ class Nature:
     pointing_rad_per_s: change of the pointing within hundredths of a second, jitter and all, in which TH-1's
     (1.2 px at 1.1 Hz to 0.06 px at 22 Hz; a pixel is 3.7 microradians) has its place. drift_rad_per_s: of
     its mean between the rows, as platforms that are stabilised on three axes hold it (1e-3 degrees a second).
-    knot_s: jitter of up to 100 Hz, as reaction wheels make it, needs a knot every 5 ms (Nyquist). steady_s:
-    how long motion is about one, for layers of clouds and ground to be distinguished.
+    knot_s: jitter of up to 100 Hz, as reaction wheels make it, needs a knot every 5 ms (Nyquist).
     """
 
     cloud_height_m: float = 3500.0
@@ -38,7 +37,6 @@ class Nature:
     pointing_rad_per_s: float = 5.4e-5
     drift_rad_per_s: float = 2.0e-5
     knot_s: float = 0.0049
-    steady_s: float = 0.303
 
 
 _NOMINAL_SD_PX = tuned(2.5, "px", "mounting of CCDs: less takes ground for cloud; more, cloud for ground")
@@ -56,8 +54,7 @@ class Expected:
     knot_lines: between knots, even. ground_sd_px: of the ground's level about the nominal geometry; far_px:
     what is further off is rather a cloud. clouds_px, clouds_sd_px: clouds against the ground.
     moves_px_per_line, bends_px_per_line, steep_px_per_line, steepest_px_per_line: usual change of the
-    motion; usual, large and utmost change of what pairs have for themselves, by relief. steady_lines: how
-    long motion is about one.
+    motion; usual, large and utmost change of what pairs have for themselves, by relief.
     """
 
     knot_lines: int
@@ -69,7 +66,6 @@ class Expected:
     bends_px_per_line: float
     steep_px_per_line: float
     steepest_px_per_line: float
-    steady_lines: float
 
     def steep_px(self, lines: float, alone: bool) -> float:
         """More than a pair's curve rises within so many lines, against the other pairs' or alone."""
@@ -95,7 +91,6 @@ def expected(geometry: StripGeometry, knot_lines: int = 0, nature: Nature | None
         bends_px_per_line=n.slope * g.ground_pixel_m * line_m,
         steep_px_per_line=n.steep * g.ground_pixel_m * line_m,
         steepest_px_per_line=n.steepest * g.ground_pixel_m * line_m,
-        steady_lines=n.steady_s * g.line_rate_hz,
     )
 
 

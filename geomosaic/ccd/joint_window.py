@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
@@ -36,6 +37,8 @@ _MOVED_DEVIATIONS = tuned(4.0, "deviations", "significance of it: less rejects b
 _UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; less loses bright ground")
 _KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
 _LEAST_FIT = tuned(0.25, "share", "of cells that fit a knot, knots that decide: more loses half clouds")
+_LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: less claims too much")
+_NEARBY_KNOTS = tuned(31, "knots", "averaging of information, odd: fewer show single knots' contrast")
 _LEAST_KNOTS = tuned(8, "knots", "for a pair's median level: fewer may be mostly one cloud's")
 
 
@@ -120,6 +123,9 @@ def solved_window(
             now, cells, used, habits = _refined(ready, now, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
+    information = np.stack([np.diagonal(c.information, axis1=1, axis2=2) for c in cells])
+    nearby = uniform_filter1d(information, _NEARBY_KNOTS, axis=1)
+    variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
     own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
@@ -146,7 +152,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expec
     brightness = np.stack([p.grey[0, :cells].mean(axis=1).reshape(blocks, -1).mean(axis=1) for p in pairs])
     coarse = coarse_offsets(volumes, brightness, likely)
     nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)
-    known = (volumes.max(axis=(2, 3)) > 2.0) & ~coarse.cloudy
+    known = volumes.max(axis=(2, 3)) > 2.0
     weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)
     suspect = [coarse.suspect.pixels(p.grey, p.valid.shape) for p in pairs] if coarse.suspect else []
     return WindowStart(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), suspect)

@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter, uniform_filter1d
+from scipy.ndimage import maximum_filter
 
 from geomosaic.ccd.best_path import Ints, best_path, shifted
 from geomosaic.ccd.brightness import Suspect, bright_part
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.layers import LayerVector, either_layer, layer_candidates, second_layer
-from geomosaic.ccd.model import Flags, Floats
+from geomosaic.ccd.model import Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
@@ -28,26 +27,17 @@ _THERE = tuned(8.0, "log-likelihood", "gain of a certain layer: below _FAR_COST,
 _FAR_COST = tuned(6.0, "log-likelihood", "cap of a far layer's cost: less admits clouds; more loses ground")
 _LEVELS_SD_BINS = tuned(1.0, "bins", "least deviation of levels: less binds offset CCDs; more follows clouds")
 _HOLD = tuned(0.4, "log-likelihood", "a bin's square off the level: less follows clouds; more misses relief")
-_DARK_CLOUDS_COST = tuned(3.0, "log-likelihood", "of clouds below ground's grey: more rejects snow")
-_LAYER_GAIN = tuned(0.003, "share", "more evidence by two layers: less finds noise; more misses small clouds")
-_LAYER_SHARE = tuned(0.05, "share", "of a pair's blocks in each layer: less counts stray blocks")
-_LAYER_PAIRS = tuned(0.4, "share", "of pairs with both layers: less counts lost lines; more misses clouds")
-_LAYER_CHANGES = tuned(1.5, "changes", "between layers a pair: lost lines make one; more misses large clouds")
-_BRIGHT_WEIGHT = tuned(0.05, "share", "weight of bright blocks: 0 loses bright ground; more follows clouds")
 
 
 @dataclass(frozen=True)
 class Coarse:
     """Offsets to about a bin.
 
-    offsets_px: (pairs, blocks, 2) dcol, dline at the blocks' centres. layers: clouds found. cloudy:
-    (pairs, blocks) where they hide the ground. suspect: what was asked last, for it may be cloud by its
-    brightness.
+    offsets_px: (pairs, blocks, 2) dcol, dline at the blocks' centres. suspect: what was asked last, as it may
+    be cloud by its brightness.
     """
 
     offsets_px: Floats
-    layers: list[LayerVector]
-    cloudy: Flags
     suspect: Suspect | None
 
 
@@ -56,57 +46,27 @@ def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected, rounds
 
     By turns: the evidence of all pairs is summed, each moved by its own slow part, and the best path taken
     for the motion; then each pair's evidence is summed over windows of 256 lines along the motion, and
-    the best slow path taken for its own part. A second layer, clouds, is tried wherever the volumes
-    hint at one, and taken where it explains more than a path through one layer does.
+    the best slow path taken for its own part. Where a part of the scene stands out by its brightness, the
+    darker or the brighter part alone counts, whichever is rather the ground's.
 
     Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """
     bright = bright_part(brightness)
-    if bright is not None:
-        best, suspect = _darker_or_brighter(volumes, bright, brightness, likely, rounds)
-        return Coarse(_px(volumes, best), [], np.zeros(brightness.shape, dtype=np.bool_), suspect)
-    best, evidence = _solve(volumes, likely, rounds)
-    layers: list[LayerVector] = []
-    threshold = evidence.sum() * (1.0 + _LAYER_GAIN)
-    lowest = np.inf
-    for candidate in layer_candidates(volumes, round(likely.steady_lines / BLOCK_LINES)):
-        for layer in (candidate, LayerVector(-candidate.lines, -candidate.cols)):
-            path, value = _solve(either_layer(volumes, [layer]), likely, rounds)
-            ground = np.median(_px(volumes, path).reshape(-1, 2), axis=0)
-            away = _BIN_PX * np.array([layer.cols, layer.lines], dtype=np.float64)
-            cost = _cost(ground, ground + away, likely)
-            if value.sum() > threshold and cost < lowest and _by_patches(second_layer(volumes, layer, path)):
-                best, layers, lowest = path, [layer], cost
-    cloudy = np.zeros(volumes.shape[:2], dtype=bool)
-    for layer in layers:
-        cloudy |= second_layer(volumes, layer, best)
-    return Coarse(_px(volumes, best), layers, cloudy, None)
+    if bright is None:
+        return Coarse(_px(volumes, _solve(volumes, likely, rounds)), None)
+    parts = bright, replace(bright, brighter=False)
+    hidden = [part.hides(brightness)[..., None, None] for part in parts]
+    offsets = [_px(volumes, _solve(np.where(of, 0.0, volumes), likely, rounds)) for of in hidden]
+    middles = [np.median(of.reshape(-1, 2), axis=0) for of in offsets]
+    far = np.abs(middles[1] - middles[0]).max() > _BIN_PX
+    which = int(far and _cost(*middles[::-1], likely) < _cost(*middles, likely))
+    return Coarse(offsets[which], parts[which])
 
 
 def _px(volumes: Floats, path: Ints) -> Floats:
     """dcol, dline of a path's indices."""
     middle = np.array(volumes.shape[2:]) // 2
     return np.asarray(_BIN_PX * (path - middle)[:, :, ::-1], dtype=np.float64)
-
-
-def _darker_or_brighter(
-    volumes: Floats, bright: Suspect, brightness: Floats, likely: Expected, rounds: int
-) -> tuple[Ints, Suspect]:
-    """The path by the darker or by the brighter part, whichever is rather the ground's; and the other part.
-
-    Clouds are the brighter part but where the ground is snow or sand.
-    """
-    parts = bright, replace(bright, brighter=False)
-    weights = [np.where(part.hides(brightness), _BRIGHT_WEIGHT, 1.0) for part in parts]
-    paths = [_solve(volumes * weight[..., None, None], likely, rounds)[0] for weight in weights]
-    middles = [np.median(_px(volumes, path).reshape(-1, 2), axis=0) for path in paths]
-    costs = (
-        _cost(middles[0], middles[1], likely),
-        _cost(middles[1], middles[0], likely) + _DARK_CLOUDS_COST,
-    )
-    far = np.abs(middles[1] - middles[0]).max() > _BIN_PX
-    which = 1 if far and costs[1] < costs[0] else 0
-    return paths[which], parts[which]
 
 
 def _cost(ground_px: Floats, clouds_px: Floats, likely: Expected) -> float:
@@ -119,17 +79,8 @@ def _cost(ground_px: Floats, clouds_px: Floats, likely: Expected) -> float:
     return 0.5 * float(((ground_px / likely.ground_sd_px) ** 2 + moved**2).sum())
 
 
-def _by_patches(hidden: Flags) -> bool:
-    """Whether a second layer, at (pairs, blocks), comes and goes as clouds do: lost lines change it once."""
-    share = hidden.mean(axis=1)
-    both = (share > _LAYER_SHARE) & (share < 1.0 - _LAYER_SHARE)
-    patches = uniform_filter1d(hidden.astype(np.float64), 9, axis=1, mode="nearest") > 0.5
-    changes = np.count_nonzero(np.diff(patches, axis=1), axis=1)
-    return bool(both.mean() > _LAYER_PAIRS and changes[both].mean() > _LAYER_CHANGES)
-
-
-def _solve(volumes: Floats, likely: Expected, rounds: int) -> tuple[Ints, Floats]:
-    """Paths (pairs, blocks, 2) as indices; each pair's evidence along them less the cost of its steps."""
+def _solve(volumes: Floats, likely: Expected, rounds: int) -> Ints:
+    """Paths (pairs, blocks, 2) as indices."""
     k, n, h, c = volumes.shape
     middle = np.array([h // 2, c // 2])
     motion_step, own_step = _step_costs(likely)
@@ -148,11 +99,7 @@ def _solve(volumes: Floats, likely: Expected, rounds: int) -> tuple[Ints, Floats
             _slow_parts(np.stack([shifted(volume, motion) for volume in volumes]), motion, likely, own_step)
             - middle
         )
-    path = np.clip(motion[None] + own + middle, 0, (h - 1, c - 1))
-    evidence = volumes[np.arange(k)[:, None], np.arange(n), path[..., 0], path[..., 1]].sum(axis=1)
-    steps = motion_step / k * float((np.diff(motion, axis=0) ** 2).sum())
-    own_steps = np.minimum(own_step * (np.diff(own, axis=1) ** 2).sum(axis=2), _JUMP).sum(axis=1)
-    return path, np.asarray(evidence - steps - own_steps)
+    return np.asarray(np.clip(motion[None] + own + middle, 0, (h - 1, c - 1)), dtype=np.intp)
 
 
 def _step_costs(likely: Expected) -> tuple[float, float]:
