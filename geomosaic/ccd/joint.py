@@ -107,11 +107,8 @@ def _solved(
             known_px[at.index][first + at.line :] += at.count
         return first_offsets(pairs, settings, likely)
 
-    start = begun([])
-    lost = lasting(steps(start.clear(pairs), start.offset_px, likely, coarse=True))
-    if lost:
-        start = begun(lost)
-    found, clear = solved_window(pairs, start, likely)
+    lost: list[LineStep] = []
+    found, clear = solved_window(pairs, begun(lost), likely)
     for _ in range(_MOST_ROUNDS):
         more = lasting([*lost, *steps(clear, found.offset_px, likely)])
         if more == lost:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import cv2
 import numpy as np
@@ -23,9 +22,6 @@ Ints = NDArray[np.intp]
 _KNOTS_APART = tuned(10, "knots", "left out at a step: fewer include its smoothed part; more say less")
 _ENOUGH_PAIRS = tuned(3, "pairs", "for a median as motion of all: of two it has half of either's step")
 _STEEP_KNOTS = tuned(8, "knots", "of a rise, and of lines fitted beyond: fewer follow noise; more see relief")
-_STEEP_COARSE_PX = tuned(3.5, "lines", "rise on the path of 2 px bins: less tests its bins; more misses some")
-_LEAST_COARSE = tuned(3, "lines", "least step on the path: smaller drowns in bins; larger is missed later")
-_COARSE_PX = tuned((-0.8, 0.0, 0.8), "px", "tried about the path: wider misses between; more take time")
 _AROUND_LINES = tuned(256, "lines", "compared on each side: fewer may miss the step; more include another")
 _SHARP_LINES = tuned(48, "lines", "on which one offset must win: fewer are noise; more merge near steps")
 _MOST_MISFIT = tuned(0.3, "share", "of the other offset's: less misses noisy steps; more finds false ones")
@@ -41,21 +37,18 @@ class LineStep:
     count: int
 
 
-def steps(
-    pairs: Sequence[RowPair], offset_px: Floats, likely: Expected, coarse: bool = False
-) -> list[LineStep]:
+def steps(pairs: Sequence[RowPair], offset_px: Floats, likely: Expected) -> list[LineStep]:
     """Where pairs' dline changes by whole lines.
 
-    Args: offset_px (pairs, knots, 2) as found without the steps. coarse: they are so to about a pixel, and
-    only steps of several lines are looked for.
+    Args: offset_px (pairs, knots, 2) as found without the steps.
     A place shows one step, of the CCD that one or two pairs share: the largest.
     """
     found: list[LineStep] = []
     knot_lines, alone = likely.knot_lines, len(pairs) < _ENOUGH_PAIRS
-    least_px = _STEEP_COARSE_PX if coarse else likely.steep_px(_STEEP_KNOTS * knot_lines, alone)
+    least_px = likely.steep_px(_STEEP_KNOTS * knot_lines, alone)
     curves = [_pair_curve(offset_px, index, knot_lines) for index in range(len(pairs))]
     for knot in _steep(offset_px[..., 1], least_px):
-        places = [_step(pair, curve, knot, coarse) for pair, curve in zip(pairs, curves, strict=True)]
+        places = [_step(pair, curve, knot) for pair, curve in zip(pairs, curves, strict=True)]
         here = [LineStep(index, *place) for index, place in enumerate(places) if place is not None]
         most = max((abs(step.count) for step in here), default=0)
         found += [step for step in here if abs(step.count) == most]
@@ -109,7 +102,7 @@ def _pair_curve(offset_px: Floats, index: int, knot_lines: int) -> _PairCurve:
     return _PairCurve(offset_px[index] - motion, motion, knot_lines)
 
 
-def _step(pair: RowPair, curve: _PairCurve, knot: int, coarse: bool) -> tuple[int, int] | None:
+def _step(pair: RowPair, curve: _PairCurve, knot: int) -> tuple[int, int] | None:
     """The line from which on dline is larger, and by how much; None where there is no step."""
     near, far = _KNOTS_APART, _KNOTS_APART + _STEEP_KNOTS
     own, motion, knot_lines = curve.own, curve.motion, curve.knot_lines
@@ -124,16 +117,10 @@ def _step(pair: RowPair, curve: _PairCurve, knot: int, coarse: bool) -> tuple[in
     middle = len(u) // 2
     jump = float(after[1, middle] - before[1, middle])
     tried = []
-    spare, least = (2, _LEAST_COARSE) if coarse else (1, 1)
-    for count in range(round(jump) - spare, round(jump) + spare + 1):
-        if abs(count) < least:
-            continue
+    for count in range(round(jump) - 1, round(jump) + 2):
         half = np.array([[0.0], [(count - jump) / 2]])
-        for across, along in product(_COARSE_PX, repeat=2) if coarse else ((0.0, 0.0),):
-            aside = np.array([[across], [along]])
-            found = _split(pair, u, before - half + aside, after + half + aside)
-            if found is not None:
-                tried.append((*found, count))
+        if count and (found := _split(pair, u, before - half, after + half)) is not None:
+            tried.append((*found, count))
     if not tried:
         return None
     _, line, count = min(tried)

@@ -17,13 +17,9 @@ from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
 _BIN_PX = sourced(2, "px", "a whole shift of halved images; another scales all offsets", "volumes.volume")
 _WINDOW_BLOCKS = tuned(8, "blocks", "summed for an own part: fewer follow clouds; more miss relief")
-_ALONE = tuned(0.24, "share", "of the joint motion's cost: more misses jitter; less follows noise")
 _JUMP = tuned(250.0, "log-likelihood", "a jump's cost: below 240 windows jump alone; more misses lost lines")
 _WARMTH_PX = tuned(0.05, "px", "own change without relief: less forbids steps; more lets clouds lead")
-_CHANCE_SD = tuned(0.6, "log-likelihood", "least noise of a block: less makes layers of chance peaks")
-_PEAK_FROM = tuned(4.0, "deviations", "peak of a doubtful layer: less finds chance; more loses ground")
-_PEAK_FULL = tuned(8.0, "deviations", "peak of a certain layer: more lets frequent clouds win")
-_THERE = tuned(8.0, "log-likelihood", "gain of a certain layer: below _FAR_COST, a far one loses to none")
+_CERTAIN = tuned(8.0, "deviations", "peak of a certain layer, its gain: more lets frequent clouds win")
 _FAR_COST = tuned(6.0, "log-likelihood", "cap of a far layer's cost: less admits clouds; more loses ground")
 _LEVELS_SD_BINS = tuned(1.0, "bins", "least deviation of levels: less binds offset CCDs; more follows clouds")
 _HOLD = tuned(0.4, "log-likelihood", "a bin's square off the level: less follows clouds; more misses relief")
@@ -87,7 +83,7 @@ def _solve(volumes: Floats, likely: Expected, rounds: int) -> Ints:
     prior = -0.5 * (((np.arange(h) - h // 2) / (0.5 * h)) ** 2)[:, None] - 0.5 * (
         ((np.arange(c) - c // 2) / (0.5 * c)) ** 2
     )
-    start = best_path(volumes + 0.1 * prior, _ALONE * motion_step)
+    start = best_path(volumes + 0.1 * prior, motion_step)
     first = start - middle
     own = np.repeat(np.rint(np.median(first, axis=1)).astype(np.intp)[:, None], n, axis=1)
     own -= np.rint(np.median(own, axis=0)).astype(np.intp)
@@ -131,16 +127,16 @@ def _levels(volumes: Floats, motion: Ints, likely: Expected) -> Ints:
     How often a layer is seen says nothing: clouds may hide most of the ground. Ground lies near the nominal
     geometry, and about as far from the motion in one pair as in the others.
     """
-    k, n, h, c = volumes.shape
+    k, _, h, c = volumes.shape
     total = volumes.sum(axis=1)
     above = total - np.median(total, axis=(1, 2), keepdims=True)
     chance = NORMAL_PER_MAD * np.median(np.abs(above), axis=(1, 2), keepdims=True)
-    above /= np.maximum(chance, _CHANCE_SD * np.sqrt(n))
+    above /= np.maximum(chance, np.finfo(np.float64).eps)
     peak = total >= maximum_filter(total, size=(1, 3, 3))
-    there = np.where(peak, np.clip((above - _PEAK_FROM) / (_PEAK_FULL - _PEAK_FROM), 0.0, 1.0), 0.0)
+    there = np.where(peak, np.clip(above, 0.0, _CERTAIN), 0.0)
     at = np.stack(np.meshgrid(np.arange(h), np.arange(c), indexing="ij"), axis=-1)
     nominal = _BIN_PX * (at - (h // 2, c // 2) + motion.mean(axis=0)) / likely.ground_sd_px[::-1]
-    score = _THERE * there - np.minimum(0.5 * (nominal**2).sum(axis=-1), _FAR_COST)
+    score = there - np.minimum(0.5 * (nominal**2).sum(axis=-1), _FAR_COST)
     found = _highest(score)
     if k < 3:
         return found
