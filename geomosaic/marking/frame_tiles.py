@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from geomosaic.constants import tuned
 from geomosaic.export.shown_bands import ShownBands
 from geomosaic.survey.model import Frame
-from geomosaic.survey.pixels import REDUCTIONS, read_pixels
+from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import REDUCTIONS
 
 TILE_PX: Final = 512
 _QUALITY = tuned(92, "JPEG quality", "less: blocks at edges of targets; more: slow over no network")

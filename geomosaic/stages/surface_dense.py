@@ -30,8 +30,8 @@ from geomosaic.surface.pyramid import PyramidLevel, TileTask, cells_covering, py
 from geomosaic.surface.tile_mosaic import mosaic_tiles, with_rim
 from geomosaic.surface.tile_sgm import CensusImage, HeightSearch, TileHeights, census_image, match_tile
 from geomosaic.survey.model import Frame
-from geomosaic.survey.pixels import REDUCTIONS, read_pixels
-from geomosaic.survey.small import Small, Spare
+from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.small import REDUCTIONS, Small, Spare
 
 _SHOWN_POINTS = tuned(40_000, "points", "of the surface in a recording: fewer hide roofs; more are megabytes")
 
