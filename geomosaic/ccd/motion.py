@@ -67,7 +67,7 @@ class Smoothed:
 
 def prediction(order: int) -> Floats:
     """The weights by which a difference of an order is zero: 1 stays at the level, 2 goes straight on."""
-    return -np.poly(np.ones(order))[1:]
+    return np.asarray(-np.poly(np.ones(order))[1:], dtype=np.float64)
 
 
 def first_habits(likely: Expected) -> Habits:

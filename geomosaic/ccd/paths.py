@@ -53,9 +53,9 @@ def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected, rounds
     parts = bright, replace(bright, brighter=False)
     hidden = [part.hides(brightness)[..., None, None] for part in parts]
     offsets = [_px(volumes, _solve(np.where(of, 0.0, volumes), likely, rounds)) for of in hidden]
-    middles = [np.median(of.reshape(-1, 2), axis=0) for of in offsets]
-    far = np.abs(middles[1] - middles[0]).max() > _BIN_PX
-    which = int(far and _cost(*middles[::-1], likely) < _cost(*middles, likely))
+    dark, light = (np.median(of.reshape(-1, 2), axis=0) for of in offsets)
+    far = np.abs(light - dark).max() > _BIN_PX
+    which = int(far and _cost(light, dark, likely) < _cost(dark, light, likely))
     return Coarse(offsets[which], parts[which])
 
 
