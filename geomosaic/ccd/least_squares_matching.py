@@ -22,8 +22,8 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
 
 _MISFIT_PX = tuned(0.06, "px", "resampling and relief in a cell: less rejects ground; more admits clouds")
-_STEP: Final = 1 / cv2.INTER_TAB_SIZE
-"""Pixels of cv2.remap's tables, as `_lands` expects."""
+_STEPS_PER_PX: Final = cv2.INTER_TAB_SIZE
+"""Of cv2.remap's tables, as `_lands` expects."""
 _ALIKE_MISFIT_PX = tuned(0.33, "px", "the same, correlated by pixel: less claims too much at high contrast")
 _CLOSE_MISFIT_PX = tuned(0.117, "px", "the same for learning: less learns noise; more smooths jitter away")
 _MOST_RATIO = tuned(1.8, "1", "misfit of full weight: less loses cells by chance; more admits half clouds")
@@ -87,7 +87,8 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
     knots = n // lines
     known = np.stack([np.zeros_like(known_px), known_px])[:, : n * s].reshape(2, n, s).mean(axis=2) / s
     known[0] += given.nominal_col
-    whole = np.rint((curve_px[:, : n * s].reshape(2, n, s).mean(axis=2) / s + known) / _STEP) * _STEP
+    at_px = curve_px[:, : n * s].reshape(2, n, s).mean(axis=2) / s + known
+    whole = np.rint(at_px * _STEPS_PER_PX) / _STEPS_PER_PX
     w = given.lead.shape[1]
     first = max(0, int(np.ceil(2.0 - float(np.median(whole[0])))))
     last = min(w, int(np.floor(w - 2.0 - float(np.median(whole[0])))))
@@ -179,7 +180,7 @@ def _definite(matrix: Floats) -> Floats:
 
 def _lands(at: Floats) -> Floats:
     """Where the image that cv2.remap takes from `at` really comes from: the kernel's centre of mass."""
-    steps = np.arange(cv2.INTER_TAB_SIZE, dtype=np.float32) * np.float32(_STEP)
+    steps = np.arange(_STEPS_PER_PX, dtype=np.float32) / np.float32(_STEPS_PER_PX)
     ramp = np.arange(16, dtype=np.float32)[None, :]
     centre = cv2.remap(
         ramp,
@@ -189,7 +190,7 @@ def _lands(at: Floats) -> Floats:
         borderMode=cv2.BORDER_REPLICATE,
     )
     off = centre[0].astype(np.float64) - 8.0 - steps
-    return np.asarray(at + off[np.rint(at / _STEP).astype(np.int64) % len(steps)])
+    return np.asarray(at + off[np.rint(at * _STEPS_PER_PX).astype(np.int64) % _STEPS_PER_PX])
 
 
 def noise_floor(rest: Floats) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.surface.census import BITS, NOT_SEEN, Bits
-from geomosaic.surface.plane_sweep import AT_ONCE, PlaneSweep
+from geomosaic.surface.plane_sweep import SWEPT_AT_ONCE, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
@@ -74,7 +74,7 @@ def census_costs(
     for at, frames in asked:
         if len(frames) < 2:
             continue
-        by = max(AT_ONCE // steps[0][at].size, 1)
+        by = max(SWEPT_AT_ONCE // steps[0][at].size, 1)
         for first in range(0, len(steps), by):
             here = (slice(first, first + by), *at)
             height_m = heights.metres(here)

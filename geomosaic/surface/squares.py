@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.surface.plane_sweep import AT_ONCE, Block, PlaneSweep
+from geomosaic.surface.plane_sweep import SWEPT_AT_ONCE, Block, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
 Bytes = NDArray[np.uint8]
@@ -69,7 +69,7 @@ class Squares:
 
     def some(self, points: int) -> Iterator[Squares]:
         """A few at a time, of whose cells so many points each are looked at."""
-        count = max(AT_ONCE // max(points * self._size[0] * self._size[1], 1), 1)
+        count = max(SWEPT_AT_ONCE // max(points * self._size[0] * self._size[1], 1), 1)
         for first in range(0, len(self), count):
             asked = self._asked[first : first + count]
             yield Squares(self._sweep, self._pictures, asked, self._rim, self._size)
