@@ -28,9 +28,7 @@ Floats32 = NDArray[np.float32]
 Block = tuple[slice, slice]
 WHOLE: Final = (slice(None), slice(None))
 NODE_CELLS = tuned(8, "cells", "between exact nodes: a lens bends by < 0.03 px over them; fewer take longer")
-SWEPT_AT_ONCE = tuned(
-    1 << 15, "points", "computed in one go: fewer cost calls; more do not fit a core's cache"
-)
+SWEPT_AT_ONCE = tuned(1 << 15, "points", "computed in one go: fewer cost calls; more do not fit a cache")
 _REACH_SHARES = tuned((1.0, 0.25, 0.05), "share", "of the search, for fits: without low ones rims are lost")
 
 
