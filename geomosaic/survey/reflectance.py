@@ -30,7 +30,6 @@ RADIOMETRY: Final = ("none", "reflectance")
 _LOW_M = tuned(
     10.0, "m", "below the median height: frames searched for a panel; more misses it, less is slow"
 )
-_MOST_BANDS = tuned(100, "lines", "of a panel's table: cameras have up to ten bands")
 _GIVE_PANEL: Final = "give a photo of a panel with --panel IMAGE=ALBEDO"
 _GREY: Final = (
     "thermal frames are read as the grey pictures that their JPEG files show, not as temperatures: for "
@@ -210,7 +209,7 @@ def _albedo(text: str) -> dict[str, float]:
     else:
         path = Path(text)
         columns = {"band": ("band", "band_name", "name"), "albedo": ("albedo", "reflectance", "value")}
-        table = read_table(path, read_lines(path, _MOST_BANDS, "bands"), columns)
+        table = read_table(path, read_lines(path, "bands"), columns)
         named = [(band or "").lower() for band in table.texts("band")]
         found = dict(zip(named, table.required("albedo").tolist(), strict=True))
     if not found or not all(0.0 < albedo <= 1.0 for albedo in found.values()):
