@@ -13,14 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.names import FrameNames, natural_key
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Line, read_lines
 from geomosaic.survey.timestamp_mrk import exposure_row
 
-_MOST_LINES = tuned(200_000, "lines", "exposures: the largest blocks have 50,000; more is a log")
 _NAMED: Final = ("latitude(deg)", "longitude(deg)", "height(m)", "Q", "sde(m)", "sdn(m)", "sdu(m)")
 _QUALITY: Final = {1: "rtk-fixed", 2: "rtk-float"}
 _FIX: Final = "write the solution again as latitude, longitude and height in degrees and metres"
@@ -39,7 +37,7 @@ def read_rtklib_events(path: Path, frames: FrameNames) -> PosFile:
 
     Raises: `InputError` naming the file, the line and the fix.
     """
-    lines = read_lines(path, _MOST_LINES, "events")
+    lines = read_lines(path, "events")
     comments = [line for line in lines if line.text.startswith("%")]
     columns = _columns(path, comments)
     rows = [_row(path, line, columns) for line in lines if line.text and not line.text.startswith("%")]
