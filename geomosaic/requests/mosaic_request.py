@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 from geomosaic.requests.of_frames import FramesRequest, crs_of
 from geomosaic.requests.option import (
@@ -260,6 +260,8 @@ class MosaicRequest(FramesRequest):
             raise InputError("--panel has an effect only on reflectance", fix="add --radiometry reflectance")
         if self.coregister and self.reference is None:
             raise InputError("--coregister needs a map to put the mosaic onto", fix="add --reference TIF")
+        if self.coregister and self.reference is not None and not self.reference.is_file():
+            raise FileError("there is no such file", file=self.reference, fix="give one with --reference TIF")
         if self.ortho is not None and not dense:
             raise InputError("--ortho has an effect only on a dense surface", fix="add --surface dense")
         wanted = dict.fromkeys(OPTIONAL, dense) | {

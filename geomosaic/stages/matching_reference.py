@@ -50,6 +50,7 @@ from geomosaic.survey.model import ControlPoint, MapPlaces, Survey
 
 _FIX = "give a map of the same place, or leave out --coregister"
 _LEAST_POINTS = tuned(8, "places", "that place a block on a map: fewer may agree by chance")
+_LEAST_LOOK_PX = tuned(200, "px", "longest side of frames looked at: smaller ones have too few keypoints")
 _LEAST_RADIUS_PX = tuned(300.0, "px", "least search radius: less misses what relief moves")
 _TILE_PX = tuned(1000, "px", "of the map, as large as frames are looked at: keypoints spread alike")
 _PLACE_PX = tuned(0.3, "px", "deviation of a keypoint, which the adjustment raises: less says nothing more")
@@ -122,8 +123,11 @@ def matching_reference(
     look_px = float(np.median([sight.pixel_px(f) for f in survey.frames]))
     grid = _grid(survey, placement, cameras, prior_ground, (params.reference, look_px))
     of_map = _map_features(grid, params, context)
+    longest_px = max(max(f.width_px, f.height_px) for f in survey.frames)
+    keypoints_px = min(params.keypoints_px, max(_LEAST_LOOK_PX, round(longest_px / grid.pixel_px)))
+    sight = FrameReduction(keypoints_px, keypoints_px)  # as coarse as the map
     with pictured(context, sight, survey.frames) as pictures:
-        take = partial(frame_features, params.keypoints_px, params.keypoints)
+        take = partial(frame_features, keypoints_px, params.keypoints)
         features = context.stored("keypoints", take, pictures)
         items = [
             _OnMap(features[i], expected_on_map(of_map, guess), max(look_px, grid.pixel_px))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_surveys import geomosaic, mosaic, small_survey, summary
 
-from geomosaic.errors import InputError
+from geomosaic.errors import FileError, InputError
 from geomosaic.matching.features import Features
 from geomosaic.matching.planes import guessed, unconstrained_guess
 from geomosaic.matching.reference_map import (
@@ -43,6 +43,8 @@ def test_two_epochs_of_offset_gnss_agree_to_a_pixel_and_planted_squares_are_foun
 def test_coregistering_wants_a_reference() -> None:
     with pytest.raises(InputError, match=r"--coregister needs a map.*add --reference TIF"):
         MosaicRequest(frames=Path("frames"), coregister=True).stages()
+    with pytest.raises(FileError, match=r"none\.tif: there is no such file; give one with --reference TIF"):
+        MosaicRequest(frames=Path("frames"), coregister=True, reference=Path("none.tif")).stages()
 
 
 def test_a_map_s_tiles_cover_it_once() -> None:
