@@ -69,6 +69,7 @@ def _micasense(header: FrameHeader) -> SensorModel | None:
     gain = a1 / (exif.iso / _ISO_ONE * exif.exposure_s * _LEVELS)
     centre = numbers(xmp, "Camera:VignettingCenter", 2)
     fall = _radial(numbers(xmp, "Camera:VignettingPolynomial", 6), centre, divides=True)
+    fall = fall or _two_dimensional(xmp)
     row_gradient = a2 / exif.exposure_s - a3
     calibration = Calibration(gain, exif.black_level or 0.0, row_gradient, fall)
     return SensorModel(calibration, _downwelling(header), absolute=True)
@@ -133,12 +134,8 @@ def _parrot(header: FrameHeader) -> SensorModel | None:
     if factors is None or not exif.exposure_s or not exif.iso or not exif.f_number:
         return None
     a, b, c = factors
-    fall = _list(xmp, "Camera:VignettingPolynomial2D")
-    powers = _list(xmp, "Camera:VignettingPolynomial2DName")
-    exponents = tuple(zip(powers[::2], powers[1::2], strict=False))
-    vignetting = Vignetting(fall, exponents=exponents) if fall and len(exponents) == len(fall) else None
     gain = exif.f_number**2 / (a * exif.exposure_s * exif.iso + c)
-    return SensorModel(Calibration(gain, b, 0.0, vignetting), _sunshine(xmp), absolute=False)
+    return SensorModel(Calibration(gain, b, 0.0, _two_dimensional(xmp)), _sunshine(xmp), absolute=False)
 
 
 def _sunshine(xmp: Xmp) -> float | None:
@@ -173,6 +170,14 @@ def _radial(
     if polynomial is None or centre is None:
         return None
     return Vignetting(polynomial, (centre[0], centre[1]), divides=divides)
+
+
+def _two_dimensional(xmp: Xmp) -> Vignetting | None:
+    """By Parrot's tags, which newer cameras of MicaSense write too."""
+    fall = _list(xmp, "Camera:VignettingPolynomial2D")
+    powers = _list(xmp, "Camera:VignettingPolynomial2DName")
+    exponents = tuple(zip(powers[::2], powers[1::2], strict=False))
+    return Vignetting(fall, exponents=exponents) if fall and len(exponents) == len(fall) else None
 
 
 def _list(xmp: Xmp, name: str) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.raster import FRAME, open_raster, reading
 from geomosaic.errors import InputError
 from geomosaic.radiometry.panel import find_panel, middle_of
@@ -30,6 +30,7 @@ RADIOMETRY: Final = ("none", "reflectance")
 _LOW_M = tuned(
     10.0, "m", "below the median height: frames searched for a panel; more misses it, less is slow"
 )
+_SATURATED = sourced(65_000.0, "digital numbers", "beyond which a panel is saturated", "MicaSense, panels")
 _GIVE_PANEL: Final = "give a photo of a panel with --panel IMAGE=ALBEDO"
 _GREY: Final = (
     "thermal frames are read as the grey pictures that their JPEG files show, not as temperatures: for "
@@ -78,11 +79,11 @@ class BandFiles:
         return {name: light[name] / float(np.interp(times[name], at, lit)) for name in self.files}
 
     def _panel_value(self, name: str, given: Albedo) -> tuple[float | None, float]:
-        """The radiance of the panel that a file shows, None where it is not seen, and its albedo."""
+        """The radiance of the panel that a file shows, None where it is not seen or saturated; its albedo."""
         header, xmp = self.files[name], self.files[name].xmp or {}
         values = _values(header)
         panel = find_panel(values) or (None if given is None else middle_of(values))
-        if panel is None:
+        if panel is None or (panel.value(values) or 0.0) > _SATURATED:
             return None, 1.0
         albedo = panel.albedo(number(xmp, "Camera:CentralWavelength"))
         if given is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from datetime import UTC, datetime
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,6 +14,9 @@ from geomosaic.geodesy.sun import sun_direction
 from geomosaic.radiometry.calibration import Calibration, Vignetting
 from geomosaic.radiometry.panel import find_panel, middle_of
 from geomosaic.radiometry.sun_sensor import horizontal_irradiance, sensor_axis, transmitted
+from geomosaic.survey.calibration_tags import sensor_model
+from geomosaic.survey.exif import Exif
+from geomosaic.survey.header import FrameHeader
 from geomosaic_simulate.multispectral import PANEL_TEXT
 
 
@@ -30,6 +34,25 @@ def test_a_value_becomes_reflectance_by_black_level_gain_row_and_vignetting() ->
 def test_vignetting_of_two_dimensions_counts_in_shares_of_the_frame() -> None:
     fall = Vignetting((0.8, 0.4), exponents=((0, 0), (1, 2)))
     assert fall.correction(10, 4)[2, 5] == pytest.approx(1.0 / (0.8 + 0.4 * 0.5 * 0.25))
+
+
+def test_tags_of_either_makers_vignetting_are_read() -> None:
+    """RedEdge-P writes Parrot's polynomial in two dimensions; lists stand as XMP sequences."""
+    xmp = {
+        "MicaSense:RadiometricCalibration": "0.0002,0.0000001,0.00002",
+        "Camera:VignettingPolynomial2D": "0.9,0.1",
+        "Camera:VignettingPolynomial2DName": "0,0,1,0",
+        "DLS:DirectIrradiance": "80",
+        "DLS:ScatteredIrradiance": "20",
+        "DLS:SolarElevation": "0.5235987756",
+        "DLS:IrradianceScaleToSIUnits": "0.01",
+    }
+    exif = Exif(exposure_s=0.001, iso=200.0, black_level=4800.0)
+    model = sensor_model(FrameHeader(Path("a.tif"), 10, 8, 1, "uint16", None, exif, xmp))
+    assert model is not None and model.absolute and model.irradiance == pytest.approx(0.6)
+    assert model.calibration.gain == pytest.approx(0.0002 / (2.0 * 0.001 * 65536.0))
+    assert model.calibration.row_gradient_per_px == pytest.approx(1e-7 / 0.001 - 2e-5)
+    assert model.calibration.vignetting == Vignetting((0.9, 0.1), exponents=((0.0, 0.0), (1.0, 0.0)))
 
 
 def test_values_below_black_are_0_and_beyond_two_are_cut() -> None:
