@@ -74,7 +74,7 @@ def hot_spot(rays: Floats, away: Floats, width_rad: float) -> Floats:
     exponential of the angle (Chen and Leblanc 1997, A four-scale bidirectional reflectance model, section
     II-C); 0 where a ray is unknown, past the lens's end. away (..., 3): `SunBehind.away`."""
     off = np.arccos(np.clip((rays * away).sum(axis=-1), -1.0, 1.0))
-    return np.nan_to_num(np.exp(-off / width_rad))
+    return np.asarray(np.nan_to_num(np.exp(-off / width_rad)))
 
 
 @dataclass(frozen=True)
