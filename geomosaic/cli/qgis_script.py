@@ -43,6 +43,8 @@ _PLAIN: Final = (
     "mosaic.seams.gsd_m", "mosaic.seams.aoi", "mosaic.seams.align_to", "ccd.offsets.method",
 )  # fmt: skip
 """What is seen at first; all else is under `Advanced`."""
+_BY_FLAG: Final = "matching.reference"
+"""A stage that only `--coregister` adds, which the toolbox does not offer."""
 _KINDS: Final = {"true or false": "bool", "whole number": "int", "number": "float", "path": "file"}
 _PROFILE: Final = Path("QGIS/QGIS3/profiles/default/processing/scripts")
 
@@ -94,7 +96,7 @@ def declared(command: str) -> dict[str, Any]:
         "display_name": title,
         "help": help,
         "command": [sys.executable, "-m", "geomosaic.cli.main", command],
-        "params": list(_params((by_id[id] for id in ids if id in by_id), first, flags)),
+        "params": list(_params((by_id[id] for id in ids if id in by_id and id != _BY_FLAG), first, flags)),
     }
 
 
