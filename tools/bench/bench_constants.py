@@ -11,7 +11,7 @@ stay below it. A constant that is used while a module loads, or as a default, is
 
 --only: constants whose name ends so. --longest: processor seconds for one constant; what then has not moved
 is `still` on the trials it had. --again measures what has a row already. Rows are kept in RESULTS.json by
-name, those of other rooms too; RESULTS.md is the table.
+name, those of other rooms too, each with the scenes that it was tried on (`of`); RESULTS.md is the table.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def keep(rows: Mapping[str, Row], results: Path) -> None:
     """Writes RESULTS.json, one constant a line, and RESULTS.md; rows of constants that are gone go."""
     there = {name for name, _, _ in records()}
     kept = [rows[name] for name in sorted(rows) if name in there]
-    head = {
+    head: Row = {
         "title": "Constants, halved and doubled",
         "command": "make bench-constants",
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -142,8 +142,8 @@ def keep(rows: Mapping[str, Row], results: Path) -> None:
     }
     lines = ",\n".join(" " + json.dumps(row) for row in kept)
     results.with_suffix(".json").write_text(json.dumps(head)[:-1] + f', "rows": [\n{lines}\n]}}\n')
-    measured_at = ", ".join(head[key] for key in ("date", "machine", "commit"))
-    text = f"# {head['title']}\n\n`{head['command']}`, {measured_at}. {len(SCENES)} scenes.\n\n"
+    measured_at = ", ".join(str(head[key]) for key in ("date", "machine", "commit"))
+    text = f"# {head['title']}\n\n`{head['command']}`, {measured_at}. {of_all}.\n\n"
     results.with_suffix(".md").write_text(text + "\n".join(table(kept)) + "\n")
 
 
@@ -172,13 +172,14 @@ def main() -> int:
             done += mine
     kept = args.results.with_suffix(".json")
     rows = {row["name"]: row for row in json.loads(kept.read_text())["rows"]} if kept.exists() else {}
+    names = list(dict.fromkeys(d.scene for d in done))
     trials = Trials(done)
     try:
         for name, value, why in list(records(*args.rooms)):
             if args.only and not name.endswith(tuple(args.only)):
                 continue
             if args.again or rows.get(name, {}).get("value") != repr(value)[:80]:
-                rows[name] = measured(name, value, why, trials, args.longest)
+                rows[name] = measured(name, value, why, trials, args.longest) | {"of": names}
                 print(json.dumps(rows[name]), flush=True)
                 keep(rows, args.results)
     finally:

@@ -45,7 +45,8 @@ def _notes(old: Notes, new: Notes) -> Iterator[Change]:
 def _between(old: Any, new: Any, name: str) -> Iterator[Change]:
     """Each change below a name."""
     last = name.rsplit(".", 1)[-1]
-    if last in OF_THE_PROCEDURE or isinstance(old, RunFile):
+    picture = isinstance(old, str) and old.startswith("data:")
+    if last in OF_THE_PROCEDURE or isinstance(old, RunFile) or picture:
         return
     if isinstance(old, Poses) and isinstance(new, Poses) and len(old) == len(new):
         yield from _poses(old, new, name)
