@@ -143,6 +143,7 @@ def keep(rows: Mapping[str, Row], results: Path) -> None:
     lines = ",\n".join(" " + json.dumps(row) for row in kept)
     results.with_suffix(".json").write_text(json.dumps(head)[:-1] + f', "rows": [\n{lines}\n]}}\n')
     measured_at = ", ".join(str(head[key]) for key in ("date", "machine", "commit"))
+    of_all = f"{len(kept)} of {len(there)} constants"
     text = f"# {head['title']}\n\n`{head['command']}`, {measured_at}. {of_all}.\n\n"
     results.with_suffix(".md").write_text(text + "\n".join(table(kept)) + "\n")
 
