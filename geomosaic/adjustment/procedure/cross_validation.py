@@ -47,6 +47,7 @@ from geomosaic.spread import Spread
 _OF_ALL_LENSES = INTERIOR.index("k1")
 BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
 LEFT_OUT = tuned(5, "tracks", "of which one is left out: more weaken the solve, fewer the judgement")
+_LEAST_TRACKS = tuned(300, "tracks", "that thinning leaves: with fewer all are taken, chance chooses models")
 _SURE = tuned(0.25, "share of the median", "a track's least residual by both models: less, exact fits decide")
 MOST_FRAMES = tuned(200, "frames", "that are compared: with 100 of 195 a readout came out negative")
 
@@ -164,7 +165,8 @@ class LeftOut:
         tracks, kept = part_of_tracks(tracks, self._frames)
         points_m = first.points_m[kept]
         sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
-        few = np.flatnonzero(asked_tracks(tracks, sizes, FEW_CELLS**2, FEW_CELLS))
+        asked = np.flatnonzero(asked_tracks(tracks, sizes, FEW_CELLS**2, FEW_CELLS))
+        few = asked if len(asked) >= _LEAST_TRACKS else np.arange(tracks.points)
         out = np.random.default_rng(0).permutation(len(few)) % LEFT_OUT == 0
         solving = np.isin(np.arange(tracks.points), few[~out])
         self.begun = part_of_solution(first, self._frames, points_m[solving])

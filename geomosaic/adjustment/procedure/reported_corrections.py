@@ -21,6 +21,7 @@ from geomosaic.placement.prior import heading_assumed, heading_limits_rad, posit
 from geomosaic.placement.velocity import flown_m_per_s
 from geomosaic.survey.model import Warn
 
+_MOST_PARTS = tuned(4, "jumps and slopes", "two batteries, a wrong barometer: two of each; more: noise")
 _OTHER_VELOCITY = tuned(0.1, "share of the velocity", "that justifies a new solve; less has no effect")
 _MOST_SCALE = tuned(1.5, "times", "given by solved paths; beyond it the positions show no scale")
 _OWN_SD_RAD_PER_S = tuned(0.012, "rad/s", "of a frame about the offset: 1 ms of delay in 10 rad/s²")
@@ -149,7 +150,7 @@ def _with_one_more(
     """The parts with the best one, or a line and the best jump, added, and all rises (k,) in m; else None."""
     for line in ((), (0,)):
         others = (*parts, *line)
-        if len(set(others)) < len(others) or len(others) >= len(off_m) - 3:
+        if len(set(others)) < len(others) or len(others) >= min(_MOST_PARTS, len(off_m) - 3):
             continue
         tried = (*others, _best(off_m, others))
         shapes = _shapes(tried, len(off_m))
