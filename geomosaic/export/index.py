@@ -206,12 +206,12 @@ def write_index(mosaic: Path, out: Path, index: Index, done: Callable[[int, int]
         return bands.values
 
 
-def index_ends(raster: Path, index: Index) -> tuple[float, float]:
+def index_ends(raster: Path) -> tuple[float, float]:
     """What the first and the last colour of an index's raster stand for: `USUAL`, or the 2nd and the 98th
     percentile of another formula's values."""
-    if index.formula in FORMULAS.values():
-        return USUAL
     with open_raster(raster, OWN) as tiff:
+        if tiff.tags().get("FORMULA") in FORMULAS.values():
+            return USUAL
         step = max(1, max(tiff.shape) // _SAMPLED_PX)
         values = tiff.read(1, out_shape=(-(-tiff.height // step), -(-tiff.width // step)), masked=True)
     known = values.compressed()

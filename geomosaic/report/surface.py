@@ -256,18 +256,20 @@ def with_legend(drawn: NDArray[np.uint8], bar: NDArray[np.uint8], labels: Sequen
     return np.vstack([drawn, scale])
 
 
+def in_colours(values: Floats32, ends: tuple[float, float], colours: Sequence[str]) -> NDArray[np.uint8]:
+    """Values (rows, cols) in blue, green, red, alpha, by colours such as #1a9641 evenly between two ends."""
+    stops = np.array([[int(c[k : k + 2], 16) for k in (5, 3, 1)] for c in colours], dtype=np.float64)
+    at = np.nan_to_num((values - ends[0]) / (ends[1] - ends[0])) * (len(stops) - 1)
+    bgr = [np.interp(at, range(len(stops)), stops[:, k]) for k in range(3)]
+    return np.dstack([*bgr, np.where(np.isfinite(values), 255.0, 0.0)]).astype(np.uint8)
+
+
 def index_picture(index: Path, ends: tuple[float, float], colours: Sequence[str]) -> NDArray[np.uint8]:
     """An index's raster in colours between two ends, as blue, green, red, alpha, with the legend below."""
     values, _ = _reduced(index, 1, _INDEX_PX)
-    stops = np.array([[int(c[k : k + 2], 16) for k in (5, 3, 1)] for c in colours], dtype=np.float64)
-
-    def drawn(of: Floats32) -> NDArray[np.uint8]:
-        at = np.nan_to_num((of - ends[0]) / (ends[1] - ends[0])) * (len(stops) - 1)
-        bgr = [np.interp(at, range(len(stops)), stops[:, k]) for k in range(3)]
-        return np.dstack([*bgr, np.where(np.isfinite(of), 255.0, 0.0)]).astype(np.uint8)
-
-    bar = drawn(np.linspace(*ends, 256, dtype=np.float32)[None])
+    bar = in_colours(np.linspace(*ends, 256, dtype=np.float32)[None], ends, colours)
     with open_raster(index, OWN) as raster:
         unit = raster.units[0] or ""
         name = f"{raster.descriptions[0]} of {raster.tags()['VALUES']}"
-    return with_legend(drawn(values), bar, [f"{ends[0]:.3g} {unit}", name, f"{ends[1]:.3g} {unit}"])
+    low, high = (f"{end:.3g} {unit}" for end in ends)
+    return with_legend(in_colours(values, ends, colours), bar, [low, name, high])

@@ -106,7 +106,7 @@ def export_index(mosaic_file: RunFile, params: IndexParams, context: Context) ->
         values = write_index(context.path_of(mosaic_file), plain, index, progress)
         with context.writing(f"{file}.tif") as path:
             write_cog(plain, path)
-        ends = index_ends(plain, index)
+        ends = index_ends(plain)
         picture, style = index_picture(plain, ends, index_colours(plain)), index_style(plain, ends)
     with context.writing(f"{file}.png") as path:
         cv2.imwrite(str(path), picture)

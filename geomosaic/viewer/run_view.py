@@ -15,6 +15,7 @@ from geomosaic.viewer.grid_raster import ViewGrid
 from geomosaic.viewer.map_features import map_features
 from geomosaic.viewer.tile_layers import (
     AccuracyLayer,
+    IndexLayer,
     MosaicLayer,
     SurfaceLayer,
     TileLayer,
@@ -87,6 +88,8 @@ def _view(run: Path, grid: ViewGrid) -> RunView:
         layers[SURFACE] = SurfaceLayer(surface, grid, colours)
     if accuracy.is_file() and (colours := accuracy_colours(accuracy)) is not None:
         layers[ACCURACY] = AccuracyLayer(accuracy, grid, colours)
+    for path in sorted(run.glob("index_*.tif")):
+        layers[path.stem] = IndexLayer(path_within(run, path.name), grid)
     features = map_features(package, grid) if package.is_file() else []
     try:
         rasters, unmeasured = run_rasters(run), ""

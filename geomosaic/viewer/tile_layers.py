@@ -1,4 +1,4 @@
-"""Layers of a map that are drawn as tiles: the mosaic, the surface shaded, the accuracy."""
+"""Layers of a map that are drawn as tiles: the mosaic, the surface shaded, the accuracy, indices."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, open_raster, reading
+from geomosaic.export.index import index_ends
+from geomosaic.export.project_rasters import index_colours
 from geomosaic.export.shown_bands import ShownBands, shown_bands
 from geomosaic.report.accuracy_image import COLOURS, ENDS, coloured_deviations
-from geomosaic.report.surface import shaded
+from geomosaic.report.surface import in_colours, shaded
 from geomosaic.viewer.grid_raster import GridRaster, ViewGrid
 
 _QUALITY = tuned(90, "WebP quality", "less: blocks at edges; more: larger tiles over no network")
@@ -121,6 +123,25 @@ class AccuracyLayer:
         values, known = self._raster.read([1], window, reduction)
         drawn = coloured_deviations(values[0], self._colours.low, self._colours.high)
         return _webp(drawn[..., :3], known & (drawn[..., 3] > 0))
+
+
+class IndexLayer:
+    """An index of the mosaic's bands, as its style has it."""
+
+    def __init__(self, path: Path, grid: ViewGrid) -> None:
+        self._grid, self._raster = grid, GridRaster(path, grid)
+        self._ends, self._colours = index_ends(path), index_colours(path)
+        self.title = path.stem.removeprefix("index_")
+        low, high = (f"{end:.3g}" for end in self._ends)
+        self.legend = low, high, list(self._colours)
+
+    def tile(self, reduction: int, across: int, down: int) -> bytes | None:
+        """See `TileLayer`."""
+        window = self._grid.window(reduction, across, down)
+        if window is None:
+            return None
+        values, known = self._raster.read([1], window, reduction)
+        return _webp(in_colours(values[0], self._ends, self._colours)[..., :3], known)
 
 
 _STEPS: Final = np.linspace(0, 255, 6).astype(np.uint8)[:, None]

@@ -82,8 +82,10 @@ def test_values_as_recorded_are_called_so(tmp_path: Path) -> None:
 
 def test_a_picture_has_a_legend_and_a_style_the_same_ends(tmp_path: Path) -> None:
     out = written(tmp_path, "NDVI", UNCALIBRATED)
-    assert index_ends(out, Index.of("NDVI")) == USUAL
-    low, high = index_ends(out, Index.of("nir - red"))
+    assert index_ends(out) == USUAL
+    other = tmp_path / "other"
+    other.mkdir()
+    low, high = index_ends(written(other, "nir - red", reflectance("panel", absolute=True)))
     assert low < high
     picture = index_picture(out, USUAL, index_colours(out))
     assert picture[:30, 0, 3].max() == 0 and picture[:30, 1, 3].min() == 255

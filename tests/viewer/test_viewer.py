@@ -12,6 +12,7 @@ import pytest
 from osgeo import gdal, osr
 
 from geomosaic.errors import FileError, InputError
+from geomosaic.export.index import Index, write_index
 from geomosaic.viewer.run_view import run_views
 from geomosaic.viewer.viewer_pages import ViewerPages
 
@@ -76,6 +77,22 @@ def test_tiles_are_the_mosaic_s_own_pixels_and_their_means(tmp_path: Path) -> No
     for beyond in (["0", "mosaic", "1", "3", "0"], ["0", "surface", "1", "0", "0"], ["1", "mosaic", "1", "0", "0"],
                    ["0", "mosaic", "0", "0", "0"], ["x", "mosaic", "1", "0", "0"], ["0", "..", "1", "0", "0"]):  # fmt: skip
         assert pages.get(["tile", *beyond]) is None
+
+
+def test_an_index_is_a_layer_with_the_colours_of_its_style(tmp_path: Path) -> None:
+    """(2 green - red - blue) / (2 green + red + blue) is -1 to 1; its usual ends are -0.2 and 1."""
+    run = finished(tmp_path / "run")
+    index = Index.for_mosaic(run / "mosaic.tif", "auto")
+    write_index(run / "mosaic.tif", run / "index_GLI.tif", index, lambda done, all: None)
+    pages = ViewerPages(run_views(run))
+    answer = pages.get(["tile", "0", "index_GLI", "2", "0", "0"])
+    assert answer is not None
+    tile = cv2.imdecode(np.frombuffer(answer.body, np.uint8), cv2.IMREAD_COLOR)
+    assert tile[5, 250, 2] > 180 > tile[5, 250, 1]  # red and blue without green: the first colour
+    assert tile[340, 5, 1] > tile[340, 5, 2]
+    described = json.loads(pages.get(["runs"]).body)  # type: ignore[union-attr]
+    (layer,) = [of for of in described["runs"][0]["layers"] if of["name"] == "index_GLI"]
+    assert layer["title"] == "GLI" and layer["legend"][:2] == ["-0.2", "1"]
 
 
 def test_measures_without_a_surface(tmp_path: Path) -> None:
