@@ -98,6 +98,8 @@ class TonesLeft:
 def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | None:
     """The directions away from the sun (n, 3) and the width of the spot that lessens what frames differ by
     most; None where it may be chance. All time zones and widths are tried: chance has as many goes."""
+    if not len(left.frame):
+        return None
     rays, some = behind.rays[left.known], left.some()
     up = [away for away in behind.away if not np.isnan(away[some.frame]).any()]
     spots = [(away, width) for away in up for width in _WIDTHS_RAD]

@@ -156,6 +156,8 @@ def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
     """Tones with which the map is as bright as the frames that show a place are in the mean: what a camera's
     exposure follows stays, and only differences between frames go. The mean is taken over about half a frame,
     and followed by each frame to the second degree."""
+    if not len(places.frame):
+        return tones
     n, b = tones.gain.shape
     own = tones.gain[places.frame] + np.einsum("mbk,mk->mb", tones.slope[places.frame], places.offset)
     first = places.nodes.min(axis=0)

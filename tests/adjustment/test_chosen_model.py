@@ -341,7 +341,7 @@ def test_a_model_that_cannot_win_is_not_solved(turning: Adjusted, counted: Count
 
 def test_a_large_block_is_compared_on_some_neighbouring_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """The model that they choose is solved with all frames, and as well as if all had chosen it."""
-    monkeypatch.setattr(cross_validation, "_MOST_FRAMES", 6)
+    monkeypatch.setattr(cross_validation, "MOST_FRAMES", 6)
     flown = fly(3, 2, 5, **TURNING)
     adjusted = METHODS["bundle"](flown.block, Settings())
     assert adjusted.model is not None and adjusted.model.taken == ("turning",)

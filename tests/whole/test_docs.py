@@ -46,6 +46,7 @@ NOT_RUN = {
     "geomosaic geoid": "asks a server: test_heights.py has one",
     "geomosaic control": "serves a page until it is stopped: test_marking_chromium.py opens it",
     "FRAMES-control": "what that page writes: test_marking_chromium.py mosaics with it",
+    "geomosaic compare": "wants two runs of the same ground: test_changes.py makes some",
     "geomosaic frames": "wants a video: test_video_frames.py makes some",
     "geomosaic open": "serves a page until it is stopped: test_viewer_chromium.py opens it",
     "geomosaic watch": "waits for frames: test_watch.py copies some",

@@ -31,6 +31,7 @@ _STANDINGS: tuple[Standing, ...] = tuned(
 _FREE = _STANDINGS[0]
 _CLEARLY = tuned(0.9, "of the free surface's error", "more: planes by chance; less: crowns become ground")
 _FEWEST = tuned(10, "tie points", "fewer have no median or quantile that means something")
+_GAP = tuned(0.2, "flying heights", "side of a left-out square; less: any stiffness predicts it; more: none")
 SIDE = tuned(0.25, "flying heights", "side of places that err alike or are left out: a third of a frame")
 _AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25), "flying heights", "bins; finer: too few points")
 _POWERS = sourced((1.0, 2.5), "power", "of errors by distance, for wrong slope, curvature", "Wiener process")
@@ -121,7 +122,7 @@ def _error_growth(trials: _Trials, surfaces: Sequence[GroundSurface]) -> tuple[f
 def _best_curving(trials: _Trials, spacing_m: float) -> float:
     """The third derivative that predicts every fifth square of points with the least mean error, capped."""
     heights = trials.heights
-    cells = (heights.points_m[:, :2] - heights.low_m) / (SIDE * heights.height_m)
+    cells = (heights.points_m[:, :2] - heights.low_m) / (_GAP * heights.height_m)
     col, row = np.floor(cells).astype(np.intp).T
     out = (col + 2 * row) % 5 == 0
     if out.sum() < _FEWEST or out.all():
