@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import erf
 
-from geomosaic.adjustment.ground.trial_surface import LOWEST, Heights, Trial, even_ground, fitted
+from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import MEDIAN_ONE, ROUNDS, sourced, tuned
 from geomosaic.estimation.robust import BLUNDER, THREE_SIGMA
@@ -31,6 +31,7 @@ _STANDINGS: tuple[Standing, ...] = tuned(
 _FREE = _STANDINGS[0]
 _CLEARLY = tuned(0.9, "of the free surface's error", "more: planes by chance; less: crowns become ground")
 _FEWEST = tuned(10, "tie points", "fewer have no median or quantile that means something")
+_LOW = tuned(0.5, "share of the points", "that may be ground; more: crowns; less: low wrong matches")
 _GAP = tuned(0.2, "flying heights", "side of a left-out square; less: any stiffness predicts it; more: none")
 SIDE = tuned(0.25, "flying heights", "side of places that err alike or are left out: a third of a frame")
 _AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25), "flying heights", "bins; finer: too few points")
@@ -140,7 +141,7 @@ def _best_standing(trials: _Trials, spacing_m: float, curving: float) -> Standin
     points_m = trials.heights.points_m
     trend = even_ground(points_m, trials.heights.sd_up_m, max(terms for terms, _ in _STANDINGS))
     above = points_m[:, 2] - trend(points_m[:, 0], points_m[:, 1])
-    low = above <= np.quantile(above, LOWEST)
+    low = above <= np.quantile(above, _LOW)
     corners = [(out & low, known) for eighth, (out, known) in trials.without_each_side.items() if eighth % 2]
     corners = [(out, known) for out, known in corners if out.sum() >= _FEWEST]
     total = np.zeros(len(_STANDINGS))

@@ -18,7 +18,7 @@ from geomosaic.projection.ground import GroundSurface
 _PER_HEIGHT = tuned(20.0, "places a flying height", "where slopes count; less: points bend the land")
 _TRIAL_ROUNDS = tuned(4, "rounds", "of re-weighting a trial surface, which is judged by medians")
 _ABOVE = sourced(0.05, "weight", "above the ground; more: it rises into crowns", "Eilers and Boelens 2005")
-LOWEST = tuned(0.4, "share of the points", "that may be ground; more: crowns; less: low wrong matches")
+_LOWEST = tuned(0.4, "share of the points", "that show the ground's scatter; more: crowns among them")
 
 
 class SmoothedGrid:
@@ -150,7 +150,7 @@ def even_ground(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floa
         return np.where(left > 0.0, _ABOVE, 1.0 - _ABOVE)
 
     def about_lowest(left: Floats) -> Floats:
-        low = left[left <= np.quantile(left, LOWEST)]
+        low = left[left <= np.quantile(left, _LOWEST)]
         scale = np.maximum(1.5 * float(np.median(np.abs(low - np.median(low)))), sd_up_m)
         return np.asarray(1.0 / (1.0 + (left / scale) ** 2) ** 2)
 
