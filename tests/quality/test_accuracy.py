@@ -54,7 +54,7 @@ def test_a_shift_in_common_is_absolute_alone() -> None:
     shift = np.tile([1.2, -0.5, 0.0], (4, 1))
     found = accuracy_of(adjusted(place_errors(shift)), float("nan"), 0.02)
     assert found.absolute.rmse_h_m == pytest.approx(1.3)
-    assert found.absolute.ce90_m == pytest.approx(1.5175 * 1.3)
+    assert found.absolute.ce90_m == pytest.approx(np.sqrt(np.log(10.0)) * 1.3)
     assert found.absolute.rmse_v_m == pytest.approx(0.0) and found.absolute.how == "estimated"
     assert found.relative.scale_permille == pytest.approx(0.0, abs=1e-9)
     assert found.relative.rmse_100m_m == pytest.approx(0.0, abs=1e-7)
@@ -87,7 +87,7 @@ def test_what_seams_miss_is_in_distances_and_half_of_it_in_places() -> None:
     """2 px of 0.05 m, median of a plane error: 0.0849 m a coordinate between two frames."""
     none = place_errors(np.zeros((4, 3)))
     found = accuracy_of(adjusted(none), 2.0, 0.05)
-    of_two_m = 0.1 / 1.1774
+    of_two_m = 0.1 / np.sqrt(2.0 * np.log(2.0))
     assert found.relative.rmse_100m_m == pytest.approx(np.sqrt(2.0) * of_two_m)
     assert found.absolute.rmse_h_m == pytest.approx(np.sqrt(2.0) * of_two_m)
 
@@ -170,7 +170,7 @@ def test_a_shift_that_check_points_measured_does_not_widen_ce90() -> None:
     assert absolute.le90_m == pytest.approx(3.064, abs=0.002)
     scattered = tuple(check((1.3 * e / 0.05, 0.0, u)) for e, _, u in spread)
     absolute = accuracy_of(adjusted(None, *scattered), float("nan"), 0.02).absolute
-    assert not absolute.shifted and absolute.ce90_m == pytest.approx(1.5175 * 1.3)
+    assert not absolute.shifted and absolute.ce90_m == pytest.approx(np.sqrt(np.log(10.0)) * 1.3)
 
 
 def test_land_lies_as_well_beside_the_land_around_as_distances_are_asked_to() -> None:

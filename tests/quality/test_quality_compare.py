@@ -62,7 +62,7 @@ def test_blocks_do_not_show(tmp_path, monkeypatch):
     mosaic = write_tif(tmp_path / "mosaic.tif", eight_bits(moved(base, 0.4, 1.7)), WEST, NORTH, GSD)
     whole = compare(mosaic, reference, ComparisonOptions(patch_px=32, step_px=32, search_px=16))
     seen = []
-    monkeypatch.setattr(module, "_BLOCK_PX", 200)
+    monkeypatch.setattr(module, "GLANCE_PX", 200)
     parts = compare(
         mosaic,
         reference,

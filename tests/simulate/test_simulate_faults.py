@@ -400,7 +400,7 @@ def test_wind_moves_crowns_and_nothing_else() -> None:
         ({"no_gps": "13"}, "no_gps: '13' names no frames"),
         ({"blurred": "x"}, "blurred: 'x' names no frames"),
         ({"duplicates": 13}, "more duplicates than frames"),
-        ({"take_off_frames": -1}, "number of frames is below 0"),
+        ({"take_off_frames": -1}, "number of frames, changes or the epoch is below 0"),
         ({"clouds": 1.2}, "share is outside"),
         ({"exposure_time_s": -0.1}, "below 0"),
         ({"stale_yaw_line": 2, "kind": "free"}, "stale_yaw_line"),
