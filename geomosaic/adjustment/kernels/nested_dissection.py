@@ -19,6 +19,7 @@ from geomosaic.estimation.linear import cholesky, inverse_of_factor, square_of_f
 
 _LEAST_FRAMES = tuned(32, "frames", "that are not cut any further: below, a dense matrix is as fast")
 _MIDDLE: tuple[float, float] = tuned((0.3, 0.7), "share of the frames", "to cut at; farther out: small parts")
+_MOST_WORK = tuned(0.7, "share of a dense matrix's", "operations; with more, dissection takes longer")
 _UNDETERMINED = "the block does not determine the poses of its frames"
 
 
@@ -72,7 +73,7 @@ class Dissection:
             place[own], place[beyond] = np.arange(len(own)), len(own) + np.arange(len(beyond))
             blocks = mine, place[row[mine]], place[columns[mine]]
             fronts.append(_Front(own, beyond, blocks, tuple((p, place[fronts[p].beyond]) for p in parts[k])))
-        if len(fronts) > 1 and sum(front.work for front in fronts) > f**3 / 3.0:
+        if len(fronts) > 1 and sum(front.work for front in fronts) > _MOST_WORK * f**3 / 3.0:
             below = np.flatnonzero(row >= columns)
             return cls((_Front(np.arange(f), np.arange(0), (below, row[below], columns[below]), ()),))
         return cls(tuple(fronts))
