@@ -57,7 +57,7 @@ def temperature(header: FrameHeader) -> Quantity | None:
 
 
 def _micasense(header: FrameHeader) -> SensorModel | None:
-    """L = V a1 / g * (p - pBL) / (te + a2 y - a3 te y), p as shares of 16 bits.
+    """L = V a1 / g * (p - pBL) / (t_e + a2 y - a3 t_e y), p as shares of 16 bits.
 
     Reference: MicaSense, RedEdge Camera Radiometric Calibration Model.
     """
