@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.stats import chi2
 
+from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.views import FrameView
@@ -53,8 +54,9 @@ class SunBehind:
         origin = survey.work_frame
         away = np.full((len(_ZONES_H), len(times_s), 3), np.nan)
         rays = np.empty((len(frame), 3))
+        its = dict(frame_by_frame(frame))
         for view in views:
-            mine = frame == view.frame
+            mine = its.get(view.frame, np.arange(0))
             rays[mine] = directions(view.camera, image_px[mine])
             for k, zone_h in enumerate(_ZONES_H):
                 sun = sun_direction(origin.lon_deg, origin.lat_deg, times_s[view.frame] + 3600.0 * zone_h)

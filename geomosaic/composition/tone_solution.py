@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import spsolve
 
+from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
 from geomosaic.constants import NORMAL_PER_MAD, tuned
@@ -171,8 +172,7 @@ def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
     smooth = smooth.reshape(*shape, b + 1)
     target = (smooth[..., :b] / np.maximum(smooth[..., b:], 1e-6))[row, col][places.place]
     level = np.zeros((n, b, 6))
-    for i in np.unique(places.frame):
-        mine = places.frame == i
+    for i, mine in frame_by_frame(places.frame):
         terms = powers(*(places.offset[mine, k][:, None] for k in (0, 1)))
         level[i] = least_squares(terms, target[mine].astype(np.float64)).T
     return replace(tones, level=level)

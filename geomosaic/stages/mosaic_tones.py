@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
 from geomosaic.composition.tone_solution import solve_tones, with_own_level
@@ -85,8 +86,8 @@ def mosaic_tones(
 
 def _values(survey: Survey, places: ToneSightings, bands: int, context: Context) -> np.ndarray[Any, Any]:
     """Of all sightings, (m, b)."""
-    seen = np.unique(places.frame).tolist()
-    mine = [np.flatnonzero(places.frame == i) for i in seen]
+    its = dict(frame_by_frame(places.frame))
+    seen, mine = list(its), list(its.values())
     jobs = [
         Sampling(survey.frames[i], places.image_px[m], context.optional_cache(Small, survey.frames[i].path))
         for i, m in zip(seen, mine, strict=True)

@@ -78,8 +78,8 @@ def _micasense(header: FrameHeader) -> SensorModel | None:
 def _downwelling(header: FrameHeader) -> float | None:
     """Horizontal irradiance in W/m2/nm by MicaSense's downwelling light sensor.
 
-    The direct and the diffuse part where the sensor separates them (DLS 2), else its reading, righted by its
-    orientation and the sun's place (DLS 1).
+    The direct and the diffuse part where the sensor separates them (DLS 2), else its reading, corrected by
+    its orientation and the sun's place (DLS 1).
     """
     xmp, exif = header.xmp or {}, header.exif
     level, direct, diffuse, elevation = (

@@ -1,4 +1,4 @@
-"""Aircraft that fly at once, told apart by the continuity of their paths where no tag names them."""
+"""Aircraft that fly at once, separated by the continuity of their paths where no tag names them."""
 
 from __future__ import annotations
 

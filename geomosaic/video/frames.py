@@ -23,7 +23,7 @@ _LOST = tuned(0.05, "peak of the phase correlation", "less: unrelated images, su
 _QUALITY: Final = 95
 POSITIONS: Final = "pos.csv"
 Report = Callable[[int, int, str], None]
-"""Told how much of how much is done, and of what."""
+"""Called with how much is done, of how much, and of what."""
 
 
 @dataclass(frozen=True)

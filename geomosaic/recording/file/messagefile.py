@@ -143,8 +143,8 @@ class MessageFile:
         try:
             yield
         except OSError as error:
-            mend = "free some space or choose another output folder"
-            self._failure = OutputError(error.strerror or str(error), file=self._path, fix=mend)
+            fix = "free some space or choose another output folder"
+            self._failure = OutputError(error.strerror or str(error), file=self._path, fix=fix)
             self._closed = True
             if hasattr(self, "_file"):
                 with contextlib.suppress(OSError):
