@@ -32,7 +32,7 @@ FORMULAS: Final = {
 """Rouse et al. 1974; Barnes et al. 2000; Gitelson et al. 1996; Louhaichi et al. 2001."""
 AUTO: Final = "auto"
 USUAL: Final = (-0.2, 1.0)
-"""The ends of these indices' colours: water to dense leaves."""
+"""The ends of the colours of indices with near infrared: water to dense leaves."""
 _SHORT: Final = {"g": "green", "gre": "green", "r": "red", "b": "blue", "re": "rededge", "reg": "rededge"}
 """Band names of Parrot's and DJI's files, as formulas have them."""
 _OPERATORS: Final[Mapping[type, Callable[..., Any]]] = {
@@ -210,7 +210,7 @@ def index_ends(raster: Path) -> tuple[float, float]:
     """What the first and the last colour of an index's raster stand for: `USUAL`, or the 2nd and the 98th
     percentile of another formula's values."""
     with open_raster(raster, OWN) as tiff:
-        if tiff.tags().get("FORMULA") in FORMULAS.values():
+        if (formula := tiff.tags().get("FORMULA")) in FORMULAS.values() and "nir" in formula:
             return USUAL
         step = max(1, max(tiff.shape) // _SAMPLED_PX)
         values = tiff.read(1, out_shape=(-(-tiff.height // step), -(-tiff.width // step)), masked=True)
