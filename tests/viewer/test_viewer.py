@@ -80,7 +80,7 @@ def test_tiles_are_the_mosaic_s_own_pixels_and_their_means(tmp_path: Path) -> No
 
 
 def test_an_index_is_a_layer_with_the_colours_of_its_style(tmp_path: Path) -> None:
-    """(2 green - red - blue) / (2 green + red + blue) is -1 to 1; its usual ends are -0.2 and 1."""
+    """(2 green - red - blue) / (2 green + red + blue); its ends are the 2nd and the 98th percentile."""
     run = finished(tmp_path / "run")
     index = Index.for_mosaic(run / "mosaic.tif", "auto")
     write_index(run / "mosaic.tif", run / "index_GLI.tif", index, lambda done, all: None)
@@ -92,7 +92,12 @@ def test_an_index_is_a_layer_with_the_colours_of_its_style(tmp_path: Path) -> No
     assert tile[340, 5, 1] > tile[340, 5, 2]
     described = json.loads(pages.get(["runs"]).body)  # type: ignore[union-attr]
     (layer,) = [of for of in described["runs"][0]["layers"] if of["name"] == "index_GLI"]
-    assert layer["title"] == "GLI" and layer["legend"][:2] == ["-0.2", "1"]
+    red, green = np.meshgrid(np.arange(1100) // 5, np.arange(700) // 3)
+    values = (2.0 * green - red - 60.0) / (2.0 * green + red + 60.0)
+    assert layer["title"] == "GLI"
+    assert [float(end) for end in layer["legend"][:2]] == pytest.approx(
+        np.percentile(values, [2, 98]), abs=0.01
+    )
 
 
 def test_measures_without_a_surface(tmp_path: Path) -> None:
