@@ -21,6 +21,7 @@ from rasterio._err import CPLE_BaseError
 from rasterio.env import set_gdal_config
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.bindings import gdal
 from geomosaic.doors.files import check_regular
 from geomosaic.doors.references import check_sidecars, check_sources
@@ -167,6 +168,7 @@ def _regular(path: Path, purpose: Purpose) -> Path:
     named = path if len(str(path)) < 256 else f"{str(path)[:255]}..."
     if str(path).startswith("/vsi"):
         raise FileError("is no file on this machine", file=named, fix=purpose.fix)
+    path = at_hand(path)
     try:
         folder = stat.S_ISDIR(path.stat().st_mode)
     except (OSError, ValueError) as error:

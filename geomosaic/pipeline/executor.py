@@ -20,6 +20,8 @@ from typing import Any
 
 from geomosaic import __version__
 from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.pipeline.carrier import CarryingExecutor, RunFiles
+from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.worker_process import (
     TASKS,
     WorkerProcesses,
@@ -122,7 +124,17 @@ class Workers:
         self._deserted_s: float | None = None
         self._processes = WorkerProcesses()
         self._pool: Executor | None = None
+        self._files: RunFiles | None = None
         self._submitting = threading.Lock()  # it changes how processes start for a moment
+
+    def serve(self, folder: Path, hashes: FileHashes) -> None:
+        """Sends files to Dask's workers that do not see the run's disk: its own, and those it reads."""
+        self._files = RunFiles(folder, hashes)
+
+    def new_step(self) -> None:
+        """Files of the run may have changed: workers elsewhere ask for them anew."""
+        if isinstance(self._pool, CarryingExecutor):
+            self._pool.new_step()
 
     @property
     def elsewhere(self) -> bool:
@@ -155,6 +167,8 @@ class Workers:
         for name in ("distributed", "distributed.client"):  # whose lines are tracebacks when a cluster dies
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self.check()
+        if self._files is not None:
+            return CarryingExecutor(self._client, self._files)
         executor: Executor = self._client.get_executor(pure=False)
         return executor
 

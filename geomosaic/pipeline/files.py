@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO, TypeGuard
 
+from geomosaic.doors.at_hand import at_hand
 from geomosaic.errors import GeomosaicError, LinkError, OutputError
 
 _LEFTOVER = re.compile(r"\..+\.\d+\.geomosaic\.(part(\..+)?|old)")
@@ -171,7 +172,7 @@ def path_within(folder: Path, name: str) -> Path:
 @contextmanager
 def open_own(path: Path) -> Iterator[BinaryIO]:
     """A file of a run folder, opened to be read, never through a link. Raises `OSError`."""
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    handle = os.open(at_hand(path), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(handle, "rb") as file:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(errno.EINVAL, "no regular file", str(path))

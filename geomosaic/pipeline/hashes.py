@@ -99,7 +99,7 @@ class FileHashes:
             path = Path(text)
             if path in self._read:
                 found |= {p: self.of_input(p) for p in self._companions[path.with_suffix("")]}
-            elif os.sep in text and _is_file(path):
+            elif os.sep in text and is_file(path):
                 found[path] = self.of_file(path)
         return found
 
@@ -170,7 +170,8 @@ class FileHashes:
             self._new = False
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Whether a path leads to a file; one that no file can have leads to none."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # no name that a file can have

@@ -81,6 +81,7 @@ class Items:
         left = () if len(done) == len(places) else enumerate(items)  # none is made for nothing
         waiting = ((i, item) for i, item in left if i not in done)
         running: dict[Future[Any], int] = {}
+        self.workers.new_step()
         with self._for_workers(name, function, len(done) < len(places)) as work:
             while True:
                 self.progress(len(done), len(places), name)

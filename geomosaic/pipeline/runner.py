@@ -111,6 +111,7 @@ class _Run:
         self._log = log
         self._hashes = FileHashes(folder.within(f"{WORK}/hashes.json"))
         self._cache = StageCache(folder, self._hashes)
+        workers.serve(folder.path, self._hashes)
         self._summary = RunSummary(folder, log, workers)
         self._artefacts: dict[str, ArtefactHandle] = {}
         self._lineages: list[Lineage] = []

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 from geomosaic.constants import tuned
+from geomosaic.doors.at_hand import at_hand, own_place, shares_disk
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefact_reader import decode
@@ -109,7 +110,9 @@ class StoredResult(Reference, Generic[Result]):
         if self.path is None:
             return self.load()
         path = self.path
-        return typing.cast(Result, _memory.get(self.mark, lambda: (self.load(), path.stat().st_size)))
+        return typing.cast(
+            Result, _memory.get(self.mark, lambda: (self.load(), at_hand(path).stat().st_size))
+        )
 
     def recall_as(self, made_of: Callable[[Result], Sized]) -> Sized:
         """As `recall`, but what a function makes of the result, which isn't kept itself."""
@@ -130,7 +133,9 @@ class StoredResult(Reference, Generic[Result]):
         path = self.path
 
         def read() -> tuple[Result, int]:
-            return _read(path, lambda file: decode(file, self.returns, mapped=True)), path.stat().st_size
+            return _read(path, lambda file: decode(file, self.returns, mapped=True)), at_hand(
+                path
+            ).stat().st_size
 
         return typing.cast(Result, _memory.get(f"{self.mark} mapped", read))
 
@@ -154,7 +159,8 @@ class OptionalCache(Reference, Generic[Result]):
     def leave(self, result: Result) -> None:
         """Stores the result."""
         if self.path is not None:
-            with files.refusals_named(self.path), files.writing(self.path) as place, place.open("wb") as file:
+            path = own_place(self.path)
+            with files.refusals_named(path), files.writing(path) as place, place.open("wb") as file:
                 write(result, file)
 
     def found(self) -> Result | None:
@@ -162,7 +168,7 @@ class OptionalCache(Reference, Generic[Result]):
         if self.path is None:
             return None
         try:
-            return typing.cast(Result, _read(self.path, lambda file: decode(file, self.returns)))
+            return typing.cast(Result, _read(own_place(self.path), lambda file: decode(file, self.returns)))
         except FileError:
             return None
 
@@ -234,13 +240,15 @@ class EncodedFunction(Generic[Item]):
 @dataclass(frozen=True)
 class SpoolingFunction(Generic[Item]):
     """A function whose result is left on the disk by who made it, beside the place it is to take; the name of
-    the file comes home. A task that is done twice leaves two."""
+    the file comes home, without a shared disk its bytes. A task that is done twice leaves two."""
 
     function: Callable[[Item], Any]
 
-    def __call__(self, given: tuple[Item, Path]) -> Path:
+    def __call__(self, given: tuple[Item, Path]) -> Path | bytes:
         item, place = given
         result = self.function(item)
+        if not shares_disk():
+            return encode(result)
         path = place.with_name(f".{place.name}-{secrets.token_hex(4)}.{os.getpid()}.geomosaic.part")
         try:
             with files.refusals_named(place):

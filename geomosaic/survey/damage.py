@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from geomosaic.constants import sourced, tuned
+from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.header import JPEG_SUFFIXES
@@ -79,7 +80,7 @@ def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
     file = Path(path)
     if file.suffix.lower() in JPEG_SUFFIXES:
         try:
-            data = file.read_bytes()
+            data = at_hand(file).read_bytes()
         except OSError as error:
             raise FileError(f"can't be read ({error.strerror})", file=file, fix=FRAME.fix) from error
         return _of_jpeg(data, parse_structure(data, file, whole=False))
@@ -189,7 +190,7 @@ def _intervals(coded: bytes) -> Iterator[tuple[bytes, int | None]]:
 def _of_raster(path: Path) -> Wholeness:
     with open_raster(path, FRAME) as tiff:
         if tiff.driver == "PNG":
-            said = png_damage(path.read_bytes())
+            said = png_damage(at_hand(path).read_bytes())
             return Wholeness(said, 0 if said else tiff.height)
         if tiff.compression is None:  # any bytes are pixels
             return Wholeness("", tiff.height)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.windows import Window
 
+from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import decoded
@@ -71,7 +72,7 @@ def read_pixels(
 
 def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArray[Any]:
     try:
-        data = path.read_bytes()
+        data = at_hand(path).read_bytes()
     except OSError as error:
         raise FileError(f"can't be read ({error.strerror})", file=path, fix=_FIX) from error
     parse_structure(data, path, whole=frame.whole_rows is None)  # what is missing is filled with grey

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from dask_team import Team, dask_team
+from dask_team import Team, can_hide, dask_team
 from pipeline_toy import powered
 from small_surveys import small_survey
 
@@ -23,7 +24,7 @@ from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 from geomosaic.requests.run_request import recipe_of
 from geomosaic_simulate.survey import SimulatedSurvey
 
-pytest.importorskip("distributed")
+Client = pytest.importorskip("distributed").Client
 RESULTS = ("mosaic.tif", "sources.tif", "positions.csv")
 
 
@@ -40,11 +41,13 @@ class Striking(Silent):
             self.strike()
 
 
+def flight(folder: Path) -> SimulatedSurvey:
+    return small_survey(folder, lines=2, frames_per_line=3, width_px=320, height_px=240, seed=21)
+
+
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
-    return small_survey(
-        tmp_path_factory.mktemp("survey"), lines=2, frames_per_line=3, width_px=320, height_px=240, seed=21
-    )
+    return flight(tmp_path_factory.mktemp("survey"))
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +83,23 @@ def test_a_worker_that_is_killed_leaves_the_pixels_as_they_are(
     assert striking.struck
     for name in RESULTS:
         assert (tmp_path / "run" / name).read_bytes() == (local / name).read_bytes()
+
+
+@pytest.mark.skipif(not can_hide(), reason="only root may hide folders from workers")
+def test_workers_that_see_neither_frames_nor_run_give_the_same_bytes(local: Path, tmp_path: Path) -> None:
+    """Each worker has a file system of its own, empty where survey and run lie; one of them is killed."""
+    far = tmp_path / "far"
+    far.mkdir()
+    with dask_team(tmp_path / "dask", workers=3, hidden=far) as team:
+        striking = Striking("windows", team.kill)
+        options = RunOptions(dask=team.address, fixed_time=True)
+        run(recipe(flight(far / "survey")), far / "run", options, reporter=striking)
+        assert striking.struck
+        with Client(team.address, set_as_default=False) as client:
+            kept = client.run(lambda: len(importlib.import_module("geomosaic.pipeline.carrier")._copies))
+            assert list(kept.values()) == [0, 0]
+    for name in RESULTS:
+        assert (far / "run" / name).read_bytes() == (local / name).read_bytes()
 
 
 def powers(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,11 +16,22 @@ from pathlib import Path
 LONGEST_S = 60.0
 
 
-class Team:
-    """One scheduler, and workers of one thread without anybody who starts them again."""
+def can_hide() -> bool:
+    """Whether this user may start workers that do not see all folders."""
+    return shutil.which("unshare") is not None and not subprocess.run(
+        ["unshare", "--mount", "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, check=False
+    ).returncode  # fmt: skip
 
-    def __init__(self, folder: Path, workers: int = 2) -> None:
+
+class Team:
+    """One scheduler, and workers of one thread without anybody who starts them again.
+
+    hidden: a folder that is empty for the workers, as on other machines.
+    """
+
+    def __init__(self, folder: Path, workers: int = 2, hidden: Path | None = None) -> None:
         self.folder = folder
+        self._hidden = hidden
         self._file = folder / "scheduler.json"
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
         self._processes = [self.scheduler]
@@ -61,6 +73,9 @@ class Team:
 
     def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
         argv = [sys.executable, "-m", "dask", what, "--scheduler-file", str(self._file), *words]
+        if self._hidden is not None and what == "worker":
+            hide = 'mount -t tmpfs none "$0" && exec "$@"'
+            argv = ["unshare", "--mount", "sh", "-c", hide, str(self._hidden), *argv]
         with (self.folder / "dask.log").open("ab") as log:
             environment = os.environ | {
                 "PYTHONPATH": os.pathsep.join(sys.path), "DASK_TEMPORARY_DIRECTORY": str(self.folder)
@@ -69,10 +84,10 @@ class Team:
 
 
 @contextmanager
-def dask_team(folder: Path, workers: int = 2) -> Iterator[Team]:
+def dask_team(folder: Path, workers: int = 2, hidden: Path | None = None) -> Iterator[Team]:
     """A team for a block."""
     folder.mkdir(parents=True, exist_ok=True)
-    team = Team(folder, workers)
+    team = Team(folder, workers, hidden)
     try:
         team.wait()
         yield team
