@@ -19,6 +19,7 @@ from geomosaic.cli.inspection import diff, inspect
 from geomosaic.cli.measure import measure
 from geomosaic.cli.misplacement import misplacement
 from geomosaic.cli.open import open as open_run
+from geomosaic.cli.push import push
 from geomosaic.cli.qgis_script import qgis_script
 from geomosaic.cli.recipes import completed, recipes
 from geomosaic.cli.recordings import view
@@ -62,7 +63,7 @@ _REPLAY = RequestCommand(
 _COMMANDS: Mapping[str, Sequence[RequestCommand | Callable[..., Any]]] = {
     "Make a mosaic": (_MOSAIC, _WATCH, _STRIPS, _RUN),
     "Before a run": (fetch, frames, control, recipes, stages),
-    "After a run": (open_run, inspect, view, measure, compare, evaluate, _REPLAY, diff, misplacement),
+    "After a run": (open_run, inspect, view, measure, compare, push, evaluate, _REPLAY, diff, misplacement),
     "Installation and simulation": (doctor, qgis_script),
 }
 """Commands by their heading in the help, in the order of work."""

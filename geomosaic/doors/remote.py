@@ -137,6 +137,39 @@ def copy(remote: Remote, to: BinaryIO, stopped: Callable[[], bool]) -> None:
             raise InputError("changes while it is fetched", file=address.text, fix=fix)
 
 
+def store(path: Path, to: Address) -> int:
+    """Writes a file's bytes under an address of an object store; returns their number.
+
+    Raises: `InputError` where the store refuses, or has another size of it afterwards.
+    """
+    size_bytes = path.stat().st_size
+    with _opened(to.vsi, to.text), path.open("rb") as file:
+        try:
+            _write(file, to.vsi)
+        except RuntimeError as error:
+            fix = "check the address, the right to write there, and the store's credentials"
+            problem = f"can't be written ({_shown(str(error)) or 'no answer'})"
+            raise InputError(problem, file=to.text, fix=fix) from error
+    if size_bytes and look(to).size_bytes != size_bytes:
+        raise InputError("arrived with another size", file=to.text, fix="push again")
+    return size_bytes
+
+
+def _write(file: BinaryIO, name: str) -> None:
+    """All that is left of a file under GDAL's name. Raises: `RuntimeError`."""
+    handle = gdal.VSIFOpenExL(name, "wb", True)
+    if handle is None:
+        raise RuntimeError(gdal.VSIGetLastErrorMsg())
+    whole = True
+    try:
+        while piece := file.read(_PIECE_BYTES):
+            whole &= gdal.VSIFWriteL(piece, 1, len(piece), handle) == len(piece)
+    finally:
+        whole &= gdal.VSIFCloseL(handle) == 0
+    if not whole:
+        raise RuntimeError(gdal.VSIGetLastErrorMsg())
+
+
 def _pieces(remote: Remote, start: int) -> Generator[bytes, None, None]:
     """A file's bytes from a place on, as far as they come."""
     address, at = remote.address, start

@@ -71,6 +71,20 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         self._answer()
 
+    def do_PUT(self) -> None:
+        """Keeps a file, as a store does; wrong: `refuses` says no, `loses` keeps the half of it."""
+        path = unquote(urlsplit(self.path).path)
+        self.world.asked.append((self.command, path))
+        data = self.rfile.read(int(self.headers["Content-Length"]))
+        wrong = self.world.wrong.get(path, "")
+        if wrong == "refuses":
+            self._send(403, b"<Error><Code>AccessDenied</Code></Error>")
+            return
+        place = self.world.root / path.lstrip("/")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(data[: len(data) // 2] if wrong == "loses" else data)
+        self._send(200, b"")
+
     def _answer(self) -> None:
         url = urlsplit(self.path)
         self.world.asked.append((self.command, url.path))

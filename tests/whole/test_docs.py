@@ -43,6 +43,7 @@ HISTORY = ("CHANGELOG.md", "plan.md", "results.md")
 """They say what was done, with data that aren't here; what they show is parsed."""
 NOT_RUN = {
     "geomosaic fetch": "asks a server: test_fetch.py has one",
+    "geomosaic push": "writes to a server: test_push.py has one",
     "geomosaic geoid": "asks a server: test_heights.py has one",
     "geomosaic control": "serves a page until it is stopped: test_marking_chromium.py opens it",
     "FRAMES-control": "what that page writes: test_marking_chromium.py mosaics with it",
