@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from dask_team import Team, can_hide, dask_team
+from tools.trials.dask_team import Team, can_hide, dask_team
 from pipeline_toy import powered
 from small_surveys import small_survey
 

@@ -38,7 +38,7 @@ QUESTIONS = (
     "Is the reflectance of multispectral frames right?",
     "Can others carry the code on?",
 )
-FLIGHTS, DIRTY, STATED, _, FAULTS, _, _, _, PAPER, *_, REFLECTED, HOUSE = QUESTIONS
+FLIGHTS, DIRTY, STATED, _, FAULTS, _, _, FAST, PAPER, _, _, SAFE, _, REFLECTED, HOUSE = QUESTIONS
 SIGNIFICANT = 2.6
 """Standard deviations beyond which a slope differs from 0 (99 %)."""
 HEAD = """# Results
@@ -103,7 +103,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
     readers: dict[str, Callable[[Any, str, str], Iterable[Row]]] = {
         "flights": of_flights, "dirty": of_dirty, "halves": of_halves, "accuracy_raster": of_raster,
         "fixes": of_fixes, "worst": of_worst, "paper": of_paper, "house": of_house,
-        "reflectance": of_reflectance,
+        "reflectance": of_reflectance, "cluster": of_cluster,
     }  # fmt: skip
     for name, reader in readers.items():
         data = _read(folder / f"{name}.json")
@@ -225,6 +225,17 @@ def of_reflectance(data: Any, command: str, date: str) -> Iterator[Row]:
     for row in data["rows"]:
         what = f"{row['case']}: 99 % of the {row['of']} lie within"
         yield Row(REFLECTED, what, "0.02", f"{row['q99']:.4f}", bool(row["right"]), command, date)
+
+
+def of_cluster(data: Any, command: str, date: str) -> Iterator[Row]:
+    same = [row["case"] for row in data["rows"] if row["same"]]
+    value = _but(len(same), len(data["rows"]), (r["case"] for r in data["rows"] if not r["same"]))
+    what = "Dask without a shared disk: runs with the bytes of one machine"
+    yield Row(SAFE, what, "all", value, len(same) == len(data["rows"]), command, date)
+    for stage, ratio in data["two_over_one"].items():
+        if stage != "seconds":
+            what = f"{stage} by two Dask workers without a shared disk: speed over one"
+            yield Row(FAST, what, "1.7", f"{ratio:.2f}", ratio >= 1.7, command, date)
 
 
 def of_worst(data: Any, command: str, date: str) -> Iterator[Row]:
