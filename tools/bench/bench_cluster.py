@@ -5,10 +5,10 @@
 
 A simulated flight is mosaicked on this machine, then by Dask workers that each have a file system of their
 own, in which the frames and the run folder are empty (needs root). Cases: four workers; one of them killed
-and one stopped for half of each second; the scheduler killed, then the same command with a new one. With a server
-of S3 (`pip install 'moto[server]'` in any environment) the frames come from it by `fetch`, and the results go
-back to it by `push`. Last, one worker beside two, on matching, surface and composition. Exit code 1 if a
-case's mosaic, sources or positions differ by a byte from those of this machine.
+and one stopped for half of each second; the scheduler killed, then the same command with a new one. With a
+server of S3 (`pip install 'moto[server]'` in any environment) the frames come from it by `fetch`, and the
+results go back to it by `push`. Last, one worker beside two, on matching, surface and composition. Exit code
+1 if a case's mosaic, sources or positions differ by a byte from those of this machine.
 """
 
 from __future__ import annotations
