@@ -119,6 +119,9 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
     lengths = {"residual_m": of_ties["residual_m"]}
     context.recorder.points("ties", at_m, lengths, first_capture_s(survey))
     captured_s = capture_times_s(survey)
+    flown = [i for i, status in enumerate(adjusted.status) if status != "rejected"]
+    flown.sort(key=lambda i: captured_s.get(names[i], 0.0))
+    context.recorder.flown_path(adjusted.poses.positions_m[flown], first_capture_s(survey))
     for i, name in enumerate(names):
         if adjusted.status[i] != "rejected":
             at, rotation = adjusted.poses.positions_m[i], adjusted.poses.rotations[i]

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from tools.trials.dask_team import Team, can_hide, dask_team
 from pipeline_toy import powered
 from small_surveys import small_survey
 
@@ -23,6 +22,7 @@ from geomosaic.pipeline.runner import run
 from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 from geomosaic.requests.run_request import recipe_of
 from geomosaic_simulate.survey import SimulatedSurvey
+from tools.trials.dask_team import Team, can_hide, dask_team
 
 Client = pytest.importorskip("distributed").Client
 RESULTS = ("mosaic.tif", "sources.tif", "positions.csv")

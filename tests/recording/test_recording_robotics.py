@@ -50,6 +50,10 @@ def test_poses_points_and_cameras_of_a_run_in_one_loop(run: Path) -> None:
         at = work_frame.geodetic_from_enu([tf.translation.x, tf.translation.y, tf.translation.z])
         told = [float(exported[name][c]) for c in ("lon_deg", "lat_deg", "height_ellipsoidal_m")]
         assert np.abs(at - told)[:2].max() < 1e-9 and abs(at[2] - told[2]) < 1e-4
+    (flown,) = found["/path"]
+    in_order = sorted(found["/tf"], key=lambda tf: tf.timestamp.ToNanoseconds())
+    assert [p.position.x for p in flown.poses] == [tf.translation.x for tf in in_order]
+    assert [p.position.z for p in flown.poses] == [tf.translation.z for tf in in_order]
     (cameras,) = (topic for topic in found if topic.startswith("/cameras/"))
     assert sorted(c.frame_id for c in found[cameras]) == sorted(transforms)
     assert {fix.frame_id for fix in found["/location/tied"]} <= transforms.keys()

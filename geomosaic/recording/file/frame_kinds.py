@@ -15,6 +15,7 @@ from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from numpy.typing import ArrayLike
 
 from geomosaic.camera.interior import Camera
@@ -147,6 +148,14 @@ def pose(
     yield f"/cameras/{topic_part(camera.name)}", stamped(calibration, captured_s)
 
 
+def flown_path(positions_m: ArrayLike, captured_s: float | None = None) -> Topics:
+    """The way flown: projection centres (n, 3) in the work frame, in the order of exposure."""
+    flown = PosesInFrame(frame_id=MAP)
+    for east, north, up in np.asarray(positions_m, dtype=np.float64):
+        flown.poses.add(position={"x": east, "y": north, "z": up}, orientation={"w": 1.0})
+    yield "/path", stamped(flown, captured_s)
+
+
 def points(
     what: str, points_m: ArrayLike, values: Mapping[str, ArrayLike], captured_s: float | None = None
 ) -> Topics:
@@ -216,6 +225,7 @@ FRAME_KINDS = (
     ),
     Kind(FrameTransform, "/tf", "block", calls=(pose,), take=_take_transform, captured=True),
     Kind(CameraCalibration, "/cameras/NAME", "block", take=_take_calibration, captured=True),
+    Kind(PosesInFrame, "/path", calls=(flown_path,), captured=True),
     Kind(PointCloud, "/points/NAME", "block", "normal", calls=(points,), take=_take_points, captured=True),
     Kind(GeoJSON, "/footprints/NAME, /map/strips", "plan of strips", calls=(geojson,), take=_take_geojson),
 )  # fmt: skip
