@@ -105,6 +105,12 @@ class MosaicRequest(FramesRequest):
             sets="survey.read.camera_kind",
         )
     )
+    every: int = asked(
+        Option(
+            "use every N-th frame, in the order of exposure", "N", RARE, sets="survey.read.every", least=1
+        ),
+        1,
+    )
     radiometry: str | None = asked(
         Option(
             "reflectance calibrates multispectral frames by the makers' models, sun sensor and panels [none]",

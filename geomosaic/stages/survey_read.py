@@ -92,6 +92,7 @@ class SurveyParams(StageParams):
         help="frames of which of the aircraft's cameras are used, by their tag ImageSource: wide, zoom, "
         "thermal; without it those that have most pixels",
     )
+    every: int = param(1, help="every how many frames one is used, in the order of exposure", ge=1)
     height_datum: str | None = param(
         None,
         help="what heights in tags, POS, DEM and control count from that state no datum: ellipsoidal, EGM96, "

@@ -18,6 +18,7 @@ from geomosaic.survey.names import FrameNames
 from geomosaic.survey.read_frames import (
     Progress,
     readable_frames,
+    thinned,
     with_bands,
     with_cameras,
     with_frames,
@@ -34,6 +35,7 @@ PROCEDURE: Final[tuple[Callable[[SurveyDraft], SurveyDraft], ...]] = (
     without_other_cameras,
     with_reflectance,
     without_strays,
+    thinned,
     with_observations,
     with_control,
     with_cameras,

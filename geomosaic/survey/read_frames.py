@@ -12,7 +12,7 @@ from geomosaic.survey.extent import check_extent
 from geomosaic.survey.folder import unused_folders
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.inputs import SurveyInputs
-from geomosaic.survey.model import Band, Frame, Warn
+from geomosaic.survey.model import Band, Frame, UnusedImage, Warn
 from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import observe, on_datum
@@ -70,6 +70,14 @@ def without_strays(draft: SurveyDraft) -> SurveyDraft:
         draft = replace(draft, headers=headers, strays=(*draft.strays, *out))
     _check_alike(draft.headers)
     return draft
+
+
+def thinned(draft: SurveyDraft) -> SurveyDraft:
+    """One of every so many frames, in their order."""
+    every = draft.inputs.every
+    out = [h for i, h in enumerate(draft.headers) if i % every]
+    unused = [("frame-every", UnusedImage(h.name, f"is left out by --every {every}")) for h in out]
+    return replace(draft, headers=draft.headers[::every], strays=(*draft.strays, *unused))
 
 
 def _strays(draft: SurveyDraft) -> list[Stray]:

@@ -183,6 +183,19 @@ def test_orientation_is_known_and_pixels_stay_as_stored(tmp_path: Path) -> None:
     assert np.abs(first.astype(int) - stored).mean() < 3.0
 
 
+def test_every_third_frame_in_the_order_of_exposure(folder: Path) -> None:
+    """Names run against time; lines of the others' positions are not missed."""
+    for i in range(12):
+        (folder / f"DJI_{i:04d}.JPG").rename(folder / f"R{11 - i:02d}.JPG")
+    pos = folder / "pos.csv"
+    rows = [f"R{11 - i:02d}.JPG,{LON + i * STEP},{LAT},412.5" for i in range(12)]
+    pos.write_text("\n".join(["name,lon,lat,height_ellipsoidal", *rows]))
+    survey = read_survey(SurveyInputs(folder, pos=pos, every=3))
+    assert [f.name for f in survey.frames] == ["R11.JPG", "R08.JPG", "R05.JPG", "R02.JPG"]
+    assert len(survey.left_out) == 8 and {u.reason for u in survey.left_out} == {"is left out by --every 3"}
+    assert not {"pos-line-without-frame", "pos-frame-without-line"} & {w.code for w in survey.warnings}
+
+
 def test_the_cameras_of_one_aircraft_are_told_apart(tmp_path: Path) -> None:
     """An M30T's wide, zoom and thermal frames of the same moments; the wide ones by default, or those asked
     for."""
