@@ -56,10 +56,10 @@ def test_the_worst_are_the_planted_faults_and_no_others(
     assert accused == planted(survey) and len(accused) == 3
     for fault in (f for f in worst["faults"] if f["frames"]):
         word = "sure" if fault["probability"] >= 0.99 else "likely"
-        assert fault["sure"].startswith(f"{word}: ") and fault["probability"] > 0.9 and fault["mend"]
+        assert fault["sure"].startswith(f"{word}: ") and fault["probability"] > 0.9 and fault["fix"]
     text = as_text(capsys, survey / "run", "--worst", 50)
     for fault in worst["faults"]:
-        assert fault["text"] in text and fault["sure"] in text and fault["mend"] in text
+        assert fault["text"] in text and fault["sure"] in text and fault["fix"] in text
 
 
 def test_a_frame_has_its_given_and_found_pose_and_its_pairs(

@@ -190,7 +190,7 @@ def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_pa
         with rasterio.open(path, "w", **nowhere, ALPHA="YES") as out:
             out.write(np.concatenate([np.moveaxis(away, -1, 0), alpha[None]]))
         found = bench_dirty_judge.of_map(tmp_path / "t", path)
-        assert found["laid"] and found["covered"] > 0.7
+        assert found["aligned"] and found["covered"] > 0.7
         assert found["map_absolute_m"] is None
         assert (found["after_px"] < 0.4) == (not step)
     with rasterio.open(bench_dirty_judge.open_ground(tmp_path / "s")) as judge:

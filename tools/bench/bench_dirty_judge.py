@@ -38,12 +38,12 @@ LEAN = 0.6
 STEP_M = 3.0
 LEAST_PATCHES = 12
 LEAST_SHARE = 0.3
-"""Of the patches, that must be found: else the mosaic is first laid onto the ortho by its own features."""
+"""Of the patches, that must be found: else the mosaic is first aligned with the ortho by its own features."""
 OTHER_SCALE = 0.01
-"""A patch of 64 px whose scale is off by more doesn't match from edge to edge: the mosaic is laid onto the
+"""A patch of 64 px whose scale is off by more doesn't match from edge to edge: the mosaic is aligned with the
 ortho first, since scale is judged by the positions and shape without it."""
 ALIKE = 0.9
-"""Of the patches found once the mosaic is laid, what must be found before it to be judged as it lies."""
+"""Of the patches found once the mosaic is aligned, what must be found before it to be judged as it is."""
 FARTHEST_PX = 1600
 KEYPOINTS = 3000
 MATCH_RATIO = 0.75
@@ -56,16 +56,16 @@ def of_map(folder: Path, mosaic: Path) -> dict[str, Any]:
     """Displacement of a mosaic on open ground: after the best similarity, jumps, and how much of the land it
     shows. No figures where too little of it can be measured."""
     reference = open_ground(folder)
-    row: dict[str, Any] = {"covered": covered(mosaic, folder / "truth" / "ortho.tif"), "laid": False}
+    row: dict[str, Any] = {"covered": covered(mosaic, folder / "truth" / "ortho.tif"), "aligned": False}
     compared = _compared(mosaic, reference)
     found = None if compared is None else compared.figures
     little = found is None or found.measured < LEAST_PATCHES or found.share_measured < LEAST_SHARE
     if little or abs(found.similarity.scale - 1.0) > OTHER_SCALE:
-        laid = laid_onto(mosaic, folder / "truth" / "ortho.tif", folder / "judge-laid.tif")
-        again = _compared(laid, reference) if laid is not None else None
+        aligned = aligned_to(mosaic, folder / "truth" / "ortho.tif", folder / "judge-aligned.tif")
+        again = _compared(aligned, reference) if aligned is not None else None
         if again is not None and (found is None or _better(again.figures, found, little)):
-            compared, found, row["laid"] = again, again.figures, True
-            row["covered"] = covered(laid, folder / "truth" / "ortho.tif")
+            compared, found, row["aligned"] = again, again.figures, True
+            row["covered"] = covered(aligned, folder / "truth" / "ortho.tif")
     if found is None or compared is None or found.measured < LEAST_PATCHES:
         return {**row, "patches": 0 if found is None else found.measured}
     return {
@@ -74,8 +74,8 @@ def of_map(folder: Path, mosaic: Path) -> dict[str, Any]:
         "measured": found.share_measured,
         "after_px": found.after_similarity_px,
         "jump_px": found.jump_99_px,
-        **({} if row["laid"] else of_distances(compared.vectors_m)),
-        "map_absolute_m": None if row["laid"] else found.absolute_rmse_m,
+        **({} if row["aligned"] else of_distances(compared.vectors_m)),
+        "map_absolute_m": None if row["aligned"] else found.absolute_rmse_m,
     }
 
 
@@ -103,8 +103,8 @@ def of_distances(vectors_m: Floats) -> dict[str, Any]:
 
 
 def _better(again: Figures, found: Figures, little: bool) -> bool:
-    """Whether the mosaic laid onto the ortho is judged, which has the same shape: where it can be measured in
-    more places; where both can be, a few wild matches (water, crowns) make one of them worse."""
+    """Whether the mosaic aligned with the ortho is judged, which has the same shape: where more places can be
+    measured in it; where both can be, a few wild matches (water, crowns) make one of them worse."""
     if little:
         return again.share_measured > found.share_measured
     alike = found.share_measured > ALIKE * again.share_measured
@@ -190,7 +190,7 @@ def covered(mosaic: Path, ortho: Path) -> float | None:
     return float((there & seen).sum() / max(seen.sum(), 1))
 
 
-def laid_onto(mosaic: Path, ortho: Path, path: Path) -> Path | None:
+def aligned_to(mosaic: Path, ortho: Path, path: Path) -> Path | None:
     """The mosaic moved, turned and scaled by one similarity so that it lies on the true ortho: its shape can
     be judged even where nothing tells its place. None where their features don't meet."""
     with rasterio.open(mosaic) as made, rasterio.open(ortho) as true:

@@ -146,9 +146,9 @@ class Inspection:
     def readable(self) -> Solved:
         """The survey. Raises `InputError` where there is none."""
         if self.solved is None:
-            mend = "give a recording of frames that holds artefacts"
+            fix = "give a recording of frames that holds artefacts"
             problem = self.unreadable or "no frames are recorded"
-            raise InputError(problem, file=self.recording.path, fix=mend)
+            raise InputError(problem, file=self.recording.path, fix=fix)
         return self.solved
 
     def _known(self, name: str) -> str:

@@ -27,7 +27,7 @@ def show_head(head: dict[str, Any], console: Console) -> None:
 
 
 def show_faults(worst: dict[str, Any], console: Console) -> None:
-    """What is wrong, how sure that is, what mends it."""
+    """What is wrong, how sure that is, how to fix it."""
     shown, found = len(worst["faults"]), worst["faults_found"]
     if not found:
         line(console, "nothing is known to be wrong")
@@ -37,7 +37,7 @@ def show_faults(worst: dict[str, Any], console: Console) -> None:
         whose = f"{', '.join(fault['frames'])}: " if fault["frames"] and len(fault["frames"]) < 4 else ""
         line(console, f"  {fault['code']}: {whose}{fault['text']}")
         line(console, f"    how sure: {fault['sure']}")
-        line(console, f"    fix: {fault['mend']}")
+        line(console, f"    fix: {fault['fix']}")
 
 
 def show_worst(worst: dict[str, Any], console: Console) -> None:
@@ -71,7 +71,7 @@ def show_frame(frame: dict[str, Any], console: Console) -> None:
     if frame["status"] == "left_out":
         return
     for fault in frame["faults"]:
-        line(console, f"  how sure ({fault['code']}): {fault['sure']}; fix: {fault['mend']}")
+        line(console, f"  how sure ({fault['code']}): {fault['sure']}; fix: {fault['fix']}")
     given, found = frame["given"] or {}, frame["found"] or {}
     if given:
         table = new_table("pose", "", "given", "found", "sd given", "sd found")

@@ -1,4 +1,4 @@
-"""What is wrong with a survey, worst first: what it is, how sure that is, what mends it.
+"""What is wrong with a survey, worst first: what it is, how sure that is, how to fix it.
 
 Frames are named by the run's warnings. Wrong headings, turned images and wrong positions are compared once
 more by the adjusted poses, and the likeliest explanation is named with its probability. Besides: ground
@@ -49,7 +49,7 @@ class Fault:
     frames: tuple[str, ...]
     text: str
     sure: str
-    mend: str
+    fix: str
     weight: float
     probability: float | None = None
 
@@ -81,7 +81,7 @@ _FIXES: dict[str, tuple[float, str]] = {
     "frame-other-bands": (20.0, "mosaic frames of the other kind by themselves"),
     "frame-no-camera": (20.0, "give the lens with --camera"),
 }  # fmt: skip
-"""How bad the faults of frames are, beside each other, and what mends them."""
+"""How bad the faults of frames are, beside each other, and how to fix them."""
 _TEXTS = {
     TURNED: "its pixels were turned after the flight; set by its neighbours",
     HEADING: "its heading was given wrong; set by its neighbours",
@@ -91,7 +91,7 @@ _TEXTS = {
 
 
 def faults(recording: Recording, solved: Solved | None, frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What is wrong, worst first, as JSON: code, frames, text, sure, mend, probability.
+    """What is wrong, worst first, as JSON: code, frames, text, sure, fix, probability.
 
     Args: frames: `frame_figures` of `solved`.
     """
@@ -104,7 +104,7 @@ def faults(recording: Recording, solved: Solved | None, frames: list[dict[str, A
         found += _against_their_lines(solved, {c.frame for c in known if c.code == TURNED})
         found += _bare_ground(solved)
     found.sort(key=lambda f: (-f.weight, f.code, f.frames))
-    return [{k: v for k, v in asdict(f).items() if k != "weight"} for f in found]
+    return [{k: v for k, v in asdict(f).items() if k != "weight"} | {"mend": f.fix} for f in found]
 
 
 def _of_run(recording: Recording) -> Iterator[Fault]:
@@ -113,7 +113,7 @@ def _of_run(recording: Recording) -> Iterator[Fault]:
     stages, again = recording.stages, "run again: finished work is kept"
     if errors:
         text = f"{errors[-1].stage or 'the run'} ended with: {errors[-1].text}"
-        yield Fault("run-failed", (), text, "certain", f"mend that and {again}", 100.0)
+        yield Fault("run-failed", (), text, "certain", f"fix that and {again}", 100.0)
     elif (stages and not stages[-1].finished) or len(stages) < recording.planned:
         where = "before its first stage"
         if stages:
@@ -122,8 +122,8 @@ def _of_run(recording: Recording) -> Iterator[Fault]:
         yield Fault("run-killed", (), text, "certain", again, 100.0)
     elif recording.problem:
         text = f"the recording isn't whole: {recording.problem}"
-        mend = "inspect --repair OUT makes a whole file of what is there"
-        yield Fault("recording-not-whole", (), text, "certain", mend, 99.0)
+        fix = "inspect --repair OUT makes a whole file of what is there"
+        yield Fault("recording-not-whole", (), text, "certain", fix, 99.0)
 
 
 def _of_verdict(recording: Recording) -> Iterator[Fault]:
@@ -134,11 +134,12 @@ def _of_verdict(recording: Recording) -> Iterator[Fault]:
         evidence = verdict.get("evidence") if isinstance(verdict, dict) else None
         for e in evidence if isinstance(evidence, list) else ():
             if isinstance(e, dict) and e.get("grade") in ("doubtful", "bad"):
-                name, cause, mend = (str(e.get(key, "")) for key in ("name", "cause", "mend"))
+                name, cause = (str(e.get(key, "")) for key in ("name", "cause"))
+                fix = str(e.get("fix", e.get("mend", "")))
                 figure = _figure(e.get("value"), str(e.get("unit", "")))
                 text = f"{cause} ({name} {figure})" if figure else cause
                 weight = 90.0 if e["grade"] == "bad" else 50.0
-                yield Fault(name.replace(" ", "-"), (), text, f"the mosaic is {e['grade']}", mend, weight)
+                yield Fault(name.replace(" ", "-"), (), text, f"the mosaic is {e['grade']}", fix, weight)
 
 
 def _figure(value: Any, unit: str) -> str:
@@ -156,9 +157,9 @@ def _of_frames(
         if frame and code in _FIXES and code not in but:
             said.setdefault((code, frame), text)
     for (code, frame), text in said.items():
-        weight, mend = _FIXES[code]
+        weight, fix = _FIXES[code]
         sure = "certain" if frames.get(frame, {}).get("status") == "left_out" else "as the run says"
-        yield Fault(code, (frame,), text, sure, mend, weight)
+        yield Fault(code, (frame,), text, sure, fix, weight)
 
 
 def _of_causes(
@@ -167,7 +168,7 @@ def _of_causes(
     """Frames with the likeliest explanation of what doesn't fit."""
     said = {(code, frame): text for code, frame, text in warned}
     for cause in known:
-        frame, (weight, mend) = frames.get(cause.frame, {}), _FIXES[cause.code]
+        frame, (weight, fix) = frames.get(cause.frame, {}), _FIXES[cause.code]
         text = said.get((cause.code, cause.frame)) or _TEXTS[cause.code]
         tied = f"{frame.get('pairs_tied', 0)} pairs with {frame.get('tie_points', 0)} tie points hold it"
         if frame.get("rms_px") is not None:
@@ -177,7 +178,7 @@ def _of_causes(
         size = cause.off / (1.0 + cause.off)
         sure = f"{how_sure(cause.probability)}; {fits}; {tied}"
         yield Fault(
-            cause.code, (cause.frame,), text, sure, mend, weight + cause.probability * size, cause.probability
+            cause.code, (cause.frame,), text, sure, fix, weight + cause.probability * size, cause.probability
         )
 
 
@@ -211,8 +212,8 @@ def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterat
                 "camera turned about there"
             )
             sure = f"sure that it stands so: {len(others)} others of its line don't"
-            mend = "no need: it is used as it stands"
-            yield Fault("against-its-line", (solved.names[i],), text, sure, mend, 35.0)
+            fix = "no need: it is used as it stands"
+            yield Fault("against-its-line", (solved.names[i],), text, sure, fix, 35.0)
 
 
 def _bare_ground(solved: Solved) -> Iterator[Fault]:
@@ -227,8 +228,8 @@ def _bare_ground(solved: Solved) -> Iterator[Fault]:
         f"{100.0 * bare.share:.0f} % of the ground that three frames and more see has no tie points: water, "
         f"or ground that looks alike or moves; most in {some(most)}"
     )
-    mend = "no need on water; elsewhere heights are guessed: more overlap, or an elevation model (--dem)"
-    yield Fault("ground-without-ties", tuple(most[:10]), text, "counted", mend, 25.0 + bare.share)
+    fix = "no need on water; elsewhere heights are guessed: more overlap, or an elevation model (--dem)"
+    yield Fault("ground-without-ties", tuple(most[:10]), text, "counted", fix, 25.0 + bare.share)
 
 
 def worst_frames(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -72,7 +72,7 @@ def _said(recording: Recording) -> str:
     if isinstance(verdict, dict):
         lines += [f"**{_cell(verdict.get('grade'))}**: {_cell(verdict.get('text'))}", ""]
         lines += (
-            [f"{_cell(verdict.get('cause'))}; {_cell(verdict.get('mend'))}", ""]
+            [f"{_cell(verdict.get('cause'))}; {_cell(verdict.get('fix', verdict.get('mend')))}", ""]
             if verdict.get("cause")
             else []
         )
