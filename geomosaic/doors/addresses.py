@@ -11,13 +11,12 @@ from typing import Final
 from urllib.parse import quote, unquote, urlsplit
 
 from geomosaic.constants import tuned
-from geomosaic.doors.files import printable, read_text
+from geomosaic.doors.files import TEXT_BYTES, printable, read_text
 from geomosaic.errors import FileError, InputError
 
 _STORES: Final = {"s3": "/vsis3/", "gs": "/vsigs/", "az": "/vsiaz/"}
 _KNOWN: Final = "https://, s3://, gs:// or az://"
 _SPOILED: Final = re.compile(r"(?:^|/)(https?|ftp|s3|gs|az):/+(.*)", re.DOTALL)
-_LIST_BYTES = tuned(32 << 20, "bytes", "of a list: 100,000 addresses have 10 MB; larger is no list")
 _NAME_BYTES = tuned(200, "bytes", "of a file's name: systems allow 255, and the temporary name takes 40 more")
 
 
@@ -51,7 +50,7 @@ def read_addresses(path: Path) -> list[str]:
     line without an address or a row with several.
     """
     fix = "write one address a line"
-    lines = read_text(path, _LIST_BYTES, "a list of addresses", fix).splitlines()
+    lines = read_text(path, TEXT_BYTES, "a list of addresses", fix).splitlines()
     found = []
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):

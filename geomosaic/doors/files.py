@@ -70,7 +70,7 @@ def check_regular(path: Path, fix: str, named: str = "") -> None:
         raise FileError(f"is no regular file but {kind}{named}", file=file, fix=fix)
 
 
-TEXT_BYTES = tuned(64 << 20, "bytes", "of a table: 200,000 lines of 300 characters; more is something else")
+TEXT_BYTES = tuned(128 << 20, "bytes", "of text: a reconstruction of a large block; more fills the memory")
 
 
 def read_bytes(path: Path, most_bytes: int, kind: str, fix: str) -> bytes:

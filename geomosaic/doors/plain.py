@@ -15,7 +15,6 @@ from geomosaic.doors.files import printable, read_bytes
 from geomosaic.errors import FileError
 
 YAML_BYTES = tuned(256 << 10, "bytes", "of a file for people: YAML takes half a minute a megabyte")
-JSON_BYTES = tuned(128 << 20, "bytes", "of a whole reconstruction: less refuses it; more fills the memory")
 MOST_DEPTH: Final = 32
 """Of lists and mappings within each other: a recipe has 6, a reconstruction.json 7."""
 MOST_YAML_NODES: Final = 10_000

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_x, about_y
-from geomosaic.constants import tuned
+from geomosaic.constants import SLIGHT
 from geomosaic.export.on_map import grid_from_work, local_from_work, map_from_work
 from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.placement.prior import position_assumed
@@ -18,7 +18,6 @@ from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _SMALL_SHARE = 0.1
-_STILL = tuned(1e-6, "m and rad", "change of a pose without ties: the solve leaves less, so it is unadjusted")
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ def orientations(survey: Survey, prior: Poses, adjusted: Adjusted) -> Orientatio
     cosine = (np.trace(turn, axis1=-2, axis2=-1) - 1.0) / 2.0
     moved_m = np.linalg.norm(poses.positions_m - prior.positions_m, axis=-1)
     turned = np.arccos(np.clip(cosine, -1.0, 1.0))
-    still = (moved_m < _STILL) & (np.abs(turn - np.eye(3)).max(axis=(-1, -2)) < _STILL)
+    still = (moved_m < SLIGHT) & (np.abs(turn - np.eye(3)).max(axis=(-1, -2)) < SLIGHT)
     place, axes = _covariances(adjusted, prior, still)
     covariance_m2 = _turned_covariance(grid, place)
     angles = _turned_covariance(_angles_from_axes(omega, phi) @ grid, axes)

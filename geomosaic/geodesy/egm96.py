@@ -9,11 +9,8 @@ from typing import Final
 import numpy as np
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced
 
-EGM96 = sourced(5773, "EPSG", "of heights above EGM96", "EPSG dataset")
 FILE: Final = Path(__file__).with_name("egm96_15.npz")
-_STEP_DEG = sourced(0.25, "degrees", "from node to node", "NGA, WW15MGH.GRD")
 
 
 @cache
@@ -33,8 +30,9 @@ def undulation_m(lon_deg: Floats, lat_deg: Floats) -> Floats:
     Args: degrees, of any common shape.
     """
     grid = _undulation_m()
-    across = (np.asarray(lon_deg) + 180.0) % 360.0 / _STEP_DEG
-    down = np.clip((90.0 - np.asarray(lat_deg)) / _STEP_DEG, 0.0, grid.shape[0] - 1.0)
+    step_deg = 180.0 / (len(grid) - 1)
+    across = (np.asarray(lon_deg) + 180.0) % 360.0 / step_deg
+    down = np.clip((90.0 - np.asarray(lat_deg)) / step_deg, 0.0, grid.shape[0] - 1.0)
     col = np.minimum(across.astype(np.intp), grid.shape[1] - 2)
     row = np.minimum(down.astype(np.intp), grid.shape[0] - 2)
     east, south = across - col, down - row

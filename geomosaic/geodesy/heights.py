@@ -15,13 +15,11 @@ from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from geomosaic.constants import sourced
 from geomosaic.errors import InputError
-from geomosaic.geodesy.egm96 import EGM96, undulation_m
+from geomosaic.geodesy.egm96 import undulation_m
 
 Floats = NDArray[np.float64]
 ELLIPSOIDAL: Final = "ellipsoidal"
-EGM2008 = sourced(3855, "EPSG", "of heights above EGM2008", "EPSG dataset")
-GEOIDS: Final = {"EGM96": EGM96, "EGM2008": EGM2008}
-"""Vertical CRSs by the names that people use."""
+GEOIDS = sourced({"EGM96": 5773, "EGM2008": 3855}, "EPSG", "vertical CRSs by their names", "EPSG dataset")
 
 
 def vertical_crs(crs: CRS) -> CRS | None:
@@ -55,10 +53,10 @@ def height_datum(text: str) -> CRS:
 def sea_level(lon_deg: float, lat_deg: float) -> CRS:
     """The vertical CRS of heights above the sea at a place: EGM2008 if its grid is installed, else EGM96."""
     try:
-        ellipsoidal_offset_m(CRS.from_epsg(EGM2008), lon_deg, lat_deg)
+        ellipsoidal_offset_m(CRS.from_epsg(GEOIDS["EGM2008"]), lon_deg, lat_deg)
     except InputError:
-        return CRS.from_epsg(EGM96)
-    return CRS.from_epsg(EGM2008)
+        return CRS.from_epsg(GEOIDS["EGM96"])
+    return CRS.from_epsg(GEOIDS["EGM2008"])
 
 
 def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float) -> float:
@@ -96,7 +94,7 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
         height = np.asarray(transformer.transform(lon_deg, lat_deg, np.zeros(lon_deg.shape))[2])
         if np.isfinite(height).all():
             return height
-    if vertical.to_epsg() == EGM96:
+    if vertical.to_epsg() == GEOIDS["EGM96"]:
         return undulation_m(lon_deg, lat_deg)
     raise InputError(
         f"the geoid model for '{vertical.name}' is not installed",

@@ -7,16 +7,17 @@ import math
 import numpy as np
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced
+from geomosaic.constants import DAY_S, sourced
 
 _J2000_S = sourced(946_728_000.0, "s", "since 1970, of 2000-01-01 12:00 UTC", "definition of J2000.0")
-_DAY_S = sourced(86400.0, "s", "length of a day", "SI brochure, table 8")
 _LOW_PRECISION = "Astronomical Almanac, section C, low-precision formulas of the sun, to 0.01 deg"
-_MEAN_LONGITUDE = sourced((280.460, 0.9856474), "deg, deg/day", "mean longitude of the sun", _LOW_PRECISION)
-_MEAN_ANOMALY = sourced((357.528, 0.9856003), "deg, deg/day", "mean anomaly of the sun", _LOW_PRECISION)
 _CENTRE = sourced((1.915, 0.020), "deg", "equation of the centre", _LOW_PRECISION)
-_OBLIQUITY = sourced((23.439, -0.0000004), "deg, deg/day", "obliquity of the ecliptic", _LOW_PRECISION)
-_SIDEREAL = sourced((280.46062, 360.9856474), "deg, deg/day", "Greenwich mean sidereal time", _LOW_PRECISION)
+_LINEAR = sourced(
+    ((280.460, 0.9856474), (357.528, 0.9856003), (23.439, -0.0000004), (280.46062, 360.9856474)),
+    "deg, deg/day",
+    "the sun's mean longitude and mean anomaly, obliquity of the ecliptic, Greenwich mean sidereal time",
+    _LOW_PRECISION,
+)
 
 
 def sun_direction(lon_deg: float, lat_deg: float, time_s: float) -> Floats:
@@ -24,11 +25,8 @@ def sun_direction(lon_deg: float, lat_deg: float, time_s: float) -> Floats:
 
     Args: time_s: UTC since 1970.
     """
-    days = (time_s - _J2000_S) / _DAY_S
-    longitude, anomaly, obliquity, sidereal = (
-        math.radians(start + rate * days)
-        for start, rate in (_MEAN_LONGITUDE, _MEAN_ANOMALY, _OBLIQUITY, _SIDEREAL)
-    )
+    days = (time_s - _J2000_S) / DAY_S
+    longitude, anomaly, obliquity, sidereal = (math.radians(start + rate * days) for start, rate in _LINEAR)
     longitude += math.radians(_CENTRE[0]) * math.sin(anomaly)
     longitude += math.radians(_CENTRE[1]) * math.sin(2.0 * anomaly)
     ascension = math.atan2(math.cos(obliquity) * math.sin(longitude), math.cos(longitude))

@@ -15,14 +15,13 @@ from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import ROUNDS, sourced, tuned
 from geomosaic.estimation.robust import cauchy_weight
 
 MARK_SD_PX = tuned(1.5, "px", "of a mark and a lens; less: marks look wrong; more: wrong marks look right")
 _OWN = tuned(0.5, "share of the stated deviations", "of one frame beside all; more: nothing is in common")
 _STEP = sourced(np.finfo(float).eps ** (1 / 3), "deviations", "of central differences", "Press et al., 5.7")
 _EQUAL_ROUNDS = tuned(3, "rounds", "before weights are robust; less: all marks of a wrong start are rejected")
-_MOST_ROUNDS = tuned(12, "rounds", "of Gauss and Newton: five converge, more for turns of tens of degrees")
 _SMALL_STEP = tuned(1e-3, "deviations", "of a last step: less changes no pixel")
 
 
@@ -98,7 +97,7 @@ def _fitted(frames: Sequence[FrameMarks], sd: Floats, own: float) -> tuple[Float
     own: share of a frame's deviations that its marks scatter by."""
     given = np.concatenate([of.variance_px2 for of in frames])
     correction, normal, weights = np.zeros(6), np.eye(6), np.zeros(0)
-    for done in range(_MOST_ROUNDS):
+    for done in range(ROUNDS):
         found = [of.linearised(moved(of.pose, correction * sd), sd) for of in frames]
         off, slopes = (np.concatenate(parts) for parts in zip(*found, strict=True))
         variance = given + own**2 * np.sum(slopes**2, axis=(1, 2)) / 2.0

@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 
 _FINE_RADIUS_PX = tuned(3, "px", "search on finer levels: less loses patches; more finds other peaks")
 LEAST_CORRELATION = tuned(0.3, "1", "of a guiding coarse patch: less guides by chance; more loses jumps")
-_VALID_SHARE = tuned(0.9, "share", "of a patch: less correlates filled pixels; 1 loses patches at edges")
+VALID_SHARE = tuned(0.9, "share", "of a patch: less correlates filled pixels; 1 loses patches at edges")
 SMOOTHING_SIGMA_PX = tuned(0.8, "px", "Gaussian before matching: less locks to pixels; more loses texture")
 
 
@@ -85,7 +85,7 @@ def measure_displacements(
     for k in range(top, -1, -1):
         level = levels[k]
         here = corners if k == 0 else patch_corners(level.reference.pixels.shape, patch_px, patch_px // 2)
-        here = here[_valid_share(level.reference.valid, here, patch_px) >= (_VALID_SHARE if k == 0 else 0.5)]
+        here = here[_valid_share(level.reference.valid, here, patch_px) >= (VALID_SHARE if k == 0 else 0.5)]
         centres = (here + patch_px / 2.0) * 2**k
         radius = int(np.ceil(search_px / 2**k)) if k == top else _FINE_RADIUS_PX
         guesses = _guesses(centres, found_at, found, 2**k)
@@ -156,7 +156,7 @@ def _asked(level: _MatchLevel, corners: NDArray[np.int64], shifts: NDArray[np.in
     """Patches that could have been measured: valid in the image where they are or where they went."""
     at_home = _valid_share(level.image.valid, corners, patch_px)
     moved = _valid_share(level.image.valid, corners + shifts, patch_px)
-    return np.asarray(np.minimum(at_home, moved) >= _VALID_SHARE)
+    return np.asarray(np.minimum(at_home, moved) >= VALID_SHARE)
 
 
 def _guesses(centres: Floats, found_at: Floats, found: Floats, scale: int) -> list[NDArray[np.int64]]:

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.matching.planes import Guess, guessed, plane_through
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 
 Floats = NDArray[np.float64]
+LEAST_RADIUS_PX = sourced(300.0, "px", "coarse misplacement of two frames", "Yue et al. 2021, IRLA20200529")
 _NODES = tuned(6, "nodes", "per frame side, to fit a plane: fewer fail where a frame sees past the ground")
 
 
@@ -31,7 +32,7 @@ class ExpectedOverlap:
     @classmethod
     def of(cls, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface) -> ExpectedOverlap:
         """What poses say of frames over a ground."""
-        image_px = [_lattice(c) for c in cameras]
+        image_px = [lattice(c) for c in cameras]
         found = [ground_from_image(poses[i], cameras[i], ground, px) for i, px in enumerate(image_px)]
         return cls(poses, cameras, image_px, found)
 
@@ -43,7 +44,8 @@ class ExpectedOverlap:
         return guessed((camera.width_px, camera.height_px), plane, radius_px)
 
 
-def _lattice(camera: Camera) -> Floats:
+def lattice(camera: Camera) -> Floats:
+    """Image points (k, 2), evenly."""
     cols = (np.arange(_NODES) + 0.5) / _NODES * camera.width_px
     rows = (np.arange(_NODES) + 0.5) / _NODES * camera.height_px
     return np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)

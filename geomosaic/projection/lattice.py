@@ -25,8 +25,8 @@ from geomosaic.projection.warp import ProjectionEquations, bare_window
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 fails _MOST_OFF_PX often")
-_MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks; less computes most")
+STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 fails MOST_OFF_PX often")
+MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks; less computes most")
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> NDArray[n
     four = np.stack([image[:, i : i + down, j : j + across] for i in (0, 1) for j in (0, 1)])
     off = np.abs(four.mean(axis=0) - middle).max(axis=0)
     with np.errstate(invalid="ignore"):
-        close = ~(off <= _MOST_OFF_PX)
+        close = ~(off <= MOST_OFF_PX)
         low, high = np.fmin.reduce(four), np.fmax.reduce(four)
         wide = np.nan_to_num(high - low).max(axis=(1, 2), initial=0.0)
         for axis, size in enumerate((camera.width_px, camera.height_px)):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, GroundPlaces
-from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
+from geomosaic.constants import MEDIAN_LENGTH, SLIGHT, sourced, tuned
 from geomosaic.quality.check_points import CheckPoints, check_points
 from geomosaic.quality.figures import circle_of, interval_of
 
@@ -23,7 +23,6 @@ _PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; les
 _RTK_M = tuned(0.3, "m", "stated deviation below which positions are of carrier phases: code GNSS is above")
 _GNSS_M = tuned(3.0, "m", "deviation of a coordinate by code GNSS; less would call most flights doubtful")
 _PERMILLE = tuned(3.0, "per mille", "of distances in a map by code GNSS: 30 cm over 100 m")
-_EXACT = tuned(1e-3, "share of the shift", "least scatter beside it, for a distribution with a width")
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class AbsoluteAccuracy:
             return circle_of(0.9) * self.rmse_h_m
         from scipy.stats import rice  # half a second, which few runs need
 
-        sd_m = np.sqrt(max(self.rmse_h_m**2 - shift_m**2, (_EXACT * shift_m) ** 2) / 2.0)
+        sd_m = np.sqrt(max(self.rmse_h_m**2 - shift_m**2, SLIGHT * shift_m**2) / 2.0)
         return float(sd_m * rice.ppf(0.9, shift_m / sd_m))
 
     @property
@@ -63,7 +62,7 @@ class AbsoluteAccuracy:
             return interval_of(0.9) * self.rmse_v_m
         from scipy.stats import foldnorm
 
-        sd_m = np.sqrt(max(self.rmse_v_m**2 - shift_m**2, (_EXACT * shift_m) ** 2))
+        sd_m = np.sqrt(max(self.rmse_v_m**2 - shift_m**2, SLIGHT * shift_m**2))
         return float(sd_m * foldnorm.ppf(0.9, shift_m / sd_m))
 
     @property

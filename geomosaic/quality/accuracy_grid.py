@@ -17,7 +17,7 @@ from geomosaic.composition.area import Area, rings_of
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.window import Window
-from geomosaic.constants import tuned
+from geomosaic.constants import TOGETHER
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
@@ -32,7 +32,6 @@ Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-_BLOCK = tuned(256, "cells", "side of a block, 19 MB of covariances: more take memory; fewer cost calls")
 
 
 @dataclass(frozen=True)
@@ -109,9 +108,9 @@ class AccuracyCells:
 
     def blocks(self) -> Iterator[AccuracyBlock]:
         """All of it, row by row."""
-        for row in range(0, self.grid.height_px, _BLOCK):
-            for col in range(0, self.grid.width_px, _BLOCK):
-                size = min(_BLOCK, self.grid.width_px - col), min(_BLOCK, self.grid.height_px - row)
+        for row in range(0, self.grid.height_px, TOGETHER):
+            for col in range(0, self.grid.width_px, TOGETHER):
+                size = min(TOGETHER, self.grid.width_px - col), min(TOGETHER, self.grid.height_px - row)
                 yield self._block(Window(col, row, *size))
 
     def _block(self, window: Window) -> AccuracyBlock:

@@ -17,17 +17,17 @@ from rasterio.windows import Window
 from scipy import ndimage
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import NORMAL_PER_MAD, tuned
+from geomosaic.constants import NORMAL_PER_MAD, OUTLIER, ROUNDS, tuned
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.errors import InputError
 from geomosaic.estimation.linear import least_squares
+from geomosaic.matching.displacement import SMOOTHING_SIGMA_PX
 from geomosaic.quality.compare import Comparison, registered
+from geomosaic.quality.compared_block import GLANCE_PX
 from geomosaic.quality.figures import Similarity, best_similarity
 from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma
 
 IMAGE, HEIGHT = "image", "height"
-_BLOCK_PX = tuned(1024, "px", "compared at once: more takes memory; less reads margins twice")
-_SMOOTH_PX = tuned(0.7, "px", "smoothing of both images: 0 finds noise; more hides what is small")
 _TONE_PX = tuned(129, "px", "window in which tones are brought together: less hides changes as tones")
 _IMAGE_SIGMA = tuned(
     6.0, "deviations", "of grey values beyond chance: fewer find noise; more miss faint ones"
@@ -35,10 +35,6 @@ _IMAGE_SIGMA = tuned(
 _HEIGHT_SIGMA = tuned(4.0, "deviations", "of a height beyond chance: fewer find noise; more miss low changes")
 _LEAST_SHARE = tuned(0.06, "of the span", "least grey difference: less finds shadows and haze")
 _LEAST_PX = tuned(6, "px", "of a change's core: fewer are specks")
-_LEAST_CELLS = tuned(9, "cells", "of a change of height: fewer are mismatches")
-_LEAST_REACH_PX = tuned(1.0, "px", "by which edges may lie apart: resampling alone moves them by half of it")
-_FAR = tuned(3.0, "robust deviations", "of a vector or height that is a change itself, not the maps' offset")
-_ROUNDS = tuned(5, "rounds", "of re-weighting: found changes drop out in two or three")
 _STRENGTH = tuned(4.0, "steps a deviation", "of a stored strength: fewer are coarse; more end below 64")
 
 
@@ -52,8 +48,8 @@ class Registration:
 
     @property
     def reach_px(self) -> int:
-        """By how much edges of both may lie apart."""
-        return int(np.ceil(_LEAST_REACH_PX + _FAR * self.sd_px))
+        """By how much edges of both may lie apart: resampling alone moves them by half a pixel."""
+        return 1 + int(np.ceil(OUTLIER * self.sd_px))
 
     @property
     def shift_m(self) -> float:
@@ -89,13 +85,13 @@ def registration(comparison: Comparison) -> Registration:
     """
     at_m, off_m = comparison.vectors_m[:, :2], comparison.vectors_m[:, 2:]
     kept = np.ones(len(at_m), dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         similarity, _ = best_similarity(at_m[kept], off_m[kept])
         if not np.isfinite(similarity.scale):
             break
         left = np.linalg.norm(off_m - _moves(similarity, at_m), axis=1)
         sd_m = float(np.median(left[kept])) / np.sqrt(2.0 * np.log(2.0))
-        kept = left <= _FAR * max(sd_m, 1e-3 * comparison.gsd_m)
+        kept = left <= OUTLIER * max(sd_m, 1e-3 * comparison.gsd_m)
     if not np.isfinite(similarity.scale):
         problem = f"only {len(at_m)} places look alike in both maps"
         raise InputError(problem, fix="compare runs of the same place, of a like season and resolution")
@@ -123,7 +119,7 @@ def image_changes(old: Path, new: Path, on_old: Registration) -> tuple[Change, .
             least = max(_IMAGE_SIGMA * noise, _LEAST_SHARE * span)
             strength = np.zeros((b.height, b.width), dtype=np.uint8)
             margin = _TONE_PX + 2 * on_old.reach_px
-            for block in blocks(b.height, b.width, _BLOCK_PX):
+            for block in blocks(b.height, b.width, GLANCE_PX):
                 outer = grown(block, margin, b.height, b.width)
                 excess = _excess(_pair(b, before, outer), noise, on_old.reach_px)
                 row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
@@ -151,7 +147,9 @@ class _InOneTone:
 def _pair(b: Raster, on_b: WarpedVRT, window: Window) -> _InOneTone:
     (new, new_valid), (old, old_valid) = read_luma(b, window), read_luma(on_b, window)
     both = new_valid & old_valid
-    after, before = (np.asarray(cv2.GaussianBlur(i, (0, 0), _SMOOTH_PX), np.float64) for i in (new, old))
+    after, before = (
+        np.asarray(cv2.GaussianBlur(i, (0, 0), SMOOTHING_SIGMA_PX), np.float64) for i in (new, old)
+    )
     off = np.where(both, after - before, 0.0)
     alike = both
     for _ in range(2):
@@ -160,13 +158,13 @@ def _pair(b: Raster, on_b: WarpedVRT, window: Window) -> _InOneTone:
         tone = cv2.blur(off * weight, (_TONE_PX, _TONE_PX)) / np.maximum(share, 1e-3)
         left = np.abs(off - tone)
         spread = NORMAL_PER_MAD * float(np.median(left[both])) if both.any() else 0.0
-        alike = both & (left <= _FAR * max(spread, 1.0))
+        alike = both & (left <= OUTLIER * max(spread, 1.0))
     return _InOneTone(np.asarray(after - tone), before, both)
 
 
 def _noise(b: Raster, before: WarpedVRT) -> tuple[float, float]:
     """Deviation of grey values between both maps, and their span, by the middle of the map."""
-    side = min(_BLOCK_PX, b.width, b.height)
+    side = min(GLANCE_PX, b.width, b.height)
     middle = Window((b.width - side) // 2, (b.height - side) // 2, side, side)
     pair = _pair(b, before, middle)
     if not pair.both.any():
@@ -248,7 +246,7 @@ def height_changes(
     far = cv2.morphologyEx(specked, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     strength = np.where(far > 0, np.minimum(np.round(_STRENGTH * beyond), 255), 0).astype(np.uint8)
     changes = []
-    for outline, at in _outlines(strength, transform, _LEAST_CELLS, 0):
+    for outline, at in _outlines(strength, transform, 1, 0):
         rises = left[at][np.isfinite(left[at])]
         volume = float(rises.sum()) * cell_m**2
         sigma = float(strength[at].max()) / _STRENGTH
@@ -282,10 +280,10 @@ def _plane(rise: Floats) -> Floats:
     known = np.isfinite(values)
     kept = known.copy()
     found[0] = float(np.median(values[known])) if known.any() else 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         left = np.abs(values - design @ found)
         spread = NORMAL_PER_MAD * float(np.median(left[known])) if known.any() else 0.0
-        kept = known & (left <= _FAR * max(spread, 1e-6))
+        kept = known & (left <= OUTLIER * max(spread, 1e-6))
         if kept.sum() < len(found):
             break
         found = least_squares(design[kept], values[kept])

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, OUTLIER, ROUNDS, sourced, tuned
 
 Floats = NDArray[np.float64]
 HeightsAt = Callable[[Floats, Floats], Floats]
 """Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
 _MOST_POINTS = tuned(200_000, "points", "of a fit: more take time and change millimetres")
-_ROUNDS = tuned(20, "rounds", "limit; fits converge in three to eight, and more follow chance")
 _CONVERGED = tuned(0.01, "pixels", "plan step that ends it: larger shows in the report")
-_FARTHEST = tuned(3.0, "robust deviations", "residual of a change: less drops what a shift would fix")
 _STEEPEST = tuned(1.0, "m per m", "slope limit: beyond, heights beside walls and crowns are chance")
 _SHIFT_SD_M = sourced(5.0, "m", "prior of the plan shift, for level land", "usual error of a GPS position")
 
@@ -52,7 +50,7 @@ def fitted(surface: HeightsAt, x_m: Floats, y_m: Floats, height_m: Floats, pixel
     found = np.zeros(5)
     reach_m = max(float(np.ptp(x)), float(np.ptp(y)), pixel_m)
     across = np.column_stack([np.ones(len(x)), (x - middle[0]) / reach_m, (y - middle[1]) / reach_m])
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         east, north = x + found[3], y + found[4]
         off = surface(east, north) - z - across @ found[:3]
         slopes = np.column_stack(
@@ -68,7 +66,7 @@ def fitted(surface: HeightsAt, x_m: Floats, y_m: Floats, height_m: Floats, pixel
             return HeightFit(nan, nan, nan, nan, nan, middle)
         spread = np.abs(off[known] - np.median(off[known]))
         sd = max(NORMAL_PER_MAD * float(np.median(spread)), 1e-3 * pixel_m)
-        known[known] = spread <= _FARTHEST * sd
+        known[known] = spread <= OUTLIER * sd
         terms = np.column_stack([across[known], -slopes[known]])
         prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * (sd / _SHIFT_SD_M)
         step_by = np.linalg.lstsq(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import OUTLIER, tuned
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, heading_limit_rad
 from geomosaic.quality.criteria import CRITERIA
 
@@ -25,9 +25,7 @@ class _Limits(NamedTuple):
 
 RESIDUAL: Final = CRITERIA["seams"]
 """Ground pixels between two frames: what is left between them is what their seam jumps by."""
-MOVE = sourced(
-    _Limits(3.0, 6.0), "deviations", "from a frame's given position", "three sigma, and twice that"
-)
+MOVE: Final = _Limits(OUTLIER, 2.0 * OUTLIER)
 
 WORST_PAIRS = tuned(20, "pairs", "checked in the pixels: more than a person looks through")
 

@@ -13,12 +13,10 @@ from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from geomosaic.constants import tuned
 from geomosaic.doors.raster import REFERENCE, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
+from geomosaic.projection.lattice import MOST_OFF_PX
 from geomosaic.quality.ssim import luma
-
-_RESAMPLING_TOLERANCE_PX = tuned(0.005, "mosaic px", "of GDAL's grids: its 0.125 would show; less is slow")
 
 
 def open_map(path: Path) -> Raster:
@@ -49,7 +47,7 @@ def on_grid_of(mosaic: Raster, other: Raster, path: Path, transform: Affine | No
             width=mosaic.width,
             height=mosaic.height,
             resampling=Resampling.cubic,
-            tolerance=_RESAMPLING_TOLERANCE_PX,
+            tolerance=MOST_OFF_PX,
             add_alpha=not alpha,
         )
     except RasterioError as error:

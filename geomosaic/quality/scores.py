@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.doors.files import printable
-from geomosaic.doors.plain import JSON_BYTES, read_json
+from geomosaic.doors.files import TEXT_BYTES, printable
+from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
 
 
@@ -77,7 +77,7 @@ class RunScores:
 
 def read_opinion(path: Path) -> Opinion:
     """A file of a report's form. Raises: `FileError` where it is anything else."""
-    content = read_json(path, JSON_BYTES, "scores", _FIX)
+    content = read_json(path, TEXT_BYTES, "scores", _FIX)
     given = content.get("scores") if isinstance(content, dict) else None
     if not isinstance(given, dict):
         raise FileError("holds no scores", file=path, fix=_FIX)

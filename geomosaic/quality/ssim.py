@@ -15,8 +15,7 @@ Mask = NDArray[np.bool_]
 
 WINDOW_PX = sourced(11, "px", "side of its window; another gives other figures", "Wang et al. 2004")
 _SIGMA_PX = sourced(1.5, "px", "deviation of its Gaussian weights", "Wang et al. 2004, section III")
-_K1 = sourced(0.01, "range", "keeps dark means from dividing by 0", "Wang et al. 2004, section III")
-_K2 = sourced(0.03, "range", "keeps noise from deciding smooth ground", "Wang et al. 2004, section III")
+_K = sourced((0.01, 0.03), "range", "of means and deviations: no division by 0", "Wang et al. 2004")
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def ssim_maps(image: ArrayLike, reference: ArrayLike, valid: Mask, data_range: f
     Args: data_range is the span of possible values, 255 for 8 bits.
     """
     x, y = (np.where(valid, np.asarray(p, dtype=np.float64), 0.0) for p in (image, reference))
-    c1, c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+    c1, c2 = ((k * data_range) ** 2 for k in _K)
     mx, my = _window_mean(x), _window_mean(y)
     vx = np.maximum(_window_mean(x * x) - mx * mx, 0.0)
     vy = np.maximum(_window_mean(y * y) - my * my, 0.0)

@@ -22,7 +22,7 @@ from geomosaic.ccd.model import (
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import tuned
-from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
+from geomosaic.matching.displacement import VALID_SHARE, Displacements, PatchMatching, measure_displacements
 from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.quality.strip_figures import (
     LIMIT_PX,
@@ -46,7 +46,6 @@ _LEAST_CORRELATION = tuned(0.5, "1", "of a patch: less confuses cloud and ground
 _LEAST_AGREEING = tuned(0.75, "share", "of a block's patches: less mixes clouds in; 1 fails by one patch")
 _LEAST_PATCHES = tuned(2, "patches", "that agree in a block: one always does; more lose narrow overlaps")
 _LEAST_SD_PX = tuned(0.01, "px", "of a patch: less lets a few decide; more weighs all alike")
-_LEAST_SHARE = tuned(0.9, "share", "of a patch in wanted lines: less mixes labels; 1 loses their borders")
 
 
 @dataclass(frozen=True)
@@ -263,7 +262,7 @@ def _of_blocks(
 ) -> tuple[Floats, Floats]:
     """Weighted means of the patches, in the lines asked for, that agree with their block's middle one."""
     share = np.array([asked[r : r + _PATCH_PX, c : c + _PATCH_PX].mean() for r, c in corners])
-    home = corners[share >= _LEAST_SHARE]
+    home = corners[share >= VALID_SHARE]
     patches = np.bincount((home[:, 0] - _MARGIN_LINES) // BLOCK_LINES, minlength=blocks)
     places = np.rint(found.centres_px[:, ::-1] - _PATCH_PX / 2).astype(np.int64)
     among = np.isin(places @ [1 << 20, 1], home @ [1 << 20, 1])

@@ -13,7 +13,7 @@ from scipy.stats import binom
 from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.procedure.control_points import control_blunders
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import OUTLIER, sourced, tuned
 from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement, metres
 from geomosaic.quality.check_points import check_points
 from geomosaic.quality.criteria import ASKED, CRITERIA, GRADES, NOTED, WARNED
@@ -22,7 +22,6 @@ from geomosaic.quality.seam_check import SeamCheck
 from geomosaic.survey.names import some
 
 _DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
-_ONE_POINT = sourced(3.0, "deviations", "of a control point that is honest", "normal: 0.3 %")
 _CHANCE = sourced(0.05, "share", "of medians below their lower limit", "the usual one-sided level")
 OF_LAND: Final = ("ground unknown", "rim", "surface unsure")
 _WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
@@ -223,7 +222,7 @@ def _control(points: Sequence[ControlResidual]) -> dict[str, float]:
     known = np.concatenate([np.abs(p.residual_m / p.sd_m) for p in good]) if good else np.zeros(0)
     known = known[np.isfinite(known)]
     if known.size:
-        found["control points"] = float(known.max() / -ndtri(ndtr(-_ONE_POINT) / known.size))
+        found["control points"] = float(known.max() / -ndtri(ndtr(-OUTLIER) / known.size))
     if figures is not None and figures.count >= LEAST_POINTS:
         sd_m = np.median([p.sd_m for p in points if p.check], axis=0)
         found["check points"] = float(np.abs(figures.mean_shift_m / sd_m)[:2].max())

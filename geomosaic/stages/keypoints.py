@@ -18,13 +18,30 @@ from geomosaic.matching.contrast import raised
 from geomosaic.matching.features import Bytes, Features, reduction_for, shrunk, sift_features, stretched
 from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
-from geomosaic.pipeline.stage import Context
+from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import FrameToDecode, Small
 
 Floats = NDArray[np.float64]
+
+
+class KeypointParams(StageParams):
+    """See each parameter's help."""
+
+    keypoints_px: int = param(
+        1000, help="longest side of the images that keypoints are found in", unit="px", ge=200, le=20000
+    )
+    keypoints: int = param(6000, help="most keypoints of a frame, or of part of a map", ge=100, le=50000)
+    ratio: float = param(0.8, help="Lowe's ratio of the best to the second distance", ge=0.1, le=1.0)
+    tolerance_px: float = param(
+        2.0,
+        help="tolerance of the geometric check, in pixels of the images that keypoints are found in",
+        unit="px",
+        ge=0.1,
+        le=50,
+    )
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection, is_local
+from geomosaic.matching.expected_overlap import LEAST_RADIUS_PX, lattice
 from geomosaic.matching.features import Features, stretched
 from geomosaic.matching.match import Matching
-from geomosaic.matching.planes import Guess, guessed, plane_through
+from geomosaic.matching.planes import LEAST_POINTS, Guess, guessed, plane_through
 from geomosaic.matching.reference_map import (
     ExpectedOnMap,
     FoundOnMap,
@@ -37,45 +38,29 @@ from geomosaic.matching.reference_map import (
     with_margin,
 )
 from geomosaic.pipeline.function_stage import stage
-from geomosaic.pipeline.stage import Context, StageParams, param
+from geomosaic.pipeline.stage import Context, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.rasters import open_map, read_luma
-from geomosaic.stages.keypoints import FrameReduction, frame_features, pictured
+from geomosaic.stages.keypoints import FrameReduction, KeypointParams, frame_features, pictured
 from geomosaic.survey.accuracy import POSITION
 from geomosaic.survey.model import ControlPoint, MapPlaces, Survey
 
 _FIX = "give a map of the same place, or leave out --coregister"
-_LEAST_POINTS = tuned(8, "places", "that place a block on a map: fewer may agree by chance")
 _LEAST_LOOK_PX = tuned(200, "px", "longest side of frames looked at: smaller ones have too few keypoints")
-_LEAST_RADIUS_PX = tuned(300.0, "px", "least search radius: less misses what relief moves")
-_TILE_PX = tuned(1000, "px", "of the map, as large as frames are looked at: keypoints spread alike")
 _PLACE_PX = tuned(0.3, "px", "deviation of a keypoint, which the adjustment raises: less says nothing more")
 _CELLS = tuned(
     4.0, "cells a frame side", "with a place each: fewer leave parts of the map free; more is slow"
 )
-_LATTICE = tuned(6, "nodes", "per frame side, to fit a plane: fewer fail where a frame sees past the ground")
 
 
-class ReferenceParams(StageParams):
+class ReferenceParams(KeypointParams):
     """See each parameter's help."""
 
     reference: Path = param(help="orthophoto that the mosaic is to coincide with")
-    keypoints_px: int = param(
-        1000, help="longest side of the images that keypoints are found in", unit="px", ge=200, le=20000
-    )
-    keypoints: int = param(6000, help="most keypoints of a frame, and of a part as large", ge=100, le=50000)
-    ratio: float = param(0.8, help="Lowe's ratio of the best to the second distance", ge=0.1, le=1.0)
-    tolerance_px: float = param(
-        2.0,
-        help="tolerance of the geometric check, in pixels of the images that keypoints are found in",
-        unit="px",
-        ge=0.1,
-        le=50,
-    )
     least: int = param(16, help="fewest places that tie a frame to the map", ge=4, le=1000)
 
 
@@ -139,9 +124,9 @@ def matching_reference(
     side_m = placement.ground_pixel_m * float(np.median([np.sqrt(c.width_px * c.height_px) for c in cameras]))
     chosen = spread_places(found, at_m, side_m / _CELLS)
     tied = sum(len(f.image_px) > 0 for f in found)
-    if len(chosen) < _LEAST_POINTS:
+    if len(chosen) < LEAST_POINTS:
         raise InputError(
-            f"{tied} of {len(found)} frames show {len(chosen)} of its places in common, and {_LEAST_POINTS} "
+            f"{tied} of {len(found)} frames show {len(chosen)} of its places in common, and {LEAST_POINTS} "
             "are needed to put the mosaic onto it",
             file=params.reference,
             fix="give a map of the same ground, of a like season and resolution, or leave out --coregister",
@@ -197,14 +182,9 @@ def _grid(
     return ReferenceGrid(path, survey.map_crs, west, north, size, pixel_m, pixel_m / placement.ground_pixel_m)
 
 
-def _lattice(camera: Camera) -> Floats:
-    sides = [(np.arange(_LATTICE) + 0.5) / _LATTICE * n for n in (camera.width_px, camera.height_px)]
-    return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
-
-
 def _on_map(survey: Survey, placement: Placement, camera: Camera, ground: GroundSurface, i: int) -> Floats:
     """Easting and northing (n, 2) of a lattice of a frame."""
-    enu = ground_from_image(placement.poses[i], camera, ground, _lattice(camera))
+    enu = ground_from_image(placement.poses[i], camera, ground, lattice(camera))
     lonlat = survey.work_frame.geodetic_from_enu(enu)
     return MapProjection(survey.map_crs).map_from_geodetic(lonlat[:, 0], lonlat[:, 1])
 
@@ -221,9 +201,9 @@ def _guesses(
     out = []
     for i, camera in enumerate(cameras):
         there = grid.image_px(_on_map(survey, placement, camera, ground, i))
-        radius_px = max(_LEAST_RADIUS_PX, float(reach_m[i]) / placement.ground_pixel_m)
+        radius_px = max(LEAST_RADIUS_PX, float(reach_m[i]) / placement.ground_pixel_m)
         known = np.isfinite(radius_px) and survey.located[i]
-        plane = plane_through(_lattice(camera), there) if known else None
+        plane = plane_through(lattice(camera), there) if known else None
         out.append(guessed((camera.width_px, camera.height_px), plane, radius_px))
     return out
 
@@ -244,7 +224,7 @@ def _map_features(grid: ReferenceGrid, params: ReferenceParams, context: Context
             resampling=Resampling.average if coarser else Resampling.cubic,
             add_alpha=ColorInterp.alpha not in reference.colorinterp,
         ) as warped:
-            for core in tile_bounds(grid.size_px, _TILE_PX):
+            for core in tile_bounds(grid.size_px, params.keypoints_px):
                 (left, top), (right, bottom) = with_margin(core, grid.size_px)
                 pixels, valid = read_luma(warped, Window(left, top, right - left, bottom - top))
                 if not valid.any():

@@ -15,7 +15,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.candidates import FrameComparison, alike, coarse, likely_pairs, to_compare
-from geomosaic.matching.expected_overlap import ExpectedOverlap
+from geomosaic.matching.expected_overlap import LEAST_RADIUS_PX, ExpectedOverlap
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching
 from geomosaic.matching.model import TiePairs, TiePoints
@@ -24,21 +24,19 @@ from geomosaic.matching.search import CHECKS
 from geomosaic.matching.turned import corrected_poses, found_turned, reheaded, seen_pairs
 from geomosaic.matching.untied import mostly
 from geomosaic.pipeline.function_stage import stage
-from geomosaic.pipeline.stage import Context, StageParams, param
+from geomosaic.pipeline.stage import Context, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.keypoints import FrameReduction, frame_features, pictured
+from geomosaic.stages.keypoints import FrameReduction, KeypointParams, frame_features, pictured
 from geomosaic.stages.tie_points import Pairing, record_tried, refined
 from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
-_LEAST_RADIUS_PX = 300.0
-"""The paper's coarse misplacement."""
 
 
-class SiftParams(StageParams):
+class SiftParams(KeypointParams):
     """See each parameter's help."""
 
     longest_px: int = param(
@@ -48,24 +46,12 @@ class SiftParams(StageParams):
         ge=300,
         le=20000,
     )
-    keypoints_px: int = param(
-        1000, help="longest side of the images that keypoints are found in", unit="px", ge=200, le=20000
-    )
-    keypoints: int = param(6000, help="most keypoints of a frame", ge=100, le=50000)
     band: int | None = param(None, help="band to match, counted from 1; luma if none is given", ge=1, le=1000)
     radius_m: float | Literal["auto"] = param(
         "auto",
         help="how far apart two frames may place a point; auto: at least 300 ground px",
         unit="m",
         ge=0.0,
-    )
-    ratio: float = param(0.8, help="Lowe's ratio of the best to the second distance", ge=0.1, le=1.0)
-    tolerance_px: float = param(
-        2.0,
-        help="tolerance of the geometric check, in pixels of the images that keypoints are found in",
-        unit="px",
-        ge=0.1,
-        le=50,
     )
     check: str = param("auto", help="geometric check", choices=CHECKS)
     least: int = param(16, help="fewest tie points that tie a pair", ge=4, le=1000)
@@ -93,7 +79,7 @@ def matching_sift(
     pairs, pairing = _tied(survey, placement, expected, params, context)
     untied = pairing.untied
     record_tried(context, [f.name for f in survey.frames], pairing, pairs, params.least)
-    cap_m = _LEAST_RADIUS_PX * placement.ground_pixel_m
+    cap_m = LEAST_RADIUS_PX * placement.ground_pixel_m
     if any(survey.located):
         cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
     seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
@@ -161,7 +147,7 @@ def _expected(
         if params.radius_m != "auto":
             return overlap.guess(a, b, params.radius_m / placement.ground_pixel_m)
         off_m = float(np.hypot(reach_m[a], reach_m[b]))
-        return overlap.guess(a, b, max(_LEAST_RADIUS_PX, off_m / placement.ground_pixel_m))
+        return overlap.guess(a, b, max(LEAST_RADIUS_PX, off_m / placement.ground_pixel_m))
 
     return of
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.strays import camera_kind
 from geomosaic.survey.xmp import Xmp, number, numbers
 
-_LEVELS = sourced(65536.0, "digital numbers", "of 16 bits: the models take shares of it", "MicaSense, DJI")
 _S_PER_US = sourced(1e-6, "s", "in a microsecond", "definition")
 _ISO_ONE = sourced(100.0, "ISO", "of sensor gain 1", "MicaSense, Radiometric Calibration Model")
 _SUNSHINE = sourced(
@@ -27,7 +27,8 @@ _SUNSHINE = sourced(
     "Parrot developer forum, Details of the IrradianceList tag",
 )
 _SUNSHINE_READINGS = tuned(5, "readings", "the last second before a frame: fewer are noisy; more are old")
-_FULL_COUNT = sourced(65535, "counts", "of a saturated sunshine sensor", "uint16")
+_FULL: Final = np.iinfo(np.uint16).max
+"""The largest digital number, and the count of a saturated sunshine sensor."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def _micasense(header: FrameHeader) -> SensorModel | None:
     if factors is None or not exif.exposure_s or not exif.iso:
         return None
     a1, a2, a3 = factors
-    gain = a1 / (exif.iso / _ISO_ONE * exif.exposure_s * _LEVELS)
+    gain = a1 / (exif.iso / _ISO_ONE * exif.exposure_s * (_FULL + 1.0))
     centre = numbers(xmp, "Camera:VignettingCenter", 2)
     fall = _radial(numbers(xmp, "Camera:VignettingPolynomial", 6), centre, divides=True)
     fall = fall or _two_dimensional(xmp)
@@ -116,7 +117,7 @@ def _dji(header: FrameHeader) -> SensorModel | None:
     if not sensor_gain or not exposure_us or black is None:
         return None
     adjustment = number(xmp, "drone-dji:SensorGainAdjustment") or 1.0
-    gain = adjustment / (sensor_gain * exposure_us * _S_PER_US * (_LEVELS - 1.0))
+    gain = adjustment / (sensor_gain * exposure_us * _S_PER_US * _FULL)
     col, row = (number(xmp, f"drone-dji:CalibratedOpticalCenter{axis}") for axis in "XY")
     centre = None if col is None or row is None else (col, row)
     fall = _radial(numbers(xmp, "drone-dji:VignettingData", 6), centre, divides=False)
@@ -154,12 +155,12 @@ def _sunshine(xmp: Xmp) -> float | None:
     gains = {
         index: count / ms
         for index, ms, count in zip(table[::4], table[1::4], table[2::4], strict=False)
-        if ms and 0.0 < count < _FULL_COUNT
+        if ms and 0.0 < count < _FULL
     }
     found = [
         float(reading["count"][0]) / float(reading["ms"]) / gains[int(reading["gain"])]
         for reading in np.frombuffer(data, dtype=_SUNSHINE)[-_SUNSHINE_READINGS:]
-        if reading["ms"] and int(reading["gain"]) in gains and 0 < reading["count"][0] < _FULL_COUNT
+        if reading["ms"] and int(reading["gain"]) in gains and 0 < reading["count"][0] < _FULL
     ]
     return float(np.median(found)) if found else None
 

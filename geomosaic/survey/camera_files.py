@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import LENSES, TERMS
-from geomosaic.doors.files import printable
-from geomosaic.doors.plain import JSON_BYTES, YAML_BYTES, read_json, read_yaml, shown
+from geomosaic.doors.files import TEXT_BYTES, printable
+from geomosaic.doors.plain import YAML_BYTES, read_json, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import lens_problem
@@ -57,7 +57,7 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
 
 def _load(path: Path) -> Any:
     if path.suffix.lower() == ".json":
-        return read_json(path, JSON_BYTES, "a camera file", _FIX)
+        return read_json(path, TEXT_BYTES, "a camera file", _FIX)
     return read_yaml(path, YAML_BYTES, "a camera file", _FIX)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import SLIGHT, sourced, tuned
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -27,7 +27,6 @@ from geomosaic.survey.table import ParsedTable
 
 Floats = NDArray[np.float64]
 _MOST_POINTS = tuned(20_000, "points", "each adds to the solve: more is another kind of file")
-_ROUNDED_M = tuned(1e-6, "m", "rounding of decimal degrees at a limit: 0 accepts some a metre apart")
 LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 
@@ -128,7 +127,7 @@ def _one_place(
     off_m = np.abs(places[:, 2] - heights_m[0]) if heights_m.size else np.zeros(len(places))
     away_m = np.fmax(np.linalg.norm(plan_m, axis=1), off_m)
     worst = int(np.argmax(away_m))
-    if away_m[worst] >= RESURVEYED.value - _ROUNDED_M:
+    if away_m[worst] >= RESURVEYED.value - SLIGHT:
         problem = (
             f"line {table.lines[rows[worst]]}: point '{name}' stands {away_m[worst]:.3g} m from its "
             "first line"

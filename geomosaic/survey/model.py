@@ -10,13 +10,11 @@ import numpy as np
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced
+from geomosaic.constants import DAY_S
 from geomosaic.doors.files import printable
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.radiometry.calibration import Calibration
 from geomosaic.radiometry.quantity import Quantity
-
-_DAY_S = sourced(86400.0, "s", "between platforms on one clock: longer than any pause of a flight", "a day")
 
 
 @dataclass(frozen=True)
@@ -215,7 +213,7 @@ class Survey:
             its = np.flatnonzero((platform == one) & np.isfinite(times_s))
             if len(its):
                 times_s[its] += end_s - np.floor(times_s[its].min())
-                end_s = np.ceil(times_s[its].max()) + _DAY_S
+                end_s = np.ceil(times_s[its].max()) + DAY_S
         return times_s
 
     @property

@@ -15,7 +15,7 @@ from geomosaic.survey.model import Frame
 _FAST = tuned(40.0, "m/s", "that no survey drone flies: less parts fast wings; more joins near drones")
 _FASTER = tuned(3.0, "ratio", "to the usual speed: less parts gusty flights; more joins near drones")
 _AHEAD = tuned(4, "frames", "among which a frame's own next is: fewer drones fly at once")
-_LEAST_FRAMES = tuned(3, "frames", "of a path: fewer are positions far off, not an aircraft")
+LEAST_FRAMES = tuned(3, "frames", "of a path: fewer are positions far off, not an aircraft")
 _CLOCK_S = tuned(0.1, "s", "resolution of fine clocks: less makes bursts fast; more hides near drones")
 _FINE = tuned(0.01, "s", "off a whole second: less takes rounding as fine; more, fine clocks as coarse")
 
@@ -27,7 +27,7 @@ def with_platforms(frames: Sequence[Frame]) -> tuple[Frame, ...]:
     and paths with usual speeds pass through all of them. Else the frames are as they were.
     """
     at = [i for i, f in enumerate(frames) if not f.platform and f.time_s is not None and f.position.known]
-    if len(at) < 2 * _LEAST_FRAMES:
+    if len(at) < 2 * LEAST_FRAMES:
         return tuple(frames)
     positions = [frames[i].position for i in at]
     lonlat = np.array([(p.lon_deg, p.lat_deg) for p in positions])
@@ -72,4 +72,4 @@ def paths_of(plan_m: Floats, times_s: Floats, sd_m: float) -> Ints:
             last.append(j)
             velocity.append(np.zeros(2))
         paths[j] = path
-    return paths if (np.bincount(paths) >= _LEAST_FRAMES).sum() > 1 else alone
+    return paths if (np.bincount(paths) >= LEAST_FRAMES).sum() > 1 else alone

@@ -26,6 +26,7 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
 from geomosaic.survey.model import Position, UnusedImage, Warn
 from geomosaic.survey.names import natural_key, some
+from geomosaic.survey.platforms import LEAST_FRAMES
 from geomosaic.survey.plausible import Limit
 
 Floats = NDArray[np.float64]
@@ -37,7 +38,6 @@ LOW: Final = Limit(0.3, "usual heights", "above ground: sees a tenth of what oth
 _FEW_LOW = tuned(0.1, "share", "of frames in climb or landing: more would be a part of the survey")
 APART: Final = Limit(2.0, "extents", "of both flights, between them: their mosaic is mostly empty", CHOSEN)
 _NEAR_M = tuned(500.0, "m", "between flights: less splits small surveys; fields of a flight are as far")
-_LEAST_FLIGHT = tuned(3, "frames", "of a flight: fewer at one place may be wrong positions")
 BLURRED: Final = Limit(
     2.3, "log detail", "a tenth of its neighbours', blurred over 4 px", "2 px blur: 2.4 to 3"
 )
@@ -220,11 +220,11 @@ def _low_at_ends(above_m: Floats) -> Flags:
     """Frames far below the usual height, in one run from the first frame on or up to the last."""
     out = np.zeros(len(above_m), dtype=bool)
     known = above_m[np.isfinite(above_m)]
-    if len(known) < 2 * _LEAST_FLIGHT:
+    if len(known) < 2 * LEAST_FRAMES:
         return out
     usual = float(np.median(known))
     low = above_m < LOW.value * usual
-    most = max(int(_FEW_LOW * len(above_m)), min(_LEAST_FLIGHT, len(above_m) // 4))
+    most = max(int(_FEW_LOW * len(above_m)), min(LEAST_FRAMES, len(above_m) // 4))
     spread = NORMAL_PER_MAD * float(np.median(np.abs(known - usual)))
     if SPREADS.value * spread > usual:  # no usual height: hand-flown, or heights that drift
         return out
@@ -241,7 +241,7 @@ def _low_at_ends(above_m: Floats) -> Flags:
 def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
     """Frames of flights apart from the largest by more than both reach, and how far (m)."""
     at = np.flatnonzero(known)
-    if len(at) < 2 * _LEAST_FLIGHT:
+    if len(at) < 2 * LEAST_FRAMES:
         return {}
     en = mid_latitude_offset_m(*lonlat[at[0]], *lonlat[at].T)
     typical = float(np.median(cKDTree(en).query(en, k=2)[0][:, 1]))
@@ -253,7 +253,7 @@ def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
     main = int(sizes.argmax())
     here = en[part == main]
     out: dict[int, float] = {}
-    for k in np.flatnonzero(sizes >= _LEAST_FLIGHT):
+    for k in np.flatnonzero(sizes >= LEAST_FRAMES):
         there = en[part == k]
         gap_m = float(cKDTree(here).query(there)[0].min())
         extent_m = max(float(np.linalg.norm(np.ptp(e, axis=0))) for e in (here, there))
@@ -268,7 +268,7 @@ def blurred(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | No
     in order of capture. Each is covered by its neighbours: of two in a row none is left out."""
     detail = np.array([np.nan if look is None else look.detail for look in looks])
     n = len(detail)
-    if np.isfinite(detail).sum() < 2 * _LEAST_FLIGHT:
+    if np.isfinite(detail).sum() < 2 * LEAST_FRAMES:
         return []
     neighbours = [
         [j for j in range(max(0, i - _NEAREST), min(n, i + _NEAREST + 1)) if j != i] for i in range(n)

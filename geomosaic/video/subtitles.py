@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Final
 
-from geomosaic.constants import sourced, tuned
-from geomosaic.doors.files import read_text
+from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.errors import InputError
 
-_MOST_BYTES = tuned(200 << 20, "bytes", "of subtitles: an hour at 60 a second has 100 MB")
-_MS = sourced((3_600_000, 60_000, 1000, 1), "ms", "of hour, minute, second, millisecond", "SI brochure")
 _BEGIN: Final = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{3})\s*-->")
 _NUMBER: Final = r"\s*:?\s*([-+]?\d{1,7}(?:\.\d{1,15})?)"
 _NAMED: Final = {
@@ -43,13 +41,14 @@ def read_subtitles(path: Path) -> list[VideoPosition]:
 
     Raises: `FileError` for what cannot be read, `InputError` where no subtitle has a position.
     """
-    text = read_text(path, _MOST_BYTES, "subtitles", _FIX)
+    text = read_text(path, TEXT_BYTES, "subtitles", _FIX)
     starts = list(_BEGIN.finditer(text))
     out = []
     for k, start in enumerate(starts):
         words = text[start.end() : starts[k + 1].start() if k + 1 < len(starts) else len(text)]
-        time_ms = sum(int(number) * unit for number, unit in zip(start.groups(), _MS, strict=True))
-        if (found := _position(time_ms / 1000.0, words)) is not None:
+        hours, minutes, seconds, milliseconds = map(int, start.groups())
+        at = timedelta(hours=hours, minutes=minutes, seconds=seconds, milliseconds=milliseconds)
+        if (found := _position(at.total_seconds(), words)) is not None:
             out.append(found)
     if not out:
         raise InputError("no subtitle has a latitude and a longitude", file=path, fix=_FIX)

@@ -14,7 +14,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import log_turn
-from geomosaic.constants import tuned
+from geomosaic.constants import SLIGHT, tuned
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.turned import corrected_poses
@@ -25,7 +25,6 @@ from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.survey.model import Survey
 
 _FARTHEST_M = tuned(1e8, "m", "from a survey's centre: beyond lies more than the Earth's other side")
-_OFF = tuned(1e-6, "1", "off unit length and square in a rotation's rows: more is no rotation")
 POSE = (
     *("lon_deg", "lat_deg", "height_ellipsoidal_m", "easting_m", "northing_m"),
     *("yaw_deg", "pitch_deg", "roll_deg", "sd_e_m", "sd_n_m", "sd_u_m"),
@@ -272,4 +271,4 @@ def _whole(poses: Poses, n: int) -> bool:
     if np.abs(poses.rotations).max(initial=0.0) > 2.0:
         return False
     turned = np.swapaxes(poses.rotations, 1, 2) @ poses.rotations - np.eye(3)
-    return bool(np.abs(turned).max(initial=0.0) < _OFF)
+    return bool(np.abs(turned).max(initial=0.0) < SLIGHT)

@@ -35,9 +35,9 @@ from geomosaic.recording.inspect.explained import (
 from geomosaic.recording.inspect.solved import Solved
 from geomosaic.recording.inspect.table_figures import warned
 from geomosaic.survey.names import some
+from geomosaic.survey.platforms import LEAST_FRAMES
 
 _TOGETHER = tuned(0.7, "mean length", "of unit vectors, for a usual heading: less is chance; more fails")
-_LEAST_OTHERS = tuned(3, "frames", "on a flight line, for its usual heading: fewer may be wrong themselves")
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterat
                 continue
             others = mine[~half[mine] & (mine != i) & np.isfinite(lies_rad[mine] - course[mine])]
             usual = complex(np.mean(np.exp(1j * (lies_rad - course)[others]))) if len(others) else 0j
-            if len(others) < _LEAST_OTHERS or abs(usual) < _TOGETHER:
+            if len(others) < LEAST_FRAMES or abs(usual) < _TOGETHER:
                 continue
             here, there = np.degrees([lies_rad[i], np.angle(usual) + course[i]]) % 360.0
             if not abs(abs(here - there) - 180.0) < np.degrees(MOST_RAD):
