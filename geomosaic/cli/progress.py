@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -27,6 +28,13 @@ def _how(seconds: float, source: Source) -> str:
     return texts[source]
 
 
+def _duration(seconds: float) -> str:
+    """Rounded up: to a second below a minute and a half, to a minute below that many hours."""
+    if seconds < 90.0:
+        return f"{math.ceil(seconds)} s"
+    return f"{math.ceil(seconds / 60)} min" if seconds < 5400.0 else f"{math.ceil(seconds / 360) / 10:.1f} h"
+
+
 class ProgressLines:
     """One line when a stage begins, ends or warns, and one every ten seconds in between.
 
@@ -37,6 +45,8 @@ class ProgressLines:
         self._stream = stream
         self._name = ""
         self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
+        self._work: tuple[str, int] = "", 0
+        self._begun = 0, 0.0
 
     def _line(self, text: str) -> None:
         if self._stream is not None:
@@ -51,9 +61,15 @@ class ProgressLines:
         self._name = f"[{index + 1}/{total}] {name}"
 
     def progress(self, done: int, total: int, text: str) -> None:
-        """So much of the present stage is done."""
-        if time.monotonic() >= self._next_s:
-            self._line(f"{self._name}: {text} {done} of {total}".replace(":  ", ": "))
+        """So much of the present stage is done; the time left is that of these items."""
+        now_s = time.monotonic()
+        if self._work != (text, total) or done < self._begun[0]:
+            self._work, self._begun = (text, total), (done, now_s)
+        if now_s >= self._next_s:
+            first, begun_s = self._begun
+            left_s = (now_s - begun_s) * (total - done) / (done - first) if done > first else 0.0
+            left = f", {_duration(left_s)} left" if left_s else ""
+            self._line(f"{self._name}: {text} {done} of {total}{left}".replace(":  ", ": "))
 
     def warning(self, text: str) -> None:
         """A stage's warning."""
