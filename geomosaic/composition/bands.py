@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from rasterio.windows import Window as RasterWindow
 
-from geomosaic.adjustment.procedure.rig import RigPoses, band_poses
 from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.composition.plan import windows
 from geomosaic.composition.raster import MosaicFiles, writing_mosaic
@@ -18,6 +17,7 @@ from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.views import PosedFrames
 from geomosaic.composition.window import Composed
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.matching.band_registration import RigPoses, band_poses
 from geomosaic.radiometry.quantity import quantity_of
 from geomosaic.survey.model import Survey
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.area import Area
 from geomosaic.composition.bands import band_names, other_bands, stack_bands
 from geomosaic.composition.compose import common_kind
@@ -24,6 +23,7 @@ from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.visibility import FrameOnMap, cells_in_view
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.raster import unreferenced_is_fine
+from geomosaic.matching.band_registration import RigPoses
 
 
 @dataclass(frozen=True)

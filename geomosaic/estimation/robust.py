@@ -18,6 +18,8 @@ BLUNDER = 2.0 * THREE_SIGMA
 """Residuals of blunders: beyond it nothing keeps its weight."""
 STRONG = sourced(20.0, "evidence ratio", "that counts as strong", "Kass and Raftery 1995, section 3.2")
 LEAST_OBSERVATIONS = sourced(5, "observations", "to call one a blunder", "the median holds with 2 of 5 wrong")
+LEAST_REDUNDANCY = tuned(3.0, "redundant observations", "fewer: a variance component is chance")
+LEAST_NOISE = tuned(0.2, "of the stated deviations", "less: a few that agree by chance outvote the rest")
 _OWN = tuned(2.0, "stated deviations", "least size; less: chance agreement of others names good points")
 FAR = tuned(5.0, "deviations", "blunders by stated deviation and scatter; fewer: good points are named")
 

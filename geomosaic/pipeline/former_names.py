@@ -14,6 +14,8 @@ FORMER: Final = {
     "geomosaic.recording.thumbnail:Seen": "geomosaic.stages.survey_read:FirstLook",
     "geomosaic.stages.survey_read:Seen": "geomosaic.stages.survey_read:FirstLook",
     "geomosaic.recording.file.thumbnail:Seen": "geomosaic.stages.survey_read:FirstLook",
+    "geomosaic.adjustment.procedure.rig:RigPoses": "geomosaic.matching.band_registration:RigPoses",
+    "geomosaic.adjustment.procedure.rig:BandPose": "geomosaic.matching.band_registration:BandPose",
     "geomosaic.surface.terrain:TerrainModel": "geomosaic.surface.dtm:TerrainModel",
 }
 """Present name of a class by its former name, in the room's present name."""

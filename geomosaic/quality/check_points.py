@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import ControlResidual
-from geomosaic.adjustment.procedure.control_points import control_blunders, known_residuals_m, means
-
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
+from geomosaic.quality.control import control_blunders, known_residuals_m, means
 
 
 @dataclass(frozen=True)

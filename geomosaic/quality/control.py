@@ -1,17 +1,27 @@
-"""Figures of control and check points: how far surveyed points lie from where the images put them."""
+"""Control and check points: how far they lie from where the images put them, blunders and a common shift."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.adjustment.model import ControlResidual
+from geomosaic.adjustment.model import ControlResidual, GroundControl
+from geomosaic.adjustment.terms.point_coordinates import precision_figures
+from geomosaic.adjustment.terms.term import Components
+from geomosaic.arrays import Bools, Floats
+from geomosaic.constants import sourced
+from geomosaic.estimation.robust import FAR, LEAST_OBSERVATIONS, THREE_SIGMA, blunders
 from geomosaic.survey.accuracy import POSITION
+from geomosaic.survey.model import Warn
+from geomosaic.survey.names import some
 
-Floats = NDArray[np.float64]
+_COARSER = sourced(1.5, "stated deviations", "beyond: a warning", "F test at 1 %, 12 degrees: 1.48")
+_AXES = ("east", "north", "up")
+_DISAGREE: Final = {"control": "control-disagrees", "check": "check-disagrees"}
+_SHIFT: Final = {"control": "control-shifted", "check": "check-shifted"}
 
 
 @dataclass(frozen=True)
@@ -34,10 +44,9 @@ class ControlFigures:
 
 def control_figures(residuals: Sequence[ControlResidual]) -> ControlFigures:
     """Figures of one point or more."""
-    residual_m = np.stack([r.residual_m for r in residuals])
-    surveyed = np.array([r.sd_m[2] < POSITION["none"].sd_vertical_m for r in residuals])
+    residual_m = known_residuals_m(residuals)
     east, north = np.sqrt(np.mean(np.square(residual_m[:, :2]), axis=0)).tolist()
-    up_m = residual_m[surveyed, 2]
+    up_m = residual_m[np.isfinite(residual_m[:, 2]), 2]
     return ControlFigures(
         n=len(residual_m),
         n_height=len(up_m),
@@ -48,3 +57,121 @@ def control_figures(residuals: Sequence[ControlResidual]) -> ControlFigures:
         ce90_m=float(np.quantile(np.hypot(residual_m[:, 0], residual_m[:, 1]), 0.9)),
         le90_m=float(np.quantile(np.abs(up_m), 0.9)) if up_m.size else None,
     )
+
+
+def known_residuals_m(points: Sequence[ControlResidual]) -> Floats:
+    """Residuals (n, 3) east, north and up, surveyed minus found; NaN for a height that was not surveyed."""
+    residual_m = np.array([p.residual_m for p in points]).reshape(-1, 3)
+    sd_m = np.array([p.sd_m for p in points]).reshape(-1, 3)
+    residual_m[~(sd_m[:, 2] < POSITION["none"].sd_vertical_m), 2] = np.nan
+    return residual_m
+
+
+def means(values: Floats) -> Floats:
+    """Means (c,) of the finite values of each column (n, c); NaN for a column without any."""
+    finite = np.isfinite(values)
+    count = finite.sum(axis=0)
+    total = np.where(finite, values, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def control_blunders(points: Sequence[ControlResidual]) -> Bools:
+    """Which of n points of one kind are blunders against the others, see `estimation.robust.blunders`. A
+    vector that all have in common is the map's shift, not a blunder."""
+    found = np.zeros(len(points), dtype=bool)
+    residual_m = known_residuals_m(points)
+    for axis in range(3):
+        known = np.flatnonzero(np.isfinite(residual_m[:, axis]))
+        sd_m = np.array([p.sd_m[axis] for p in points])[known]
+        found[known] |= blunders(residual_m[known, axis], sd_m)
+    return found
+
+
+def precision_warnings(control: Sequence[GroundControl], figures: Mapping[str, float]) -> list[Warn]:
+    """One line where control is less precise than stated, by the figures of `Adjusted`."""
+    stated = precision_figures(control, Components())
+    words = [
+        f"{figures[name]:.2g} m in {name.rpartition('.')[2]} (stated {stated[name]:.2g} m)"
+        for name in stated
+        if figures.get(name, 0.0) > _COARSER * stated[name]
+    ]
+    if not words:
+        return []
+    text = (
+        f"control points agree to {' and '.join(words)}: weighted by that; the map lies no surer than they do"
+    )
+    return [Warn("control-imprecise", "", text)]
+
+
+def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
+    """One line for each blunder; of the others one line for a common shift beyond three stated deviations,
+    and one for all points that disagree by more than five of theirs."""
+    out = []
+    for kind, check in (("control", False), ("check", True)):
+        points = [r for r in residuals if r.check == check]
+        out += _warnings_of(kind, points) if points else []
+    return out
+
+
+def _warnings_of(kind: str, points: Sequence[ControlResidual]) -> list[Warn]:
+    wrong, off_m = control_blunders(points), known_residuals_m(points)
+    if len(points) < LEAST_OBSERVATIONS or wrong.all():
+        return _far(kind, points, off_m)
+    rest = [p for p, its in zip(points, wrong, strict=True) if not its]
+    shift_m = means(off_m[~wrong])
+    scatter_m = float(np.sqrt(np.nansum(means((off_m[~wrong] - shift_m) ** 2))))
+    named = [(p.name, away_m) for p, away_m, its in zip(points, off_m - shift_m, wrong, strict=True) if its]
+    blunder_lines = [
+        f"{kind} point '{name}' lies {_length(away_m):.2f} m from where the images and the other {len(rest)} "
+        f"{kind} points put it ({_vector(away_m)}), these scatter by {scatter_m:.2f} m; "
+        "check its coordinates and its marks in the images"
+        for name, away_m in named
+    ]
+    return [
+        *(Warn(_DISAGREE[kind], "", text) for text in blunder_lines),
+        *_shifted(kind, rest, shift_m, scatter_m),
+        *_far(kind, rest, off_m[~wrong] - shift_m),
+    ]
+
+
+def _shifted(kind: str, points: Sequence[ControlResidual], shift_m: Floats, scatter_m: float) -> list[Warn]:
+    """A line for a common shift (3,) beyond three stated deviations."""
+    known = np.isfinite(known_residuals_m(points))
+    sd_m = np.where(known, [p.sd_m for p in points], np.nan)
+    stated_m = np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in sd_m.T])
+    ratio = float(np.nanmax(np.abs(shift_m) / stated_m))
+    if not ratio > THREE_SIGMA:
+        return []
+    text = (
+        f"{len(points)} {kind} points lie off the map by one shift ({_vector(shift_m)}), {ratio:.1f} of its "
+        f"stated deviations, and scatter by {scatter_m:.2f} m about it; check the datum and height system of "
+        f"the positions and of these points{', or use them as control' if kind == 'check' else ''}"
+    )
+    return [Warn(_SHIFT[kind], "", text)]
+
+
+def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Warn]:
+    """One line for all points that lie more than five of their deviations off, (n, 3)."""
+    share = np.nan_to_num(np.abs(off_m) / np.array([p.sd_m for p in points])).max(axis=1)
+    far = [(p.name, at) for p, at, s in zip(points, off_m, share, strict=True) if s > FAR]
+    if not far:
+        return []
+    few = len(points) < LEAST_OBSERVATIONS
+    names = "" if few and len(points) > 1 else f" ({some(name for name, _ in far)})"
+    worst_m = max((at for _, at in far), key=_length)
+    text = (
+        f"{len(far)} of {len(points)} {kind} points{names} disagree with the images by more than "
+        f"{FAR:g} deviations, the farthest by {_length(worst_m):.2f} m ({_vector(worst_m)})"
+        f"{f', and fewer than {LEAST_OBSERVATIONS} points do not show which is wrong' if few else ''}; "
+        "check their coordinates and their marks in the images"
+    )
+    return [Warn(_DISAGREE[kind], "", text)]
+
+
+def _length(off_m: Floats) -> float:
+    return float(np.sqrt(np.nansum(off_m**2)))
+
+
+def _vector(off_m: Floats) -> str:
+    """What is known of east, north and up."""
+    return ", ".join(f"{v:+.2f} {axis}" for v, axis in zip(off_m, _AXES, strict=True) if np.isfinite(v))

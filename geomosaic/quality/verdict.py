@@ -11,11 +11,11 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import binom
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.adjustment.procedure.control_points import control_blunders
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
 from geomosaic.constants import OUTLIER, sourced, tuned
 from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement, metres
 from geomosaic.quality.check_points import check_points
+from geomosaic.quality.control import control_blunders
 from geomosaic.quality.criteria import ASKED, CRITERIA, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.adjustment.procedure.control_points import control_blunders, known_residuals_m
 from geomosaic.export.on_map import map_from_work
 from geomosaic.quality.accuracy import metres
-from geomosaic.quality.control import control_figures
+from geomosaic.quality.control import control_blunders, control_figures, known_residuals_m
 from geomosaic.report.numbers import UNKNOWN, cm, signed_cm
 from geomosaic.survey.model import Survey
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.procedure.rig import Captures, RigPoses, register_bands
+from geomosaic.matching.band_registration import Captures, RigPoses, register_bands
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.survey.model import Survey

@@ -11,7 +11,7 @@ import numpy as np
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.common_offsets import height_reference
-from geomosaic.adjustment.procedure.control_points import control_blunders, ground_control
+from geomosaic.adjustment.procedure.control_points import ground_control
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
 from geomosaic.matching.model import TiePoints
@@ -20,7 +20,7 @@ from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.quality.control import control_figures
+from geomosaic.quality.control import control_blunders, control_figures, control_warnings, precision_warnings
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.stages.reporting import record_adjusted
 from geomosaic.survey.model import MapPlaces, Survey
@@ -92,6 +92,8 @@ def adjustment_solve(
     block = block_of(survey, matched.prior_ground, matched.placement, matched.ties)
     settings = Settings(**params.model_dump(exclude={"method"}))
     adjusted = METHODS[params.method](block, settings, context)
+    of_control = (*precision_warnings(block.control, adjusted.figures), *control_warnings(adjusted.control))
+    adjusted = replace(adjusted, warnings=(*adjusted.warnings, *of_control))
     _warn_of_loose_frames(context, block, adjusted, params.method == "bundle")
     residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
     residual = residual[np.isfinite(residual).all(axis=1)]

@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.compose import AUTO
 from geomosaic.composition.model import Mosaic
 from geomosaic.composition.orthos import plan_orthos
@@ -14,6 +13,7 @@ from geomosaic.composition.views import PosedFrames
 from geomosaic.errors import InputError
 from geomosaic.export.cog import COMPRESSIONS, CogOptions
 from geomosaic.export.orthos import OrthoStyle, ortho_file, ortho_names, write_orthos_vrt
+from geomosaic.matching.band_registration import RigPoses
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.resample import RESAMPLING

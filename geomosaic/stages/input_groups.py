@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.model import Mosaic
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.composition.tones import Tones
+from geomosaic.matching.band_registration import RigPoses
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.function_stage import InputGroup
 from geomosaic.projection.ground import GroundSurface

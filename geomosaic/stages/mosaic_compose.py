@@ -8,7 +8,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
-from geomosaic.adjustment.procedure.rig import RigPoses
 from geomosaic.composition.bands import compose_bands
 from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.compose import AUTO, AUTO_FEATHER_PX, CompositionOptions, compose
@@ -16,6 +15,7 @@ from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.composition.plugins import BLENDS_GROUP
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames
+from geomosaic.matching.band_registration import RigPoses
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.resample import RESAMPLING

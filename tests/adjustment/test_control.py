@@ -16,7 +16,7 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual, GroundControl,
 from geomosaic.adjustment.problem.usable_block import as_taken
 from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.matching.model import TiePoints
-from geomosaic.quality.control import control_figures
+from geomosaic.quality.control import control_figures, control_warnings
 from geomosaic.quality.positions import read_poses
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import read_survey
@@ -96,7 +96,7 @@ def test_residual_is_surveyed_minus_found() -> None:
     once = GroundControl("once", wrong, SD_M, True, seen[:1])
     behind = GroundControl("behind", wrong, SD_M, True, ())
     block = replace(flown.block, poses=flown.truth, control=(many, once, loose))
-    *found, badly_known = control_residuals(block, flown.truth, block.cameras, block.ground)
+    *found, badly_known = control_residuals(block, flown.truth)
     assert [f.name for f in found] == ["many", "once"] and behind.observations == ()
     assert found[0].images == len(seen) > 3
     for f in found:
@@ -118,7 +118,7 @@ def test_five_points_of_two_centimetres(relief: Relief, seed: int, blocks: int) 
         judges, control = checks(flown, relief), surveyed(flown, CORNERS, relief)
         for n in off:
             adjusted = adjusted_with(flown, (*control[:n], *judges))
-            assert not [w for w in adjusted.warnings if "disagrees" in w.code]
+            assert not [w for w in control_warnings(adjusted.control) if "disagrees" in w.code]
             found, sd = residuals(adjusted, check=True)
             assert len(found) == len(judges) and len(residuals(adjusted, check=False)[0]) == n
             off[n].append(found)
@@ -139,12 +139,12 @@ def test_a_blunder_is_named_and_outvoted() -> None:
     control = list(surveyed(flown, CORNERS))
     control[2] = replace(control[2], enu_m=control[2].enu_m + [3.0, -4.0, 0.0])
     adjusted = adjusted_with(flown, (*control, *checks(flown)))
-    texts = [w.text for w in adjusted.warnings if w.code == "control-disagrees"]
+    texts = [w.text for w in control_warnings(adjusted.control) if w.code == "control-disagrees"]
     assert len(texts) == 1 and "'GCP-2' lies" in texts[0]
     off = next(c.residual_m for c in adjusted.control if c.name == "GCP-2")
     assert off == pytest.approx([3.0, -4.0, 0.0], abs=0.6)
     assert np.all(rms(residuals(adjusted, check=True)[0])[:2] < 0.09)
-    assert not [w for w in adjusted.warnings if w.code == "check-disagrees"]
+    assert not [w for w in control_warnings(adjusted.control) if w.code == "check-disagrees"]
 
 
 def test_check_points_change_nothing() -> None:
@@ -154,7 +154,8 @@ def test_check_points_change_nothing() -> None:
     wrong = replace(checks(flown)[0], enu_m=np.array([20.0, 30.0, 7.0]))
     alone, judged = adjusted_with(flown, control), adjusted_with(flown, (wrong, *control))
     assert np.array_equal(alone.poses.positions_m, judged.poses.positions_m)
-    assert [w.code for w in judged.warnings] == ["check-disagrees"] and not alone.warnings
+    assert [w.code for w in control_warnings(judged.control)] == ["check-disagrees"]
+    assert not (judged.warnings or alone.warnings or control_warnings(alone.control))
 
 
 def test_control_in_another_datum_is_named() -> None:

@@ -11,6 +11,7 @@ from adjustment_blocks import Flown, fly
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, GroundControl, HeightReference, Settings
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.quality.control import control_warnings, precision_warnings
 
 PLAN = np.array(
     [[-15.0, -10.0], [95.0, -10.0], [95.0, 100.0], [-15.0, 100.0], [40.0, 45.0], [40.0, -5.0], [90.0, 45.0],
@@ -42,12 +43,16 @@ def worst(adjusted: Adjusted) -> float:
 @pytest.mark.parametrize("seed", [1, 3, 7])
 def test_control_of_two_metres_is_weighted_by_that(seed: int) -> None:
     flown = fly(seed, points=300, position_sd_m=np.array([0.5, 0.5, 0.5]))
-    adjusted = solved(flown, surveyed(flown, 2.0))
+    control = surveyed(flown, 2.0)
+    adjusted = solved(flown, control)
     assert 1.2 < adjusted.figures["control_sd_m.plan"] < 3.2
     assert 0.8 < adjusted.figures["control_sd_m.height"] < 3.8
-    (warning,) = [w for w in adjusted.warnings if w.code == "control-imprecise"]
+    (warning,) = precision_warnings(control, adjusted.figures)
     assert "m in plan (stated 0.05 m)" in warning.text
-    assert "control-disagrees" not in [w.code for w in adjusted.warnings] and worst(adjusted) < 5.0
+    assert (
+        "control-disagrees" not in [w.code for w in control_warnings(adjusted.control)]
+        and worst(adjusted) < 5.0
+    )
     off = adjusted.poses.positions_m - flown.truth.positions_m
     assert np.all(np.abs(off.mean(axis=0)) < 3.0)
     assert np.all(np.abs(off) < 4.0 * adjusted.poses.positions_sd_m)
@@ -60,7 +65,7 @@ def test_a_blunder_among_them_is_named_and_widens_nothing(noise_m: float) -> Non
     plain = solved(flown, control)
     control[3] = replace(control[3], enu_m=control[3].enu_m + [16.0, -12.0, 0.0])
     adjusted = solved(flown, control)
-    named = [w.text for w in adjusted.warnings if w.code == "control-disagrees"]
+    named = [w.text for w in control_warnings(adjusted.control) if w.code == "control-disagrees"]
     assert len(named) == 1 and "'P3'" in named[0]
     found = adjusted.figures["control_sd_m.plan"]
     assert found == pytest.approx(plain.figures["control_sd_m.plan"], rel=0.5)
@@ -73,9 +78,10 @@ def test_good_control_is_as_stated_whatever_the_positions() -> None:
     flown = fly(6, points=300)
     poses = flown.block.poses
     off = replace(poses, positions_m=poses.positions_m + [8.0, -6.0, 9.0])
-    adjusted = solved(replace(flown, block=replace(flown.block, poses=off)), surveyed(flown, 0.05))
+    control = surveyed(flown, 0.05)
+    adjusted = solved(replace(flown, block=replace(flown.block, poses=off)), control)
     assert adjusted.figures["control_sd_m.plan"] < 0.08 and adjusted.figures["control_sd_m.height"] < 0.08
-    assert "control-imprecise" not in [w.code for w in adjusted.warnings]
+    assert not precision_warnings(control, adjusted.figures)
     away = adjusted.poses.positions_m - flown.truth.positions_m
     assert np.abs(away.mean(axis=0)).max() < 0.4
 

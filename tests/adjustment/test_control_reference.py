@@ -13,6 +13,7 @@ from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.control_reference import with_marks_of_whole_images
 from geomosaic.camera.rotation import about_x, about_z
 from geomosaic.estimation.similarity import Similarity3D
+from geomosaic.quality.control import control_warnings
 
 PLACES = np.array([[0.0, 5.0], [78.0, 12.0], [10.0, 80.0], [75.0, 85.0], [40.0, 45.0]])
 
@@ -47,7 +48,7 @@ def test_a_tilted_block_without_positions_lies_on_its_control(marks: float) -> N
     adjusted = pose_block(without_positions(flown, marks), Settings())
     off_m = adjusted.poses.positions_m - flown.truth.positions_m
     assert np.sqrt((off_m**2).sum(axis=1)).max() < 1.5
-    codes = [w.code for w in adjusted.warnings]
+    codes = [w.code for w in (*adjusted.warnings, *control_warnings(adjusted.control))]
     assert "control-disagrees" not in codes
     assert ("control-marks-enlarged" in codes) == (marks != 1.0)
 

@@ -9,9 +9,9 @@ import numpy as np
 from mosaic_scenes import CAMERA
 from test_mosaic_grid import given_for, seams
 
-from geomosaic.adjustment.procedure.rig import BandPose, RigPoses
 from geomosaic.composition.bands import other_bands
 from geomosaic.composition.views import PosedFrames
+from geomosaic.matching.band_registration import BandPose, RigPoses
 from geomosaic.survey.model import Band
 
 

@@ -10,13 +10,10 @@ import pytest
 from adjustment_blocks import fly
 
 from geomosaic.adjustment.model import ControlResidual, GroundControl
-from geomosaic.adjustment.procedure.control_points import (
-    control_blunders,
-    control_residuals,
-    control_warnings,
-)
+from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.estimation.robust import blunders
 from geomosaic.quality.check_points import check_points
+from geomosaic.quality.control import control_blunders, control_warnings
 from geomosaic.survey.accuracy import POSITION
 
 STATED_M = 1.21
@@ -65,7 +62,7 @@ def test_a_common_shift_of_two_metres_is_accuracy_not_a_fault() -> None:
         positions_sd_m=np.full((18, 3), STATED_M),
     )
     block = replace(flown.block, poses=poses, control=tuple(c for c in control if len(c.observations) > 1))
-    residuals = control_residuals(block, poses, block.cameras, block.ground)
+    residuals = control_residuals(block, poses)
     assert len(residuals) > 20 and control_warnings(residuals) == []
     found = check_points(residuals)
     assert found is not None and found.count == len(residuals) and found.blunders == ()

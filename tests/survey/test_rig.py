@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation as Turn
 from small_surveys import geomosaic, mosaic, small_survey, summary
 from survey_files import exif_block, gps, segment, write_jpeg, xmp_attributes
 
-from geomosaic.adjustment.procedure.rig import Captures, RigPoses, band_poses, register_bands
 from geomosaic.composition.bands import stack_bands
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
+from geomosaic.matching.band_registration import Captures, RigPoses, band_poses, register_bands
 from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Band

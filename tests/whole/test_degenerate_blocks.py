@@ -53,7 +53,7 @@ def test_a_control_point_of_parallel_rays_is_not_placed_and_all_else_goes_on() -
     other = (frame + 1) % 6
     rays = GroundControl("Q", point.enu_m, point.sd_m, False, ((frame, col, row), (other, 1e9, 1e9)))
     for control in (point, rays):
-        found = control_residuals(replace(block, control=(control,)), together, block.cameras, block.ground)
+        found = control_residuals(replace(block, control=(control,)), together)
         assert all(np.isfinite(r.residual_m).all() and np.isfinite(r.sd_m).all() for r in found)
     adjusted = pose_block(block, Settings())
     assert not problems(adjusted, 6)

@@ -97,7 +97,7 @@ def _errors_at(run: Path, summary: dict[str, Any], path: Path) -> dict[str, Any]
     )
     control = ground_control(replace(survey, control=points), ground)
     block = Block(names, adjusted.cameras, adjusted.poses, ground, ties, (), (), 1.0, control=control)
-    found = {r.name: r for r in control_residuals(block, adjusted.poses, adjusted.cameras, ground)}
+    found = {r.name: r for r in control_residuals(block, adjusted.poses)}
     if not found:
         return {"n": 0, "failed": "no check point lies in a tied frame"}
     if not is_local(summary["mosaic"]["crs"]):

@@ -22,7 +22,6 @@ from geomosaic.adjustment.procedure.block_solution import (
     points_on_ground,
 )
 from geomosaic.adjustment.procedure.blunder_detection import counted_shares, resected
-from geomosaic.adjustment.procedure.bundle_outcome import Work, bundle_outcome, places_of, shape_figures
 from geomosaic.adjustment.procedure.control_reference import placed_by_control, with_marks_of_whole_images
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
@@ -35,7 +34,7 @@ from geomosaic.adjustment.procedure.model_selection import (
     turns_shown,
     with_readout,
 )
-from geomosaic.adjustment.procedure.outcome import outcome
+from geomosaic.adjustment.procedure.outcome import Work, bundle_outcome, outcome, places_of, shape_figures
 from geomosaic.adjustment.procedure.reported_corrections import (
     height_drift,
     with_common_heading,

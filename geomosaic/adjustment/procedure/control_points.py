@@ -1,10 +1,8 @@
-"""Control and check points: residuals by any method's poses, blunders, a common shift, and their warnings."""
+"""Control and check points: their residuals by any method's poses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,32 +12,18 @@ from geomosaic.adjustment.model import Block, ControlResidual, GroundControl
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.gnss_positions import ANYWHERE_M
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX
-from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse, is_parallel, solve
-from geomosaic.estimation.robust import FAR, LEAST_OBSERVATIONS, THREE_SIGMA, blunders
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.survey.accuracy import POSITION
-from geomosaic.survey.model import ControlPoint, Survey, Warn
-from geomosaic.survey.names import some
+from geomosaic.survey.model import ControlPoint, Survey
 
 Spread = Callable[[Ints, Floats, Floats], Floats]
 """Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses
 (k, 3, 6) and by their cameras' numbers (k, 3, 9)."""
-_AXES = ("east", "north", "up")
-_DISAGREE: Final = {"control": "control-disagrees", "check": "check-disagrees"}
-_SHIFT: Final = {"control": "control-shifted", "check": "check-shifted"}
-
-
-@dataclass(frozen=True)
-class Solved:
-    """The covariance after a bundle, and the common error of all frames, (3,) in m², see `common_error`."""
-
-    spread: Spread
-    common_m2: Floats
 
 
 def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl, ...]:
@@ -66,34 +50,27 @@ def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl
 
 
 def control_residuals(
-    block: Block,
-    poses: Poses,
-    cameras: tuple[Camera, ...],
-    ground: GroundSurface,
-    solved: Solved | None = None,
+    block: Block, poses: Poses, spread: Spread | None = None
 ) -> tuple[ControlResidual, ...]:
-    """Where each point was surveyed minus where the images put it, by the poses as they are.
+    """Where each point was surveyed minus where the images put it, by the block's cameras and given poses.
 
     A point of two images and more is intersected from its image coordinates alone, whether it took part in
     the solve or not; a point of one image is projected on the ground. Points that cannot be placed are left
-    out. Args: solved: the covariance of poses and cameras after a bundle, which used the points that aren't
-    for checking. Without it all are check points, and the poses' own deviations count as independent.
+    out. Args: spread: covariance after a bundle, which used the points that aren't for checking. Without it
+    all are check points, and the poses' own deviations count as independent.
     """
     out = []
     for c in block.control:
-        found = _place(poses, cameras, ground, c)
+        found = _place(poses, block, c)
         if found is None:
             continue
         frames = np.array([frame for frame, _, _ in c.observations], dtype=np.intp)
         at_m, own, by_pose, by_interior = found
-        try:
-            moved = (solved.spread if solved else spread_of_poses(poses))(frames, by_pose, by_interior)
-        except NotSolvableError:
-            moved = spread_of_poses(poses)(frames, by_pose, by_interior)
-        common_m2 = solved.common_m2 if solved else 0.0
-        sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2 + common_m2)
-        away = c.enu_m - at_m
-        out.append(ControlResidual(c.name, c.check or solved is None, len(frames), away, sd, c.sd_m))
+        moved = (spread or spread_of_poses(poses))(frames, by_pose, by_interior)
+        sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2)
+        out.append(
+            ControlResidual(c.name, c.check or spread is None, len(frames), c.enu_m - at_m, sd, c.sd_m)
+        )
     return tuple(out)
 
 
@@ -124,16 +101,16 @@ def spread_of_poses(poses: Poses) -> Spread:
 
 
 def _place(
-    poses: Poses, cameras: tuple[Camera, ...], ground: GroundSurface, control: GroundControl
+    poses: Poses, block: Block, control: GroundControl
 ) -> tuple[Floats, Floats, Floats, Floats] | None:
     """A ground point (3,) from its k image coordinates, by least squares; its covariance (3, 3) for poses and
     cameras without error; its derivatives by the frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it
     cannot be placed. In a single image the ground's height is as good as the surveyed point says."""
     frames = np.array([frame for frame, _, _ in control.observations], dtype=np.intp)
     image_px = np.array([at[1:] for at in control.observations])
-    single = len(np.unique(frames)) == 1
+    cameras, single = block.cameras, len(np.unique(frames)) == 1
     if single:
-        at_m = ground_from_image(poses[frames[0]], cameras[frames[0]], ground, image_px.mean(axis=0))
+        at_m = ground_from_image(poses[frames[0]], cameras[frames[0]], block.ground, image_px.mean(axis=0))
     else:
         at_m = intersection_of_rays(poses, cameras, frames, image_px)
     interior = np.stack([interior_of(cameras[i]) for i in frames])
@@ -174,105 +151,3 @@ def intersection_of_rays(poses: Poses, cameras: tuple[Camera, ...], frames: Ints
     if is_parallel(normal, 1e12):
         return np.full(3, np.nan)
     return solve(normal, side)
-
-
-def known_residuals_m(points: Sequence[ControlResidual]) -> Floats:
-    """Residuals (n, 3) east, north and up, surveyed minus found; NaN for a height that was not surveyed."""
-    residual_m = np.array([p.residual_m for p in points]).reshape(-1, 3)
-    sd_m = np.array([p.sd_m for p in points]).reshape(-1, 3)
-    residual_m[~(sd_m[:, 2] < POSITION["none"].sd_vertical_m), 2] = np.nan
-    return residual_m
-
-
-def means(values: Floats) -> Floats:
-    """Means (c,) of the finite values of each column (n, c); NaN for a column without any."""
-    finite = np.isfinite(values)
-    count = finite.sum(axis=0)
-    total = np.where(finite, values, 0.0).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def control_blunders(points: Sequence[ControlResidual]) -> Bools:
-    """Which of n points of one kind are blunders against the others, see `estimation.robust.blunders`. A
-    vector that all have in common is the map's shift, not a blunder."""
-    found = np.zeros(len(points), dtype=bool)
-    residual_m = known_residuals_m(points)
-    for axis in range(3):
-        known = np.flatnonzero(np.isfinite(residual_m[:, axis]))
-        sd_m = np.array([p.sd_m[axis] for p in points])[known]
-        found[known] |= blunders(residual_m[known, axis], sd_m)
-    return found
-
-
-def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
-    """One line for each blunder; of the others one line for a common shift beyond three stated deviations,
-    and one for all points that disagree by more than five of theirs."""
-    out = []
-    for kind, check in (("control", False), ("check", True)):
-        points = [r for r in residuals if r.check == check]
-        out += _warnings_of(kind, points) if points else []
-    return out
-
-
-def _warnings_of(kind: str, points: Sequence[ControlResidual]) -> list[Warn]:
-    wrong, off_m = control_blunders(points), known_residuals_m(points)
-    if len(points) < LEAST_OBSERVATIONS or wrong.all():
-        return _far(kind, points, off_m)
-    rest = [p for p, its in zip(points, wrong, strict=True) if not its]
-    shift_m = means(off_m[~wrong])
-    scatter_m = float(np.sqrt(np.nansum(means((off_m[~wrong] - shift_m) ** 2))))
-    named = [(p.name, away_m) for p, away_m, its in zip(points, off_m - shift_m, wrong, strict=True) if its]
-    blunder_lines = [
-        f"{kind} point '{name}' lies {_length(away_m):.2f} m from where the images and the other {len(rest)} "
-        f"{kind} points put it ({_vector(away_m)}), these scatter by {scatter_m:.2f} m; "
-        "check its coordinates and its marks in the images"
-        for name, away_m in named
-    ]
-    return [
-        *(Warn(_DISAGREE[kind], "", text) for text in blunder_lines),
-        *_shifted(kind, rest, shift_m, scatter_m),
-        *_far(kind, rest, off_m[~wrong] - shift_m),
-    ]
-
-
-def _shifted(kind: str, points: Sequence[ControlResidual], shift_m: Floats, scatter_m: float) -> list[Warn]:
-    """A line for a common shift (3,) beyond three stated deviations."""
-    known = np.isfinite(known_residuals_m(points))
-    sd_m = np.where(known, [p.sd_m for p in points], np.nan)
-    stated_m = np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in sd_m.T])
-    ratio = float(np.nanmax(np.abs(shift_m) / stated_m))
-    if not ratio > THREE_SIGMA:
-        return []
-    text = (
-        f"{len(points)} {kind} points lie off the map by one shift ({_vector(shift_m)}), {ratio:.1f} of its "
-        f"stated deviations, and scatter by {scatter_m:.2f} m about it; check the datum and height system of "
-        f"the positions and of these points{', or use them as control' if kind == 'check' else ''}"
-    )
-    return [Warn(_SHIFT[kind], "", text)]
-
-
-def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Warn]:
-    """One line for all points that lie more than five of their deviations off, (n, 3)."""
-    share = np.nan_to_num(np.abs(off_m) / np.array([p.sd_m for p in points])).max(axis=1)
-    far = [(p.name, at) for p, at, s in zip(points, off_m, share, strict=True) if s > FAR]
-    if not far:
-        return []
-    few = len(points) < LEAST_OBSERVATIONS
-    names = "" if few and len(points) > 1 else f" ({some(name for name, _ in far)})"
-    worst_m = max((at for _, at in far), key=_length)
-    text = (
-        f"{len(far)} of {len(points)} {kind} points{names} disagree with the images by more than "
-        f"{FAR:g} deviations, the farthest by {_length(worst_m):.2f} m ({_vector(worst_m)})"
-        f"{f', and fewer than {LEAST_OBSERVATIONS} points do not show which is wrong' if few else ''}; "
-        "check their coordinates and their marks in the images"
-    )
-    return [Warn(_DISAGREE[kind], "", text)]
-
-
-def _length(off_m: Floats) -> float:
-    return float(np.sqrt(np.nansum(off_m**2)))
-
-
-def _vector(off_m: Floats) -> str:
-    """What is known of east, north and up."""
-    return ", ".join(f"{v:+.2f} {axis}" for v, axis in zip(off_m, _AXES, strict=True) if np.isfinite(v))

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.arrays import Complexes, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH, tuned
+from geomosaic.constants import MEDIAN_LENGTH
 from geomosaic.estimation.linear import least_squares
-from geomosaic.estimation.robust import redescending_weight
+from geomosaic.estimation.robust import LEAST_NOISE, redescending_weight
 from geomosaic.estimation.similarity import SAMPLES, similarity_design
 from geomosaic.matching.relative import ALIKE
-
-LEAST_NOISE = tuned(0.2, "of the stated deviations", "less: a few that agree by chance outvote the rest")
 
 
 @dataclass(frozen=True)

@@ -1,38 +1,49 @@
-"""What any method's poses mean for the block: status and residuals."""
+"""What a method's poses mean for the block: status, residuals, covariances, figures and warnings."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.adjustment.model import Adjusted, Block, Round
+from geomosaic.adjustment.ground.ground_choice import flying_height_m
+from geomosaic.adjustment.model import Adjusted, Block, GroundPlaces, ModelChoice, Round, Settings, SolveStep
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
+from geomosaic.adjustment.problem.tracks import Tracks
+from geomosaic.adjustment.procedure.block_solution import BlockSolution
+from geomosaic.adjustment.procedure.blunder_detection import (
+    contradicted_frames,
+    counted_shares,
+    implausible_lenses,
+    shift_and_scale,
+    undetermined_unknowns,
+    unsolved_frames,
+    wrong_tags,
+)
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
 from geomosaic.adjustment.procedure.control_points import (
-    Solved,
     Spread,
     control_residuals,
-    control_warnings,
+    spread_of,
     spread_of_poses,
 )
-from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
+from geomosaic.adjustment.procedure.model_selection import image_residuals, model_warnings
+from geomosaic.adjustment.procedure.reported_corrections import height_drift
+from geomosaic.adjustment.solver.place_uncertainty import ground_places
+from geomosaic.adjustment.solver.solution import Solution
+from geomosaic.adjustment.terms.attitudes import TILT, YAW
+from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
+from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.adjustment.terms.point_coordinates import precision_figures, with_precision
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.interior import Camera
+from geomosaic.errors import NotSolvableError
+from geomosaic.placement.collocation import moved_with_neighbours
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.spread import Spread as Tasks
 from geomosaic.survey.control import LEAST_POINTS
 from geomosaic.survey.model import Warn
-
-
-def residuals_m(
-    block: Block, poses: Poses, cameras: tuple[Camera, ...], ground: GroundSurface
-) -> tuple[Floats, ...]:
-    """Per pair (k, 2): right minus left on the ground, east and north; NaN where a ray misses."""
-    on_ground = ties_on_ground(block, poses, cameras, ground)
-    return tuple(right - left for left, right in on_ground)
 
 
 def unplaced_parts(block: Block) -> list[list[int]]:
@@ -52,74 +63,186 @@ def unplaced_parts(block: Block) -> list[list[int]]:
 
 
 @dataclass(frozen=True)
-class Findings:
-    """What a method found besides poses. cameras, ground: None for those of the block. spread: see
-    `control_residuals`; covariance (f, 6, 6): of the poses; both of methods that use control points.
-    common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; rejected: frames whose
-    poses are rejected."""
+class Accuracy:
+    """Of a solution that used control points. spread: see `control_residuals`. covariance (f, 6, 6): of the
+    poses. common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; rejected: frames
+    whose poses are rejected."""
 
-    cameras: tuple[Camera, ...] | None = None
-    ground: GroundSurface | None = None
-    warnings: tuple[Warn, ...] = ()
-    figures: dict[str, float] = field(default_factory=dict)
-    spread: Spread | None = None
-    covariance: Floats | None = None
-    common_m2: Floats | None = None
-    unsolved: tuple[int, ...] = ()
-    rejected: tuple[int, ...] = ()
+    spread: Spread
+    covariance: Floats
+    common_m2: Floats
+    unsolved: frozenset[int]
+    rejected: frozenset[int]
 
 
 def outcome(
-    block: Block, poses: Poses, rounds: tuple[Round, ...], findings: Findings | None = None
+    block: Block, poses: Poses, rounds: tuple[Round, ...], accuracy: Accuracy | None = None
 ) -> Adjusted:
-    """The outcome for poses found by any method. `tied` are frames with tie points. The others, and those
-    unsolved, are `placed` by POS alone and moved with the tied ones around them unless control points fix
-    them. Frames of `unplaced_parts` and those rejected are `rejected`."""
-    findings = findings or Findings()
-    cameras, ground = findings.cameras or block.cameras, findings.ground or block.ground
-    tied = {i for pair in block.ties.frames for i in pair} - set(findings.unsolved)
-    nowhere = {i for part in unplaced_parts(block) for i in part} | set(findings.rejected)
+    """The outcome for poses found by any method; cameras and ground are the block's. `tied` are frames with
+    tie points. The others, and those unsolved, are `placed` by POS alone and moved with the tied ones around
+    them unless control points fix them. Frames of `unplaced_parts` and those rejected are `rejected`."""
+    tied = {i for pair in block.ties.frames for i in pair}
+    nowhere = {i for part in unplaced_parts(block) for i in part}
+    if accuracy is not None:
+        tied, nowhere = tied - accuracy.unsolved, nowhere | accuracy.rejected
     status = np.array(
         ["rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))]
     )
-    untied, spread, covariance = status == "placed", findings.spread, findings.covariance
-    if spread is not None:
+    untied, spread, covariance = status == "placed", None, None
+    if accuracy is not None:
         untied[[i for c in block.control if not c.check for i, _, _ in c.observations]] = False
-        untied[list(findings.unsolved)] = True
+        untied[list(accuracy.unsolved)] = True
     poses = moved_with_neighbours(block.poses, poses, status == "tied", untied)
-    common_m2 = findings.common_m2
-    if common_m2 is None:
-        common_m2 = common_error(block, poses, ground)
-    if spread is not None and covariance is not None:
-        spread = _with_untied(spread, poses, untied)
+    if accuracy is None:
+        common_m2 = common_error(block, poses, block.ground)
+    else:
+        common_m2, spread = accuracy.common_m2, _with_untied(accuracy, poses, untied)
         sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
-        covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), covariance)
-    if covariance is not None:
+        covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), accuracy.covariance)
         covariance = covariance + np.diag(np.append(common_m2, np.zeros(3)))
-    solved = None if spread is None else Solved(spread, common_m2)
-    control = control_residuals(block, poses, cameras, ground, solved)
-    poses = with_common_error(poses, common_m2)
+    on_ground = ties_on_ground(block, poses, block.cameras, block.ground)
     return Adjusted(
-        poses=poses,
-        cameras=cameras,
+        poses=with_common_error(poses, common_m2),
+        cameras=block.cameras,
         status=tuple(status.tolist()),
         rounds=rounds,
-        residuals_m=residuals_m(block, poses, cameras, ground),
-        ground=ground,
-        warnings=(*findings.warnings, *control_warnings(control)),
-        figures=findings.figures | {"common_height_sd_m": float(np.sqrt(common_m2[2]))},
-        control=control,
+        residuals_m=tuple(right - left for left, right in on_ground),
+        ground=block.ground,
+        figures={"common_height_sd_m": float(np.sqrt(common_m2[2]))},
+        control=control_residuals(block, poses, spread),
         pose_covariance=covariance,
     )
 
 
-def _with_untied(spread: Spread, poses: Poses, untied: Bools) -> Spread:
+def _with_untied(accuracy: Accuracy, poses: Poses, untied: Bools) -> Spread:
     """A spread in which poses that took no part in the solve have their own deviations."""
     alone = spread_of_poses(poses)
 
     def both(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
         apart = untied[frames][:, None, None]
-        solved = spread(frames, np.where(apart, 0.0, by_pose), by_interior)
-        return solved + alone(frames, np.where(apart, by_pose, 0.0), by_interior)
+        try:
+            solved = accuracy.spread(frames, np.where(apart, 0.0, by_pose), by_interior)
+        except NotSolvableError:
+            solved, apart = np.zeros((3, 3)), True
+        of_alone = alone(frames, np.where(apart, by_pose, 0.0), by_interior)
+        return solved + of_alone + np.diag(accuracy.common_m2)
 
     return both
+
+
+@dataclass(frozen=True)
+class Work:
+    """A block on its way through the procedure. given: the block as it came; misalignments_m: of its pairs.
+    tracks: all tie points, few: those that the model is found by. rolling: rolling shutters were reported.
+    block, settings: as corrected by now. found: the present solution. spread: runs tasks side by side.
+    choice: of the model of lens and shutter. notes: warnings of the start. steps: of all solves that led
+    here."""
+
+    given: Block
+    misalignments_m: Floats
+    tracks: Tracks
+    few: Tracks
+    rolling: bool
+    block: Block
+    settings: Settings
+    found: BlockSolution
+    spread: Tasks
+    choice: ModelChoice | None = None
+    notes: tuple[Warn, ...] = ()
+    steps: tuple[SolveStep, ...] = ()
+
+    @property
+    def rough(self) -> bool:
+        """Whether a solve by all tie points follows."""
+        return self.few is not self.tracks
+
+    def then(self, found: BlockSolution) -> Work:
+        """With the next solution."""
+        return replace(self, found=found, steps=self.steps + found.steps)
+
+
+def bundle_outcome(work: Work) -> Adjusted:
+    """The outcome with warnings, figures and covariances."""
+    block, given, found = work.block, work.given, work.found
+    solution, components = found.of_ties, found.solution.components
+    observed = np.unique(found.problem.tracks.frame)
+    common_m2 = common_error(block, solution.poses, found.ground, components)
+    common_m2 = np.where(found.offset, 0.0, common_m2)  # in the covariance
+    moves = (solution.poses.positions_m - given.poses.positions_m)[:, :2]
+    shared, places = solution.shared_unknowns(), places_of(found)
+    counted = counted_shares(found.ties, solution, len(block.names))
+    rejected = contradicted_frames(block, solution.poses, counted)
+    certain = with_common_error(solution.poses, common_m2)
+    accuracy = Accuracy(
+        spread=spread_of(solution, block.lens_of),
+        covariance=solution.stated.pose_covariance,
+        common_m2=common_m2,
+        unsolved=frozenset(np.flatnonzero(solution.left_out).tolist()),
+        rejected=frozenset(rejected),
+    )
+    as_found = replace(
+        block,
+        poses=given.poses,
+        cameras=tuple(solution.cameras[k] for k in block.lens_of),
+        ground=found.ground,
+        control=with_precision(block.control, components),
+    )
+    adjusted = outcome(as_found, solution.poses, (Round(work.misalignments_m, moves),), accuracy)
+    return replace(
+        adjusted,
+        warnings=(
+            *work.notes,
+            *wrong_tags(block, certain, rejected, components[HORIZONTAL]),
+            *rejected.values(),
+            *shift_and_scale(block, solution.poses, observed),
+            *height_drift(given, solution.poses, observed).warnings(given),
+            *undetermined_unknowns(shared, given.cameras),
+            *unsolved_frames(block, solution.left_out),
+            *implausible_lenses(block.lenses, solution.implausible),
+            *model_warnings(block, work.choice),
+        ),
+        figures=_figures(solution, found.ties)
+        | ({"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {})
+        | shape_figures(block, places)
+        | precision_figures(block.control, components)
+        | adjusted.figures,
+        places=None if places is None else places.with_common_error(common_m2),
+        model=work.choice,
+        shared=shared,
+        image_residuals=image_residuals(found.ties, solution),
+    )
+
+
+def places_of(found: BlockSolution) -> GroundPlaces | None:
+    """How far the ground may be off, None where the equations do not say."""
+    try:
+        return ground_places(found.solution, found.ties.points)
+    except NotSolvableError:
+        return None
+
+
+def shape_figures(block: Block, places: GroundPlaces | None) -> dict[str, float]:
+    """The standard deviation of the map's shape, in pixels of the frames on the ground."""
+    if places is None:
+        return {}
+    pixel_m = flying_height_m(block) / float(np.median([c.focal_length_px for c in block.cameras]))
+    return {"shape_sd_px": places.shape_sd_m() / pixel_m}
+
+
+def _figures(solution: Solution, tracks: Tracks) -> dict[str, float]:
+    figures = {
+        "sigma_px": solution.components[IMAGE],
+        "design_effect": solution.problem.image.design_effect,
+        "iterations": float(len(solution.steps)),
+    }
+    if tracks.points:
+        length = np.linalg.norm(solution.residual_px, axis=1)[solution.weight > 0.1]
+        known = length[np.isfinite(length)]
+        figures |= {
+            "reprojection_mean_px": float(known.mean()) if known.size else float("nan"),
+            "tracks": float(tracks.points),
+            "observations": float(len(tracks.frame)),
+            "track_length_mean": float(tracks.lengths.mean()),
+        }
+    groups = HORIZONTAL, VERTICAL, TILT, YAW
+    return figures | {f"sigma_{group}": solution.components[group] for group in groups}

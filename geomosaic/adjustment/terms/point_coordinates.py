@@ -17,7 +17,7 @@ from geomosaic.adjustment.terms.frame_components import common_similarity, commo
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components, Term
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS, sourced
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS
 from geomosaic.estimation.linear import inverse_each
 from geomosaic.estimation.robust import (
     LEAST_OBSERVATIONS,
@@ -27,10 +27,8 @@ from geomosaic.estimation.robust import (
     student_weight,
 )
 from geomosaic.survey.accuracy import POSITION
-from geomosaic.survey.model import Warn
 
 CONTROL_PLAN, CONTROL_HEIGHT = "control plan", "control height"
-_COARSER = sourced(1.5, "stated deviations", "beyond: a warning", "F test at 1 %, 12 degrees: 1.48")
 
 
 @dataclass(frozen=True)
@@ -136,23 +134,6 @@ def precision_figures(control: Sequence[GroundControl], components: Components) 
     if known.any():
         found["control_sd_m.height"] = components[CONTROL_HEIGHT] * float(np.median(used[known, 2]))
     return found
-
-
-def precision_warnings(control: Sequence[GroundControl], components: Components) -> list[Warn]:
-    """One line where control is less precise than stated."""
-    stated = precision_figures(control, Components())
-    found = precision_figures(control, components)
-    words = [
-        f"{found[name]:.2g} m in {name.rpartition('.')[2]} (stated {stated[name]:.2g} m)"
-        for name in found
-        if found[name] > _COARSER * stated[name]
-    ]
-    if not words:
-        return []
-    text = (
-        f"control points agree to {' and '.join(words)}: weighted by that; the map lies no surer than they do"
-    )
-    return [Warn("control-imprecise", "", text)]
 
 
 def _height_known(sd_m: Floats) -> Bools:

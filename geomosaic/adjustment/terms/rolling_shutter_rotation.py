@@ -9,9 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY, Component, Components, FrameTerm
+from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
 from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.robust import LEAST_REDUNDANCY
 
 RATE_SD_RAD_PER_S = sourced(0.3, "rad/s", "of each function; more: they take up poses", "a Sequoia: 0.26")
 GUST_M_PER_S = tuned(0.5, "m/s", "error of a velocity; 0: chance differences set readout and scale")

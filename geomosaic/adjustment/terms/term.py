@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from geomosaic.adjustment.terms.image_observations import ImageObservations
 
 MEASURED_SD_PX = tuned(0.5, "px", "of a point measured by hand in an image: half a pixel")
-LEAST_REDUNDANCY = tuned(3.0, "redundant observations", "fewer: a variance component is chance")
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ from adjustment_blocks import Flown, fly
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import GroundControl, Settings
-from geomosaic.adjustment.procedure.untied_frames import moved_with_neighbours
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
 from geomosaic.matching.model import TiePoints
+from geomosaic.placement.collocation import moved_with_neighbours
+from geomosaic.quality.control import control_warnings
 
 UNTIED = [5, 16]
 """The end of the first line, and a frame in the last."""
@@ -56,7 +57,7 @@ def test_untied_frames_follow_a_block_that_control_moves() -> None:
     assert len(checks) == 2
     for c in checks:
         assert np.all(np.abs(c.residual_m) < 3.0 * c.sd_m) and np.hypot(*c.sd_m[:2]) < 3.0
-    assert not [w for w in adjusted.warnings if w.code == "check-disagrees"]
+    assert not [w for w in control_warnings(adjusted.control) if w.code == "check-disagrees"]
 
 
 @pytest.mark.parametrize("kind", ["similarity", "drift", "few"])

@@ -10,7 +10,6 @@ from functools import partial
 import cv2
 import numpy as np
 
-from geomosaic.adjustment.procedure.blunder_detection import LEAST_POINTS
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
@@ -25,6 +24,7 @@ from geomosaic.matching.displacement import (
     patch_corners,
 )
 from geomosaic.matching.least_squares_matching import MaskedImage
+from geomosaic.matching.planes import LEAST_POINTS
 from geomosaic.projection.footprint import ground_from_image, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid

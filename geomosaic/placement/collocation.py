@@ -9,16 +9,13 @@ from copy import deepcopy
 
 import numpy as np
 
-from geomosaic.adjustment.procedure.cross_validation import MOST_FRAMES
-from geomosaic.adjustment.procedure.georeference_parts import LEAST_NOISE
-from geomosaic.adjustment.terms.term import LEAST_REDUNDANCY
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn, log_turn
-from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, TOGETHER, tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import cholesky, solve
-from geomosaic.estimation.robust import irls, redescending_weight
+from geomosaic.estimation.robust import LEAST_NOISE, LEAST_REDUNDANCY, irls, redescending_weight
 from geomosaic.placement.prior import heading_assumed, position_assumed
 
 _LENGTHS = tuned((2.0, 5.0, 15.0, 50.0), "distances of neighbours", "of correlation, up to a whole flight")
@@ -37,7 +34,7 @@ def moved_with_neighbours(given: Poses, found: Poses, tied: Bools, untied: Bools
     for i in wanted:
         away_m = np.linalg.norm(at[known] - at[i], axis=1)
         with suppress(NotSolvableError):
-            _move(out, given, int(i), known[np.argsort(away_m, kind="stable")[:MOST_FRAMES]])
+            _move(out, given, int(i), known[np.argsort(away_m, kind="stable")[:TOGETHER]])
     return out
 
 
