@@ -11,9 +11,9 @@ from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.estimation.linear import orthonormal
-from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.survey.height_reference import HeightReference
 from geomosaic.survey.model import Warn
 
 
@@ -41,18 +41,6 @@ class ControlResidual:
     residual_m: Floats
     sd_m: Floats
     surveyed_sd_m: Floats
-
-
-@dataclass(frozen=True)
-class HeightReference:
-    """What a survey's reported heights count from, for `common_error`. height_m (n,): ellipsoidal as
-    reported, NaN where not; sd_m (n,): as stated. datum_sd_m: common deviation of a vertical datum that is
-    not stated, None where it is."""
-
-    work_frame: LocalFrame
-    height_m: Floats
-    sd_m: Floats
-    datum_sd_m: float | None
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.stats import chi2
 
-from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import sourced, tuned
 from geomosaic.geodesy.sun import sun_direction
+from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.survey.model import Survey
 
 _WIDTHS_RAD = tuned(

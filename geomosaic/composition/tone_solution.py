@@ -11,12 +11,12 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import spsolve
 
-from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
 from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import cauchy_weight
+from geomosaic.matching.tracks import frame_by_frame
 
 _WHITE: Final = float(np.iinfo(np.uint8).max + 1)
 """Of the tone curve of pictures: the highest grey level itself could not move."""

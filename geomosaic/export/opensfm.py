@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation as Turn
 
-from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.camera.interior import Camera
 from geomosaic.export.sfm import SfmBlock, lens_terms
+from geomosaic.matching.tracks import frame_by_frame
 
 _GREY: Final = (128, 128, 128)
 

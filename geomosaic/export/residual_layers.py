@@ -9,12 +9,12 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
 from geomosaic.export.geopackage import GeoPackage, MapFeatures
 from geomosaic.export.on_map import grid_from_work, map_from_work
 from geomosaic.matching.model import TiePairs, TiePoints
+from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 

@@ -8,7 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.problem.tracks import (
+from geomosaic.camera.interior import Camera
+from geomosaic.camera.lens import opencv_terms
+from geomosaic.constants import tuned
+from geomosaic.matching.model import TiePoints
+from geomosaic.matching.tracks import (
     Tracks,
     chosen_tracks,
     frame_by_frame,
@@ -16,10 +20,6 @@ from geomosaic.adjustment.problem.tracks import (
     nearest_to_rays,
     thin_tracks,
 )
-from geomosaic.camera.interior import Camera
-from geomosaic.camera.lens import opencv_terms
-from geomosaic.constants import tuned
-from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 

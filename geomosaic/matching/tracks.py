@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from geomosaic.matching.model import TiePair, TiePairs
+from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.camera.exterior import Poses
+from geomosaic.camera.interior import Camera
+from geomosaic.constants import tuned
+from geomosaic.estimation.linear import solve_each
+from geomosaic.matching.model import TiePair, TiePairs, TiePoints
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
+FEW_PER_FRAME = tuned(192, "image observations a frame", "for solves that find the block or compare lenses")
+FEW_CELLS = tuned(8, "cells a side", "of a frame, 3 observations each; fewer: corners may stay empty")
+_OVER = tuned(1.25, "times the observations asked for", "of the median frame; more: each asks for fewer")
+_PARALLEL: float = tuned(float(np.radians(0.5) ** 2), "rad²", "of rays all but parallel; more: near_m wins")
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +30,7 @@ class Joined(TiePairs):
     twice."""
 
     track: Ints
-    once: NDArray[np.bool_]
+    once: Bools
 
     @property
     def degree(self) -> Ints:
@@ -58,3 +66,88 @@ def references(joined: Joined, sizes_px: Floats) -> Ints:
     order = np.lexsort((aside, -joined.degree, joined.track))
     first = np.diff(joined.track[order], prepend=-1) != 0
     return np.asarray(order[first][joined.track], np.intp)
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """m image observations of p ground points, sorted by point: frame, point (m,) and image_px (m, 2). Every
+    point is observed in at least two frames, in each of them once. memo: derived quantities, computed
+    once."""
+
+    frame: Ints
+    point: Ints
+    image_px: Floats
+    memo: dict[tuple[int, int], Any] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def points(self) -> int:
+        """How many ground points there are."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+    @cached_property
+    def lengths(self) -> Ints:
+        """In how many frames each point is seen, (p,)."""
+        return np.bincount(self.point, minlength=self.points)
+
+
+def join_tracks(ties: TiePoints) -> Tracks:
+    """Connected keypoints become tracks; a track that meets a frame twice is dropped as contradictory."""
+    joined = join(ties.pairs)
+    order = np.lexsort((joined.frame, joined.track))
+    good = order[joined.once[order]]
+    point = np.cumsum(np.diff(joined.track[good], prepend=joined.track[good[:1]]) != 0)
+    return Tracks(joined.frame[good].astype(np.intp), point, joined.image_px[good])
+
+
+def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:
+    """Each frame that occurs among observations (m,), and which ones are its."""
+    order = np.argsort(frame, kind="stable")
+    for mine in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1) if len(frame) else []:
+        yield int(frame[mine[0]]), mine
+
+
+def chosen_tracks(tracks: Tracks, chosen: Bools) -> Tracks:
+    """Some of the tracks: chosen (p,)."""
+    keep = chosen[tracks.point]
+    number = np.cumsum(chosen) - 1
+    return Tracks(tracks.frame[keep], number[tracks.point[keep]], tracks.image_px[keep])
+
+
+def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 16) -> Tracks:
+    """Those of `asked_tracks`."""
+    asked = asked_tracks(tracks, sizes_px, per_frame, cells)
+    return tracks if asked.all() else chosen_tracks(tracks, asked)
+
+
+def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -> Bools:
+    """Which tracks (p,) give about per_frame observations a frame at most, spread evenly, long ones first.
+    Each frame asks for its longest tracks, cell by cell of a grid of cells x cells; a track stays if any
+    frame asks for it. Args: sizes_px (frames, 2): width and height of each frame."""
+    counts = np.bincount(tracks.frame, minlength=len(sizes_px))
+    if not len(tracks.frame) or counts.max() <= per_frame:
+        return np.ones(tracks.points, dtype=bool)
+    length = tracks.lengths[tracks.point]
+    at = np.clip((tracks.image_px / sizes_px[tracks.frame] * cells).astype(np.int64), 0, cells - 1)
+    cell = (tracks.frame * cells + at[:, 1]) * cells + at[:, 0]
+    order = np.lexsort((tracks.point, -length, cell))
+    rank = np.arange(order.size) - np.searchsorted(cell[order], cell[order], side="left")
+    for need in range(max(1, per_frame // cells**2), 0, -1):
+        asked = np.isin(np.arange(tracks.points), tracks.point[order[rank < need]])
+        taken = np.bincount(tracks.frame[asked[tracks.point]], minlength=len(sizes_px))
+        if np.median(taken) <= _OVER * per_frame:
+            break
+    return asked
+
+
+def nearest_to_rays(tracks: Tracks, poses: Poses, cameras: Sequence[Camera], near_m: Floats) -> Floats:
+    """Points (p, 3) with the least squared distances to their rays; where these are parallel to within half a
+    degree, drawn along them to near_m (p, 3)."""
+    normal, side = np.zeros((tracks.points, 3, 3)) + _PARALLEL * np.eye(3), _PARALLEL * near_m
+    for i, mine in frame_by_frame(tracks.frame):
+        image_px, seen = tracks.image_px[mine], tracks.point[mine]
+        ray = poses[i].ray_from_image(cameras[i], image_px)
+        ray /= np.linalg.norm(ray, axis=1)[:, None]
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        normal[seen] += across
+        side[seen] += (across @ poses[i].centre_at(cameras[i], image_px)[:, :, None])[:, :, 0]
+    return solve_each(normal, side[:, :, None])[:, :, 0]

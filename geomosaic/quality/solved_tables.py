@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ImageResiduals
-from geomosaic.adjustment.problem.tracks import Tracks, nearest_to_rays
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
 from geomosaic.matching.model import TiePoints
+from geomosaic.matching.tracks import Tracks, nearest_to_rays
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.quality.misalignment import pair_misalignments
 

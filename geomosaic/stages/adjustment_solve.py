@@ -10,7 +10,6 @@ import numpy as np
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.procedure.common_offsets import height_reference
 from geomosaic.adjustment.procedure.control_points import ground_control
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
@@ -23,6 +22,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_blunders, control_figures, control_warnings, precision_warnings
 from geomosaic.report.solved_figures import ground_reason
 from geomosaic.stages.reporting import record_adjusted
+from geomosaic.survey.height_reference import height_reference
 from geomosaic.survey.model import MapPlaces, Survey
 from geomosaic.survey.names import some
 

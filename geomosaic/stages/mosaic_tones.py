@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
 from geomosaic.composition.tone_solution import solve_tones, with_own_level
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
 from geomosaic.errors import InputError
+from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.projection.ground import GroundSurface

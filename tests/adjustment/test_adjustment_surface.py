@@ -11,7 +11,6 @@ from geomosaic.adjustment.ground.ground_choice import levelled, lies_flat
 from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.ground.trial_surface import Heights
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.bundle_method import pose_block
@@ -20,6 +19,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.matching.tracks import join_tracks
 from geomosaic.projection.ground import GroundSurface
 
 LOW, HIGH = np.array([-130.0, -110.0]), np.array([130.0, 110.0])

@@ -8,7 +8,6 @@ import numpy as np
 from adjustment_blocks import estimate_of, fly
 
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_part import (
     neighbours,
     part_of_block,
@@ -19,6 +18,7 @@ from geomosaic.adjustment.procedure.block_part import (
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.terms.term import Components
+from geomosaic.matching.tracks import join_tracks
 
 
 def test_neighbours_are_tied_to_one_another_and_allowed() -> None:

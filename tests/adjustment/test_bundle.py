@@ -25,7 +25,6 @@ from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.problem.estimate import Estimate, Step
-from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.blunder_detection import implausible_lenses, shift_and_scale
@@ -38,6 +37,7 @@ from geomosaic.adjustment.terms.interior_orientation import (
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import about_z, exp_turn, log_turn
+from geomosaic.matching.tracks import Tracks, join_tracks
 from geomosaic.projection.ground import GroundSurface
 
 INTERIOR = np.array([812.0, 403.0, 291.0, -0.11, 0.05, -0.02, 0.003, -0.002])

@@ -14,7 +14,6 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation as Turn
 
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution
@@ -24,6 +23,7 @@ from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
+from geomosaic.matching.tracks import Tracks, join_tracks
 from geomosaic.projection.footprint import ground_from_images
 
 LENS = ("focal_length_px", "principal_col_px", "principal_row_px", "k1", "k2", "k3", "p1", "p2")

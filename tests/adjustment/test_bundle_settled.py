@@ -9,7 +9,6 @@ from adjustment_blocks import estimate_of, fly, hills
 from geomosaic.adjustment.kernels.reduced_equations import reduce_normals
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.tracks import Tracks, join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.solver import single_points
@@ -19,6 +18,7 @@ from geomosaic.adjustment.solver.variance_components import _ahead
 from geomosaic.adjustment.terms.frame_components import PRIOR_FACTORS
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Component, Components
+from geomosaic.matching.tracks import Tracks, join_tracks
 
 COMPONENTS = Components({IMAGE: 0.3})
 GROUPS = "horizontal", "vertical", "tilt", "yaw"

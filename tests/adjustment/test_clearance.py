@@ -7,10 +7,10 @@ import pytest
 from adjustment_blocks import Flown, fly, hills
 
 from geomosaic.adjustment.model import Block, Settings
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.solver.single_points import clearances_m, too_near
 from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.matching.tracks import Tracks
 
 
 def with_points_at_the_camera(flown: Flown, low: int, seer: int, off_px: tuple[float, ...]) -> Block:

@@ -9,9 +9,10 @@ import pytest
 from adjustment_blocks import Flown, fly
 
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, GroundControl, HeightReference, Settings
+from geomosaic.adjustment.model import Adjusted, GroundControl, Settings
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.quality.control import control_warnings, precision_warnings
+from geomosaic.survey.height_reference import HeightReference
 
 PLAN = np.array(
     [[-15.0, -10.0], [95.0, -10.0], [95.0, 100.0], [-15.0, 100.0], [40.0, 45.0], [40.0, -5.0], [90.0, 45.0],

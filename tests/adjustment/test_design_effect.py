@@ -9,8 +9,8 @@ import pytest
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, Settings
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.place_uncertainty import DesignEffect
+from geomosaic.matching.tracks import Tracks
 from tools.bench import bench_monte_carlo as bench
 from tools.bench.cramer_rao import size_px
 

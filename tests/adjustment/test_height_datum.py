@@ -12,14 +12,15 @@ from geoids import egm96_of, undulation_m
 from survey_files import survey_folder
 
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Block, GroundControl, HeightReference, Settings
-from geomosaic.adjustment.procedure.common_offsets import common_error, height_reference, with_common_error
+from geomosaic.adjustment.model import Block, GroundControl, Settings
+from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_warnings
+from geomosaic.survey.height_reference import HeightReference, height_reference
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey

@@ -14,7 +14,6 @@ from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.kernels.reduced_equations import Reduced, reduce_normals
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.problem.estimate import Estimate, Step, UnknownLayout
-from geomosaic.adjustment.problem.tracks import join_tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.solver.problem import BlockProblem
@@ -26,6 +25,7 @@ from geomosaic.adjustment.terms.term import Components, FrameTerm, Term
 from geomosaic.adjustment.terms.terrain import LEVEL, Terrain, level_unknown
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import exp_turn
+from geomosaic.matching.tracks import join_tracks
 from geomosaic.projection.ground import GroundSurface
 
 ONE = Camera("one", 800, 600, 1000.0, 402.0, 297.0, k1=-0.02, readout_s=0.05)

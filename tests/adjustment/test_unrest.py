@@ -9,9 +9,9 @@ from test_chosen_model import _bent_m
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver import steps
 from geomosaic.adjustment.solver.variance_components import local_factors
+from geomosaic.matching.tracks import Tracks
 
 
 def residuals(views: np.ndarray, sd_px: np.ndarray, seed: int) -> tuple[Tracks, np.ndarray]:

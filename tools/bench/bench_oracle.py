@@ -42,7 +42,6 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.solver.solve import solve
@@ -51,6 +50,7 @@ from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.matching.tracks import Tracks
 from geomosaic.projection.footprint import ground_from_images
 from tools.bench.bench_monte_carlo import FRAMES, Case, draw
 from tools.bench.cramer_rao import Draw

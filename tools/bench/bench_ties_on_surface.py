@@ -28,13 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.problem.tracks import (
-    Tracks,
-    chosen_tracks,
-    frame_by_frame,
-    join_tracks,
-    nearest_to_rays,
-)
 from geomosaic.adjustment.procedure.bundle_method import pose_block
 from geomosaic.adjustment.procedure.cross_validation import Judged
 from geomosaic.adjustment.procedure.model_selection import with_readout
@@ -42,6 +35,13 @@ from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
 from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.matching.tracks import (
+    Tracks,
+    chosen_tracks,
+    frame_by_frame,
+    join_tracks,
+    nearest_to_rays,
+)
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import ground_sampling_distance_m

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from geomosaic.adjustment.model import Block
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.matching.model import TiePoints
+from geomosaic.matching.tracks import Tracks
 
 
 def neighbours(block: Block, allowed: Bools, most: int) -> Ints:

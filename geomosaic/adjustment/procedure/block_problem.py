@@ -11,7 +11,6 @@ from geomosaic.adjustment.ground.ground_choice import DEM_SD_M, flying_height_m
 from geomosaic.adjustment.kernels.interior import READOUT
 from geomosaic.adjustment.kernels.row_functions import TERMS, VIBRATION_TERMS, recorded_share
 from geomosaic.adjustment.model import Block, GroundControl, Settings
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.attitudes import Attitudes
 from geomosaic.adjustment.terms.frame_components import PRIOR_FACTORS
@@ -29,6 +28,7 @@ from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.heights import ASSUMED_SD_SHARE
 from geomosaic.placement.prior import position_assumed

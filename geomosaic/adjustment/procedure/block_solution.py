@@ -17,7 +17,6 @@ from geomosaic.adjustment.ground.ground_choice import (
     surface_and_relief,
 )
 from geomosaic.adjustment.model import Block, Settings, SolveStep
-from geomosaic.adjustment.problem.tracks import Tracks, chosen_tracks, nearest_to_rays
 from geomosaic.adjustment.procedure.block_problem import (
     block_problem,
     part_of_frames,
@@ -37,6 +36,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import NORMAL_PER_MAD
 from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.matching.tracks import Tracks, chosen_tracks, nearest_to_rays
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.accuracy import POSITION

@@ -10,7 +10,6 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.model import Block, SharedUnknowns
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
@@ -20,6 +19,7 @@ from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
 from geomosaic.estimation.robust import BLUNDER, FAR
 from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained
+from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn

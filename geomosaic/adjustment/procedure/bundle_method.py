@@ -10,7 +10,6 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import levelled, surface_of
 from geomosaic.adjustment.model import Adjusted, Block, ModelChoice, Round, Settings, SolveStep
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.problem.tracks import FEW_CELLS, FEW_PER_FRAME, Tracks, join_tracks, thin_tracks
 from geomosaic.adjustment.problem.usable_block import as_filed, as_taken, usable
 from geomosaic.adjustment.procedure.block_part import read_at_once
 from geomosaic.adjustment.procedure.block_problem import block_problem
@@ -48,6 +47,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
+from geomosaic.matching.tracks import FEW_CELLS, FEW_PER_FRAME, Tracks, join_tracks, thin_tracks
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Warn
 

@@ -6,39 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomosaic.adjustment.model import Block, HeightReference
+from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, sea_level
-from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.accuracy import POSITION
-from geomosaic.survey.model import Survey
 
 _LAND_M = sourced(800.0, "m", "of the land above the sea, which such heights leave out", "ETOPO1: mean 797 m")
 _MAY_BE_CHANCE = tuned(0.5, "share of the stated variance", "less scatter: the rest may be a common shift")
 _COMMON_SD_M = sourced(2.1, "m per axis", "common shift of a flight's positions", "u-blox NEO-M8: 2.5 m CEP")
-
-
-def height_reference(survey: Survey) -> HeightReference | None:
-    """What the survey's heights count from; None with a DEM or in a local frame. A source that doesn't state
-    its vertical datum (EXIF, most POS files) may count from the ellipsoid or from the sea: the deviation is
-    then the geoid's undulation at the survey."""
-    if survey.elevation is not None or is_local(survey.map_crs):
-        return None
-    positions = [f.position for f in survey.frames]
-    height_m = np.array([p.height_ellipsoidal_m for p in positions], dtype=np.float64)
-    unstated = np.array([not p.datum_stated for p in positions], dtype=bool)[np.isfinite(height_m)]
-    work_frame, datum_sd_m = survey.work_frame, None
-    if unstated.size and unstated.mean() > 0.5:
-        place = work_frame.lon_deg, work_frame.lat_deg
-        datum_sd_m = abs(ellipsoidal_offset_m(sea_level(*place), *place))
-    return HeightReference(work_frame, height_m, np.array([p.sd_vertical_m for p in positions]), datum_sd_m)
 
 
 def common_error(

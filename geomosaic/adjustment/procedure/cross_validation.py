@@ -12,14 +12,6 @@ from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.ground.tie_surface import SIDE
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT, interior_of, with_interior
 from geomosaic.adjustment.model import Block, ImageResiduals, Settings
-from geomosaic.adjustment.problem.tracks import (
-    FEW_CELLS,
-    Tracks,
-    asked_tracks,
-    chosen_tracks,
-    frame_by_frame,
-    nearest_to_rays,
-)
 from geomosaic.adjustment.procedure.block_part import (
     neighbours,
     part_of_block,
@@ -42,6 +34,14 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import THREE_SIGMA, cauchy_weight, median_of_known
 from geomosaic.matching.model import TiePair, TiePoints
+from geomosaic.matching.tracks import (
+    FEW_CELLS,
+    Tracks,
+    asked_tracks,
+    chosen_tracks,
+    frame_by_frame,
+    nearest_to_rays,
+)
 from geomosaic.spread import Spread
 
 _OF_ALL_LENSES = INTERIOR.index("k1")

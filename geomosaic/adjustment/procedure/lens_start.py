@@ -11,13 +11,6 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import LEAST_POINTS, flying_height_m
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.problem.tracks import (
-    FEW_CELLS,
-    FEW_PER_FRAME,
-    chosen_tracks,
-    join_tracks,
-    thin_tracks,
-)
 from geomosaic.adjustment.procedure.block_part import neighbours, part_of_block
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
@@ -38,6 +31,13 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import FAR
+from geomosaic.matching.tracks import (
+    FEW_CELLS,
+    FEW_PER_FRAME,
+    chosen_tracks,
+    join_tracks,
+    thin_tracks,
+)
 from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
 from geomosaic.survey.accuracy import FOCAL_LENGTH

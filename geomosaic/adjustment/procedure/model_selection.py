@@ -9,7 +9,6 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model, tested
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.solution import Solution, Start
@@ -19,6 +18,7 @@ from geomosaic.adjustment.terms.interior_orientation import NOMINAL_READOUT_S
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import median_of_known
+from geomosaic.matching.tracks import Tracks
 from geomosaic.spread import Spread
 from geomosaic.survey.model import Warn
 

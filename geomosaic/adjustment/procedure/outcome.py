@@ -9,7 +9,6 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Adjusted, Block, GroundPlaces, ModelChoice, Round, Settings, SolveStep
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.procedure.block_solution import BlockSolution
 from geomosaic.adjustment.procedure.blunder_detection import (
     contradicted_frames,
@@ -38,6 +37,7 @@ from geomosaic.adjustment.terms.point_coordinates import precision_figures, with
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.errors import NotSolvableError
+from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.collocation import moved_with_neighbours
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed

@@ -11,12 +11,12 @@ from numpy.polynomial import legendre
 
 from geomosaic.adjustment.kernels.row_functions import TERMS, VIBRATION_TERMS
 from geomosaic.adjustment.model import ImageResiduals
-from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import LEAST_OBSERVATIONS
+from geomosaic.matching.tracks import frame_by_frame
 
 CELLS: tuple[int, int] = tuned((8, 6), "columns, rows", "finer: few frames a cell; coarser: no lens shows")
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.model import GroundPlaces
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.solution import Solution, stated_accuracy
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import orthonormal
 from geomosaic.estimation.robust import median_of_known
+from geomosaic.matching.tracks import Tracks
 
 _POINTS = tuned(48, "tie points", "fewer: bends of a long block are missed; more: three columns each")
 _LEAST_POINTS = tuned(4, "tie points", "a similarity takes four numbers of their eight")

@@ -9,7 +9,6 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate, UnknownLayout, Unknowns
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.point_coordinates import PointCoordinates
 from geomosaic.adjustment.terms.term import Components, FrameTerm, Term
@@ -17,6 +16,7 @@ from geomosaic.adjustment.terms.terrain import Terrain, level_unknown
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
+from geomosaic.matching.tracks import Tracks
 
 KNOWN = tuned(1e-6, "px, rad, m or s, or share of a deviation", "of known numbers; 0: not solvable")
 

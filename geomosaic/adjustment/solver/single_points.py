@@ -10,7 +10,6 @@ from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.tracks import Tracks, frame_by_frame
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import BEHIND
 from geomosaic.adjustment.terms.term import Components
@@ -18,6 +17,7 @@ from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import eigen_each, inverse_roots
 from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
+from geomosaic.matching.tracks import Tracks, frame_by_frame
 
 _NEAREST = tuned(0.05, "share of a frame's usual distance to its points", "more: tall trees are held down")
 _FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")

@@ -10,7 +10,6 @@ import numpy as np
 from geomosaic.adjustment.kernels.interior import READOUT, with_interior
 from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.tracks import frame_by_frame
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import clearances_m
 from geomosaic.adjustment.solver.solution import (
@@ -39,6 +38,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import student_weight
+from geomosaic.matching.tracks import frame_by_frame
 
 _MOST_LEFT_OUT = tuned(0.5, "share of the frames", "more are left out: what is left is half a survey")
 

@@ -8,7 +8,6 @@ from scipy.special import digamma, polygamma
 
 from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import CONTROL_IMAGE, IMAGE
 from geomosaic.adjustment.terms.point_coordinates import (
@@ -22,6 +21,7 @@ from geomosaic.adjustment.terms.terrain import surface_share
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
+from geomosaic.matching.tracks import Tracks
 
 _NEIGHBOURS = tuned(8, "points", "fewer: chance; more: they reach beyond a crown")
 _FEWEST = tuned(100, "points", "of a block; fewer: places cannot be distinguished")

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from geomosaic.adjustment.terms.term import Component
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
-from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import (
     LEAST_REDUNDANCY,
     STRONG,
     credible,
+    irls,
     median_of_known,
     redescending_weight,
 )
@@ -23,32 +22,21 @@ from geomosaic.estimation.robust import (
 PRIOR_FACTORS = tuned((0.1, 10.0), "times the stated deviation", "beyond: tags are not what they claim")
 
 
-class RobustFit(NamedTuple):
-    """Fitted values (k, n), parameters (q,), and the weights (k, n) of the last round: roots over sd."""
-
-    fitted: Floats
-    parameters: Floats
-    weight: Floats
-
-
 def robust_fit(
-    design: Floats, residuals: Floats, sd: Floats, rounds: int = 10, rcond: float = 1e-10
-) -> RobustFit:
-    """Least squares re-weighted from the median residual on; residuals count by `redescending_weight` of
-    their lengths over the median one. Args: design (k, n, q), residuals and sd (k, n)."""
-    k, n, q = design.shape
-    typical = MEDIAN_LENGTH if n == 2 else MEDIAN_ONE
-    fitted, found = np.zeros((k, n)) + np.median(residuals, axis=0), np.zeros(q)
-    weight = 1.0 / sd
-    for _ in range(rounds):
-        length = np.linalg.norm((residuals - fitted) / sd, axis=1)
+    design: Floats, residuals: Floats, sd: Floats, rcond: float = 1e-12
+) -> tuple[Floats, Floats, Floats]:
+    """Fitted values (k, n), parameters (q,) and weights (k, n) of least squares, re-weighted from the median
+    residual on; residuals count by `redescending_weight` of their lengths over the median one. Args: design
+    (k, n, q), residuals and sd (k, n); rcond: see `irls`."""
+    typical = MEDIAN_LENGTH if residuals.shape[1] == 2 else MEDIAN_ONE
+
+    def weigh(left: Floats) -> Floats:
+        length = np.linalg.norm(left / sd, axis=1)
         bulk = max(float(np.median(length)) / typical, 1e-9)
-        weight = np.sqrt(redescending_weight(length / bulk))[:, None] / sd
-        rows = (design * weight[:, :, None]).reshape(n * k, q)
-        scale = np.linalg.norm(rows, axis=0) + 1e-12
-        found = least_squares(rows / scale, (residuals * weight).ravel(), rcond=rcond) / scale
-        fitted = design @ found
-    return RobustFit(fitted, found, weight)
+        return np.asarray(redescending_weight(length / bulk)[:, None] / sd**2)
+
+    found, weight = irls(design, residuals, weigh, rcond=rcond)
+    return design @ found, found, weight
 
 
 def common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
@@ -59,7 +47,7 @@ def common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
     e, n = (at_m - np.median(at_m, axis=0)).T
     zero, one = np.zeros(k), np.ones(k)
     design = np.stack([np.stack([one, zero, -n, e], 1), np.stack([zero, one, e, n], 1)], 1)
-    return robust_fit(design, miss_m, sd_m).fitted
+    return robust_fit(design, miss_m, sd_m)[0]
 
 
 def common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> Floats:
@@ -70,11 +58,11 @@ def common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> 
     if len(at_m) < 4 or not np.isfinite(sd_m).all():
         return level
     design = np.column_stack([np.ones(len(at_m)), at_m - np.median(at_m, axis=0)])
-    fit = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], rcond=1e-3)
-    plane, weight = fit.fitted[:, 0], fit.weight[:, 0]
-    squares = [float((((miss_m - its) * weight) ** 2).sum()) for its in (level, plane)]
+    fitted, parameters, weight = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], rcond=1e-6)
+    plane = fitted[:, 0]
+    squares = [float(weight[:, 0] @ (miss_m - its) ** 2) for its in (level, plane)]
     evidence = 0.5 * len(at_m) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) - np.log(len(at_m))
-    steep = np.arctan(np.hypot(*fit.parameters[1:])) > may_rad
+    steep = np.arctan(np.hypot(*parameters[1:])) > may_rad
     return np.asarray(level if steep or evidence <= np.log(STRONG) else plane)
 
 
@@ -84,7 +72,7 @@ def common_mean(miss: Floats, sd: Floats) -> float:
     if not known.any():
         return 0.0
     one = np.ones((int(known.sum()), 1, 1))
-    return float(robust_fit(one, miss[known, None], sd[known, None], rounds=5).parameters[0])
+    return float(robust_fit(one, miss[known, None], sd[known, None])[1][0])
 
 
 @dataclass(frozen=True)

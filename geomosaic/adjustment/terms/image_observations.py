@@ -19,16 +19,16 @@ from geomosaic.adjustment.kernels.collinearity import (
 )
 from geomosaic.adjustment.kernels.interior import READOUT
 from geomosaic.adjustment.kernels.normal_equations import Linearised, Normals, build_normals
-from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
+from geomosaic.adjustment.kernels.observation_groups import AT_ONCE, Sightings
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.adjustment.problem.estimate import Estimate
-from geomosaic.adjustment.problem.tracks import Tracks
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import MEDIAN_LENGTH, ROUNDS, tuned
 from geomosaic.estimation.robust import INFORMATION, median_of_known, student_cost, student_weight
+from geomosaic.matching.tracks import Tracks
 
 BEHIND = tuned(1e6, "deviations", "of an image behind its camera: farther off than any in front of it")
 _LEAST_SIGMA_PX = tuned(0.02, "px", "less: exact (simulated) tie points weigh without bound")
@@ -143,10 +143,12 @@ class ImageObservations:
 
     def normals(self, at: Estimate, components: Components) -> Normals:
         """The normal equations of the observations."""
-        sightings = self.tracks.sightings(len(at.positions_m), len(at.points_m))
+        key = len(at.positions_m), len(at.points_m)
+        if key not in self.tracks.memo:
+            self.tracks.memo[key] = Sightings.of(self.tracks.frame, self.tracks.point, *key)
         counts = (*at.interior.shape, at.layout.platform_size)
         linearised = self.linearised(at, components)
-        return build_normals(sightings, self.camera_of, counts, linearised, at.swing_rad.shape[1])
+        return build_normals(self.tracks.memo[key], self.camera_of, counts, linearised, at.swing_rad.shape[1])
 
     def projections(self, at: Estimate, rows_px: Floats | None = None) -> Projections:
         """The points in the frames that see them; rolling shutters at rows_px (m,), or the measured rows."""

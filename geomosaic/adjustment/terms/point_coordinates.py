@@ -207,9 +207,9 @@ def _bend(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats | None:
     design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
     if len(x) < design.shape[1] + 2:
         return None
-    fit = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], ROUNDS, rcond=1e-6)
-    found, weight = fit.fitted[:, 0], fit.weight[:, 0]
-    squares = [float(((its * weight) ** 2).sum()) for its in (miss_m, miss_m - found)]
+    fitted, _, weight = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None])
+    found = fitted[:, 0]
+    squares = [float(weight[:, 0] @ its**2) for its in (miss_m, miss_m - found)]
     gain = len(x) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
     return np.asarray(found) if gain > 3.0 * np.log(len(x)) else None
 
