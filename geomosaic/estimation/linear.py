@@ -113,6 +113,12 @@ def least_squares(design: Values, observed: Values, rcond: float | None = None) 
     return np.asarray(found, design.dtype)
 
 
+def paraboloid_design(plan: Floats) -> Floats:
+    """Polynomials of the second degree at places in plan (k, 2), scaled to their extent, (k, 6)."""
+    e, n = ((plan - plan.mean(axis=0)) / max(float(np.ptp(plan, axis=0).max()), 1e-9)).T
+    return np.stack([np.ones_like(e), e, n, e * e, e * n, n * n], axis=1)
+
+
 def pseudo_inverse(matrix: Floats, *, symmetric: bool = False) -> Floats:
     """Moore and Penrose's inverse (..., n, m) of matrices (..., m, n) of any rank; NaN where not finite."""
     good = np.isfinite(matrix).all(axis=(-2, -1))

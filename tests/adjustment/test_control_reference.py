@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from geomosaic.adjustment.model import Block, GroundControl, Settings
 from geomosaic.adjustment.procedure.bundle_method import pose_block
-from geomosaic.adjustment.procedure.control_reference import with_marks_of_whole_images
+from geomosaic.adjustment.procedure.control_points import with_marks_of_whole_images
 from geomosaic.camera.rotation import about_x, about_z
 from geomosaic.estimation.similarity import Similarity3D
 from geomosaic.quality.control import control_warnings

@@ -144,7 +144,7 @@ def fly(
 
 def camera_unknowns(camera: Camera, sd: np.ndarray) -> Unknowns:
     """A camera's numbers with prior deviations (9,)."""
-    return Unknowns(camera.name, camera.name, INTERIOR, interior_of(camera), sd, np.ones(len(INTERIOR)))
+    return Unknowns(camera.name, camera.name, INTERIOR, interior_of(camera), sd)
 
 
 def layout_of(cameras: tuple[Camera, ...], interior_sd: np.ndarray) -> UnknownLayout:

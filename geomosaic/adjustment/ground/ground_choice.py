@@ -13,7 +13,7 @@ from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
-from geomosaic.estimation.linear import least_squares
+from geomosaic.estimation.linear import least_squares, paraboloid_design
 from geomosaic.estimation.robust import irls
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
 from geomosaic.projection.footprint import FEW, footprint
@@ -23,7 +23,6 @@ from geomosaic.spread import Spread
 DEM_SD_M = tuned(1.0, "m", "of a DEM that states no deviation; national models are better, satellites' worse")
 LEAST_POINTS = tuned(50, "points", "fewer make no surface and judge no lens: a dozen nodes, some to judge by")
 _AS_WELL = tuned(1.1, "of the free image deviation", "less: level land gets a surface that follows noise")
-_NEAR_FLAT = tuned(3.0, "times the relief of flat land", "median of the points; more: hills are pressed flat")
 _FLAT_PX = tuned(0.5, "ground pixels", "offset by the relief of flat land; less does not show")
 _LEVEL = sourced(11.3, "variances", "growth of heights or tilts over level land", "chi-squared, 3 dof, 99 %")
 
@@ -107,7 +106,7 @@ def surface_and_relief(block: Block, flat: GroundSurface, bundle: Solution) -> t
 
 def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution) -> bool:
     """Whether level ground explains the images as well as free points: image residuals, tilts and heights do
-    not grow, most points lie on it, and no relief remains. Sloping land would tilt the whole block."""
+    not grow, and no relief remains. Sloping land would tilt the whole block."""
 
     def growth(group: str, numbers: int) -> float:
         """Of a group's squared residuals in variances; numbers: of them a frame."""
@@ -116,7 +115,6 @@ def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution
 
     return bool(
         bound.components[IMAGE] < _AS_WELL * free.components[IMAGE]
-        and np.median(np.abs(_above(flat, bound))) < _NEAR_FLAT * _least_relief_m(block)
         and growth("tilt", 2) < _LEVEL
         and growth("vertical", 1) < _LEVEL
         and surface_and_relief(block, flat, bound)[1] <= _FLAT_PX
@@ -141,8 +139,6 @@ def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:
     out = np.zeros(len(points))
     for k in np.unique(part):
         mine = part == k
-        extent_m = max(float(np.ptp(points[mine, :2], axis=0).max()), 1.0)
-        e, n = ((points[mine, :2] - points[mine, :2].mean(axis=0)) / extent_m).T
-        terms = np.column_stack([np.ones_like(e), e, n, e * e, e * n, n * n])
-        out[mine] = terms @ least_squares(terms, relief[mine])
+        design = paraboloid_design(points[mine, :2])
+        out[mine] = design @ least_squares(design, relief[mine])
     return out

@@ -18,15 +18,13 @@ from geomosaic.estimation.linear import pseudo_inverse
 class Unknowns:
     """Numbers that a term solves for. owner: a camera's name, `platform` or `ground`. names: of the k
     numbers, each ending in its unit. given, sd (k,): prior values and deviations, in px, m, rad or s; 0 for
-    known numbers. unit (k,): one of each name's unit in px, m, rad or s. optional: the prior value stays
-    where the block does not determine it."""
+    known numbers. optional: the prior value stays where the block does not determine it."""
 
     name: str
     owner: str
     names: tuple[str, ...]
     given: Floats
     sd: Floats
-    unit: Floats
     optional: bool = True
 
 
@@ -80,9 +78,10 @@ class UnknownLayout:
     def sd(self) -> Floats:
         return np.concatenate([part.sd for part in self.parts])
 
-    @cached_property
+    @property
     def unit(self) -> Floats:
-        return np.concatenate([part.unit for part in self.parts])
+        """One of each name's unit in px, m, rad or s, (s,)."""
+        return np.array([np.radians(1.0) if name.endswith("_deg") else 1.0 for _, name in self.names])
 
     @cached_property
     def optional(self) -> Bools:

@@ -21,7 +21,7 @@ from geomosaic.adjustment.procedure.block_solution import (
     points_on_ground,
 )
 from geomosaic.adjustment.procedure.blunder_detection import counted_shares, resected
-from geomosaic.adjustment.procedure.control_reference import placed_by_control, with_marks_of_whole_images
+from geomosaic.adjustment.procedure.control_points import placed_by_control, with_marks_of_whole_images
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.lens_start import with_lens_starts

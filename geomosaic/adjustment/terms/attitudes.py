@@ -39,9 +39,7 @@ class Attitudes(FrameTerm):
         if not self.boresight:
             return ()
         names = "boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg"
-        zero, one = np.zeros(3), np.ones(3)
-        unit = np.radians(1.0) * one
-        return (Unknowns(BORESIGHT, "platform", names, zero, BORESIGHT_SD_RAD * one, unit),)
+        return (Unknowns(BORESIGHT, "platform", names, np.zeros(3), np.full(3, BORESIGHT_SD_RAD)),)
 
     def component_names(self) -> tuple[str, ...]:
         return TILT, YAW

@@ -47,17 +47,15 @@ class GnssPositions(FrameTerm):
     name: ClassVar[str] = "GNSS positions"
 
     def unknowns(self) -> tuple[Unknowns, ...]:
-        zero, one = np.zeros(3), np.ones(3)
-        out = []
+        out, zero = [], np.zeros(3)
         if self.lever_arm:
             names = "lever_arm_forward_m", "lever_arm_right_m", "lever_arm_down_m"
-            out.append(Unknowns(LEVER_ARM, "platform", names, zero, LEVER_ARM_SD_M * one, one))
+            out.append(Unknowns(LEVER_ARM, "platform", names, zero, np.full(3, LEVER_ARM_SD_M)))
         if self.delay:
-            out.append(Unknowns(DELAY, "platform", ("gps_lag_s",), zero[:1], DELAY_SD_S * one[:1], one[:1]))
+            out.append(Unknowns(DELAY, "platform", ("gps_lag_s",), zero[:1], np.full(1, DELAY_SD_S)))
         if any(self.offset_sd_m):
             names = "offset_east_m", "offset_north_m", "offset_up_m"
-            sd_m = np.array(self.offset_sd_m)
-            out.append(Unknowns(OFFSET, "positions", names, zero, sd_m, one, optional=False))
+            out.append(Unknowns(OFFSET, "positions", names, zero, np.array(self.offset_sd_m), optional=False))
         return tuple(out)
 
     def component_names(self) -> tuple[str, ...]:

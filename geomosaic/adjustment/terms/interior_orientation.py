@@ -54,9 +54,7 @@ def interior_unknowns(camera: Camera, *, readout: bool = False, free_lens: bool 
     start."""
     known = replace(camera, distortion_sd=0.0) if free_lens else camera
     sd = interior_deviations(known, readout=readout)
-    return Unknowns(
-        part_of_camera(camera.name), camera.name, INTERIOR, interior_of(camera), sd, np.ones(len(INTERIOR))
-    )
+    return Unknowns(part_of_camera(camera.name), camera.name, INTERIOR, interior_of(camera), sd)
 
 
 def implausible_principal_points(at: Estimate, cameras: Sequence[Camera]) -> Bools:

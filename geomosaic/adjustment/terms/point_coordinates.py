@@ -8,6 +8,7 @@ from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
+from scipy.optimize import brentq
 
 from geomosaic.adjustment.kernels.collinearity import project_by_levers
 from geomosaic.adjustment.kernels.normal_equations import Normals
@@ -18,7 +19,7 @@ from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components, Term
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS
-from geomosaic.estimation.linear import inverse_each
+from geomosaic.estimation.linear import inverse_each, paraboloid_design
 from geomosaic.estimation.robust import (
     LEAST_OBSERVATIONS,
     credible,
@@ -203,26 +204,21 @@ def _bend(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats | None:
     """The polynomial of the second degree that residuals in height (k,) have in common, as a bent block
     leaves at precise points; None with fewer than two points more than its numbers, or where it may be chance
     (Schwarz 1978)."""
-    x, y = ((at_m - at_m.mean(axis=0)) / max(float(np.ptp(at_m, axis=0).max()), 1e-9)).T
-    design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
-    if len(x) < design.shape[1] + 2:
+    design = paraboloid_design(at_m)
+    if len(design) < design.shape[1] + 2:
         return None
     fitted, _, weight = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None])
     found = fitted[:, 0]
     squares = [float(weight[:, 0] @ its**2) for its in (miss_m, miss_m - found)]
-    gain = len(x) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
-    return np.asarray(found) if gain > 3.0 * np.log(len(x)) else None
+    gain = len(design) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300))
+    return np.asarray(found) if gain > 3.0 * np.log(len(design)) else None
 
 
 def _root(excess: Callable[[float], float]) -> float:
-    """The factor, at least 1, at which something that falls with it comes down to 1, by bisection."""
+    """The factor, at least 1, at which something that falls with it comes down to 1."""
     if not excess(1.0) > 1.0:
         return 1.0
-    low, high = 0.0, 20.0
-    for _ in range(50):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if excess(float(np.exp(middle))) > 1.0 else (low, middle)
-    return float(np.exp(low))
+    return float(np.exp(brentq(lambda log: excess(float(np.exp(log))) - 1.0, 0.0, 20.0)))
 
 
 def _factor(off_m: Floats, stated_m: Floats, own_m: Floats, common: float) -> float:

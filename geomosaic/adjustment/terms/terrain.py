@@ -21,8 +21,7 @@ LEVEL = "ground level"
 
 def level_unknown(sd_m: float) -> Unknowns:
     """The ground's level with a prior deviation."""
-    one = np.ones(1)
-    return Unknowns(LEVEL, "ground", ("level_m",), np.zeros(1), sd_m * one, one, optional=False)
+    return Unknowns(LEVEL, "ground", ("level_m",), np.zeros(1), np.full(1, sd_m), optional=False)
 
 
 @dataclass(frozen=True)
