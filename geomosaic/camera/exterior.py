@@ -38,7 +38,7 @@ class Turns:
     rad: Floats
     recorded_until_s: Floats = field(default_factory=lambda: np.array(np.nan))
 
-    def __getitem__(self, i: int) -> Turns:
+    def __getitem__(self, i: int | NDArray[np.intp]) -> Turns:
         until_s = self.recorded_until_s
         return Turns(self.span_s, self.rad[i], until_s[i] if until_s.ndim else until_s)
 
@@ -145,3 +145,14 @@ class Poses:
         velocity = None if self.velocities_m_per_s is None else self.velocities_m_per_s[i]
         turns = None if self.turns is None else self.turns[i]
         return Pose(self.positions_m[i], Rotation(self.rotations[i]), velocity, turns)
+
+    def of(self, frames: NDArray[np.intp]) -> Poses:
+        """Those of some frames."""
+        return Poses(
+            self.positions_m[frames],
+            self.rotations[frames],
+            self.positions_sd_m[frames],
+            self.rotations_sd_rad[frames],
+            None if self.velocities_m_per_s is None else self.velocities_m_per_s[frames],
+            None if self.turns is None else self.turns[frames],
+        )

@@ -84,7 +84,7 @@ def found_tilt(factor: float) -> list[Component]:
     """Components of the frames' observations as found from residuals: 1 but for that of tilts."""
     least, most, none = *PRIOR_FACTORS, np.zeros((0, 6))
     factors = {**dict.fromkeys(GROUPS, 1.0), "tilt": factor}
-    return [Component(name, its, none, none, least=least, most=most) for name, its in factors.items()]
+    return [Component(name, its, none, none, 1.0, 1.0, 0.0, least, most) for name, its in factors.items()]
 
 
 def test_a_component_that_follows_what_was_assumed_goes_its_whole_way() -> None:

@@ -10,7 +10,6 @@ from scipy.sparse import coo_matrix
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.camera.exterior import Poses
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.tracks import Tracks
 
@@ -47,7 +46,7 @@ def part_of_block(block: Block, frames: Ints) -> Block:
         block,
         names=tuple(block.names[i] for i in frames),
         cameras=tuple(block.cameras[i] for i in frames),
-        poses=part_of_poses(block.poses, frames),
+        poses=block.poses.of(frames),
         ties=TiePoints(pairs),
         sequence=tuple(number[i] for i in block.sequence if i in number),
         lines=tuple(block.lines[i] for i in frames),
@@ -64,24 +63,6 @@ def read_at_once(block: Block) -> Block:
     return replace(block, cameras=cameras, poses=replace(block.poses, velocities_m_per_s=None, turns=None))
 
 
-def part_of_poses(poses: Poses, frames: Ints) -> Poses:
-    """Those of some frames."""
-    turns, velocities = poses.turns, poses.velocities_m_per_s
-    if turns is not None:
-        until_s = turns.recorded_until_s
-        turns = replace(
-            turns, rad=turns.rad[frames], recorded_until_s=until_s[frames] if until_s.ndim else until_s
-        )
-    return Poses(
-        poses.positions_m[frames],
-        poses.rotations[frames],
-        poses.positions_sd_m[frames],
-        poses.rotations_sd_rad[frames],
-        None if velocities is None else velocities[frames],
-        turns,
-    )
-
-
 def part_of_solution(whole: Start, frames: Ints, points_m: Floats) -> Start:
     """What a part's solve begins from. Args: points_m (p, 3): its points."""
     found = whole.of_points(points_m)
@@ -92,7 +73,7 @@ def part_of_solution(whole: Start, frames: Ints, points_m: Floats) -> Start:
         swing_rad=found.estimate.swing_rad[frames],
         drift=found.estimate.drift[frames],
     )
-    return replace(found, poses=part_of_poses(whole.poses, frames), estimate=estimate)
+    return replace(found, poses=whole.poses.of(frames), estimate=estimate)
 
 
 def solution_of_whole(found: Start, whole: Start, frames: Ints) -> Start:

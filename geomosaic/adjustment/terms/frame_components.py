@@ -11,7 +11,6 @@ from geomosaic.adjustment.terms.term import Component
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
 from geomosaic.estimation.robust import (
-    LEAST_REDUNDANCY,
     STRONG,
     credible,
     irls,
@@ -103,17 +102,12 @@ class FrameGroup:
         r = min(float((weight - share)[stated].sum()), alone)
         miss = np.where(stated, self.own, 0.0)
         padding = (0, 0), (first, unknowns - first - weight.shape[1])
-        counted = np.pad(weight, padding), np.pad(miss, padding)
-        least, most = PRIOR_FACTORS
-        if r < LEAST_REDUNDANCY:
-            return Component(self.name, factor, *counted, least=least, most=most)
         squares = float((weight * (miss / self.sd) ** 2)[stated].sum())
-        scatter = factor * float(np.sqrt(squares / r))
-        a_little = 1.0 + float(np.sqrt(np.finfo(np.float64).eps))
-        found, above = (credible(f, r) for f in (scatter, a_little * scatter))
-        follows = float(np.log(above / found) / np.log(a_little)) if least < found < most else 0.0
-        found = float(np.clip(found, least, most))
-        return Component(self.name, found, *counted, squares, r, follows, least, most)
+        least, most = PRIOR_FACTORS
+        present = Component(
+            self.name, factor, np.pad(weight, padding), np.pad(miss, padding), squares, r, 0.0, least, most
+        )
+        return present.estimated(credible)
 
 
 def robust_weights(

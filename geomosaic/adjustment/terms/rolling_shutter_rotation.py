@@ -12,7 +12,6 @@ from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
 from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
-from geomosaic.estimation.robust import LEAST_REDUNDANCY
 
 RATE_SD_RAD_PER_S = sourced(0.3, "rad/s", "of each function; more: they take up poses", "a Sequoia: 0.26")
 GUST_M_PER_S = tuned(0.5, "m/s", "error of a velocity; 0: chance differences set readout and scale")
@@ -77,11 +76,6 @@ class RollingShutterRotation(FrameTerm):
             of_term = (its > 2.0 * IMAGE_AXES.min() * its.max(axis=1, keepdims=True)).astype(float)
             counted = np.pad(of_term, ((0, 0), (6, 0))), np.pad(-own, ((0, 0), (6, 0)))
             r = float((of_term * redundancy).sum()) - (its.max(axis=0) > 0.0).sum()
-            if r <= LEAST_REDUNDANCY:
-                found = float(np.clip(factor, least[k], most[k]))
-                yield Component(name, found, *counted, least=least[k], most=most[k])
-                continue
             squares = float((of_term * (own / sd) ** 2).sum())
-            scatter = factor * float(np.sqrt(squares / r))
-            follows, found = float(least[k] < scatter < most[k]), float(np.clip(scatter, least[k], most[k]))
-            yield Component(name, found, *counted, squares, r, follows, least[k], most[k])
+            present = Component(name, factor, *counted, squares, r, 0.0, least[k], most[k])
+            yield present.estimated(lambda scatter, _: scatter)

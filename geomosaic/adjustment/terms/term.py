@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -13,6 +13,7 @@ from geomosaic.adjustment.kernels.normal_equations import Normals
 from geomosaic.adjustment.problem.estimate import Estimate, Unknowns
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
+from geomosaic.estimation.robust import LEAST_REDUNDANCY
 
 if TYPE_CHECKING:
     from geomosaic.adjustment.terms.image_observations import ImageObservations
@@ -45,11 +46,23 @@ class Component:
     factor: float
     counted: Floats
     miss: Floats
-    squares: float = 1.0
-    redundancy: float = 1.0
-    follows: float = 0.0
-    least: float = 0.0
-    most: float = np.inf
+    squares: float
+    redundancy: float
+    follows: float
+    least: float
+    most: float
+
+    def estimated(self, believed: Callable[[float, float], float]) -> Component:
+        """With the factor by the residuals (Foerstner 1979). believed: from the scatter and its redundancy,
+        the factor that is taken."""
+        if self.redundancy < LEAST_REDUNDANCY:
+            return replace(self, factor=float(np.clip(self.factor, self.least, self.most)))
+        scatter = self.factor * float(np.sqrt(self.squares / self.redundancy))
+        a_little = 1.0 + float(np.sqrt(np.finfo(np.float64).eps))
+        found, above = (believed(f, self.redundancy) for f in (scatter, a_little * scatter))
+        inside = self.least < found < self.most
+        follows = float(np.log(above / found) / np.log(a_little)) if inside else 0.0
+        return replace(self, factor=float(np.clip(found, self.least, self.most)), follows=follows)
 
 
 class Term(ABC):
