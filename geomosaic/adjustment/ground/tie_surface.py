@@ -43,15 +43,12 @@ _USUAL_BEYOND = tuned(0.03, "m per m", "error beyond the points of small blocks,
 def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None = None) -> GroundSurface:
     """Robust smoothing surface through tie points, a spline with tension (Mitášová and Mitáš 1993).
 
-    Minimises sum rho((up - surface) / sd) over the points plus squared slopes and third derivatives over
-    their usual sizes; rho is Cauchy's, lengths count in flying heights. Third derivatives continue hills
-    beyond the last points, slopes return to level further out. Cross-validation finds the usual third
-    derivative (over left-out squares), and whether a plane or paraboloid holds the surface from below (over
-    the low points of left-out corners). Standard deviations grow with the distance from the points, as the
-    errors at left-out sides do.
-
-    Args: rough: with the usual third derivative about a free plane, without deviations; a twentieth of the
-    work. spread: runs trials.
+    Minimises sum rho((up - surface) / sd) over the points, with Cauchy's rho, plus squared slopes and third
+    derivatives over their usual sizes; lengths count in flying heights. Cross-validation finds the usual
+    third derivative (at left-out squares), whether a plane or paraboloid holds the surface from below (at low
+    points of left-out corners), and how deviations grow with the distance from the points (at left-out
+    sides). Args: rough: with the usual third derivative about a free plane, without deviations; a twentieth
+    of the work. spread: runs trials.
     """
     points_m = heights.points_m
     inside = np.ptp(points_m[:, :2], axis=0)

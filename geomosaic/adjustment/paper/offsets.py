@@ -27,13 +27,11 @@ def rounds_of(net: OffsetNet, moves: Floats) -> tuple[Round, Round]:
 
 
 def error_sharing(net: OffsetNet, epsilon_m: float, max_rounds: int) -> Moves:
-    """Error sharing without a base frame, all frames at once from the same state.
-
-    On an open line each frame moves by half the difference of its misalignments on both sides (Yue et al.
-    2021, section 2.2 and equation 6). On a net, where halves would oscillate, a pair's share is 1 / (1 + the
-    larger number of neighbours) (Metropolis weights, Xiao and Boyd 2004). It stops when no misalignment
-    exceeds epsilon_m in east or north, or after max_rounds.
-    """
+    """Error sharing without a base frame, all frames at once from the same state. On an open line each frame
+    moves by half the difference of its misalignments on both sides (Yue et al. 2021, section 2.2 and equation
+    6). On a net, where halves would oscillate, a pair's share is 1 / (1 + the larger number of neighbours)
+    (Metropolis weights, Xiao and Boyd 2004). It stops when no misalignment exceeds epsilon_m in east or
+    north, or after max_rounds."""
     share = _shares(net)
     moves, rounds = np.zeros((net.n, 2)), []
     for _ in range(max_rounds):

@@ -118,11 +118,8 @@ def with_offset(problem: BlockProblem, sd_m: Floats) -> BlockProblem:
 
 
 def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutterRotation | None:
-    """Rotation and drift of the frames while rows are read; None where all rows are read at once.
-
-    Drifts stand for errors of velocities along the view, where no rotation does; across it they differ too
-    little from a rate about an image axis where frames do rotate.
-    """
+    """Rotation and drift of the frames while rows are read; None where all rows are read at once. Where
+    frames rotate, drifts across the view differ too little from a rate about an image axis."""
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])

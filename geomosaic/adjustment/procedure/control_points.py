@@ -64,13 +64,10 @@ def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl
 def control_residuals(
     block: Block, poses: Poses, spread: Spread | None = None
 ) -> tuple[ControlResidual, ...]:
-    """Where each point was surveyed minus where the images put it, by the block's cameras and given poses.
-
-    A point of two images and more is intersected from its image coordinates alone, whether it took part in
-    the solve or not; a point of one image is projected on the ground. Points that cannot be placed are left
-    out. Args: spread: covariance after a bundle, which used the points that aren't for checking. Without it
-    all are check points, and the poses' own deviations count as independent.
-    """
+    """Where each point was surveyed minus where the images put it, by the block's cameras and given poses. A
+    point of one image is projected on the ground; points that cannot be placed are left out. Args: spread:
+    covariance after a bundle, which used the points that aren't for checking. Without it all are check
+    points, and the poses' own deviations count as independent."""
     out = []
     for c in block.control:
         found = _place(poses, block, c)

@@ -51,12 +51,9 @@ def georeferenced(
     shape: Complexes, place: Complexes, priors: PlanPriors, fixes: Fixes
 ) -> tuple[complex, complex, Floats]:
     """The similarity, at = whole * place + shift, of a part onto its fixes, and their weights (k,).
-
     Re-weighted least squares start from the least median of squares (Rousseeuw 1984) and from headings and
-    heights; the lower cost decides. Headings and heights count as one frame's: their errors are mostly
-    common. A position beyond six deviations has no weight. Args: shape (n,): turn and scale of each frame
-    against the given ones; place (n,): nadir points.
-    """
+    heights, which count as one frame's; the lower cost decides. Args: shape (n,): turn and scale of each
+    frame against the given ones; place (n,): nadir points."""
     given = _by_headings(shape, priors)
     if not len(fixes.at):
         return given, complex(np.mean(priors.nadir - given * place)), np.zeros(0)

@@ -66,12 +66,9 @@ def unsure(camera: Camera) -> bool:
 
 def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
     """The block whose uncertain lenses begin where tie points left out of small solves are predicted best.
-
-    Each start is solved on up to ten well-overlapping frames, with its focal length free, and taken where it
-    is surely better than the given one (`Judged.beats`). Its deviation stays wide. A reported focal length
-    becomes uncertain where these frames contradict it, positions allow another one, and a rolling shutter
-    explains no more.
-    """
+    Each start is solved on up to ten well-overlapping frames, and taken where it is surely better than the
+    given one (`Judged.beats`). A reported focal length becomes uncertain where these frames contradict it,
+    and positions allow another one."""
     starts = {c.name: _begun(block, settings, spread, c) for c in block.lenses}
     if all(starts[c.name] == c for c in block.lenses):
         return block

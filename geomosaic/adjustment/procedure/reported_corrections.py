@@ -60,12 +60,8 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
 
 def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
     """The block with the headings of each connected part corrected by their common error, and a warning for
-    each such part.
-
-    Headings of n frames that share an error outweigh positions: the block would turn to them and shrink. A
-    part's turn comes from its positions, where `start_poses` found that they contradict the headings; the
-    median of the frames' turns is common where it is beyond each frame's limit and the frames' own scatter.
-    """
+    each such part: headings of n frames that share an error would outweigh positions. The median turn from
+    given to initial headings is common where it is beyond each frame's limit and the frames' own scatter."""
     observed = ~heading_assumed(block.poses)
     known = observed & ~position_assumed(block.poses)
     limit = heading_limits_rad(block.poses)

@@ -23,13 +23,10 @@ DRIFTS = "drift across the view", "drift along the view"
 @dataclass(frozen=True)
 class RollingShutterRotation(FrameTerm):
     """Rotation (swing) and drift of f frames about and along their camera's axes while rows are read are near
-    0.
-
-    swing_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height; so they do
-    not depend on the block's orientation and scale. Each function of the row, drifts across the view and
-    drifts along it have variance components. common: a part of the swing may be common to all frames, so that
-    it does not shrink. most_swing: limit of its components.
-    """
+    0. swing_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height. Each
+    function of the row, drifts across the view and drifts along it have variance components. common: a part
+    of the swing may be common to all frames, so that it does not shrink. most_swing: limit of its
+    components."""
 
     swing_sd_rad: Floats
     drift_sd: Floats
