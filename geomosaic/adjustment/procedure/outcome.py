@@ -88,7 +88,9 @@ def outcome(
     status = np.array(
         ["rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))]
     )
-    untied, spread, covariance = status == "placed", None, None
+    untied: Bools = status == "placed"
+    spread: Spread | None = None
+    covariance: Floats | None = None
     if accuracy is not None:
         untied[[i for c in block.control if not c.check for i, _, _ in c.observations]] = False
         untied[list(accuracy.unsolved)] = True
@@ -123,7 +125,7 @@ def _with_untied(accuracy: Accuracy, poses: Poses, untied: Bools) -> Spread:
         try:
             solved = accuracy.spread(frames, np.where(apart, 0.0, by_pose), by_interior)
         except NotSolvableError:
-            solved, apart = np.zeros((3, 3)), True
+            solved, apart = np.zeros((3, 3)), np.ones_like(apart)
         of_alone = alone(frames, np.where(apart, by_pose, 0.0), by_interior)
         return solved + of_alone + np.diag(accuracy.common_m2)
 
