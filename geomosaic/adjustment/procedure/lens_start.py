@@ -31,13 +31,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import FAR
-from geomosaic.matching.tracks import (
-    FEW_CELLS,
-    FEW_PER_FRAME,
-    chosen_tracks,
-    join_tracks,
-    thin_tracks,
-)
+from geomosaic.matching.tracks import FEW_CELLS, FEW_PER_FRAME, chosen_tracks, join_tracks, thin_tracks
 from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
 from geomosaic.survey.accuracy import FOCAL_LENGTH

@@ -10,13 +10,7 @@ import numpy as np
 from geomosaic.adjustment.terms.term import Component
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
-from geomosaic.estimation.robust import (
-    STRONG,
-    credible,
-    irls,
-    median_of_known,
-    redescending_weight,
-)
+from geomosaic.estimation.robust import STRONG, credible, irls, median_of_known, redescending_weight
 
 PRIOR_FACTORS = tuned((0.1, 10.0), "times the stated deviation", "beyond: tags are not what they claim")
 
