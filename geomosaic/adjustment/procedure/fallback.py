@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -50,7 +49,9 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
             "given: the map is as true as they are; give a calibrated lens with --camera",
         ),
         (
-            lambda block, settings: solve(read_at_once(block), _poses_alone(settings)),
+            lambda block, settings: solve(
+                read_at_once(block), Settings(ground=settings.ground, model="given", self_calibration=False)
+            ),
             "self-calibration-failed",
             "poses cannot be solved for with the shutter as given ({why}): all rows are taken as read at "
             "once; ground may be displaced by what the camera moved meanwhile; give the lens with --camera",
@@ -68,13 +69,6 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
             "seams will not fit; more overlap or frames with positions help",
         ),
     )
-
-
-def _poses_alone(settings: Settings) -> Settings:
-    """Settings that solve for poses alone."""
-    unknowns = "rolling_shutter", "turning", "vibrating", "boresight", "lever_arm", "gps_lag"
-    none: dict[str, Any] = dict.fromkeys(unknowns, False)
-    return replace(settings, model="given", self_calibration=False, **none)
 
 
 def _by_similarities(block: Block, settings: Settings) -> Adjusted:
