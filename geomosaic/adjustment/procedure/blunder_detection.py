@@ -19,12 +19,12 @@ from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
 from geomosaic.estimation.robust import BLUNDER, FAR
 from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained
+from geomosaic.matching.planes import LEAST_POINTS
 from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import courses_deg, heading_assumed, heading_limits_rad, position_assumed
 from geomosaic.survey.model import Warn
 
-LEAST_POINTS = tuned(12, "points", "that agree on a pose; four determine one, so many hardly by chance")
 WITHIN_PX = tuned(8.0, "px", "residual of a point that agrees; rolling shutters take some")
 _TRIALS = sourced(1000, "samples of five", "with 1/3 of good points", "Fischler 1981: 1 - (1 - 3^-5)^1000")
 _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
