@@ -63,7 +63,7 @@ def unplaced_parts(block: Block) -> list[list[int]]:
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class BundleAccuracy:
     """Of a solution that used control points. spread: see `control_residuals`. covariance (f, 6, 6): of the
     poses. common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; rejected: frames
     whose poses are rejected."""
@@ -76,7 +76,7 @@ class Accuracy:
 
 
 def outcome(
-    block: Block, poses: Poses, rounds: tuple[Round, ...], accuracy: Accuracy | None = None
+    block: Block, poses: Poses, rounds: tuple[Round, ...], accuracy: BundleAccuracy | None = None
 ) -> Adjusted:
     """The outcome for poses found by any method; cameras and ground are the block's. `tied` are frames with
     tie points. The others, and those unsolved, are `placed` by POS alone and moved with the tied ones around
@@ -116,7 +116,7 @@ def outcome(
     )
 
 
-def _with_untied(accuracy: Accuracy, poses: Poses, untied: Bools) -> Spread:
+def _with_untied(accuracy: BundleAccuracy, poses: Poses, untied: Bools) -> Spread:
     """A spread in which poses that took no part in the solve have their own deviations."""
     alone = spread_of_poses(poses)
 
@@ -175,7 +175,7 @@ def bundle_outcome(work: Work) -> Adjusted:
     counted = counted_shares(found.ties, solution, len(block.names))
     rejected = contradicted_frames(block, solution.poses, counted)
     certain = with_common_error(solution.poses, common_m2)
-    accuracy = Accuracy(
+    accuracy = BundleAccuracy(
         spread=spread_of(solution, block.lens_of),
         covariance=solution.stated.pose_covariance,
         common_m2=common_m2,
