@@ -162,7 +162,7 @@ def _far(kind: str, points: Sequence[ControlResidual], off_m: Floats) -> list[Wa
     text = (
         f"{len(far)} of {len(points)} {kind} points{names} disagree with the images by more than "
         f"{FAR:g} deviations, the farthest by {_length(worst_m):.2f} m ({_vector(worst_m)})"
-        f"{f', and fewer than {LEAST_OBSERVATIONS} points do not show which is wrong' if few else ''}; "
+        f"{f'; fewer than {LEAST_OBSERVATIONS} points do not show which is wrong' if few else ''}; "
         "check their coordinates and their marks in the images"
     )
     return [Warn(_DISAGREE[kind], "", text)]
