@@ -30,6 +30,7 @@ from geomosaic.survey.names import some
 
 _POSITION_SD_M = tuned((0.1, 100.0), "m", "of prior positions; less: a biased run resists; more: no prior")
 _ROTATION_SD_DEG = tuned((0.05, 20.0), "deg", "of prior attitudes; less: resists marks; more: steps diverge")
+_NO_POSES = "none, no frame has a position; a finished run of the frames (--run) predicts places"
 _STAGES = ("survey.read", "matching.flying_height", "projection.ground", "placement.pos")
 
 
@@ -38,7 +39,8 @@ class OrientedFrames:
     """Frames of a survey with the pose and the camera of each.
 
     pose_sd (n, 6): deviations of positions in m and of turns about the cameras' axes in rad. ground: where
-    outlines lie; source: of the poses, for people.
+    outlines lie; source: of the poses, for people; adjusted: whether a run has related the frames to each
+    other.
     """
 
     survey: Survey
@@ -47,6 +49,7 @@ class OrientedFrames:
     cameras: tuple[Camera, ...]
     ground: GroundSurface
     source: str
+    adjusted: bool = False
 
     @property
     def frames(self) -> tuple[Frame, ...]:
@@ -55,7 +58,7 @@ class OrientedFrames:
 
     @property
     def on_earth(self) -> bool:
-        """Whether anything says where the frames lie; else no point can be predicted."""
+        """Whether anything says where the frames lie; else points are predicted by their marks alone."""
         return not is_local(self.survey.map_crs)
 
     def places_m(self, points: tuple[ControlPoint, ...]) -> Floats:
@@ -87,6 +90,8 @@ def frames_by_tags(request: MosaicRequest, reporter: Reporter) -> OrientedFrames
     every = range(len(survey.frames))
     cameras = tuple(survey.camera_of(i) for i in every)
     source = "the frames' tags" if request.pos is None else request.pos.name
+    if is_local(survey.map_crs):
+        source = _NO_POSES
     poses = tuple(placement.poses[i] for i in every)
     return OrientedFrames(survey, poses, _pose_sd(placement.poses), cameras, ground, source)
 
@@ -108,7 +113,7 @@ def frames_of_run(folder: Path, run_folder: Path) -> OrientedFrames:
     poses, sd = tuple(adjusted.poses[i] for i in kept), _pose_sd(adjusted.poses)[kept]
     cameras = tuple(adjusted.cameras[i] for i in kept)
     source = f"the adjusted poses of {run_folder.name}"
-    return OrientedFrames(replace(survey, frames=frames), poses, sd, cameras, adjusted.ground, source)
+    return OrientedFrames(replace(survey, frames=frames), poses, sd, cameras, adjusted.ground, source, True)
 
 
 def _pose_sd(poses: Poses) -> Floats:

@@ -20,7 +20,7 @@ from geomosaic.estimation.robust import cauchy_weight
 
 MARK_SD_PX = tuned(1.5, "px", "of a mark and a lens; less: marks look wrong; more: wrong marks look right")
 _OWN = tuned(0.5, "share of the stated deviations", "of one frame beside all; more: nothing is in common")
-_STEP = sourced(np.finfo(float).eps ** (1 / 3), "deviations", "of central differences", "Press et al., 5.7")
+STEP = sourced(np.finfo(float).eps ** (1 / 3), "deviations", "of central differences", "Press et al., 5.7")
 _EQUAL_ROUNDS = tuned(3, "rounds", "before weights are robust; less: all marks of a wrong start are rejected")
 _SMALL_STEP = tuned(1e-3, "deviations", "of a last step: less changes no pixel")
 
@@ -47,10 +47,10 @@ class FrameMarks:
         """Marks minus predicted places (m, 2) in px, and derivatives of the places (m, 2, 6) by a correction
         in units of sd (6,), those of the middle row; 0 where a point is not seen."""
         off = self.image_px - pose.image_from_ground(self.camera, self.places_m)
-        steps = np.concatenate([np.diag(_STEP * sd), np.diag(-_STEP * sd)])
+        steps = np.concatenate([np.diag(STEP * sd), np.diag(-STEP * sd)])
         in_camera = (self.places_m - pose.position_m - steps[:, None, :3]) @ pose.rotation.matrix
         seen = self.camera.image_from_camera(in_camera @ exp_turn(steps[:, 3:]))
-        slopes = np.moveaxis(seen[: len(sd)] - seen[len(sd) :], 0, -1) / (2.0 * _STEP)
+        slopes = np.moveaxis(seen[: len(sd)] - seen[len(sd) :], 0, -1) / (2.0 * STEP)
         lost = ~np.isfinite(off).all(axis=1) | ~np.isfinite(slopes).all(axis=(1, 2))
         off[lost], slopes[lost] = 0.0, 0.0
         return off, slopes

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from geomosaic.arrays import Floats
+from geomosaic.camera.exterior import Pose
 from geomosaic.constants import sourced, tuned
+from geomosaic.marking.marked_places import placed_point, places_of_others
 from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.marking.pose_correction import FrameMarks, common_correction, corrected_frame, moved
 from geomosaic.survey.model import ControlPoint
@@ -36,10 +39,10 @@ class PredictedPlaces:
 
 
 def predicted_places(frames: OrientedFrames, points: tuple[ControlPoint, ...]) -> PredictedPlaces:
-    """Places of all points in all frames, corrected by the points' marks; NaN where frames have no place on
-    the Earth."""
+    """Places of all points in all frames, by poses that the points' marks correct. Where frames have no place
+    on the Earth they are by the marks alone (`marked_places`), and NaN if no run has related the frames."""
     if not frames.on_earth:
-        return PredictedPlaces(np.full((len(frames.frames), len(points), 2), np.nan))
+        return _by_marks_alone(frames, points)
     places_m = frames.places_m(points)
     places = np.column_stack([places_m, [point.sd_horizontal_m for point in points]])
     number = {frame.name: i for i, frame in enumerate(frames.frames)}
@@ -58,10 +61,35 @@ def predicted_places(frames: OrientedFrames, points: tuple[ControlPoint, ...]) -
             off_px[k, i] = float(off)
             if deviations > SUSPECT:
                 suspect.add((k, i))
-    image_px = [
-        pose.image_from_ground(camera, places_m) for pose, camera in zip(poses, frames.cameras, strict=True)
-    ]
-    return PredictedPlaces(np.stack(image_px), off_px, frozenset(suspect))
+    return PredictedPlaces(_seen(frames, poses, places_m), off_px, frozenset(suspect))
+
+
+def _by_marks_alone(frames: OrientedFrames, points: tuple[ControlPoint, ...]) -> PredictedPlaces:
+    places_m = np.full((len(points), 3), np.nan)
+    number = {frame.name: i for i, frame in enumerate(frames.frames)}
+    off_px, suspect = {}, set()
+    for k, point in enumerate(points if frames.adjusted else ()):
+        marked = [number[name] for name, _, _ in point.images]
+        image_px = np.array([at for _, *at in point.images]).reshape(-1, 2)
+        of = [frames.poses[i] for i in marked], [frames.cameras[i] for i in marked]
+        found = placed_point(*of, image_px, frames.ground) if marked else None
+        if found is None:
+            continue
+        places_m[k] = found.place_m
+        for i, off, deviations in zip(marked, found.off_px, found.deviations, strict=True):
+            if np.isfinite(off):
+                off_px[k, i] = float(off)
+            if deviations > SUSPECT:
+                suspect.add((k, i))
+    places_m = places_of_others(points, places_m, frames.ground)
+    return PredictedPlaces(_seen(frames, frames.poses, places_m), off_px, frozenset(suspect))
+
+
+def _seen(frames: OrientedFrames, poses: Sequence[Pose], places_m: Floats) -> Floats:
+    """Where frames in these poses show places (k, 3) in the work frame: (frames, k, 2)."""
+    return np.stack(
+        [pose.image_from_ground(camera, places_m) for pose, camera in zip(poses, frames.cameras, strict=True)]
+    )
 
 
 def _marks(

@@ -75,7 +75,8 @@ class MarkingSession:
         for k, point in enumerate(points):
             marks = {number[name]: [col, row] for name, col, row in point.images}
             every = [*range(len(frames))]
-            expected = places.expected(k, sizes) if self.frames.on_earth else every
+            known = self.frames.on_earth or bool(np.isfinite(places.image_px[:, k]).any())
+            expected = places.expected(k, sizes) if known else every
             shown = [
                 {
                     "frame": i,

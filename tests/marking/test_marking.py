@@ -17,13 +17,16 @@ import pytest
 from marking_scene import MarkingScene, marking_scene, write_frames
 from target_survey import with_target
 
+from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.marking.marked_points import LIST, TABLE, read_points, save_points
+from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.marking.page_server import PageServer
 from geomosaic.marking.predicted_places import predicted_places
 from geomosaic.marking.session import MarkingSession
 from geomosaic.marking.target_refinement import refined
+from geomosaic.projection.ground import flat_ground
 from geomosaic.survey.control import read_control
 from geomosaic.survey.model import ControlPoint
 from geomosaic.survey.names import FrameNames
@@ -175,6 +178,65 @@ def test_frames_without_any_position_are_listed_and_marked(scene: MarkingScene, 
     assert [p["at"] for p in session.survey()["points"]] == [None] * 7
     assert (tmp_path / LIST).read_text().startswith("EPSG:32632\n")
     assert read_points(tmp_path / "rover.csv", tmp_path, local)[0] == session.points
+
+
+def without_place(scene: MarkingScene, adjusted: bool = True) -> OrientedFrames:
+    """The frames of a run without positions: related to each other, turned, enlarged and elsewhere."""
+    turn, scale, shift_m = (
+        Rotation.from_yaw_pitch_roll(0.7, -np.pi / 2.0 + 0.03, 0.02).matrix,
+        0.4,
+        [30.0, 5.0, 2.0],
+    )
+    level = Rotation.from_yaw_pitch_roll(0.0, -np.pi / 2.0, 0.0).matrix
+    turn = turn @ level.T
+    poses = tuple(
+        replace(
+            p, position_m=scale * turn @ p.position_m + shift_m, rotation=Rotation(turn @ p.rotation.matrix)
+        )
+        for p in scene.true_poses
+    )
+    ground = flat_ground(scene.frames.survey.work_frame, 102.0, 200.0)
+    survey = replace(scene.frames.survey, map_crs=LOCAL_CRS)
+    return replace(scene.frames, survey=survey, poses=poses, ground=ground, adjusted=adjusted)
+
+
+def median_off_px(
+    scene: MarkingScene, frames: OrientedFrames, points: tuple[ControlPoint, ...], k: int
+) -> float:
+    """Of a point's predicted places from the true ones, where there is no mark; NaN where none is predicted."""
+    found = predicted_places(frames, points).image_px
+    names, marked = [frame.name for frame in frames.frames], [image[0] for image in points[k].images]
+    true = {f: at for f, at in scene.true_px[points[k].name].items() if f not in marked}
+    return float(np.median([np.linalg.norm(found[names.index(f), k] - at) for f, at in true.items()]))
+
+
+def test_marks_place_points_in_a_run_without_positions(scene: MarkingScene, tmp_path: Path) -> None:
+    frames = without_place(scene)
+    assert np.isnan(predicted_places(frames, scene.points).image_px).all()
+    own = scene.marked(2, of=1)
+    assert median_off_px(scene, frames, own, 0) < 1.0
+    assert np.isnan(median_off_px(scene, frames, own, 1))
+    two, three = scene.marked(2, of=2), scene.marked(2, of=3)
+    others = range(3, len(scene.points))
+    rough = np.median([median_off_px(scene, frames, two, k) for k in others])
+    fine = np.median([median_off_px(scene, frames, three, k) for k in others])
+    assert rough < 100.0
+    assert fine < 5.0
+    state = MarkingSession(frames, three, tmp_path).state()["points"]
+    assert all(f["predicted"] for of in state for f in of["frames"] if not f["mark"])
+    assert min(len(of["frames"]) for of in state) < len(frames.frames)
+    assert not np.isfinite(predicted_places(without_place(scene, adjusted=False), three).image_px).any()
+
+
+def test_a_wrong_mark_without_positions_is_farther_off_than_expected(scene: MarkingScene) -> None:
+    points, frames = scene.marked(9), without_place(scene)
+    assert not predicted_places(frames, points).suspect
+    name, col, row = points[4].images[0]
+    images = ((name, col + 60.0, row + 60.0), *points[4].images[1:])
+    found = predicted_places(frames, (*points[:4], replace(points[4], images=images), *points[5:]))
+    frame = [f.name for f in frames.frames].index(name)
+    assert (4, frame) in found.suspect
+    assert found.off_px[4, frame] > 40.0
 
 
 def test_a_place_outside_the_frame_is_no_mark(scene: MarkingScene, tmp_path: Path) -> None:

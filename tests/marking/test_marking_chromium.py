@@ -231,3 +231,24 @@ def test_the_command_serves_saves_and_ends(survey: TargetSurvey, tmp_path: Path)
     assert process.returncode == 130
     assert f"--gcp {tmp_path / 'marks' / TABLE}" in said
     assert "F0001.jpg,5.000,5.000" in (tmp_path / "marks" / TABLE).read_text()
+
+
+def test_a_run_without_positions_predicts_by_three_marked_points(tmp_path: Path) -> None:
+    unplaced = target_survey(tmp_path / "unplaced", pos_in="csv")
+    assert mosaic(unplaced.frames, tmp_path / "run", "--camera", unplaced.camera, "-q") == 0
+    frames = frames_of_run(unplaced.frames, tmp_path / "run")
+    assert not frames.on_earth
+    points, _ = read_points(unplaced.rover, tmp_path / "none", frames)
+    by_sight = sorted(range(6), key=lambda k: len(unplaced.truth[points[k].name]))
+    session = MarkingSession(frames, points, tmp_path / "marks")
+    names = [frame.name for frame in frames.frames]
+    for k in by_sight[-3:]:
+        for name, at in [*unplaced.truth[points[k].name].items()][:3]:
+            session.mark(k, names.index(name), at)
+    places = predicted_places(frames, session.points).image_px
+    off = [
+        np.hypot(*(places[names.index(name), k] - at))
+        for k in by_sight[:3]
+        for name, at in unplaced.truth[points[k].name].items()
+    ]
+    assert np.median(off) < 30.0
