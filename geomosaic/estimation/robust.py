@@ -30,13 +30,11 @@ def irls(
     weigh: Callable[[Floats], Floats],
     start: Floats | None = None,
     rounds: int = 10,
-    *,
-    rcond: float = 1e-12,
 ) -> tuple[Floats, Floats]:
     """Unknowns (u,) and last weights by iteratively re-weighted least squares, of the smallest norm, after so
     many rounds or when weights repeat. Args: design (m, u), or (m, c, u) for observations of c components;
     observed (m,) or (m, c); weigh: from residuals, shaped as observed, to weights that broadcast with them;
-    start (u,): without it the first residuals are those of the median; rcond: see `least_squares`."""
+    start (u,): without it the first residuals are those of the median."""
     unknowns = np.zeros(design.shape[-1]) if start is None else start
     residual = observed - (np.median(observed, axis=0) if start is None else design @ start)
     rows, weight = design.reshape(-1, design.shape[-1]), np.zeros(0)
@@ -48,7 +46,7 @@ def irls(
         normal = weighted.T @ rows
         size = np.sqrt(np.diag(normal)) + 1e-12
         scaled = normal / (size[:, None] * size)
-        unknowns = least_squares(scaled, weighted.T @ observed.ravel() / size, rcond=rcond) / size
+        unknowns = least_squares(scaled, weighted.T @ observed.ravel() / size, rcond=1e-12) / size
         residual = observed - design @ unknowns
     return unknowns, weight
 

@@ -10,17 +10,16 @@ import numpy as np
 from geomosaic.adjustment.terms.term import Component
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, tuned
+from geomosaic.estimation.linear import singular_values
 from geomosaic.estimation.robust import STRONG, credible, irls, median_of_known, redescending_weight
 
 PRIOR_FACTORS = tuned((0.1, 10.0), "times the stated deviation", "beyond: tags are not what they claim")
 
 
-def robust_fit(
-    design: Floats, residuals: Floats, sd: Floats, rcond: float = 1e-12
-) -> tuple[Floats, Floats, Floats]:
+def robust_fit(design: Floats, residuals: Floats, sd: Floats) -> tuple[Floats, Floats, Floats]:
     """Fitted values (k, n), parameters (q,) and weights (k, n) of least squares, re-weighted from the median
     residual on; residuals count by `redescending_weight` of their lengths over the median one. Args: design
-    (k, n, q), residuals and sd (k, n); rcond: see `irls`."""
+    (k, n, q), residuals and sd (k, n)."""
     typical = MEDIAN_LENGTH if residuals.shape[1] == 2 else MEDIAN_ONE
 
     def weigh(left: Floats) -> Floats:
@@ -28,7 +27,7 @@ def robust_fit(
         bulk = max(float(np.median(length)) / typical, 1e-9)
         return np.asarray(redescending_weight(length / bulk)[:, None] / sd**2)
 
-    found, weight = irls(design, residuals, weigh, rcond=rcond)
+    found, weight = irls(design, residuals, weigh)
     return design @ found, found, weight
 
 
@@ -50,12 +49,14 @@ def common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> 
     level = np.full(len(at_m), common_mean(miss_m, sd_m))
     if len(at_m) < 4 or not np.isfinite(sd_m).all():
         return level
-    design = np.column_stack([np.ones(len(at_m)), at_m - np.median(at_m, axis=0)])
-    fitted, parameters, weight = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None], rcond=1e-6)
+    away_m = at_m - np.median(at_m, axis=0)
+    _, sizes, axes = singular_values(away_m)  # none across a single line
+    design = np.column_stack([np.ones(len(at_m)), away_m @ axes[sizes > 1e-3 * sizes[0]].T])
+    fitted, parameters, weight = robust_fit(design[:, None], miss_m[:, None], sd_m[:, None])
     plane = fitted[:, 0]
     squares = [float(weight[:, 0] @ (miss_m - its) ** 2) for its in (level, plane)]
     evidence = 0.5 * len(at_m) * np.log(max(squares[0], 1e-300) / max(squares[1], 1e-300)) - np.log(len(at_m))
-    steep = np.arctan(np.hypot(*parameters[1:])) > may_rad
+    steep = np.arctan(np.linalg.norm(parameters[1:])) > may_rad
     return np.asarray(level if steep or evidence <= np.log(STRONG) else plane)
 
 
