@@ -35,6 +35,7 @@ _NO_GUSTS = tuned(2.0, "times GUST_M_PER_S", "rates of frames that turn: steady 
 _MAY_WIN = tuned(0.98, "share of left-out residuals", "after some steps: less loses models that gain slowly")
 _ALIKE = tuned(0.7, "of a simpler model's", "residuals that the best leaves: more misses simpler models")
 _GIVEN = "given"
+_LENSES = {"lens", "fisheye"}
 _TEXTS = {
     "lens": "the lens free of what its maker says",
     "fisheye": "a fisheye lens",
@@ -60,7 +61,8 @@ def chosen_model(
     What is missing is added one by one, each time what helps most, as long as it helps by a twentieth. Every
     model is judged on the same tracks, which took no part in its solve, track by track
     (`Judged.compared_to`). Some steps from the solution so far show which models may win; only the best of
-    these is solved, and a simpler one that does about as well. Args: first: the solution as given, by these
+    these is solved, and a simpler one that does about as well. A lens that does worse is not tried again.
+    Args: first: the solution as given, by these
     tracks.
     """
     good = first.components[IMAGE] <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
@@ -79,7 +81,8 @@ def chosen_model(
     while now_px > _LEAST_PX:
         candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in in_vain}
         found = _compared(left_out, f"models-{len(taken)}", now.block, candidates, its)
-        in_vain |= found.in_vain
+        worse = {n for n, model in found.judged.items() if model.compared_to(its)[0] > 1.0 / _MAY_WIN}
+        in_vain |= found.in_vain | (_LENSES & worse)
         left = {
             name: model.median_px if its.solved is None else model.compared_to(its)[0] * now_px
             for name, model in found.judged.items()
