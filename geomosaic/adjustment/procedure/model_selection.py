@@ -62,8 +62,7 @@ def chosen_model(
     model is judged on the same tracks, which took no part in its solve, track by track
     (`Judged.compared_to`). Some steps from the solution so far show which models may win; only the best of
     these is solved, and a simpler one that does about as well. A lens that does worse is not tried again.
-    Args: first: the solution as given, by these
-    tracks.
+    Args: first: the solution as given, by these tracks.
     """
     good = first.components[IMAGE] <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
     if _moving(block) and not settings.turning:
