@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from geomosaic.cli.options import Port, Quiet
+from geomosaic.cli.options import Port, Quiet, with_options
 from geomosaic.cli.requested import typer_option, typer_parser
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.option import folder_given
 
 
-def control(
-    frames: Annotated[Path, typer_option(MosaicRequest, "frames")],
+@dataclass(frozen=True)
+class ControlOptions:
+    """What `geomosaic control` is asked for."""
+
+    frames: Annotated[Path, typer_option(MosaicRequest, "frames")]
     points: Annotated[
         Path, typer.Option(help="surveyed points, with or without marks (CSV, gcp_list.txt)", metavar="FILE")
-    ],
+    ]
     run: Annotated[
         Path | None,
         typer.Option(help="finished run whose adjusted poses predict where points are", metavar="RUN"),
-    ] = None,
+    ] = None
     output: Annotated[
         Path | None,
         typer.Option(
@@ -32,16 +36,19 @@ def control(
             metavar="FOLDER",
             parser=typer_parser(folder_given),
         ),
-    ] = None,
-    pos: Annotated[Path | None, typer_option(MosaicRequest, "pos")] = None,
-    pos_crs: Annotated[str | None, typer_option(MosaicRequest, "pos_crs")] = None,
-    height_datum: Annotated[str | None, typer_option(MosaicRequest, "height_datum")] = None,
-    camera: Annotated[Path | None, typer_option(MosaicRequest, "camera")] = None,
-    dem: Annotated[Path | None, typer_option(MosaicRequest, "dem")] = None,
-    ground_height: Annotated[float | None, typer_option(MosaicRequest, "ground_height")] = None,
-    port: Port = 0,
-    quiet: Quiet = False,
-) -> None:
+    ] = None
+    pos: Annotated[Path | None, typer_option(MosaicRequest, "pos")] = None
+    pos_crs: Annotated[str | None, typer_option(MosaicRequest, "pos_crs")] = None
+    height_datum: Annotated[str | None, typer_option(MosaicRequest, "height_datum")] = None
+    camera: Annotated[Path | None, typer_option(MosaicRequest, "camera")] = None
+    dem: Annotated[Path | None, typer_option(MosaicRequest, "dem")] = None
+    ground_height: Annotated[float | None, typer_option(MosaicRequest, "ground_height")] = None
+    port: Port = 0
+    quiet: Quiet = False
+
+
+@with_options(ControlOptions)
+def control(asked: ControlOptions) -> None:
     """Mark control and check points in a browser.
 
     Prints an address of this machine; open it in a browser. Each mark is saved at once to gcp.csv and
@@ -55,33 +62,33 @@ def control(
     from geomosaic.marking.session import MarkingSession
     from geomosaic.requests.run_request import default_folder
 
-    folder = output or default_folder(frames, "control")
-    datum = None if height_datum is None else datum_of(height_datum)
-    with progress(quiet=quiet) as reporter:
-        if run is not None:
-            oriented = frames_of_run(frames, run)
+    folder = asked.output or default_folder(asked.frames, "control")
+    datum = None if asked.height_datum is None else datum_of(asked.height_datum)
+    with progress(quiet=asked.quiet) as reporter:
+        if asked.run is not None:
+            oriented = frames_of_run(asked.frames, asked.run)
         else:
             request = MosaicRequest(
-                frames=frames,
-                pos=pos,
-                pos_crs=pos_crs,
-                height_datum=height_datum,
-                camera=camera,
-                dem=dem,
-                ground_height=ground_height,
+                frames=asked.frames,
+                pos=asked.pos,
+                pos_crs=asked.pos_crs,
+                height_datum=asked.height_datum,
+                camera=asked.camera,
+                dem=asked.dem,
+                ground_height=asked.ground_height,
                 gcp_optional=True,
             )
             oriented = frames_by_tags(request, reporter)
-    surveyed, notes = read_points(points, folder, oriented, datum)
+    surveyed, notes = read_points(asked.points, folder, oriented, datum)
     for note in notes:
         reporter.warning(note.text)
     session = MarkingSession(oriented, surveyed, folder)
-    with PageServer(session, port) as server:
+    with PageServer(session, asked.port) as server:
         print(f"open       {server.url}", flush=True)
         print(f"marks      {folder / TABLE}; Ctrl-C ends", flush=True)
         try:
             server.serve_forever()
         except KeyboardInterrupt:
             gcp = shlex.join(["--gcp", str(folder / TABLE)])
-            print(f"next       geomosaic mosaic {shlex.quote(str(frames))} {gcp}")
+            print(f"next       geomosaic mosaic {shlex.quote(str(asked.frames))} {gcp}")
             raise

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
-from geomosaic.cli.options import AsJson
+from geomosaic.cli.options import AsJson, with_options
 from geomosaic.errors import FileError, OutputError
 
 if TYPE_CHECKING:
@@ -27,32 +28,38 @@ Png = Annotated[
 _ALL = 1_000_000
 
 
-def inspect(
-    recording: RecordingFile,
+@dataclass(frozen=True)
+class InspectOptions:
+    """What `geomosaic inspect` is asked for."""
+
+    recording: RecordingFile
     stage: Annotated[
         str, typer.Option(metavar="STAGE", help="show a stage: inputs, results and messages")
-    ] = "",
+    ] = ""
     frame: Annotated[
         str,
         typer.Option(
             metavar="FRAME", help="show a frame: reported and estimated pose, tie points and messages"
         ),
-    ] = "",
+    ] = ""
     pair: Annotated[
         tuple[str, str] | None,
         typer.Option(metavar="FRAME FRAME", help="show a pair: tie points and residuals, or why it has none"),
-    ] = None,
+    ] = None
     worst: Annotated[
         int | None,
         typer.Option(metavar="N", min=1, max=_ALL, help="show the N worst faults, frames and pairs"),
-    ] = None,
-    png: Png = None,
+    ] = None
+    png: Png = None
     repair: Annotated[
         Path | None,
         typer.Option(metavar="OUT.mcap", help="write a complete recording from that of a killed run"),
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
+    ] = None
+    as_json: AsJson = False
+
+
+@with_options(InspectOptions)
+def inspect(asked: InspectOptions) -> None:
     """Show what is wrong with a recorded survey and how to fix it.
 
     Without an option, shows stages, rounds of adjustment, faults, warnings, topics, whether the recording is
@@ -65,10 +72,10 @@ def inspect(
     from geomosaic.recording.inspect.summary import summary
     from geomosaic.recording.inspect.tables import show_summary
 
-    path = recording_file(recording)
+    path = recording_file(asked.recording)
     recorded = read_recording(path)
-    if repair is not None:
-        _repair(recorded, repair)
+    if asked.repair is not None:
+        _repair(recorded, asked.repair)
         return
     answers = _answers(recorded)
     short: dict[str, Any] = {"path": str(path), "whole": recorded.whole, "problem": recorded.problem}
@@ -79,22 +86,22 @@ def inspect(
         short[name] = answer
         shown.append(lambda console: view(answer, console))
 
-    if worst is not None:
-        ask("worst", answers.worst(worst), show.show_worst)
-    if stage:
-        ask("stage", answers.stage(stage), show.show_stage)
-    if frame:
-        ask("frame", answers.frame(frame), show.show_frame)
-    if pair is not None:
-        ask("pair", answers.pair(*pair), show.show_pair)
+    if asked.worst is not None:
+        ask("worst", answers.worst(asked.worst), show.show_worst)
+    if asked.stage:
+        ask("stage", answers.stage(asked.stage), show.show_stage)
+    if asked.frame:
+        ask("frame", answers.frame(asked.frame), show.show_frame)
+    if asked.pair is not None:
+        ask("pair", answers.pair(*asked.pair), show.show_pair)
     if len(shown) == 1:
         ask("worst", answers.worst(SHOWN), show.show_faults)
         rest = summary(recorded)
         short |= rest
         shown.append(lambda console: show_summary(rest, console))
-    if png is not None:
-        files.write_bytes(png, _picture(answers, frame, pair))
-    if as_json:
+    if asked.png is not None:
+        files.write_bytes(asked.png, _picture(answers, asked.frame, asked.pair))
+    if asked.as_json:
         print(json.dumps(short, indent=2))
         return
     screen = new_console()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import tempfile
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from geomosaic.cli.help import HeadedCommand, with_help_all
-from geomosaic.cli.options import AsJson, Overwrite, Quiet, Sets, Workers
+from geomosaic.cli.options import AsJson, Overwrite, Quiet, Sets, Workers, with_options
 from geomosaic.errors import FileError, InputError
 from geomosaic.requests.option import RUNNING
 from geomosaic.requests.run_request import cores
@@ -120,52 +120,58 @@ def _run(
         return run_stage(recipe, given, work_folder=Path(work), workers=count, reporter=reporter)
 
 
-def evaluate(
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """What `geomosaic evaluate` is asked for."""
+
     targets: Annotated[
         list[Path],
         typer.Argument(
             help="a run folder or a mosaic; with --scores, files of scores", metavar="RUN|TIF|FILES"
         ),
-    ],
+    ]
     reference: Annotated[
         Path | None,
         typer.Option(help="orthophoto or satellite image to compare the mosaic with", metavar="TIF"),
-    ] = None,
+    ] = None
     surface_reference: Annotated[
         Path | None,
         typer.Option(
             help="elevation model (raster) or point cloud (LAS, LAZ) to compare the surface with",
             metavar="FILE",
         ),
-    ] = None,
+    ] = None
     scores: Annotated[
         bool, typer.Option("--scores", help="gather the scores that viewers saved from reports")
-    ] = False,
-    set: Sets = None,
-    as_json: AsJson = False,
-) -> None:
+    ] = False
+    set: Sets = None
+    as_json: AsJson = False
+
+
+@with_options(EvaluateOptions)
+def evaluate(asked: EvaluateOptions) -> None:
     """Compare a mosaic or a surface with a reference.
 
     A mosaic is compared by displacement, jumps and SSIM, a run's surface by heights. With --scores, gather
     viewers' scores instead.
     """
-    if [scores, reference is not None, surface_reference is not None].count(True) != 1:
+    if [asked.scores, asked.reference is not None, asked.surface_reference is not None].count(True) != 1:
         raise InputError(
             "what the run is to be compared with is missing or given twice",
             fix="give one of --reference TIF, --surface-reference FILE and --scores",
         )
     from geomosaic.requests.naming import named_as_options
 
-    if scores:
-        _scores(targets, as_json)
-    elif len(targets) > 1:
+    if asked.scores:
+        _scores(asked.targets, asked.as_json)
+    elif len(asked.targets) > 1:
         raise InputError("only one run is compared at a time", fix="give one run folder or one mosaic")
-    elif surface_reference is not None:
+    elif asked.surface_reference is not None:
         with named_as_options("quality.surface", {"reference": "--surface-reference"}):
-            _compare_surface(targets[0], surface_reference, set, as_json)
+            _compare_surface(asked.targets[0], asked.surface_reference, asked.set, asked.as_json)
     else:
         with named_as_options("quality.compare", {"reference": "--reference"}):
-            _compare(targets[0], reference, set, as_json)
+            _compare(asked.targets[0], asked.reference, asked.set, asked.as_json)
 
 
 def _scores(files: list[Path], as_json: bool) -> None:

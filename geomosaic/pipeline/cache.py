@@ -26,7 +26,7 @@ from geomosaic.recording.file.fingerprints import artefact_fingerprint, fingerpr
 _KEY = re.compile(r"(given-)?[0-9a-f]{40}")
 _ITEM = (re.compile(r"[0-9a-f]{2}"), re.compile(r"[0-9a-f]{38}"))
 _MOST_ENTRY_BYTES = 64 << 20
-_ENTRY, _CALLS, _ARTEFACT, _SPOOL, _ITEMS = "entry.json", "calls", ".artefact", "calls.part", "items"
+_ENTRY, _CALLS, _ARTEFACT, _SPOOL, _ITEMS = "entry.json", "messages", ".artefact", "calls.part", "items"
 
 Manifest = Mapping[str, Mapping[str, str]]
 Lineage = frozenset[str]

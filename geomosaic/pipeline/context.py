@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -85,53 +85,60 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no place in run.json")
 
 
+class Surroundings(TypedDict, total=False):
+    """What a run gives a stage's `Context`.
+
+    seed: the recipe's, for a stage that reports it; randomness comes from `Context.rng`.
+    key: the fingerprint of the stage's work; nothing is kept without one.
+    """
+
+    stage_id: str
+    version: int
+    code: str
+    work_folder: Path
+    recorder: StageRecorder
+    workers: Workers
+    hashes: FileHashes
+    seed: int
+    key: str
+    fixed_time: bool
+    on_progress: Progress
+    on_note: Callable[[str], None]
+    cancelled: Callable[[], bool]
+    summary: Mapping[str, Any]
+
+
 class Context:
     """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test.
 
-    seed: the recipe's, for a stage that reports it; randomness comes from `rng`.
-    key: the fingerprint of the stage's work; nothing is kept without one.
     lasting_items: where `map` keeps results that outlive the stage's own outcome.
     """
 
     def __init__(
         self,
         run_folder: Path | RunFolder,
-        *,
-        stage_id: str = "stage",
-        version: int = 1,
-        code: str = "",
-        work_folder: Path | None = None,
-        recorder: StageRecorder | None = None,
-        workers: Workers | None = None,
-        hashes: FileHashes | None = None,
-        seed: int = 0,
-        key: str = "",
-        fixed_time: bool = False,
-        on_progress: Progress | None = None,
-        on_note: Callable[[str], None] | None = None,
-        cancelled: Callable[[], bool] | None = None,
-        summary: Mapping[str, Any] | None = None,
+        **given: Unpack[Surroundings],
     ) -> None:
         if isinstance(run_folder, Path):
             run_folder = RunFolder(run_folder, overwrite=True)
         self._folder = run_folder
         self.run_folder = self._folder.path
-        self.work_folder = work_folder or self._folder.within(f"{WORK}/{stage_id}")
+        self.stage_id = given.get("stage_id", "stage")
+        self.work_folder = given.get("work_folder") or self._folder.within(f"{WORK}/{self.stage_id}")
         self.work_folder.mkdir(parents=True, exist_ok=True)
-        self.stage_id = stage_id
-        self.recorder = recorder or StageRecorder(stage=stage_id)
-        self.fixed_time = fixed_time
+        self.recorder = given.get("recorder") or StageRecorder(stage=self.stage_id)
+        self.fixed_time = given.get("fixed_time", False)
         self.notes = Notes()
         self.kept: list[Path] = []
-        self._workers = workers or Workers()
-        self._hashes = hashes or FileHashes()
-        self.key = key
-        self.seed = seed
-        self._on_progress = on_progress
-        self._on_note = on_note
-        self._cancelled = cancelled
-        self._summary = summary or {}
-        made_by = stage_id, version, code, key
+        self._workers = given.get("workers") or Workers()
+        self._hashes = given.get("hashes") or FileHashes()
+        self.key = given.get("key", "")
+        self.seed = given.get("seed", 0)
+        self._on_progress = given.get("on_progress")
+        self._on_note = given.get("on_note")
+        self._cancelled = given.get("cancelled")
+        self._summary = given.get("summary", {})
+        made_by = self.stage_id, given.get("version", 1), given.get("code", ""), self.key
         self._items = Items(
             self.work_folder, *made_by, self._workers, self._hashes, self.progress, self.inform
         )

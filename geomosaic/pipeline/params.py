@@ -8,7 +8,7 @@ import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self, Union
+from typing import Any, Literal, Self, TypedDict, Union, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticUndefined
@@ -27,15 +27,21 @@ _TYPE_TEXT = {
 }
 
 
+class ParamLimits(TypedDict, total=False):
+    """What may be said of a parameter beside its default and help: see `param`."""
+
+    unit: str
+    ge: float | None
+    le: float | None
+    choices: Choices | None
+    affects_output: bool
+
+
 def param(
     default: Any = ...,
     *,
     help: str,
-    unit: str = "",
-    ge: float | None = None,
-    le: float | None = None,
-    choices: Choices | None = None,
-    affects_output: bool = True,
+    **limits: Unpack[ParamLimits],
 ) -> Any:
     """One field of a `StageParams`; without a default the recipe must give it.
 
@@ -43,8 +49,7 @@ def param(
     free of them. `choices` may be a dict of strategies (its keys are read) or a callable giving the
     names, asked only when needed. `affects_output=False` keeps a parameter out of the fingerprint.
     """
-    extra = {"unit": unit, "ge": ge, "le": le, "choices": choices, "affects_output": affects_output}
-    return Field(default, description=help, json_schema_extra=typing.cast("dict[str, Any]", extra))
+    return Field(default, description=help, json_schema_extra=typing.cast("dict[str, Any]", limits))
 
 
 @dataclass(frozen=True)

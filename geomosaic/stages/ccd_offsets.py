@@ -116,13 +116,9 @@ def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> 
         context.warn("offsets-unreliable", left.name, text)
     line = np.arange(0, len(offsets.label), _RECORDED_LINES)
     context.recorder.strip_offsets(
-        pair=offsets.pair,
-        left=left.name,
-        right=right.name,
-        line=line,
-        dcol_px=offsets.dcol_px[line],
-        dline_px=offsets.dline_px[line],
-        sd_col_px=offsets.sd_col_px[line],
-        sd_line_px=offsets.sd_line_px[line],
-        label=offsets.label[line],
+        (offsets.pair, left.name, right.name),
+        line,
+        np.stack([offsets.dcol_px, offsets.dline_px])[:, line],
+        np.stack([offsets.sd_col_px, offsets.sd_line_px])[:, line],
+        offsets.label[line],
     )

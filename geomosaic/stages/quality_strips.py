@@ -55,13 +55,10 @@ def _report(context: Context, geometry: StripGeometry, offsets: StripOffsets, qu
     names = ["" if ccd.path is None else ccd.path.name for ccd in geometry.ccds]
     for pair in quality.pairs:
         context.recorder.strip_residuals(
-            pair=pair.pair,
-            left=names[pair.pair],
-            right=names[pair.pair + 1],
-            line=pair.centre_lines,
-            dcol_px=pair.residual_px[:, 0],
-            dline_px=pair.residual_px[:, 1],
-            sd_px=pair.sd_px,
+            (pair.pair, names[pair.pair], names[pair.pair + 1]),
+            pair.centre_lines,
+            pair.residual_px.T,
+            pair.sd_px,
         )
     spectra = {
         "found": jitter_spectrum(offsets, geometry.line_rate_hz),

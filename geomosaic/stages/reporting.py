@@ -47,15 +47,14 @@ def record_locations(
     ):
         if nowhere:
             continue
-        lon, lat, height, sd_e, sd_n, sd_u = (float(v) for v in (*at, *sd))
-        context.recorder.location(name, lon, lat, height, sd_e, sd_n, sd_u, state, captured_s.get(name))
+        context.recorder.location(name, tuple(at.tolist()), tuple(sd.tolist()), state, captured_s.get(name))
 
 
 def record_origin(context: Context, survey: Survey) -> None:
     """Where the origin of the work frame lies, which poses and points are reckoned from."""
     origin, nan = survey.work_frame, float("nan")
     at = origin.lon_deg, origin.lat_deg, origin.height_ellipsoidal_m
-    context.recorder.location("map", *at, nan, nan, nan, "origin", first_capture_s(survey))
+    context.recorder.location("map", at, (nan, nan, nan), "origin", first_capture_s(survey))
 
 
 def capture_times_s(survey: Survey) -> dict[str, float]:
@@ -82,7 +81,9 @@ def outline_feature(work_frame: LocalFrame, outline_m: Floats, properties: dict[
 def record_steps(context: Context, adjusted: Adjusted, method: str) -> None:
     """Each step of a solve; of methods that slide frames, each round and what it found."""
     for step in adjusted.steps:
-        context.recorder.iteration(stage=context.stage_id, **asdict(step))
+        figures = asdict(step)
+        solve, cost = figures.pop("solve"), figures.pop("cost")
+        context.recorder.iteration(context.stage_id, solve, cost, figures=figures)
     for round_ in () if adjusted.steps else adjusted.rounds:
         off = round_.misalignments_m[np.isfinite(round_.misalignments_m).all(axis=1)]
         context.recorder.iteration(
@@ -90,7 +91,7 @@ def record_steps(context: Context, adjusted: Adjusted, method: str) -> None:
             method,
             float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else float("nan"),
             "m",
-            step_m=float(np.nanmax(np.hypot(*round_.moves_m.T), initial=0.0)),
+            {"step_m": float(np.nanmax(np.hypot(*round_.moves_m.T), initial=0.0))},
         )
 
 
@@ -114,7 +115,7 @@ def _record_tables(context: Context, survey: Survey, block: Block, adjusted: Adj
     for tie, left, right, residual, weight in zip(
         ties.pairs, lefts, rights, adjusted.residuals_m, weights, strict=True
     ):
-        context.recorder.tie_points(left, right, tie.left_px, tie.right_px, residual, weight)
+        context.recorder.tie_points((left, right), tie.left_px, tie.right_px, residual, weight)
     left_of, right_of, at_m, of_ties = sampled_ties(ties, adjusted)
     lengths = {"residual_m": of_ties["residual_m"]}
     context.recorder.points("ties", at_m, lengths, first_capture_s(survey))

@@ -89,7 +89,7 @@ class Beside(Stage):
         while params.manner == "endless":
             context.check_cancelled()
             time.sleep(0.01)
-        context.recorder.location("a", 7.5, 51.25, 120.0, 1.0, 2.0, 3.0, "tied")
+        context.recorder.location("a", (7.5, 51.25, 120.0), (1.0, 2.0, 3.0), "tied")
         context.metric("toy.largest", max(values))
         return {"powers": Numbers(np.array(values), "beside")}
 

@@ -221,14 +221,14 @@ def entry_of(toys: Toys, stage: str) -> Path:  # noqa: F811
 def test_calls_that_were_cut_are_told_anew(toys: Toys) -> None:  # noqa: F811
     toys.run()
     for stage in ("toy.read", "toy.sum"):
-        calls = entry_of(toys, stage) / "calls"
+        calls = entry_of(toys, stage) / "messages"
         calls.write_bytes(calls.read_bytes()[:-3] if calls.stat().st_size else b"x")
         toys.done()
         toys.run()
         assert toys.done() == {"toy.read": ["read", "tell"], "toy.sum": ["sum", "tell"]}[stage]
 
 
-@pytest.mark.parametrize("name", ["entry.json", "calls", "numbers.artefact", "hashes.json"])
+@pytest.mark.parametrize("name", ["entry.json", "messages", "numbers.artefact", "hashes.json"])
 @pytest.mark.parametrize("content", [b"", b"\0" * 400, b"{}", b"[" * 100_000, b'{"outputs": 3}'])
 def test_what_can_not_be_read_is_redone(name: str, content: bytes, toys: Toys) -> None:  # noqa: F811
     first = toys.run()
@@ -286,7 +286,7 @@ def test_a_file_of_the_system_that_can_not_be_read_is_refused_in_a_line(tmp_path
         open_raster(Path("/proc/self/mem"), DEM)
 
 
-@pytest.mark.parametrize("name", ["entry.json", "calls", "numbers.artefact"])
+@pytest.mark.parametrize("name", ["entry.json", "messages", "numbers.artefact"])
 def test_an_entry_behind_a_link_is_not_taken(name: str, toys: Toys) -> None:  # noqa: F811
     toys.run()
     folder = entry_of(toys, "toy.read")
@@ -319,7 +319,7 @@ def test_a_pipe_in_the_recording_s_place_is_not_waited_for(toys: Toys) -> None: 
     assert (toys.run_folder / "run.mcap").is_file()
 
 
-@pytest.mark.parametrize("name", ["entry.json", "calls", "numbers.artefact"])
+@pytest.mark.parametrize("name", ["entry.json", "messages", "numbers.artefact"])
 def test_a_folder_in_the_place_of_a_cached_file_is_named(name: str, toys: Toys) -> None:  # noqa: F811
     toys.run()
     place = entry_of(toys, "toy.read") / name

@@ -155,7 +155,7 @@ def test_places_are_moved_together(tmp_path: Path) -> None:
         recorder.begin_run("crs: EPSG:25832\n", {}, {})
         recorder.stage_started("a", 1, {"crs": "EPSG:25832"}, {})
         for place in places:
-            recorder.location("f", *place, 1.0, 1.0, 1.0, "tied")
+            recorder.location("f", place, (1.0, 1.0, 1.0), "tied")
         recorder.geojson("/footprints/placed", [shape])
         recorder.artefact("a", "survey", "t", "ab" * 20, io.BytesIO(b"places"))
         recorder.stage_finished("a", StageEnd(seconds=0.0))

@@ -34,7 +34,7 @@ def write(path: Path, pairs: tuple[int, ...] = (0, 2), more: float = 0.0, label:
         for k in pairs:
             sd = np.full(LINE.size, 0.05)
             names = f"ccd{k + 1}.tif", f"ccd{k + 2}.tif"
-            recorder.strip_offsets(k, *names, LINE, DCOL + k, DLINE + more, sd, 2 * sd, label)
+            recorder.strip_offsets((k, *names), LINE, [DCOL + k, DLINE + more], [sd, 2 * sd], label)
         recorder.log("warning", "CCD 2 is dead", stage="ccd.offsets")
         recorder.stage_finished("ccd.offsets", StageEnd())
     return path
@@ -95,7 +95,7 @@ def test_a_replay_tells_them_again(tmp_path: Path) -> None:
     """From the recording, and from the spool of a stage taken from the cache."""
     recording = read_recording(write(tmp_path / "a.mcap"))
     stage = StageRecorder(None, tmp_path / "spool")
-    stage.strip_offsets(2, "l", "r", LINE, DCOL, DLINE, DCOL, DLINE, LABEL)
+    stage.strip_offsets((2, "l", "r"), LINE, np.stack([DCOL, DLINE]), np.stack([DCOL, DLINE]), LABEL)
     stage.close()
     with Recorder(tmp_path / "b.mcap", fixed_time=True) as recorder:
         recorder.begin_run("name: strips\n", {"geomosaic": "0.1.0"}, {})
@@ -146,12 +146,12 @@ def write_left(path: Path, left_px: np.ndarray = LEFT) -> Path:
         for k in (0, 2):
             sd = np.full(LINE.size, 0.05)
             names = f"ccd{k + 1}.tif", f"ccd{k + 2}.tif"
-            recorder.strip_offsets(k, *names, LINE, DCOL, DLINE, sd, sd, LABEL)
+            recorder.strip_offsets((k, *names), LINE, [DCOL, DLINE], [sd, sd], LABEL)
         recorder.stage_finished("ccd.offsets", StageEnd())
         recorder.stage_started("quality.strips", 2, {}, {})
         for k, px in ((0, left_px), (2, np.full((6, 2), np.nan))):
             names = f"ccd{k + 1}.tif", f"ccd{k + 2}.tif"
-            recorder.strip_residuals(k, *names, BLOCKS, px[:, 0], px[:, 1], np.full(6, 0.02))
+            recorder.strip_residuals((k, *names), BLOCKS, px.T, np.full(6, 0.02))
         recorder.jitter("found", FREQUENCY_HZ, 0.5 * ALONG_PX, ALONG_PX)
         recorder.jitter("left", [], [], [])
         recorder.stage_finished("quality.strips", StageEnd())
@@ -217,7 +217,7 @@ def test_what_is_left_is_told_again(tmp_path: Path) -> None:
     """From a recording, and from a spool."""
     recording = read_recording(write_left(tmp_path / "a.mcap"))
     stage = StageRecorder(None, tmp_path / "spool")
-    stage.strip_residuals(4, "l", "r", BLOCKS, LEFT[:, 0], LEFT[:, 1], LEFT[:, 0] ** 2)
+    stage.strip_residuals((4, "l", "r"), BLOCKS, LEFT.T, LEFT[:, 0] ** 2)
     stage.jitter("left", FREQUENCY_HZ, ALONG_PX, 2 * ALONG_PX)
     stage.close()
     with Recorder(tmp_path / "b.mcap", fixed_time=True) as recorder:

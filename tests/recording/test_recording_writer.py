@@ -283,7 +283,7 @@ def told(recorder: Recorder) -> None:
     recorder.stage_started("toy", 1, {}, {})
     recorder.image("/frames", FRAMES[0], thumbnail(np.zeros((8, 8, 3), np.uint8)))
     recorder.tie_points(
-        FRAMES[0], FRAMES[1], np.zeros((3, 2)), np.ones((3, 2)), weight=np.array([1, 0, np.nan])
+        (FRAMES[0], FRAMES[1]), np.zeros((3, 2)), np.ones((3, 2)), weight=np.array([1, 0, np.nan])
     )
     recorder.table("pairs", FRAMES[:1], {"rms_m": [0.5], "ties": [3]}, others=FRAMES[1:2], notes=["off"])
     recorder.metric("toy.figure", 2.5)
@@ -319,7 +319,7 @@ def test_steps_are_counted_within_their_stage(tmp_path: Path) -> None:
     with Recorder(path) as recorder:
         for stage in ("a", "b"):
             recorder.stage_started(stage, 1, {}, {})
-            recorder.iteration(stage, "all", 9.0, sigma_px=0.5)
+            recorder.iteration(stage, "all", 9.0, figures={"sigma_px": 0.5})
             recorder.iteration(stage, "all", 4.0)
     assert [(i.iteration, i.cost) for i in decoded(path, "/iterations/b")] == [(0, 9.0), (1, 4.0)]
 

@@ -100,7 +100,7 @@ class PowerNumbers(Stage):
         work = functools.partial(powered, power=params.power, delay_s=params.delay_s)
         values = context.map("powers", work, [float(v) for v in inputs["numbers"].values])
         context.recorder.offsets("toy.power", 0, [("a", "b", 1.5, -2.5)], [("a", 0.25, 0.5)])
-        context.recorder.location("a", 7.5, 51.25, 120.0, 1.0, 2.0, 3.0, "tied")
+        context.recorder.location("a", (7.5, 51.25, 120.0), (1.0, 2.0, 3.0), "tied")
         context.metric("toy.largest", max(values))
         return {"numbers": Numbers(np.array(values), params.name)}
 

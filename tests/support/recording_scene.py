@@ -40,7 +40,7 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
         image = np.full((60, 90, 3), (200 - 40 * i, 30, 60), dtype=np.uint8)
         recorder.frame_image(frame, thumbnail(image), captured_s(i))
         place = (-91.25 + 0.001 * i, 46.5 + 0.0005 * i, 251.5)
-        recorder.location(frame, *place, 1.5, 2.0, 3.0, "observed", captured_s(i))
+        recorder.location(frame, place, (1.5, 2.0, 3.0), "observed", captured_s(i))
     recorder.artefact(
         "survey.read", "survey", "geomosaic.survey.model:Survey", "ab" * 20, io.BytesIO(ARTEFACT)
     )
@@ -57,9 +57,9 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
         recorder.offsets("adjustment.solve", k, pairs, moves)
     points = np.array([[100.5, 200.25], [300.0, 400.75]])
     recorder.tie_points(
-        FRAMES[0], FRAMES[1], points, points - [0.0, 180.0], np.array([[0.02, -0.03], [0.01, 0.04]])
+        (FRAMES[0], FRAMES[1]), points, points - [0.0, 180.0], np.array([[0.02, -0.03], [0.01, 0.04]])
     )
-    recorder.iteration("adjustment.solve", method, 25.0, "m", step_m=1.5)
+    recorder.iteration("adjustment.solve", method, 25.0, "m", {"step_m": 1.5})
     recorder.metric("adjustment.sigma_px", 0.5)
     recorder.table(
         "pairs.adjusted", FRAMES[:1], {"rms_m": [0.05], "tie_points": [2]}, others=FRAMES[1:2], notes=[""]
@@ -77,7 +77,7 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
         "/map/footprints", [{"type": "Feature", "properties": {"frame": FRAMES[0]}, "geometry": polygon}]
     )
     for frame, status in zip(FRAMES, ("tied", "placed", "rejected"), strict=True):
-        recorder.location(frame, -91.25, 46.5, 252.0, 0.05, 0.06, np.nan, status)
+        recorder.location(frame, (-91.25, 46.5, 252.0), (0.05, 0.06, np.nan), status)
     for i, frame in enumerate(FRAMES):
         recorder.pose(frame, CAMERA, POSITIONS_M[i], ROTATIONS.matrix[i], captured_s(i))
     recorder.points("ties", POINTS_M, {"residual_m": [0.01, 0.02, 0.03, 0.04]}, captured_s(0))

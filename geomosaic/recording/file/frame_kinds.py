@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,26 +67,18 @@ def _take_image(recording: Recording, message: Any, at: At) -> None:
 
 
 def location(
-    frame: str,
-    lon_deg: float,
-    lat_deg: float,
-    height_ellipsoidal_m: float,
-    sd_e_m: float,
-    sd_n_m: float,
-    sd_u_m: float,
-    status: str,
-    captured_s: float | None = None,
+    frame: str, place: Sequence[float], sd_m: Sequence[float], status: str, captured_s: float | None = None
 ) -> Topics:
-    """Where a frame's projection centre is. `status` is `observed` or that of the adjustment; `origin` with
-    the frame `map` says where the work frame's origin is.
+    """Where a frame's projection centre is: longitude, latitude (degrees) and ellipsoidal height (m), with
+    standard deviations to the east, to the north and up. `status` is `observed` or that of the adjustment;
+    `origin` with the frame `map` says where the work frame's origin is.
 
     Each status has its own topic and colour. Where a standard deviation isn't finite none is reported:
     Foxglove's schema wants nine numbers even so.
     """
-    fix = LocationFix(
-        frame_id=as_text(frame), latitude=lat_deg, longitude=lon_deg, altitude=height_ellipsoidal_m
-    )
-    variances = np.square([sd_e_m, sd_n_m, sd_u_m], dtype=np.float64)
+    lon_deg, lat_deg, height_m = place
+    fix = LocationFix(frame_id=as_text(frame), latitude=lat_deg, longitude=lon_deg, altitude=height_m)
+    variances = np.square(sd_m, dtype=np.float64)
     known = np.isfinite(variances).all()
     fix.position_covariance.extend(np.diag(variances if known else np.zeros(3)).ravel().tolist())
     if known:

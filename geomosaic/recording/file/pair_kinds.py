@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,27 +33,15 @@ Iteration = own(
 )
 
 
+_OF_STEPS: Final = ("sigma_px", "damping", "step_m", "share_down_weighted")
+
+
 def iteration(
-    stage: str,
-    solve: str,
-    cost: float,
-    cost_unit: str = "",
-    sigma_px: float = np.nan,
-    damping: float = np.nan,
-    step_m: float = np.nan,
-    share_down_weighted: float = np.nan,
+    stage: str, solve: str, cost: float, cost_unit: str = "", figures: Mapping[str, float] | None = None
 ) -> Topics:
-    """One step of a solve."""
-    message = Iteration(
-        stage=stage,
-        solve=solve,
-        cost=cost,
-        cost_unit=cost_unit,
-        sigma_px=sigma_px,
-        damping=damping,
-        step_m=step_m,
-        share_down_weighted=share_down_weighted,
-    )
+    """One step of a solve. figures: those of `_OF_STEPS` that the method has."""
+    known = dict.fromkeys(_OF_STEPS, np.nan) | dict(figures or {})
+    message = Iteration(stage=stage, solve=solve, cost=cost, cost_unit=cost_unit, **known)
     yield f"/iterations/{topic_part(stage)}", message
 
 
@@ -61,7 +49,7 @@ def _take_iteration(recording: Recording, message: Any, at: At) -> None:
     """By the message's own names; None for what isn't finite."""
     names = ("stage_index", "iteration", "solve", "cost_unit")
     out: dict[str, Any] = {name: getattr(message, name) for name in names}
-    for name in ("cost", "sigma_px", "damping", "step_m", "share_down_weighted"):
+    for name in ("cost", *_OF_STEPS):
         value = getattr(message, name)
         out[name] = value if math.isfinite(value) else None
     recording.iterations.append(out)
@@ -147,23 +135,22 @@ TiePoints = own(
 
 
 def tie_points(
-    left: str | int,
-    right: str | int,
+    pair: tuple[str | int, str | int],
     left_px: ArrayLike,
     right_px: ArrayLike,
     residual_m: ArrayLike | None = None,
     weight: ArrayLike | None = None,
 ) -> Topics:
-    """The tie points of a pair: (k, 2) cols and rows in both frames, (k, 2) residuals on the ground, and
-    the solve's weights (k,), 1 for a good one, NaN where one took no part.
+    """The tie points of a pair, the left frame first: (k, 2) cols and rows in both frames, (k, 2) residuals
+    on the ground, and the solve's weights (k,), 1 for a good one, NaN where one took no part.
 
     The artefacts hold them too; here in single precision (0.001 px at col 8000).
     """
     a, b = (np.asarray(px, dtype=np.float32).reshape(-1, 2) for px in (left_px, right_px))
     r = np.asarray(() if residual_m is None else residual_m, dtype=np.float32).reshape(-1, 2)
     message = TiePoints(
-        left=as_text(left),
-        right=as_text(right),
+        left=as_text(pair[0]),
+        right=as_text(pair[1]),
         left_col_px=a[:, 0],
         left_row_px=a[:, 1],
         right_col_px=b[:, 0],

@@ -32,24 +32,19 @@ StripOffsets = own(
 
 
 def strip_offsets(
-    pair: int,
-    left: str,
-    right: str,
-    line: ArrayLike,
-    dcol_px: ArrayLike,
-    dline_px: ArrayLike,
-    sd_col_px: ArrayLike,
-    sd_line_px: ArrayLike,
-    label: ArrayLike,
+    pair: tuple[int, str, str], line: ArrayLike, offset_px: ArrayLike, sd_px: ArrayLike, label: ArrayLike
 ) -> Topics:
-    """Offsets of a pair of strips at some lines, every eighth say; label 0 to 2 as in `ccd.model.LABELS`.
+    """Offsets (2, n) of a pair of strips, its number, left and right, at some lines, every eighth say: across
+    and along, with their standard deviations (2, n); label 0 to 2 as in `ccd.model.LABELS`.
 
     Recorded in single precision. Each pair has its own topic.
     """
     labels = np.asarray(label, dtype=np.uint32)
     measured, bridged, unreliable = np.bincount(labels, minlength=3)[:3] / max(labels.size, 1)
+    (dcol_px, dline_px), (sd_col_px, sd_line_px) = np.asarray(offset_px), np.asarray(sd_px)
+    number, left, right = pair
     message = StripOffsets(
-        pair=pair,
+        pair=number,
         left=as_text(left),
         right=as_text(right),
         line=np.asarray(line, dtype=np.uint32),
@@ -59,7 +54,7 @@ def strip_offsets(
         share_bridged=bridged,
         share_unreliable=unreliable,
     )
-    yield f"/strip_offsets/{pair}", message
+    yield f"/strip_offsets/{number}", message
 
 
 def _take_offsets(recording: Recording, message: Any, at: At) -> None:
@@ -88,23 +83,19 @@ StripResiduals = own(
 
 
 def strip_residuals(
-    pair: int,
-    left: str,
-    right: str,
-    line: ArrayLike,
-    dcol_px: ArrayLike,
-    dline_px: ArrayLike,
-    sd_px: ArrayLike,
+    pair: tuple[int, str, str], line: ArrayLike, residual_px: ArrayLike, sd_px: ArrayLike
 ) -> Topics:
-    """What is left between a pair's strips at the middles of blocks of lines; NaN where unknown."""
+    """What is left between a pair's strips (2, n), across and along, at the middles of blocks of lines; NaN
+    where unknown."""
+    (dcol_px, dline_px), (number, left, right) = np.asarray(residual_px), pair
     message = StripResiduals(
-        pair=pair,
+        pair=number,
         left=as_text(left),
         right=as_text(right),
         line=np.floor(line).astype(np.uint32),
         **single(dcol_px=dcol_px, dline_px=dline_px, sd_px=sd_px),
     )
-    yield f"/strip_residuals/{pair}", message
+    yield f"/strip_residuals/{number}", message
 
 
 def _take_residuals(recording: Recording, message: Any, at: At) -> None:
