@@ -136,13 +136,14 @@ def _repair(recorded: Recording, out: Path) -> None:
 def _picture(answers: Inspection, frame: str, pair: tuple[str, str] | None) -> bytes:
     from geomosaic.recording.inspect import pictures
 
-    recorded, solved = answers.recording, answers.readable()
+    recorded = answers.recording
+    if not (pair or frame):
+        return pictures.plan_png(recorded)
+    solved = answers.readable()
     if pair is not None:
         found = answers.pair(*pair)
         return pictures.pair_png(recorded, solved, found["left"], found["right"])
-    if frame:
-        return pictures.frame_png(recorded, solved, answers.frame(frame)["frame"])
-    return pictures.plan_png(solved, answers.worst(_ALL)["faults"], answers.pairs)
+    return pictures.frame_png(recorded, solved, answers.frame(frame)["frame"])
 
 
 def diff(

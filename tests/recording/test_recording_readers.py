@@ -22,10 +22,10 @@ from geomosaic.quality.ranking import RESIDUAL, badness
 from geomosaic.recording import Recorder, Recording, read_recording
 from geomosaic.recording.file.chips import Chip
 from geomosaic.recording.file.thumbnail import decoded, thumbnail
+from geomosaic.recording.inspect.plan import by_badness, frame_colours, frame_labels, names_apart
 from geomosaic.recording.rerun import viewer
 from geomosaic.recording.rerun.block_view import camera_lines
 from geomosaic.recording.rerun.list_view import frame_text, worst_frames
-from geomosaic.recording.rerun.plan_view import by_badness, frame_colours, frame_labels, names_apart
 
 _SCRIPT = Path(__file__).parents[1] / "node" / "read_mcap.mjs"
 

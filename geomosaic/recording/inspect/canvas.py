@@ -78,13 +78,11 @@ class Canvas:
         if length >= 4.0:
             cv2.arrowedLine(self.image, a, b, colour, 2, cv2.LINE_AA, tipLength=min(0.3, _TIP_PX / length))
 
-    def dot(self, at_m: Floats, colour: Colour, large: bool = False) -> None:
-        """A dot, with a ring around it where it is large."""
+    def dot(self, at_m: Floats, colour: Colour, small: bool = False) -> None:
+        """A dot."""
         at = self._at(at_m)
         if at is not None:
-            cv2.circle(self.image, at, 4, colour, -1, cv2.LINE_AA)
-            if large:
-                cv2.circle(self.image, at, 11, colour, 2, cv2.LINE_AA)
+            cv2.circle(self.image, at, 1 if small else 4, colour, -1, cv2.LINE_AA)
 
     def label(self, at_m: Floats, words: str, colour: Colour) -> None:
         """Words beside a point, on white: to its right, or to its left where there is no room."""
@@ -107,12 +105,6 @@ class Canvas:
         cv2.line(band, (10, y), (10 + round(bar_m * self._px_per_m), y), INK, 3)
         write(band, f"{bar_m:g} m", (20 + round(bar_m * self._px_per_m), y + 4), INK)
         return np.concatenate([self.image, band])
-
-
-def heat(share: float) -> Colour:
-    """Green for 0, yellow for a half, red for 1 and more."""
-    s = float(np.clip(np.nan_to_num(share), 0.0, 1.0))
-    return (40, round(170 * min(1.0, 2.0 - 2.0 * s)) + 30 * (s < 1.0), round(220 * min(1.0, 2.0 * s)))
 
 
 def png_of(image: Image) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Final
@@ -12,69 +13,57 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from geomosaic.arrays import Floats
-from geomosaic.projection.footprint import footprint
-from geomosaic.quality.bare_ground import bare_outlines
-from geomosaic.quality.ranking import RESIDUAL, badness
+from geomosaic.errors import InputError
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.file.mcapfile import BROKEN
 from geomosaic.recording.file.model import Recording
 from geomosaic.recording.file.pair_kinds import ChipTies
 from geomosaic.recording.file.reader import messages
 from geomosaic.recording.file.thumbnail import decoded
-from geomosaic.recording.inspect.canvas import GOOD, INK, PAPER, RED, Canvas, heat, png_of, write
+from geomosaic.recording.inspect.canvas import GOOD, INK, PAPER, RED, Canvas, png_of, write
 from geomosaic.recording.inspect.compare_frames import places_m
+from geomosaic.recording.inspect.plan import LEGEND, plan_layers
 from geomosaic.recording.inspect.solved import Solved
 
 Image = NDArray[np.uint8]
 _SIDE_PX: Final = 900
 _PLAN_PX: Final = 1500
 _LINES: Final = 300
-_OUTLINES: Final = 400
-_LABELS: Final = 300
-_ORANGE: Final = (30, 140, 240)
+_LETTERS: Final = 150
+_MORE: Final = "footprints: grey before the adjustment, blue after; orange: ground without tie points"
 _ARROW: Final = 0.08
 """Of the survey's extent: how long the longest arrow of a difference is drawn at least."""
 
 
-def plan_png(solved: Solved, faults: list[dict[str, Any]], pairs: list[dict[str, Any]]) -> bytes:
-    """East to the right, north up: footprints as given (grey) and found (blue), arrows from given to found
-    positions, tied pairs by what is left between them, untied ones in grey, accused frames in red."""
-    given_m, found_m = _positions(solved)
-    at_m = found_m if found_m is not None else given_m
-    outlines = [_outlines(solved, found) for found in (False, True)]
-    every = [o for sides in outlines for o in sides] + [given_m, at_m]
-    canvas = Canvas(np.concatenate([o for o in every if len(o)] or [np.zeros((1, 2))]), _PLAN_PX)
-    for sides, colour in zip(outlines, ((225, 225, 225), (225, 195, 160)), strict=True):
-        for ring in sides:
-            canvas.ring(ring, colour)
-    if solved.adjusted is not None and solved.ties is not None:
-        for ring in bare_outlines(solved.adjusted, solved.ties):
-            canvas.ring(ring, _ORANGE)
-    number = {name: i for i, name in enumerate(solved.names)}
-    for p in sorted(pairs, key=lambda p: (p["tied"], p.get("rms_px") or 0.0)):
-        ends = at_m[[number[p["left"]], number[p["right"]]]]
-        left_px = np.array([np.nan if p.get("rms_px") is None else p["rms_px"]])
-        share = float(badness(left_px, RESIDUAL.good, RESIDUAL.bad)[0])
-        canvas.line(ends, heat(share) if p["tied"] else (190, 190, 190), dashed=not p["tied"])
-    wrong: dict[str, list[str]] = {}
-    for fault in faults:
-        for name in fault["frames"] if fault["code"] != "ground-without-ties" else ():
-            wrong.setdefault(name, []).append(fault["code"])
-    if found_m is not None:
-        for a, b in zip(given_m, found_m, strict=True):
-            canvas.arrow(a, b, (160, 60, 0))
-    for i, name in enumerate(solved.names):
-        accused = wrong.get(name)
-        canvas.dot(at_m[i], RED if accused else INK, large=bool(accused))
-        if accused or len(solved.names) <= _LABELS:
-            label = name.rpartition(".")[0] or name
-            canvas.label(at_m[i], ", ".join([label[-14:], *(accused or ())]), RED if accused else INK)
-    foot = [
-        "grey outlines: as given; blue: as found; arrows: from given to found position",
-        f"lines: tied pairs, yellow {RESIDUAL.good:g} red {RESIDUAL.bad:g} px left; dashed: tried, not tied",
-        "red: frames of which something is wrong; orange: ground that three frames see without tie points",
-    ]
-    return png_of(canvas.finished(foot))
+def plan_png(recording: Recording) -> bytes:
+    """East to the right, north up: the layers of `plan.plan_layers` on white.
+
+    Raises: `InputError` where no place of a frame is recorded.
+    """
+    layers = plan_layers(recording)
+    every = [part for layer in layers for part in layer.parts_m]
+    if not any(np.isfinite(part).all(axis=1).any() for part in every):
+        fix = "give the recording of a run that placed its frames"
+        raise InputError("no frame's place is recorded", file=recording.path, fix=fix)
+    canvas = Canvas(np.concatenate(every), _PLAN_PX)
+    for layer in layers:
+        colours = np.broadcast_to(np.array(layer.colours), (len(layer.parts_m), 3))
+        if layer.name.startswith("footprints"):
+            colours = colours // 2 + 128  # they are many, and faint on white is light
+        for k, part in enumerate(layer.parts_m):
+            red, green, blue = (int(c) for c in colours[k])
+            colour = (blue, green, red)
+            if layer.kind == "rings":
+                canvas.ring(part, colour)
+            elif layer.kind == "lines":
+                canvas.line(part, colour, dashed=layer.name == "pairs_untied")
+            elif layer.kind == "arrows":
+                canvas.arrow(*part, colour)
+            elif layer.named:
+                canvas.label(part[0], layer.labels[k], INK if " " not in layer.labels[k] else colour)
+            else:
+                canvas.dot(part[0], colour, small=layer.name == "tie_points")
+    return png_of(canvas.finished([*textwrap.wrap(LEGEND, _LETTERS), _MORE]))
 
 
 def difference_png(a: Solved, b: Solved, frames: list[dict[str, Any]]) -> bytes:
@@ -166,22 +155,6 @@ def _stacked(images: Sequence[Image]) -> Image:
     width = max(i.shape[1] for i in images)
     wide = [np.pad(i, ((0, 0), (0, width - i.shape[1]), (0, 0)), constant_values=255) for i in images]
     return np.concatenate(wide)
-
-
-def _positions(solved: Solved) -> tuple[Floats, Floats | None]:
-    prior = solved.prior or solved.placement
-    given = np.zeros((len(solved.names), 2)) if prior is None else prior.poses.positions_m[:, :2]
-    return given, None if solved.adjusted is None else solved.adjusted.poses.positions_m[:, :2]
-
-
-def _outlines(solved: Solved, found: bool) -> list[Floats]:
-    """Outlines (k, 2) of the frames that see the ground all around."""
-    adjusted, prior = solved.adjusted, solved.prior
-    if adjusted is None or prior is None or len(solved.names) > _OUTLINES:
-        return []
-    poses = adjusted.poses if found else prior.poses
-    rings = [footprint(poses[i], adjusted.cameras[i], adjusted.ground, 1) for i in range(len(solved.names))]
-    return [r[:, :2] for r in rings if np.isfinite(r).all()]
 
 
 def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Image, Floats]:

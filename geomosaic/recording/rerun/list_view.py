@@ -11,7 +11,7 @@ import numpy as np
 from geomosaic.quality import ranking
 from geomosaic.recording.file.model import FigureTable, Recording
 from geomosaic.recording.file.reader import printable
-from geomosaic.recording.rerun.plan_view import headings_off_deg, moves_m, wrong_headings
+from geomosaic.recording.inspect.plan import headings_off_deg, moves_m, wrong_headings
 
 LISTS: Final = "/lists"
 PICK: Final = "pick"
