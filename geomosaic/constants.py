@@ -42,7 +42,6 @@ def sourced(value: T, unit: str, reason: str, source: str) -> T:
 
 
 NORMAL_PER_MAD = sourced(1.4826, "1", "normal deviations in a median absolute deviation", "1 / Phi^-1(3/4)")
-OUTLIER = sourced(3.0, "deviations", "beyond which a residual is an outlier", "three-sigma rule: 0.3 %")
 DAY_S = sourced(86400.0, "s", "length of a day", "SI brochure, table 8")
 MEDIAN_ONE = sourced(0.6745, "deviations", "median size of a normal error of one number", "Phi^-1(3/4)")
 ROUNDS = tuned(12, "rounds", "of an iteration each of which halves what is left at least; fewer show it")

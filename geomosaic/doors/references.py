@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
+from geomosaic.doors.files import SHORT_BYTES
 from geomosaic.errors import FileError
 
 _MOST_XML_BYTES: Final = 16 << 20  # a VRT of 10,000 tiles has some 5 MB
@@ -21,7 +22,6 @@ _MOST_DEPTH: Final = 4
 _HEAD_BYTES: Final = 4096  # GDAL looks for <VRTDataset in the first 1 to 4 kB, wherever it stands
 _VRT_FIX: Final = "make one file of it with gdal_translate"
 _TEXTS: Final = frozenset({".prj", ".wld", ".clr", ".hdr", ".stx", ".txt", ".qpj"})
-_MOST_TEXT_BYTES: Final = 1 << 20  # GDAL reads them whole; a projection of many words has 5 kB
 _SIDECAR_FIX: Final = "remove it"
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _MOSAIC_TAGS = """
@@ -63,8 +63,8 @@ def check_sidecars(path: Path) -> None:
             _check_plain(file, _TIFF)
         elif lower.endswith((".aux", ".rrd")):
             _check_plain(file, (b"EHFA",))
-        elif file.suffix.lower() in _TEXTS and file.stat().st_size > _MOST_TEXT_BYTES:
-            raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=file, fix=_SIDECAR_FIX)
+        elif file.suffix.lower() in _TEXTS and file.stat().st_size > SHORT_BYTES:
+            raise FileError(f"is over {SHORT_BYTES >> 20} MB", file=file, fix=_SIDECAR_FIX)
 
 
 def sources_of(path: Path) -> list[Path]:

@@ -24,7 +24,6 @@ from geomosaic.survey.strip_heights import DemHeights, read_dem_heights
 RESAMPLING: Final = {"nearest": "near", "bilinear": "bilinear", "cubic": "cubic", "lanczos": "lanczos"}
 _OFF_PX = tuned(0.02, "px", "of GDAL's approximation, a tenth of what greys show: less takes time")
 _SAMPLES = tuned(33, "places a side", "of a scene, to measure its DEM's coverage: good to 0.1 %")
-_MEMORY_MB = tuned(256, "MB", "of pixels that GDAL warps at once: less reads blocks twice")
 
 
 def scene_rpc_of(scene: Path) -> Rpc | None:
@@ -92,7 +91,6 @@ def write_scene_map(
                 str(warped), source, format="VRT", dstSRS=target, xRes=options.gsd_m, yRes=options.gsd_m,
                 targetAlignedPixels=True, dstAlpha=True, rpc=True, transformerOptions=ground,
                 errorThreshold=_OFF_PX, resampleAlg=RESAMPLING[options.resampling],
-                warpMemoryLimit=_MEMORY_MB,
             )
         )  # fmt: skip
         creation = ["TILED=YES", "BLOCKXSIZE=512", "BLOCKYSIZE=512", "COMPRESS=DEFLATE", "ZLEVEL=1",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.export.shown_bands import ShownBands
+from geomosaic.radiometry.panel import BLACK_WHITE
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import REDUCTIONS
@@ -20,7 +21,6 @@ from geomosaic.survey.small import REDUCTIONS
 TILE_PX: Final = 512
 _QUALITY = tuned(92, "JPEG quality", "less: blocks at edges of targets; more: slow over no network")
 _MOST_BYTES = tuned(4e8, "bytes", "of decoded frames; less: neighbours are decoded again; more: RAM")
-_PERCENTILES = tuned((1.0, 99.0), "%", "of 16 bits, black and white; 0: one pixel decides")
 
 
 class FrameTiles:
@@ -67,7 +67,7 @@ class FrameTiles:
             return np.ascontiguousarray(values)
         if frame not in self._bands:
             small, _ = read_pixels(self._frames[frame], max(REDUCTIONS))
-            limits = [np.nanpercentile(small[..., k], _PERCENTILES) for k in range(values.shape[2])]
+            limits = [np.nanpercentile(small[..., k], BLACK_WHITE) for k in range(values.shape[2])]
             bounds = tuple((float(low), max(float(high), float(low) + 1e-9)) for low, high in limits)
             self._bands[frame] = ShownBands([*range(values.shape[2])], bounds)
         shown = self._bands[frame].eight_bits(np.moveaxis(values, 2, 0))

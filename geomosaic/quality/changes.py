@@ -17,10 +17,11 @@ from rasterio.windows import Window
 from scipy import ndimage
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import NORMAL_PER_MAD, OUTLIER, ROUNDS, tuned
+from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, tuned
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.errors import InputError
 from geomosaic.estimation.linear import least_squares
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.displacement import SMOOTHING_SIGMA_PX
 from geomosaic.quality.compare import Comparison, registered
 from geomosaic.quality.compared_block import GLANCE_PX
@@ -49,7 +50,7 @@ class Registration:
     @property
     def reach_px(self) -> int:
         """By how much edges of both may lie apart: resampling alone moves them by half a pixel."""
-        return 1 + int(np.ceil(OUTLIER * self.sd_px))
+        return 1 + int(np.ceil(THREE_SIGMA * self.sd_px))
 
     @property
     def shift_m(self) -> float:
@@ -91,7 +92,7 @@ def registration(comparison: Comparison) -> Registration:
             break
         left = np.linalg.norm(off_m - _moves(similarity, at_m), axis=1)
         sd_m = float(np.median(left[kept])) / np.sqrt(2.0 * np.log(2.0))
-        kept = left <= OUTLIER * max(sd_m, 1e-3 * comparison.gsd_m)
+        kept = left <= THREE_SIGMA * max(sd_m, 1e-3 * comparison.gsd_m)
     if not np.isfinite(similarity.scale):
         problem = f"only {len(at_m)} places look alike in both maps"
         raise InputError(problem, fix="compare runs of the same place, of a like season and resolution")
@@ -158,7 +159,7 @@ def _pair(b: Raster, on_b: WarpedVRT, window: Window) -> _InOneTone:
         tone = cv2.blur(off * weight, (_TONE_PX, _TONE_PX)) / np.maximum(share, 1e-3)
         left = np.abs(off - tone)
         spread = NORMAL_PER_MAD * float(np.median(left[both])) if both.any() else 0.0
-        alike = both & (left <= OUTLIER * max(spread, 1.0))
+        alike = both & (left <= THREE_SIGMA * max(spread, 1.0))
     return _InOneTone(np.asarray(after - tone), before, both)
 
 
@@ -283,7 +284,7 @@ def _plane(rise: Floats) -> Floats:
     for _ in range(ROUNDS):
         left = np.abs(values - design @ found)
         spread = NORMAL_PER_MAD * float(np.median(left[known])) if known.any() else 0.0
-        kept = known & (left <= OUTLIER * max(spread, 1e-6))
+        kept = known & (left <= THREE_SIGMA * max(spread, 1e-6))
         if kept.sum() < len(found):
             break
         found = least_squares(design[kept], values[kept])

@@ -13,16 +13,15 @@ from scipy.special import erfc
 from geomosaic.camera.exterior import Poses
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.trim import OFF_PX, looked_at, whole_of
-from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import WALLED, GroundSurface
+from geomosaic.quality.height_fit import MOST_POINTS
 from geomosaic.surface.dtm import TERRAIN
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 MATCHED: Final = (WALLED, TERRAIN)
 """Kinds of ground that were matched between the frames."""
-_MOST_PLACES = tuned(100_000, "places", "tested evenly: more take time and memory; fewer miss a rim")
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def places_of(land: Land) -> tuple[Floats, Floats, Bools]:
     which their frames look at them: a place moves by its height's error times that; and which cells of an
     even choice they are (rows, cols)."""
     its = land.ownership
-    step = int(np.ceil(np.sqrt(its.owner.size / _MOST_PLACES)))
+    step = int(np.ceil(np.sqrt(its.owner.size / MOST_POINTS)))
     at_m, tangent = looked_at(its, land.poses, land.work_frame, land.ground, step)
     given = np.isfinite(tangent)
     if its.area is not None:

@@ -13,15 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.constants import NORMAL_PER_MAD, OUTLIER, ROUNDS, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, tuned
+from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.survey.accuracy import POSITION
 
 Floats = NDArray[np.float64]
 HeightsAt = Callable[[Floats, Floats], Floats]
 """Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
-_MOST_POINTS = tuned(200_000, "points", "of a fit: more take time and change millimetres")
+MOST_POINTS = tuned(200_000, "points", "of a fit or a test, evenly: more take time and change millimetres")
 _CONVERGED = tuned(0.01, "pixels", "plan step that ends it: larger shows in the report")
 _STEEPEST = tuned(1.0, "m per m", "slope limit: beyond, heights beside walls and crowns are chance")
-_SHIFT_SD_M = sourced(5.0, "m", "prior of the plan shift, for level land", "usual error of a GPS position")
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class HeightFit:
 
 def fitted(surface: HeightsAt, x_m: Floats, y_m: Floats, height_m: Floats, pixel_m: float) -> HeightFit:
     """The fit of points (n,) to a surface of pixels."""
-    step = -(-len(x_m) // _MOST_POINTS)
+    step = -(-len(x_m) // MOST_POINTS)
     x, y, z = (values[::step] for values in (x_m, y_m, height_m))
     middle = float(x.mean()), float(y.mean())
     found = np.zeros(5)
@@ -66,9 +67,9 @@ def fitted(surface: HeightsAt, x_m: Floats, y_m: Floats, height_m: Floats, pixel
             return HeightFit(nan, nan, nan, nan, nan, middle)
         spread = np.abs(off[known] - np.median(off[known]))
         sd = max(NORMAL_PER_MAD * float(np.median(spread)), 1e-3 * pixel_m)
-        known[known] = spread <= OUTLIER * sd
+        known[known] = spread <= THREE_SIGMA * sd
         terms = np.column_stack([across[known], -slopes[known]])
-        prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * (sd / _SHIFT_SD_M)
+        prior = np.diag([0.0, 0.0, 0.0, 1.0, 1.0]) * (sd / POSITION["exif"].sd_horizontal_m)
         step_by = np.linalg.lstsq(
             np.vstack([terms, prior]), np.concatenate([off[known], -prior @ found]), rcond=None
         )[0]

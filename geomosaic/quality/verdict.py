@@ -12,7 +12,8 @@ from scipy.stats import binom
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
-from geomosaic.constants import OUTLIER, sourced, tuned
+from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement, metres
 from geomosaic.quality.check_points import check_points
 from geomosaic.quality.control import control_blunders
@@ -222,7 +223,7 @@ def _control(points: Sequence[ControlResidual]) -> dict[str, float]:
     known = np.concatenate([np.abs(p.residual_m / p.sd_m) for p in good]) if good else np.zeros(0)
     known = known[np.isfinite(known)]
     if known.size:
-        found["control points"] = float(known.max() / -ndtri(ndtr(-OUTLIER) / known.size))
+        found["control points"] = float(known.max() / -ndtri(ndtr(-THREE_SIGMA) / known.size))
     if figures is not None and figures.count >= LEAST_POINTS:
         sd_m = np.median([p.sd_m for p in points if p.check], axis=0)
         found["check points"] = float(np.abs(figures.mean_shift_m / sd_m)[:2].max())

@@ -24,7 +24,7 @@ _GEOMETRY = sourced(
     "MicaSense, Image Processing: calibrated reflectance panels",
 )
 _PER_MILLE = sourced(1000.0, "per mille", "of an albedo in the code", "MicaSense panel serials from RP04 on")
-_GREYS = tuned((1.0, 99.0), "%", "of values that become black and white; the code is lost in fewer greys")
+BLACK_WHITE = tuned((1.0, 99.0), "%", "of values that become black and white; fewer greys lose a code")
 _EVEN = tuned(0.1, "ratio", "deviation to mean on a panel: more is grass or a shadow; less is noise")
 _MIDDLE = tuned(0.1, "sides", "of the square in the middle of a frame in which a panel without a code lies")
 
@@ -74,7 +74,7 @@ class Panel:
 
 def find_panel(values: NDArray[Any]) -> Panel | None:
     """The panel whose QR code is read in a frame's values (rows, cols), if any."""
-    black, white = np.percentile(values, _GREYS)
+    black, white = np.percentile(values, BLACK_WHITE)
     grey = np.clip((values - black) * (255.0 / max(white - black, 1.0)), 0.0, 255.0).astype(np.uint8)
     text, corners, _ = cv2.QRCodeDetector().detectAndDecode(grey)
     known = _SERIAL.search(text) is not None

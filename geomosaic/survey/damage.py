@@ -25,9 +25,9 @@ from geomosaic.errors import FileError
 from geomosaic.survey.header import JPEG_SUFFIXES
 from geomosaic.survey.jpeg import JpegStructure, parse_structure
 from geomosaic.survey.png import png_damage
+from geomosaic.survey.small import QUARTER
 
 Pixels = NDArray[np.uint8]
-_COARSE = tuned(4, "half-size px", "that detail is compared with: smaller are blurred too; larger show land")
 _LEAST_LOOKED_AT_PX = tuned(32, "half-size px", "of a checked image: smaller ones show no detail")
 _EOI: Final = b"\xff\xd9"
 _JFIF: Final = b"JFIF\0"
@@ -104,7 +104,7 @@ def _look(pixels: Pixels) -> FrameAppearance | None:
     if min(pixels.shape[:2]) < _LEAST_LOOKED_AT_PX:
         return None
     grey: Any = pixels[..., 0] if pixels.shape[2] == 1 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    coarse = coarsened(grey, _COARSE)
+    coarse = coarsened(grey, QUARTER)
     enough = coarse if min(coarse.shape) >= _LEAST_LOOKED_AT_PX else grey
     small = np.asarray(cv2.resize(enough, (32, 24), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     fine, rough = (float(cv2.meanStdDev(cv2.Laplacian(g, cv2.CV_16S))[1][0, 0]) for g in (grey, coarse))

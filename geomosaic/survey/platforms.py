@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.arrays import Floats, Ints
-from geomosaic.constants import tuned
+from geomosaic.constants import SLIGHT, tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.model import Frame
 
@@ -17,7 +17,6 @@ _FASTER = tuned(3.0, "ratio", "to the usual speed: less parts gusty flights; mor
 _AHEAD = tuned(4, "frames", "among which a frame's own next is: fewer drones fly at once")
 LEAST_FRAMES = tuned(3, "frames", "of a path: fewer are positions far off, not an aircraft")
 _CLOCK_S = tuned(0.1, "s", "resolution of fine clocks: less makes bursts fast; more hides near drones")
-_FINE = tuned(0.01, "s", "off a whole second: less takes rounding as fine; more, fine clocks as coarse")
 
 
 def with_platforms(frames: Sequence[Frame]) -> tuple[Frame, ...]:
@@ -47,7 +46,7 @@ def paths_of(plan_m: Floats, times_s: Floats, sd_m: float) -> Ints:
 
     Args: plan_m (n, 2): east and north; times_s (n,), rising; sd_m: of a position.
     """
-    clock_s = _CLOCK_S if (np.abs(times_s - np.round(times_s)) > _FINE).mean() > 0.5 else 1.0
+    clock_s = _CLOCK_S if (np.abs(times_s - np.round(times_s)) > SLIGHT).mean() > 0.5 else 1.0
 
     def speed(i: int, j: int) -> float:
         """The least from frame i to j that deviations and the clock allow."""

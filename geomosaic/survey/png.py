@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from geomosaic.survey.xmp import XMP_BYTES
+from geomosaic.doors.files import SHORT_BYTES
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _XMP = b"XML:com.adobe.xmp\0"
@@ -52,6 +52,6 @@ def _text(content: bytes) -> bytes:
     if not packed:
         return text
     try:
-        return zlib.decompressobj().decompress(text, XMP_BYTES)
+        return zlib.decompressobj().decompress(text, SHORT_BYTES)
     except zlib.error:
         return b""

@@ -9,8 +9,7 @@ import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.camera.rpc import Rpc, parse_rpc
-from geomosaic.constants import tuned
-from geomosaic.doors.files import check_regular, decoded, read_bytes
+from geomosaic.doors.files import SHORT_BYTES, check_regular, decoded, read_bytes
 from geomosaic.doors.raster import Purpose, open_raster
 from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -18,7 +17,6 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_model import read_model
 
-_MAX_BYTES = tuned(1 << 20, "bytes", "of an RPC as text: larger is opened as a raster that holds one")
 _FIX: Final = "give the RPC of the stitched scene, or leave 'rpc' out"
 _RPC: Final = Purpose(("GTiff",), "is no RPC and no raster that holds one", _FIX)
 _DEM_FIX: Final = "give a DEM of the whole scene, or leave 'dem' out"
@@ -33,8 +31,8 @@ def read_rpc(path: Path) -> Rpc:
     """
     check_regular(path, _FIX)
     try:
-        if path.stat().st_size <= _MAX_BYTES:
-            content = read_bytes(path, _MAX_BYTES, "an RPC", _FIX)
+        if path.stat().st_size <= SHORT_BYTES:
+            content = read_bytes(path, SHORT_BYTES, "an RPC", _FIX)
             if b"LINE_OFF" in content and b"\0" not in content:
                 return parse_rpc(decoded(content, path, _FIX))
         with open_raster(path, _RPC) as raster:

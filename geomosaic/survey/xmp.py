@@ -11,14 +11,13 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from geomosaic.constants import tuned
-from geomosaic.doors.files import printable
+from geomosaic.doors.files import SHORT_BYTES, printable
 
 Xmp = dict[str, str]
 """Texts by `room:Name`, whatever prefix the file uses: rooms are `drone-dji`, `drone-parrot`,
 `sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
 last word."""
 
-XMP_BYTES = tuned(1 << 20, "bytes", "of an image's XMP: cameras write some thousand; more takes time")
 _MOST_MARKS = tuned(20_000, "tags", "cameras write 400, editors 5000; more fills the XML reader's memory")
 _MOST_PREFIXES = tuned(100, "prefixes", "of a packet: far more than programs write; each is searched for")
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
@@ -35,7 +34,7 @@ def parse_xmp(data: bytes) -> Xmp | None:
     commas, of other lists the first item. Prefixes
     that the packet uses but never declares (seen in drones' firmware) are declared for it.
     """
-    packet = _packet(data[:XMP_BYTES])
+    packet = _packet(data[:SHORT_BYTES])
     if packet is None:
         return {}
     if packet.count(b"<") > _MOST_MARKS or _LONG_NAMESPACE.search(packet):

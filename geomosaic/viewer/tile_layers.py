@@ -15,12 +15,12 @@ from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.index import index_ends
 from geomosaic.export.project_rasters import index_colours
 from geomosaic.export.shown_bands import ShownBands, shown_bands
+from geomosaic.quality.compared_block import GLANCE_PX
 from geomosaic.report.accuracy_image import COLOURS, ENDS, coloured_deviations
 from geomosaic.report.surface import in_colours, shaded
 from geomosaic.viewer.grid_raster import GridRaster, ViewGrid
 
 _QUALITY = tuned(90, "WebP quality", "less: blocks at edges; more: larger tiles over no network")
-_MOST_PX = tuned(1000, "px", "of a side, for the ends of colours: less misses rare heights; more is slow")
 _HEIGHT_ENDS: Final = (0.01, 0.99)
 """Quantiles of the heights that are drawn in the first and the last colour."""
 
@@ -51,7 +51,7 @@ class Colours:
     def of(cls, path: Path, band: int, ends: tuple[float, float]) -> Colours | None:
         """By quantiles of a raster's band; None where nothing is known."""
         with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.fix):
-            reduction = max(1, max(raster.shape) // _MOST_PX)
+            reduction = max(1, max(raster.shape) // GLANCE_PX)
             shape = -(-raster.height // reduction), -(-raster.width // reduction)
             values = raster.read(band, out_shape=shape, masked=True).astype(np.float64).filled(np.nan)
         known = values[np.isfinite(values)]

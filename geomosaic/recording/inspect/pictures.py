@@ -58,7 +58,7 @@ def plan_png(recording: Recording) -> bytes:
             elif layer.kind == "lines":
                 canvas.line(part, colour, dashed=layer.name == "pairs_untied")
             elif layer.kind == "arrows":
-                canvas.arrow(*part, colour)
+                canvas.arrow(part[0], part[1], colour)
             elif layer.named:
                 canvas.label(part[0], layer.labels[k], INK if " " not in layer.labels[k] else colour)
             else:

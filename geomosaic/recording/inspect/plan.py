@@ -48,7 +48,7 @@ class PlanLayer:
 
     name: str
     kind: str
-    parts_m: Sequence[Floats]
+    parts_m: Sequence[Floats] | Floats
     colours: Colours | Colour
     wide: float | Floats
     order: float

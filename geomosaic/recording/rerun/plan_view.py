@@ -25,7 +25,7 @@ def _drawn(layer: PlanLayer) -> Any:
 
     parts = [np.asarray(part[:, :2] * [1.0, -1.0]) for part in layer.parts_m]
     radii, order = rerun.Radius.ui_points(layer.wide), layer.order
-    colours = [layer.colours] if isinstance(layer.colours, tuple) else layer.colours
+    colours = np.atleast_2d(np.asarray(layer.colours, np.uint8))
     if layer.kind == "points":
         at, labels = np.array(parts).reshape(-1, 2), list(layer.labels) or None
         colours = colours // 2 + 128 if layer.named else colours
