@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
-from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.estimation.robust import BLUNDER, THREE_SIGMA
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, heading_limit_rad
 from geomosaic.quality.criteria import CRITERIA
 
@@ -26,7 +26,7 @@ class _Limits(NamedTuple):
 
 RESIDUAL: Final = CRITERIA["seams"]
 """Ground pixels between two frames: what is left between them is what their seam jumps by."""
-MOVE: Final = _Limits(THREE_SIGMA, 2.0 * THREE_SIGMA)
+MOVE: Final = _Limits(THREE_SIGMA, BLUNDER)
 
 WORST_PAIRS = tuned(20, "pairs", "checked in the pixels: more than a person looks through")
 
