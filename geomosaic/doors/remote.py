@@ -19,12 +19,11 @@ from urllib.parse import urljoin, urlsplit
 from geomosaic.constants import tuned
 from geomosaic.doors.addresses import Address, file_name
 from geomosaic.doors.bindings import gdal
-from geomosaic.doors.files import printable
+from geomosaic.doors.files import PIECE_BYTES, printable
 from geomosaic.doors.gdal_failures import gdal_options
 from geomosaic.errors import CancelledError, GeomosaicError, InputError
 
 MOST_FILES = tuned(100_000, "files", "of a survey, which has thousands: more is a whole store by mistake")
-_PIECE_BYTES = tuned(8 << 20, "bytes", "per request: less takes more requests; more delays a stop")
 _TRIES = tuned(4, "connections", "for a file: fewer give up at an interruption; more hide a broken server")
 _HTTP: Final = {
     "GDAL_HTTP_CONNECTTIMEOUT": "10",
@@ -130,7 +129,7 @@ def copy(remote: Remote, to: BinaryIO, stopped: Callable[[], bool]) -> None:
                 to.write(piece)
                 done += len(piece)
         tries += 1
-    if tries > 1 or remote.size_bytes > _PIECE_BYTES:
+    if tries > 1 or remote.size_bytes > PIECE_BYTES:
         now = look(address)
         if not remote.is_same(now.size_bytes, now.changed_s, now.tag):
             fix = "fetch again once it is whole"
@@ -162,7 +161,7 @@ def _write(file: BinaryIO, name: str) -> None:
         raise RuntimeError(gdal.VSIGetLastErrorMsg())
     whole = True
     try:
-        while piece := file.read(_PIECE_BYTES):
+        while piece := file.read(PIECE_BYTES):
             whole &= gdal.VSIFWriteL(piece, 1, len(piece), handle) == len(piece)
     finally:
         whole &= gdal.VSIFCloseL(handle) == 0
@@ -179,7 +178,7 @@ def _pieces(remote: Remote, start: int) -> Generator[bytes, None, None]:
             raise _not_given(address)
         try:
             gdal.VSIFSeekL(handle, start, os.SEEK_SET)
-            while piece := gdal.VSIFReadL(1, min(_PIECE_BYTES, remote.size_bytes - at), handle):
+            while piece := gdal.VSIFReadL(1, min(PIECE_BYTES, remote.size_bytes - at), handle):
                 yield bytes(piece)
                 at += len(piece)
                 if at == remote.size_bytes:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.composition.tiles import TILE_PX
+from geomosaic.constants import tuned
 from geomosaic.doors.points import is_point_cloud, open_points
 from geomosaic.doors.raster import Raster
 from geomosaic.errors import FileError, InputError
@@ -25,7 +26,6 @@ from geomosaic.survey.model import ElevationModel
 
 Floats = NDArray[np.float64]
 _MOST_POINTS = tuned(5_000_000, "points", "of a point cloud, 200 MB: more take memory and are no better")
-_BLOCK_PX = sourced(512, "px", "read at once: larger are read coarser than the raster", "survey.dem: 2000")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def _datum(
 def _of_raster(path: Path, crs: CRS, surface: Raster, there: CRS) -> tuple[Floats, Floats, Floats]:
     model, t = ElevationModel(str(path), 0.0, ""), surface.transform
     found: list[tuple[Floats, Floats, Floats]] = [(np.zeros(0), np.zeros(0), np.zeros(0))]
-    for window in blocks(surface.height, surface.width, _BLOCK_PX):
+    for window in blocks(surface.height, surface.width, TILE_PX):
         rows, cols = np.nonzero(surface.read_masks(1, window=window))
         if not len(rows):
             continue

@@ -9,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import sourced
+from geomosaic.estimation.robust import LEAST_OBSERVATIONS
 from geomosaic.geodesy.sun import sun_direction
 from geomosaic.radiometry.calibration import Calibration, Vignetting
 from geomosaic.radiometry.quantity import CELSIUS, CENTIKELVIN, Quantity
@@ -26,7 +27,6 @@ _SUNSHINE = sourced(
     "a record of the tag IrradianceList",
     "Parrot developer forum, Details of the IrradianceList tag",
 )
-_SUNSHINE_READINGS = tuned(5, "readings", "the last second before a frame: fewer are noisy; more are old")
 _FULL: Final = np.iinfo(np.uint16).max
 """The largest digital number, and the count of a saturated sunshine sensor."""
 
@@ -159,7 +159,7 @@ def _sunshine(xmp: Xmp) -> float | None:
     }
     found = [
         float(reading["count"][0]) / float(reading["ms"]) / gains[int(reading["gain"])]
-        for reading in np.frombuffer(data, dtype=_SUNSHINE)[-_SUNSHINE_READINGS:]
+        for reading in np.frombuffer(data, dtype=_SUNSHINE)[-LEAST_OBSERVATIONS:]
         if reading["ms"] and int(reading["gain"]) in gains and 0 < reading["count"][0] < _FULL
     ]
     return float(np.median(found)) if found else None

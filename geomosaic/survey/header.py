@@ -10,6 +10,7 @@ import numpy as np
 from rasterio.enums import ColorInterp
 
 from geomosaic.constants import sourced, tuned
+from geomosaic.doors.files import PIECE_BYTES
 from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
@@ -27,7 +28,6 @@ _MOST_BYTES = tuned(4 << 30, "bytes", "of a decoded frame: the largest have 3.6e
 _MOST_RATIO = sourced(4000, "ratio", "pixels to file: more is a damaged header", "LZW: 4096; DEFLATE: 1032")
 _SMALL_BYTES = tuned(64 << 20, "bytes", "of pixels that any file may state: images of one colour pack well")
 _MOST_LOOKED_AT = tuned(4096, "blocks", "of a TIFF that GDAL locates: fewer miss damage; more are slow")
-_EXIF_BYTES = tuned(8 << 20, "bytes", "of a TIFF searched for EXIF: less misses it; more reads much a frame")
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _tags(raster: Raster, path: Path) -> tuple[bytes, bytes]:
     if raster.driver == "PNG":
         return png_tags(path)
     with path.open("rb") as file:
-        return file.read(_EXIF_BYTES), "".join(raster.tags(ns="xml:XMP").values()).encode()
+        return file.read(PIECE_BYTES), "".join(raster.tags(ns="xml:XMP").values()).encode()
 
 
 def _bytes_of(kind: str) -> int:
