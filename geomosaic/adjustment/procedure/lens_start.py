@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -42,15 +43,6 @@ _BROWN = tuned((0.5, 0.67, 0.9, 1.2, 1.6), "focal lengths by longer side", "fewe
 _FISHEYE = tuned((0.35, 0.5, 0.75, 1.1, 1.6), "the same of fisheyes", "8 mm on APS-C is 0.34: fewer miss one")
 STARTS = tuple((kind, f) for kind, shares in (("brown", _BROWN), ("fisheye", _FISHEYE)) for f in shares)
 _FREED: Final = FOCAL_LENGTH["assumed"].sd_relative
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """A lens to try: the block of a few frames that have it."""
-
-    block: Block
-    settings: Settings
-    test: LeftOutTest
 
 
 def unsure(camera: Camera) -> bool:
@@ -112,24 +104,32 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     at_m, judges = points_on_ground(part.poses, part.cameras, part.ground, judges)
     still = replace(settings, rolling_shutter=False, turning=False)
     place = places(at_m, flying_height_m(part))
-    trial = _Trial(part, still, LeftOutTest(chosen_tracks(tracks, ~out), judges, place))
+    test = LeftOutTest(chosen_tracks(tracks, ~out), judges, place)
+
+    def judged(name: str, lenses: Sequence[Camera]) -> list[Judged]:
+        """What each lens leaves, of cameras whose rows are read at once."""
+        at_once = [replace(lens, readout_s=0.0, readout_sd_s=0.0) for lens in lenses]
+        blocks = [replace(part, cameras=(lens,) * len(part.names)) for lens in at_once]
+        keys = [f"{c.kind} {c.focal_length_px:.1f} {c.focal_length_sd_px:.1f}" for c in at_once]
+        return spread.map(name, partial(_tried, still, test), blocks, keys)
+
     if not unsure(camera):
         if camera.readout_s and position_assumed(part.poses).all():
             return camera  # rows read at unknown velocities stretch images as another focal length does
         free = replace(camera, focal_length_sd_px=_FREED * camera.focal_length_px)
-        as_given, freed = _judged(f"lens-{camera.name}", trial, [camera, free], spread)
+        as_given, freed = judged(f"lens-{camera.name}", [camera, free])
         if freed.solved is None or not freed.beats(as_given) or contradicts(freed.solved, as_given.solved):
             return camera
         if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
             return camera
         camera = free
     tried = [replace(c, focal_length_sd_px=WIDE_FOCAL * c.focal_length_px) for c in _starts(camera)]
-    given, *others = _judged(f"lens-start-{camera.name}", trial, tried, spread)
-    better = [judged for judged in others if judged.beats(given)]
+    given, *others = judged(f"lens-start-{camera.name}", tried)
+    better = [its for its in others if its.beats(given)]
     if not better:
         return camera
-    least_px = min(judged.median_px for judged in better)
-    best = next(judged for judged in better if BETTER * judged.median_px <= least_px)
+    least_px = min(its.median_px for its in better)
+    best = next(its for its in better if BETTER * its.median_px <= least_px)
     assert best.solved is not None
     lens = best.solved.cameras[0]
     return replace(
@@ -144,26 +144,16 @@ def _starts(camera: Camera) -> list[Camera]:
     return [camera, *(replace(blank, kind=kind, focal_length_px=share * longer) for kind, share in STARTS)]
 
 
-def _judged(name: str, trial: _Trial, lenses: Sequence[Camera], spread: Spread) -> list[Judged]:
-    """What each lens leaves, of cameras whose rows are read at once."""
-    still = [replace(lens, readout_s=0.0, readout_sd_s=0.0) for lens in lenses]
-    frames = len(trial.block.names)
-    trials = [replace(trial, block=replace(trial.block, cameras=(lens,) * frames)) for lens in still]
-    keys = [f"{c.kind} {c.focal_length_px:.1f} {c.focal_length_sd_px:.1f}" for c in still]
-    return spread.map(name, _tried, trials, keys)
-
-
-def _tried(trial: _Trial) -> Judged:
+def _tried(settings: Settings, test: LeftOutTest, block: Block) -> Judged:
     """A lens's own solve, begun as a block is, and what it leaves at the other tracks."""
-    test = trial.test
     nothing = Judged(None, np.full(test.judges.points, np.inf), test.place)
     try:
-        start = start_poses(trial.block, offset_net(trial.block))
-        block = placed_by_images(trial.block, start)
+        start = start_poses(block, offset_net(block))
+        block = placed_by_images(block, start)
         points, kept = points_on_ground(start, block.cameras, block.ground, test.solving)
         if 2 * len(points) < test.solving.points:
             return nothing
-        problem = block_problem(block, trial.settings, kept, points)
+        problem = block_problem(block, settings, kept, points)
         solved = solve(problem, start, options=SolveOptions(rough=True))
         left_px = left_out_px(test.judges, left_out_residuals(test.judges, block, solved))
     except (NotSolvableError, np.linalg.LinAlgError):
