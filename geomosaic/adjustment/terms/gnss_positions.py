@@ -98,28 +98,21 @@ class GnssPositions(FrameTerm):
                 continue
             plan = at.positions_m[frames, :2]
             out[frames, :2] -= common_similarity(plan, miss[frames, :2], sd[frames, :2])
-            common = common_slope(plan, miss[frames, 2], sd[frames, 2], self.tilt_sd_rad_of(frames))
+            tilt_sd_rad = float(np.median(self.reported.rotations_sd_rad[frames, :2]))
+            common = common_slope(plan, miss[frames, 2], sd[frames, 2], tilt_sd_rad)
             slopes += bool(np.ptp(common))
             out[frames, 2] -= common
         return np.where(self.assumed[:, None], 0.0, out), slopes
 
-    def tilt_sd_rad_of(self, frames: Ints) -> float:
-        """Median deviation of the reported tilts of some frames."""
-        return float(np.median(self.reported.rotations_sd_rad[frames, :2]))
-
-    def _groups(self, at: Estimate, components: Components) -> Iterator[FrameGroup]:
+    def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
         (own, slopes), observed = self.own_miss(at, components), ~self.assumed[:, None]
-        sd = self.sd(components)
+        share, sd = variances[:, self.columns(at)] * self.information(components), self.sd(components)
         # in common: a similarity in plan, a level; of parts that slope two numbers more
         for name, numbers, common in ((HORIZONTAL, [0, 1], 4.0), (VERTICAL, [2], 1.0)):
             counted = np.isin(np.arange(3), numbers) & observed
             more = 2.0 * slopes if name == VERTICAL else 0.0
-            yield FrameGroup(name, counted, sd, self.weight, own, self.parts, common, more)
-
-    def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
-        share = variances[:, self.columns(at)] * self.information(components)
-        for group in self._groups(at, components):
-            yield group.component(components[group.name], share, variances.shape[1], 0)
+            group = FrameGroup(name, counted, sd, self.weight, own, self.parts, common, more)
+            yield group.component(components[name], share, variances.shape[1], 0)
 
     def reweighted(self, image: ImageObservations, at: Estimate, components: Components) -> Self:
         own = self.own_miss(at, components)[0] / self.sd(components)
