@@ -37,15 +37,11 @@ def _offset_per_height(block: Block) -> float:
     return max(float(np.hypot(c.width_px, c.height_px)) / 4.0 / c.focal_length_px for c in block.cameras)
 
 
-def _least_relief_m(block: Block) -> float:
-    return _FLAT_PX * block.ground_pixel_m / _offset_per_height(block)
-
-
 def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: Ints) -> float:
     """Deviation in m of the points from the ground: the robust spread of the best determined quarter, without
     their own deviations; over flat ground without each part's bend, and at most the relief of flat land.
     Args: part (p,): see `chosen_ground`."""
-    flat, least_m = ground.kind == "flat", _least_relief_m(block)
+    flat, least_m = ground.kind == "flat", _FLAT_PX * block.ground_pixel_m / _offset_per_height(block)
     off = _above(ground, bundle)
     off = off - _bends(bundle.points_m, off, part) if flat else off
     well = bundle.points_sd_m[:, 2] <= np.quantile(bundle.points_sd_m[:, 2], 0.25)

@@ -65,7 +65,8 @@ def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Fl
     # tie points are free; all together, no further from the start than a flying height
     sd_m = np.full((len(points_m), 3), flying_height_m(block) * np.sqrt(len(points_m)))
     points = PointCoordinates(points_m, sd_m, free, np.ones_like(points_m), tilt_sd_rad)
-    parts, one = _frames_of_parts(block), np.ones((len(assumed), 3))
+    part, one = part_of_frames(block), np.ones((len(assumed), 3))
+    parts = tuple(np.flatnonzero(part == k) for k in np.unique(part))
     frames = [
         GnssPositions(reported, assumed, parts, one, settings.lever_arm, settings.gps_lag),
         Attitudes(reported, parts, one, settings.boresight),
@@ -172,9 +173,3 @@ def part_of_frames(block: Block) -> Ints:
     for k, frames in enumerate(connected_parts(len(block.names), block.ties.frames)):
         number[frames] = k
     return number
-
-
-def _frames_of_parts(block: Block) -> tuple[Ints, ...]:
-    """The frames of each connected part."""
-    part = part_of_frames(block)
-    return tuple(np.flatnonzero(part == k) for k in np.unique(part))

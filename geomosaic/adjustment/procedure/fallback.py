@@ -57,7 +57,7 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
             "once; ground may be displaced by what the camera moved meanwhile; give the lens with --camera",
         ),
         (
-            _by_similarities,
+            lambda block, _: _outcome(block, start_poses(block, offset_net(block))),
             "bundle-failed",
             "the bundle adjustment cannot be solved ({why}): frames are shifted, turned and scaled over the "
             "ground until they agree, without tilts or lens; more overlap or frames with positions help",
@@ -69,11 +69,6 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
             "seams will not fit; more overlap or frames with positions help",
         ),
     )
-
-
-def _by_similarities(block: Block, settings: Settings) -> Adjusted:
-    """Where a bundle adjustment would begin."""
-    return _outcome(block, start_poses(block, offset_net(block)))
 
 
 def _by_positions(block: Block, settings: Settings) -> Adjusted:

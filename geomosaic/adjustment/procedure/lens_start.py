@@ -123,9 +123,14 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
         if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
             return camera
         camera = free
-    tried = [replace(c, focal_length_sd_px=WIDE_FOCAL * c.focal_length_px) for c in _starts(camera)]
-    given, *others = judged(f"lens-start-{camera.name}", tried)
-    better = [its for its in others if its.beats(given)]
+    longer, blank = (
+        max(camera.width_px, camera.height_px),
+        replace(camera, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0),
+    )
+    others = [replace(blank, kind=kind, focal_length_px=share * longer) for kind, share in STARTS]
+    tried = [replace(c, focal_length_sd_px=WIDE_FOCAL * c.focal_length_px) for c in (camera, *others)]
+    given, *rest = judged(f"lens-start-{camera.name}", tried)
+    better = [its for its in rest if its.beats(given)]
     if not better:
         return camera
     least_px = min(its.median_px for its in better)
@@ -135,13 +140,6 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     return replace(
         camera, kind=lens.kind, focal_length_px=lens.focal_length_px, k1=lens.k1, k2=lens.k2, k3=lens.k3
     )
-
-
-def _starts(camera: Camera) -> list[Camera]:
-    """The given lens, then others."""
-    longer = max(camera.width_px, camera.height_px)
-    blank = replace(camera, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
-    return [camera, *(replace(blank, kind=kind, focal_length_px=share * longer) for kind, share in STARTS)]
 
 
 def _tried(settings: Settings, test: LeftOutTest, block: Block) -> Judged:
