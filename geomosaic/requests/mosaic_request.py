@@ -156,7 +156,7 @@ class MosaicRequest(FramesRequest):
     ortho: str | None = asked(
         Option(
             "with --surface dense, project onto the surface (roofs in place) or the terrain below it; auto "
-            "takes the surface if frames agree clearly better on it [auto]",
+            "takes the surface for each object on which three frames agree [auto]",
             "auto|surface|terrain",
             SURFACE,
             sets="mosaic.ground.ortho",
