@@ -18,6 +18,7 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import GroundWindow
 from geomosaic.spread import Spread
+from geomosaic.surface.refinement import NOISE_GREY
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import REDUCTIONS
@@ -33,7 +34,6 @@ _MARGIN = _WINDOW // 2
 LEAST_VIEWS = sourced(3, "frames", "that see an object whole", "two frames cannot contradict each other")
 _CERTAIN = sourced(1.645, "deviations", "by which the surface is better", "Phi^-1(0.95)")
 _ALIKE = sourced(0.5, "correlation", "of half an object at least", "as much signal in both frames as noise")
-_NOISE_GREY = sourced(2.0, "grey levels", "image noise", "surface.refinement")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,6 @@ class _Land:
 
     surface: GroundSurface
     terrain: GroundSurface
-    pixel_m: float
 
     def windows(self, box: NDArray[np.intp]) -> list[GroundWindow]:
         """A box of nodes with its margin, in half nodes, on the surface and on the terrain."""
@@ -102,8 +101,7 @@ def agreement(
 
     grounds: the surface and the terrain, on the same nodes as the objects.
     """
-    surface, terrain = grounds
-    land = _Land(surface, terrain, float(np.median([view.gsd_m for view in views])))
+    land = _Land(*grounds)
     boxes = objects.boxes + np.array([-1, -1, 1, 1]) * _MARGIN
     boxes = np.clip(boxes, 0, np.tile(objects.labels.shape, 2))
     seeing = _seeing(land, views, boxes)
@@ -205,7 +203,7 @@ def _correlation(one: Bytes, other: Bytes) -> Floats32:
     a, b = one.astype(np.float32), other.astype(np.float32)
     side = (_WINDOW, _WINDOW)
     mean_a, mean_b = cv2.blur(a, side), cv2.blur(b, side)
-    noise = np.float32(_NOISE_GREY**2)
+    noise = np.float32(NOISE_GREY**2)
     spread_a = np.maximum(cv2.blur(a * a, side) - mean_a**2, 0.0) + noise
     spread_b = np.maximum(cv2.blur(b * b, side) - mean_b**2, 0.0) + noise
     found = (cv2.blur(a * b, side) - mean_a * mean_b) / np.sqrt(spread_a * spread_b)
