@@ -23,15 +23,20 @@ _SLOPE = sourced(1.0, "m per m", "of what is drawn: steeper is a side, which fra
 _AROUND = np.ones((3, 3), np.uint8)
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _NONE = np.float32(-1e6)
+_FINER = 4
+"""Pixels a node, on which outlines are drawn."""
 _OUTLINE = 5
 """Nodes of the median that straightens outlines, as in `surface.void_fill`."""
 
 
 @dataclass(frozen=True)
 class Objects:
-    """labels (rows, cols) on the nodes of a surface: the object's number from 1 on, 0 on bare ground."""
+    """On the nodes of a surface, (rows, cols): labels, the number of an object from 1 on, 0 elsewhere; cover,
+    the share of a node's cell within the object's outline; even, where an object has no step."""
 
     labels: Labels
+    cover: Floats32
+    even: Bools
 
     @cached_property
     def boxes(self) -> NDArray[np.intp]:
@@ -48,7 +53,8 @@ def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Objects:
     """The objects of a surface that stand on a terrain with the same nodes.
 
     What stands is higher over the terrain than a node's distance, and than half of what is highest beside it:
-    the foot of a wall is ground. It is divided where its heights leap.
+    the foot of a wall is ground. It is divided where its heights leap, and outlines are made of straight
+    lines, a node's distance off at most.
     """
     over_m = np.asarray(surface.up_m - terrain.up_m, dtype=np.float32)
     stands = (over_m > surface.spacing_m) & (over_m > cv2.dilate(over_m, _AROUND) / 2.0)
@@ -57,7 +63,9 @@ def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Objects:
     limit_m = STEP_CELLS * surface.spacing_m
     even = cv2.morphologyEx((stands & (range_m <= limit_m)).view(np.uint8), cv2.MORPH_OPEN, _AROUND) > 0
     parts = _nearest_part(stands, even)
-    return Objects(_numbered(_without_steps(parts, over_m, limit_m)))
+    whole = _numbered(_without_steps(parts, over_m, limit_m))
+    inner = cv2.erode(stands.view(np.uint8), _AROUND) > 0
+    return _outlined(whole, inner & (range_m <= limit_m))
 
 
 def _nearest_part(stands: Bools, even: Bools) -> Labels:
@@ -98,11 +106,41 @@ def _numbered(labels: Labels) -> Labels:
     return number[labels]
 
 
-def with_objects(surface: GroundSurface, terrain: GroundSurface, objects: Objects) -> GroundSurface:
-    """The terrain with all objects on it, each up to its outline: no node is on a ramp.
+def _outlined(labels: Labels, even: Bools) -> Objects:
+    """Objects with polygons for outlines where they meet the ground, and the nodes that these reach."""
+    found, cover = labels.copy(), np.zeros(labels.shape, dtype=np.float32)
+    for number, box in enumerate(ndimage.find_objects(labels), start=1):
+        rows, cols = (slice(max(s.start - _OUTLINE, 0), s.stop + _OUTLINE) for s in box)
+        at = rows, cols
+        own = labels[at] == number
+        of_own = _polygons_cover(own)
+        beside_other = cv2.dilate(((labels[at] > 0) & ~own).view(np.uint8), _AROUND) > 0
+        of_own[own & beside_other] = 1.0
+        taken = (of_own > cover[at]) & (own | (labels[at] == 0))
+        cover[at][taken], found[at][taken] = of_own[taken], number
+        found[at][own & ~taken] = 0
+    return Objects(_numbered(found), cover, even)
 
-    An object is as the surface shows it inside, with slopes of 45 degrees at most: midway between the lowest
-    and the highest such surface over and under its heights, which is the nearest one (McShane 1934).
+
+def _polygons_cover(own: Bools) -> Floats32:
+    """The share of each cell within polygons about some."""
+    size = own.shape[1] * _FINER, own.shape[0] * _FINER
+    fine = cv2.resize(own.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+    fine = cv2.GaussianBlur(fine, (0, 0), float(_FINER))
+    lines, _ = cv2.findContours((fine > 0.5).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    straight = [cv2.approxPolyDP(line, float(_FINER), closed=True) for line in lines]
+    filled = np.zeros(fine.shape, np.uint8)
+    cv2.fillPoly(filled, straight, (1,))
+    return np.asarray(
+        cv2.resize(filled.astype(np.float32), own.shape[::-1], interpolation=cv2.INTER_AREA), np.float32
+    )
+
+
+def with_objects(surface: GroundSurface, terrain: GroundSurface, objects: Objects) -> GroundSurface:
+    """The terrain with all objects on it, each up to its outline, which is halfway up between nodes.
+
+    An object is as the surface shows it where it has no step, with slopes of 45 degrees at most: midway
+    between the lowest such surface over these heights and the highest below, the nearest one (McShane 1934).
     Deviations within an object are their median.
     """
     up_m, sd_m = terrain.up_m.astype(np.float32), None
@@ -111,7 +149,8 @@ def with_objects(surface: GroundSurface, terrain: GroundSurface, objects: Object
         at = slice(row, last_row), slice(col, last_col)
         own = objects.labels[at] == number
         over_m = np.asarray(surface.up_m[at] - terrain.up_m[at], dtype=np.float32)
-        up_m[at][own] += _evened(over_m, own, _SLOPE * surface.spacing_m)[own]
+        even_m = _evened(over_m, own, objects.even[at], _SLOPE * surface.spacing_m)
+        up_m[at][own] += (objects.cover[at] * even_m)[own]
     if surface.sd_m is not None and terrain.sd_m is not None and len(objects.boxes):
         numbers = np.arange(1, len(objects.boxes) + 1)
         of_each = ndimage.median(np.nan_to_num(surface.sd_m), objects.labels, numbers)
@@ -120,9 +159,9 @@ def with_objects(surface: GroundSurface, terrain: GroundSurface, objects: Object
     return replace(surface, up_m=up_m, sd_m=sd_m if len(objects.boxes) else terrain.sd_m)
 
 
-def _evened(over_m: Floats32, own: Bools, step_m: float) -> Floats32:
-    inner = cv2.erode(own.view(np.uint8), _AROUND, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-    known = inner if inner.any() else own
+def _evened(over_m: Floats32, own: Bools, even: Bools, step_m: float) -> Floats32:
+    """Heights of an object by those of its even nodes, or of all where none is."""
+    known = own & even if (own & even).any() else own
     bounds = []
     for sign in (np.float32(1.0), np.float32(-1.0)):
         values = np.where(known, sign * over_m, _NONE)
