@@ -114,8 +114,8 @@ def _outlined(labels: Labels, even: Bools) -> Objects:
         at = rows, cols
         own = labels[at] == number
         of_own = _polygons_cover(own)
-        beside_other = cv2.dilate(((labels[at] > 0) & ~own).view(np.uint8), _AROUND) > 0
-        of_own[own & beside_other] = 1.0
+        meets_another = cv2.dilate(((labels[at] > 0) & ~own).view(np.uint8), _AROUND) > 0
+        of_own[own & meets_another] = 1.0
         taken = (of_own > cover[at]) & (own | (labels[at] == 0))
         cover[at][taken], found[at][taken] = of_own[taken], number
         found[at][own & ~taken] = 0
