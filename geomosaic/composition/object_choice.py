@@ -48,11 +48,12 @@ class ObjectAgreement:
 
     @property
     def chosen(self) -> Bools:
-        """Which objects the surface shows: at least `LEAST_VIEWS` frames see it whole, half of it shows
-        more that they share than what they do not, and surely more than on the terrain."""
+        """Which objects the surface shows: at least `LEAST_VIEWS` frames see them whole, agree on them there,
+        by `_ALIKE`, and do not on the terrain; and the difference is sure."""
         with np.errstate(invalid="ignore"):
             better = self.on_surface - self.on_terrain > _CERTAIN * self.gain_sd
-            return np.asarray((self.views >= LEAST_VIEWS) & (self.on_surface >= _ALIKE) & better)
+            better &= (self.on_surface >= _ALIKE) & (self.on_terrain < _ALIKE)
+        return np.asarray((self.views >= LEAST_VIEWS) & better)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from geomosaic.composition.seam_parts import HIGH_M
 from geomosaic.constants import sourced
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.edge_refinement import STEP_CELLS
@@ -53,8 +54,8 @@ def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Objects:
     """The objects of a surface that stand on a terrain with the same nodes.
 
     What stands is higher over the terrain than a node's distance, and than half of what is highest beside it:
-    the foot of a wall is ground. It is divided where its heights leap, and outlines are made of straight
-    lines, a node's distance off at most.
+    the foot of a wall is ground. It is divided where its heights leap; parts below `HIGH_M` are left out.
+    Outlines are made of straight lines, a node's distance off at most.
     """
     over_m = np.asarray(surface.up_m - terrain.up_m, dtype=np.float32)
     stands = (over_m > surface.spacing_m) & (over_m > cv2.dilate(over_m, _AROUND) / 2.0)
@@ -63,7 +64,7 @@ def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Objects:
     limit_m = STEP_CELLS * surface.spacing_m
     even = cv2.morphologyEx((stands & (range_m <= limit_m)).view(np.uint8), cv2.MORPH_OPEN, _AROUND) > 0
     parts = _nearest_part(stands, even)
-    whole = _numbered(_without_steps(parts, over_m, limit_m))
+    whole = _high(_numbered(_without_steps(parts, over_m, limit_m)), over_m)
     inner = cv2.erode(stands.view(np.uint8), _AROUND) > 0
     return _outlined(whole, inner & (range_m <= limit_m))
 
@@ -96,6 +97,13 @@ def _without_steps(parts: Labels, over_m: Floats32, limit_m: float) -> Labels:
     joined = (lengths - 2.0 * steps) > 0.0
     _, found = connected_components(joined, directed=False)
     return np.where(parts > 0, found[parts] + 1, 0).astype(np.int32)
+
+
+def _high(labels: Labels, over_m: Floats32) -> Labels:
+    """Those whose median height is that of an object that leans: cars are left on the ground."""
+    numbers = np.arange(int(labels.max(initial=0)) + 1)
+    height_m = np.asarray(ndimage.median(over_m, labels, numbers))
+    return _numbered(np.where((height_m > HIGH_M)[labels], labels, 0).astype(np.int32))
 
 
 def _numbered(labels: Labels) -> Labels:

@@ -28,11 +28,13 @@ def ground(over_m: np.ndarray, kind: str = "dense") -> GroundSurface:
 
 
 def house_and_tower() -> np.ndarray:
-    """A house of 14 m x 10 m, 5 m high, a tower of 10 m x 10 m beside it, 12 m high, and a shed apart."""
+    """A house of 14 m x 10 m, 5 m high, a tower of 10 m x 10 m beside it, 12 m high, a shed apart, and
+    a car of 1.5 m."""
     over = np.zeros((60, 80))
     over[20:30, 20:34] = 5.0
     over[20:30, 34:44] = 12.0
     over[45:52, 60:70] = 3.0
+    over[10:15, 60:64] = 1.5
     return over
 
 
@@ -45,7 +47,7 @@ def test_objects_end_where_heights_leap_and_are_whole_where_they_do_not() -> Non
     ]
     assert all(len(numbers) == 1 for numbers in of)
     assert set.union(*of) == {1, 2, 3}
-    assert not labels[40:44].any()
+    assert not labels[40:44].any() and not labels[8:17, 55:].any()
 
 
 def test_an_object_is_even_inside_and_ends_at_its_outline() -> None:
