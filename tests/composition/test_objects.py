@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mosaic_scenes import CAMERA, make_survey
 
-from geomosaic.composition.object_choice import agreement
-from geomosaic.composition.objects import Objects, objects_between, standing_on, with_objects
+from geomosaic.composition.object_choice import ObjectAgreement, agreement
+from geomosaic.composition.objects import objects_between, standing_on, with_objects
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import AtOnce
@@ -90,19 +90,29 @@ def hall(height_m: float) -> GroundSurface:
     return GroundSurface("dense", -80.0, -80.0, 1.0, np.where(inside, height_m, 0.0))
 
 
-@pytest.mark.parametrize(
-    ("true_m", "frames_used", "raised"), [(8.0, 6, True), (0.0, 6, False), (8.0, 2, False)]
-)
-def test_an_object_lies_on_the_surface_if_three_frames_agree_on_it(
-    tmp_path: Path, true_m: float, frames_used: int, raised: bool
+@pytest.mark.parametrize(("true_m", "frames_used"), [(8.0, 6), (0.0, 6), (8.0, 2)])
+def test_frames_agree_on_what_stands_and_not_on_what_does_not(
+    tmp_path: Path, true_m: float, frames_used: int
 ) -> None:
-    """Not a hall that was added to flat land, and not what two frames alone see."""
+    """A hall that was added to flat land agrees better below; of two frames alone nothing is asked."""
     survey, poses, _ = make_survey(tmp_path, ground=hall(true_m), camera=CAMERA_WIDE)
     used = [i < frames_used for i in range(len(poses))]
     frames = PosedFrames(survey, poses, [CAMERA_WIDE] * len(poses), used, hall(0.0))
     objects = objects_between(hall(8.0), hall(0.0))
-    assert isinstance(objects, Objects) and len(objects.boxes) == 1
+    assert len(objects.boxes) == 1
     views = frame_views(frames, survey.map_crs)
     found = agreement(survey, views, objects, (hall(8.0), hall(0.0)), AtOnce())
-    assert found.chosen.tolist() == [raised], found
-    assert found.views[0] <= frames_used
+    gain = found.on_surface[0] - found.on_terrain[0]
+    if frames_used == 2:
+        assert found.views[0] <= 2 and np.isnan(gain)
+    else:
+        assert gain * (true_m - 4.0) > 0.0 and found.views[0] >= 3
+    assert not found.chosen.any() or true_m > 0.0
+
+
+def test_an_object_is_raised_if_three_frames_surely_agree_there_alone() -> None:
+    """Not by two frames, where they agree on the terrain too or on neither, or by chance."""
+    views = np.array([3, 2, 3, 3, 3])
+    on_surface, on_terrain = np.array([0.8, 0.8, 0.8, 0.4, 0.6]), np.array([0.1, 0.1, 0.7, 0.1, 0.4])
+    found = ObjectAgreement(views, on_surface, on_terrain, np.array([0.05, 0.05, 0.01, 0.05, 0.2]))
+    assert found.chosen.tolist() == [True, False, False, False, False]
