@@ -26,7 +26,8 @@ def frames(
     srt: Annotated[
         Path | None,
         typer.Option(
-            "--srt", help="subtitles with the drone's positions [VIDEO.SRT beside it, if any]", metavar="FILE"
+            "--srt", help="subtitles with the drone's positions [VIDEO.SRT beside it, else the video's own]",
+            metavar="FILE",
         ),
     ] = None,
     overlap: Annotated[
@@ -46,12 +47,15 @@ def frames(
     from geomosaic.pipeline.files import writing
     from geomosaic.requests.run_request import default_folder
     from geomosaic.video.frames import POSITIONS, VideoOptions, extract_frames
-    from geomosaic.video.subtitles import read_subtitles
+    from geomosaic.video.subtitles import read_subtitle_tracks, read_subtitles, tracks_readable
 
     check_regular(video, "give the path of a video")
     there = [p for p in (video.with_suffix(".SRT"), video.with_suffix(".srt")) if p.is_file()]
     srt = srt or next(iter(there), None)
-    positions = [] if srt is None else read_subtitles(srt)
+    if srt is not None:
+        positions = read_subtitles(srt)
+    else:
+        positions = read_subtitle_tracks(video) if tracks_readable() else []
     folder = output or default_folder(video, "frames")
     if folder.is_dir() and any(folder.iterdir()):
         raise OutputError("the folder holds files", file=folder, fix="choose a new or empty folder with -o")
@@ -63,5 +67,7 @@ def frames(
     print(f"frames     {len(names)} in {folder}")
     pos = ["--pos", str(folder / POSITIONS)] if positions else []
     if not positions:
-        print("positions  none: there are no subtitles; the map will have no scale")
+        print("positions  none: there are no subtitles with positions; the map will have no scale")
+        if not tracks_readable():
+            print("           subtitles inside a video are read with: pip install 'geomosaic-ortho[video]'")
     print(f"next       {shlex.join(['geomosaic', 'mosaic', str(folder), *pos])}")

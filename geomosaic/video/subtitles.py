@@ -1,15 +1,17 @@
-"""Subtitles (SRT) in which drones write where they were, by DJI's formats."""
+"""Subtitles in which drones write where they were, by DJI's formats: an SRT file, or a track of the video."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import timedelta
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from geomosaic.doors.files import TEXT_BYTES, read_text
-from geomosaic.errors import InputError
+from geomosaic.errors import FileError, InputError
 
 _BEGIN: Final = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{3})\s*-->")
 _NUMBER: Final = r"\s*:?\s*([-+]?\d{1,7}(?:\.\d{1,15})?)"
@@ -21,6 +23,8 @@ _NAMED: Final = {
 }
 _GPS: Final = re.compile(r"\bGPS\s*\(([-+]?\d{1,3}\.\d{1,12}),\s*([-+]?\d{1,2}\.\d{1,12})\b", re.IGNORECASE)
 """Older drones: longitude, latitude, and the number of satellites."""
+_TRACK_HEAD: Final = 2
+"""Bytes of a text's length before it: 3GPP TS 26.245 (timed text), section 5.17."""
 _FIX: Final = "give the SRT file that the drone wrote, or leave out --srt"
 
 
@@ -43,16 +47,59 @@ def read_subtitles(path: Path) -> list[VideoPosition]:
     """
     text = read_text(path, TEXT_BYTES, "subtitles", _FIX)
     starts = list(_BEGIN.finditer(text))
-    out = []
-    for k, start in enumerate(starts):
-        words = text[start.end() : starts[k + 1].start() if k + 1 < len(starts) else len(text)]
-        hours, minutes, seconds, milliseconds = map(int, start.groups())
-        at = timedelta(hours=hours, minutes=minutes, seconds=seconds, milliseconds=milliseconds)
-        if (found := _position(at.total_seconds(), words)) is not None:
-            out.append(found)
+    ends = [*(start.start() for start in starts[1:]), len(text)]
+    out = _positions(
+        (_time_s(start), text[start.end() : end]) for start, end in zip(starts, ends, strict=True)
+    )
     if not out:
         raise InputError("no subtitle has a latitude and a longitude", file=path, fix=_FIX)
-    return sorted(out, key=lambda one: one.time_s)
+    return out
+
+
+def tracks_readable() -> bool:
+    """Whether the extra `video` is installed."""
+    return find_spec("av") is not None
+
+
+def read_subtitle_tracks(video: Path) -> list[VideoPosition]:
+    """The positions, by time, in the first subtitle track of a video that has some; [] without one.
+
+    Raises: `FileError` for what is no video.
+    """
+    import av
+
+    try:
+        with av.open(str(video)) as file:
+            for track in range(len(file.streams.subtitles)):
+                file.seek(0)
+                if found := _positions(_texts(file.demux(file.streams.subtitles[track]))):
+                    return found
+    except (av.FFmpegError, ValueError, MemoryError) as error:
+        raise FileError("is no video that can be read", file=video, fix="give an MP4 or MOV file") from error
+    return []
+
+
+def _texts(packets: Iterable[Any]) -> Iterator[tuple[float, str]]:
+    """Begin in s and text of a track's packets."""
+    read = 0
+    for packet in packets:
+        read += packet.size
+        if packet.pts is None or read > TEXT_BYTES:
+            continue
+        data = bytes(packet)
+        data = data[_TRACK_HEAD:] if packet.stream.codec_context.name == "mov_text" else data
+        yield float(packet.pts * packet.time_base), data.decode("utf-8", "replace")
+
+
+def _time_s(start: re.Match[str]) -> float:
+    hours, minutes, seconds, milliseconds = map(int, start.groups())
+    at = timedelta(hours=hours, minutes=minutes, seconds=seconds, milliseconds=milliseconds)
+    return at.total_seconds()
+
+
+def _positions(texts: Iterable[tuple[float, str]]) -> list[VideoPosition]:
+    found = (_position(time_s, words) for time_s, words in texts)
+    return sorted((one for one in found if one is not None), key=lambda one: one.time_s)
 
 
 def _position(time_s: float, words: str) -> VideoPosition | None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import struct
+import sys
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -12,7 +15,7 @@ from small_surveys import geomosaic, small_survey, summary
 
 from geomosaic.cli.main import main
 from geomosaic.errors import InputError
-from geomosaic.video.subtitles import read_subtitles
+from geomosaic.video.subtitles import read_subtitle_tracks, read_subtitles
 
 WIDTH, HEIGHT, RATE = 480, 360, 30
 BLURRED = range(40, 400, 3)
@@ -72,6 +75,60 @@ def test_sharp_frames_a_quarter_apart_with_their_positions(tmp_path: Path) -> No
     east_m = [(float(row["lon_deg"]) - 11.0) * 111_320.0 * np.cos(np.radians(48.0)) for row in rows]
     np.testing.assert_allclose(east_m, 0.1 * moved_px[numbers], atol=0.02)
     assert {(row["altitude_m"], row["relative_altitude_m"]) for row in rows} == {("512.300", "50.100")}
+
+
+def _with_track(video: Path, srt: Path, out: Path) -> None:
+    """The video with its subtitles as a track, after one without positions."""
+    av = pytest.importorskip("av")
+    with av.open(str(video)) as source, av.open(str(out), "w") as made:
+        images = made.add_stream_from_template(source.streams.video[0])
+        tracks = [made.add_stream("mov_text") for _ in range(2)]
+        for track in tracks:
+            track.time_base = track.codec_context.time_base = Fraction(1, 1000)
+            track.codec_context.subtitle_header = b"[Script Info]\n"
+        for packet in source.demux(source.streams.video[0]):
+            if packet.dts is not None:
+                packet.stream = images
+                made.mux(packet)
+        blocks = [block.split("\n", 2) for block in srt.read_text().strip().split("\n\n")]
+        for track, texts in zip(tracks, (["hello"] * len(blocks), [b[2] for b in blocks]), strict=True):
+            for (_, times, _), words in zip(blocks, texts, strict=True):
+                begin, end = (1000 * int(t[6:8]) + int(t[9:]) for t in times.split(" --> "))
+                data = words.encode()
+                packet = av.Packet(struct.pack(">H", len(data)) + data)
+                packet.pts = packet.dts = begin
+                packet.duration, packet.time_base, packet.stream = end - begin, Fraction(1, 1000), track
+                made.mux(packet)
+
+
+def test_positions_of_a_track_are_those_of_the_file(tmp_path: Path) -> None:
+    moved_px = np.linspace(0.0, 960.0, 100)
+    video, srt, out = tmp_path / "a.mp4", tmp_path / "a.srt", tmp_path / "with.mp4"
+    _video(video, moved_px)
+    _subtitles(srt, moved_px)
+    _with_track(video, srt, out)
+    track, file = read_subtitle_tracks(out), read_subtitles(srt)
+    assert len(track) == len(file) == 100
+    for name in ("time_s", "lon_deg", "lat_deg", "height_m", "above_take_off_m"):
+        np.testing.assert_allclose(
+            [getattr(p, name) for p in track], [getattr(p, name) for p in file], atol=2e-3
+        )
+    assert [p.lon_deg for p in track] == [p.lon_deg for p in file]
+    assert main(["frames", str(out), "-q"]) == 0
+    assert main(["frames", str(video), "-q", "--srt", str(srt)]) == 0
+    rows = [(tmp_path / f"{n}-frames" / "pos.csv").read_text().splitlines() for n in ("with", "a")]
+    assert [r.partition(",")[2] for r in rows[0]] == [r.partition(",")[2] for r in rows[1]]
+    assert read_subtitle_tracks(video) == []
+
+
+def test_without_the_reader_of_tracks_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _video(tmp_path / "a.mp4", np.linspace(0.0, 960.0, 100))
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert main(["frames", str(tmp_path / "a.mp4")]) == 0
+    out = capsys.readouterr().out
+    assert "positions  none" in out and "pip install 'geomosaic-ortho[video]'" in out
 
 
 def test_a_mosaic_comes_of_them(tmp_path: Path) -> None:
