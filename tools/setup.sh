@@ -31,7 +31,7 @@ pip install -c constraints.txt 'setuptools>=77' wheel numpy
 .venv/bin/python -c 'from osgeo import gdal_array' 2>/dev/null ||
     pip install --no-build-isolation --no-cache-dir "gdal[numpy]==$(gdal-config --version)"
 extras=""
-[ "${1:-}" != dev ] || extras="[dev,dask,view,docs]"
+[ "${1:-}" != dev ] || extras="[dev,dask,view,docs,raw,heic,video,thermal]"
 pip install --no-build-isolation -c constraints.txt -e ".$extras" -e ./geomosaic_simulate
 .venv/bin/python -c 'from osgeo import gdal_array; import rasterio, cv2, geomosaic, geomosaic_simulate' ||
     { echo "setup: the packages are there but don't load together; see the error above" >&2; exit 1; }

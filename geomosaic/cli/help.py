@@ -154,6 +154,7 @@ def _write(formatter: Any, sections: Mapping[str, Sequence[tuple[str, str]]]) ->
 
 def _propose(arguments: Sequence[str]) -> None:
     """Raises `InputError` with the command to type where a command's name is missing before a path."""
+    from geomosaic.doors.camera_formats import camera_format
     from geomosaic.survey.header import JPEG_SUFFIXES, PNG_SUFFIXES, TIFF_SUFFIXES
 
     path, more = Path(arguments[0]), arguments[1:]
@@ -169,7 +170,7 @@ def _propose(arguments: Sequence[str]) -> None:
         command = ["run", str(path), *more]
     elif path.is_dir():
         command = ["mosaic", str(path), *more]
-    elif path.suffix.lower() in JPEG_SUFFIXES | TIFF_SUFFIXES | PNG_SUFFIXES:
+    elif path.suffix.lower() in JPEG_SUFFIXES | TIFF_SUFFIXES | PNG_SUFFIXES or camera_format(path):
         command = ["mosaic", str(path.parent)]
     else:
         return

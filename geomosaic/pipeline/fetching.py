@@ -31,7 +31,7 @@ NOTED: Final = ".fetched.json"
 """In the folder: what was fetched into it, from where, and what its server said of it then."""
 _MOST_NOTED_BYTES: Final = 128 << 20
 _KINDS: Final = re.compile(
-    r"jpe?g|tiff?|png|csv|txt|pos|json|ya?ml|prj|wld|tfw|jgw|hdr|xml|ovr|msk"
+    r"jpe?g|tiff?|png|dng|hei[cf]|csv|txt|pos|json|ya?ml|prj|wld|tfw|jgw|hdr|xml|ovr|msk"
     r"|asc|img|dem|hgt|dt[012]|bil|flt|vrt|gpkg|geojson|shp|shx|dbf|fgb|kml",
     re.IGNORECASE,
 )

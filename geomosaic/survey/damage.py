@@ -20,6 +20,7 @@ from rasterio.windows import Window
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.at_hand import at_hand
+from geomosaic.doors.camera_formats import camera_format, camera_image, decoded_camera_image
 from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.header import JPEG_SUFFIXES
@@ -58,7 +59,7 @@ class Wholeness:
     """damage: what the decoder said, '' where the frame is whole.
 
     whole_rows: of a damaged frame, how many rows from the top are surely whole; 0 where that isn't known.
-    look: of a whole frame; None of pixels without contrast, and of TIFF and PNG.
+    look: of a whole frame; None of pixels without contrast, and of files other than JPEG.
     """
 
     damage: str
@@ -84,7 +85,7 @@ def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
         except OSError as error:
             raise FileError(f"can't be read ({error.strerror})", file=file, fix=FRAME.fix) from error
         return _of_jpeg(data, parse_structure(data, file, whole=False))
-    return _of_raster(file), None
+    return _of_raster(file) if camera_format(file) is None else _of_camera_image(file), None
 
 
 def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Pixels | None]:
@@ -185,6 +186,16 @@ def _intervals(coded: bytes) -> Iterator[tuple[bytes, int | None]]:
         yield coded[at : found.start()], found.group()[1] - 0xD0
         at = found.end()
     yield coded[at:], None
+
+
+def _of_camera_image(path: Path) -> Wholeness:
+    """Of a DNG or HEIC, whose decoders don't say where the damage is."""
+    stated = camera_image(path)
+    try:
+        decoded_camera_image(path, (stated.width_px, stated.height_px))
+    except FileError as error:
+        return Wholeness(error.problem, 0)
+    return Wholeness("", stated.height_px)
 
 
 def _of_raster(path: Path) -> Wholeness:

@@ -66,6 +66,7 @@ _KINDS = sourced(
     "numpy's types, of a ratio both numbers'; others are skipped",
     "TIFF 6.0 (Adobe 1992), section 2",
 )  # fmt: skip
+_XMP = sourced(700, "tag", "of the XMP packet: bytes in another would be no packet", "Adobe XMP part 3, TIFF")
 LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
 
 
@@ -83,6 +84,22 @@ def tags_from_block(block: bytes) -> Tags:
         if isinstance(at, tuple) and len(at) == 1 and at[0] >= 0.0:
             tags |= _directory(block, int(at[0]), order, _TAGS[pointer])
     return tags
+
+
+def xmp_from_block(block: bytes, most_bytes: int) -> bytes:
+    """The XMP packet of a TIFF's main directory, empty without one or where it is longer than most_bytes."""
+    order = {b"II*\x00": "<", b"MM\x00*": ">"}.get(bytes(block[:4]))
+    if order is None or len(block) < 8:
+        return b""
+    at = struct.unpack_from(f"{order}I", block, 4)[0]
+    if at + 2 > len(block):
+        return b""
+    entries = min(struct.unpack_from(f"{order}H", block, at)[0], (len(block) - at - 2) // 12)
+    for entry in range(at + 2, at + 2 + 12 * entries, 12):
+        number, kind, count, start = struct.unpack_from(f"{order}HHII", block, entry)
+        if number == _XMP and kind in (1, 7) and count <= most_bytes:
+            return bytes(block[start : start + count])
+    return b""
 
 
 def _directory(block: bytes, at: int, order: str, names: Mapping[int, str]) -> Tags:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from geomosaic.constants import tuned
+from geomosaic.doors.camera_formats import CAMERA_FORMATS
 from geomosaic.doors.files import RUN_MARKER, check_name, printable, read_bytes
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
@@ -26,10 +27,9 @@ _DEEPEST = tuned(4, "folders", "DCIM has two, MicaSense three: deeper ones are a
 _MOST_FOLDERS = tuned(2000, "folders", "1000 flights of two: more is a whole disk, searched for minutes")
 _OTHER_KINDS: Final = (
     (
-        {".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".raw"},
+        {".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".raw"},
         "convert raw images to JPEG or TIFF first, with their tags (exiftool -tagsFromFile RAW JPEG)",
     ),
-    ({".heic", ".heif"}, "convert HEIC to JPEG first: heif-convert FILE.heic FILE.jpg"),
     (
         {".mp4", ".mov", ".avi", ".mkv", ".m4v"},
         "take frames out of the video first: geomosaic frames FILE -o FRAMES",
@@ -41,13 +41,14 @@ _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
     """The frames of a folder, in the natural order of their paths, and what each is called: its JPEG and TIFF
-    files, or its PNG files where there are none of these (else they are previews and masks).
+    files, or its PNG files where there are none of these (else they are previews and masks), else its DNG or
+    its HEIC files.
 
     If the folder itself holds none, those of its folder `images` or `DCIM`, else of all folders in it, four
     deep. A frame is called by its file's name; where several folders have it, with its folders' before it
     (`100MEDIA_DJI_0001.JPG`). Hidden files and folders, links to folders, folders of runs, masks
     (`NAME_mask.png`, `NAME.mask.tif`) and other inputs of the survey (its DEM) are no frames.
-    Raises: `FileError` for what is no folder, `InputError` if there are no frames.
+    Raises: `FileError` for what is no folder, `InputError` if there are no frames or their reader is missing.
     """
     folder = folder.absolute()
     if not folder.is_dir():
@@ -58,6 +59,11 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
     frames, top = _found(folder, inputs, _SUFFIXES)
     if not frames:
         frames, top = _found(folder, inputs, PNG_SUFFIXES)
+    for camera_format in CAMERA_FORMATS:
+        if not frames:
+            frames, top = _found(folder, inputs, camera_format.suffixes)
+            if frames:
+                camera_format.check(folder)
     if not frames:
         files, folders = _listed(folder)
         kinds = Counter(p.suffix.lower() or "no suffix" for p in files)

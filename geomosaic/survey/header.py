@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,10 +11,12 @@ import numpy as np
 from rasterio.enums import ColorInterp
 
 from geomosaic.constants import sourced, tuned
-from geomosaic.doors.files import PIECE_BYTES
+from geomosaic.doors.camera_formats import camera_format, camera_image
+from geomosaic.doors.files import PIECE_BYTES, SHORT_BYTES
 from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
+from geomosaic.survey.exif_tags import xmp_from_block
 from geomosaic.survey.jpeg import read_structure
 from geomosaic.survey.names import frame_name
 from geomosaic.survey.png import png_tags
@@ -54,12 +57,15 @@ class FrameHeader:
 
 
 def read_header(path: Path) -> FrameHeader:
-    """Header of a JPEG, TIFF or PNG frame.
+    """Header of a JPEG, TIFF, PNG, DNG or HEIC frame.
 
     Raises: `FileError` when the file isn't what its name says, or can't hold the pixels it states;
     `InputError` when its pixels are of a kind that isn't handled.
     """
-    header = _jpeg_header(path) if path.suffix.lower() in JPEG_SUFFIXES else _raster_header(path)
+    if path.suffix.lower() in JPEG_SUFFIXES:
+        header = _jpeg_header(path)
+    else:
+        header = _raster_header(path) if camera_format(path) is None else _camera_header(path)
     size = f"{header.width_px} x {header.height_px} pixels"
     needed = header.width_px * header.height_px * header.bands * _bytes_of(header.dtype)
     if max(header.width_px, header.height_px) > _MOST_SIDE_PX or needed > _MOST_BYTES:
@@ -83,9 +89,22 @@ def _jpeg_header(path: Path) -> FrameHeader:
     return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
 
 
+def _camera_header(path: Path) -> FrameHeader:
+    image = camera_image(path)
+    _check_packing(path, (image.width_px, image.height_px), [image.dtype] * image.bands)
+    block, xmp = image.exif, image.xmp
+    if not block and not xmp:
+        with path.open("rb") as file:  # a DNG is a TIFF
+            block = file.read(PIECE_BYTES)
+        xmp = xmp_from_block(block, SHORT_BYTES)
+    exif = exif_from_block(block) if block else Exif()
+    size = image.width_px, image.height_px
+    return FrameHeader(path, *size, image.bands, image.dtype, None, exif, parse_xmp(xmp))
+
+
 def _raster_header(path: Path) -> FrameHeader:
     with open_raster(path, FRAME) as tiff, reading(path, FRAME.problem, FRAME.fix):
-        _check_packing(tiff, path)
+        _check_packing(path, (tiff.width, tiff.height), tiff.dtypes)
         if tiff.driver == "GTiff":
             check_blocks(tiff, path, FRAME.fix)
         if ColorInterp.palette in tiff.colorinterp:
@@ -120,12 +139,12 @@ def _bytes_of(kind: str) -> int:
     return np.dtype(kind if kind in np.sctypeDict else np.float64).itemsize
 
 
-def _check_packing(tiff: Raster, path: Path) -> None:
+def _check_packing(path: Path, size_px: tuple[int, int], dtypes: Sequence[str]) -> None:
     """`FileError` where so few bytes can't be an image of such a size."""
-    size = path.stat().st_size
-    unpacked = tiff.width * tiff.height * sum(_bytes_of(kind) for kind in tiff.dtypes)
+    size, (width, height) = path.stat().st_size, size_px
+    unpacked = width * height * sum(_bytes_of(kind) for kind in dtypes)
     if unpacked > max(_SMALL_BYTES, _MOST_RATIO * size):
-        problem = f"{size:,} bytes can't hold {tiff.width} x {tiff.height} pixels in {tiff.count} bands"
+        problem = f"{size:,} bytes can't hold {width} x {height} pixels in {len(dtypes)} bands"
         raise FileError(problem, file=path, fix=FRAME.fix)
 
 

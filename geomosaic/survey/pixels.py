@@ -11,6 +11,7 @@ from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.windows import Window
 
 from geomosaic.doors.at_hand import at_hand
+from geomosaic.doors.camera_formats import camera_format, decoded_camera_image
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import decoded
@@ -48,14 +49,19 @@ def read_pixels(
     for named in filter(None, (frame.path, frame.valid_mask)):
         if not Path(named).is_absolute():  # in the current folder lies what nobody named
             raise FileError("is no full path", file=named, fix="run the recipe again from its first stage")
+    pixels: NDArray[Any]
+    valid: Mask | None
     bands = frame.bands
     if path.suffix.lower() in JPEG_SUFFIXES:
         bands = 1 if luma else bands
         small = None if spare is None or reduction == 1 else spare.found()
-        pixels: NDArray[Any] | None = None if small is None else small.at(reduction, luma=luma)
-        pixels, valid = _decode_jpeg(path, frame, bands, reduction) if pixels is None else pixels, None
+        kept = None if small is None else small.at(reduction, luma=luma)
+        pixels, valid = _decode_jpeg(path, frame, bands, reduction) if kept is None else kept, None
     else:
-        pixels, valid = _read_raster(path, frame.whole_rows)
+        if camera_format(path) is None:
+            pixels, valid = _read_raster(path, frame.whole_rows)
+        else:
+            pixels, valid = decoded_camera_image(path, (frame.width_px, frame.height_px))
         pixels = pixels if frame.calibration is None else frame.calibration.digital(pixels)
         pixels = means(pixels, reduction)
     expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), bands)

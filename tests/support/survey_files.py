@@ -9,9 +9,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ASCII, SHORT, LONG, RATIONAL, BYTE = 2, 3, 4, 5, 1
-_SIZE = {ASCII: 1, BYTE: 1, SHORT: 2, LONG: 4, RATIONAL: 8}
-IFD0 = {"Make": (0x010F, ASCII), "Model": (0x0110, ASCII), "Orientation": (0x0112, SHORT)}
+ASCII, SHORT, LONG, RATIONAL, BYTE, SIGNED = 2, 3, 4, 5, 1, 10
+IFD0 = {
+    "Make": (0x010F, ASCII), "Model": (0x0110, ASCII), "Orientation": (0x0112, SHORT),
+    "NewSubfileType": (0x00FE, LONG), "ImageWidth": (0x0100, LONG), "ImageLength": (0x0101, LONG),
+    "BitsPerSample": (0x0102, SHORT), "Compression": (0x0103, SHORT), "Photometric": (0x0106, SHORT),
+    "StripOffsets": (0x0111, LONG), "SamplesPerPixel": (0x0115, SHORT), "RowsPerStrip": (0x0116, LONG),
+    "StripByteCounts": (0x0117, LONG), "Xmp": (0x02BC, BYTE), "CFARepeatPatternDim": (0x828D, SHORT),
+    "CFAPattern": (0x828E, BYTE), "DNGVersion": (0xC612, BYTE), "UniqueCameraModel": (0xC614, ASCII),
+    "BlackLevel": (0xC61A, SHORT), "WhiteLevel": (0xC61D, SHORT), "ColorMatrix1": (0xC621, SIGNED),
+    "AsShotNeutral": (0xC628, RATIONAL), "CalibrationIlluminant1": (0xC65A, SHORT),
+}  # fmt: skip
 EXIF = {
     "DateTimeOriginal": (0x9003, ASCII), "OffsetTimeOriginal": (0x9011, ASCII),
     "SubSecTimeOriginal": (0x9291, ASCII),
@@ -53,9 +61,10 @@ def _payload(kind: int, value: object, order: str) -> tuple[bytes, int]:
         text = str(value).encode() + b"\0"
         return text, len(text)
     values = value if isinstance(value, tuple) else (value,)
-    if kind == RATIONAL:
+    if kind in (RATIONAL, SIGNED):
+        code = "II" if kind == RATIONAL else "ii"
         pairs = [Fraction(v).limit_denominator(10**7) for v in values]
-        return b"".join(struct.pack(order + "II", p.numerator, p.denominator) for p in pairs), len(pairs)
+        return b"".join(struct.pack(order + code, p.numerator, p.denominator) for p in pairs), len(pairs)
     code = {SHORT: "H", LONG: "I", BYTE: "B"}[kind]
     return b"".join(struct.pack(order + code, v) for v in values), len(values)
 
@@ -122,6 +131,35 @@ def write_jpeg(
     if xmp:
         head += segment(0xE1, b"http://ns.adobe.com/xap/1.0/\0" + xmp)
     path.write_bytes(head + data[2:] + tail)
+    return path
+
+
+TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+"""From XYZ: a camera with this matrix has sRGB's primaries."""
+
+
+def write_dng(path: Path, rgb: np.ndarray, exif: dict[str, object], xmp: bytes = b"", **dng: object) -> Path:
+    """A raw image (RGGB in 16 bits, black 256, white 16256) of linear colours from 0 to 1, shot under light in
+    which grey has the camera values 0.5, 1, 0.8."""
+    neutral = (Fraction(1, 2), Fraction(1), Fraction(4, 5))
+    rows, cols = rgb.shape[:2]
+    raw = 256.0 + 16000.0 * rgb * np.array([float(n) for n in neutral])
+    row, col = np.indices((rows, cols)) % 2
+    mosaic = np.take_along_axis(raw, (row + col)[..., None], axis=2)[..., 0].round().astype("<u2")
+    tags = {
+        "NewSubfileType": 0, "ImageWidth": cols, "ImageLength": rows, "BitsPerSample": 16, "Compression": 1,
+        "Photometric": 32803, "SamplesPerPixel": 1, "RowsPerStrip": rows, "StripByteCounts": 2 * rows * cols,
+        "CFARepeatPatternDim": (2, 2), "CFAPattern": (0, 1, 1, 2), "DNGVersion": (1, 4, 0, 0),
+        "UniqueCameraModel": "DJI FC6310", "BlackLevel": 256, "WhiteLevel": 16256,
+        "ColorMatrix1": tuple(TO_SRGB.ravel()), "AsShotNeutral": neutral, "CalibrationIlluminant1": 21,
+        "Orientation": 1, **exif, **dng,
+    }  # fmt: skip
+    if xmp:
+        tags["Xmp"] = tuple(xmp)
+    head = exif_block(**tags, StripOffsets=0)
+    head += b"\0" * (len(head) % 2)
+    tags["StripOffsets"] = len(head)
+    path.write_bytes(exif_block(**tags).ljust(len(head), b"\0") + mosaic.tobytes())
     return path
 
 

@@ -176,8 +176,8 @@ def test_folders_and_frames_that_are_none(tmp_path: Path) -> None:
         read_survey(SurveyInputs(tmp_path / "none"))
     with pytest.raises(InputError, match=r"holds no JPEG, TIFF or PNG frames \(it is empty\)"):
         read_survey(SurveyInputs(tmp_path))
-    (tmp_path / "a.dng").write_bytes(b"x")
-    with pytest.raises(InputError, match=r"holds no JPEG, TIFF or PNG frames \(1 \.dng\)"):
+    (tmp_path / "a.arw").write_bytes(b"x")
+    with pytest.raises(InputError, match=r"holds no JPEG, TIFF or PNG frames \(1 \.arw\)"):
         read_survey(SurveyInputs(tmp_path))
     text = tmp_path / "b.jpg"
     text.write_text("not an image")

@@ -199,8 +199,7 @@ def test_the_geoid_that_the_message_names_serves_where_it_is_put(
 @pytest.mark.parametrize(
     ("files", "advice"),
     [
-        (("DJI_0001.DNG", "DJI_0002.DNG"), "convert raw images to JPEG or TIFF"),
-        (("IMG_1.HEIC",), "convert HEIC to JPEG first: heif-convert"),
+        (("DSC0001.ARW", "DSC0002.ARW"), "convert raw images to JPEG or TIFF"),
         (("DJI_0001.MP4", "DJI_0001.SRT"), "take frames out of the video first: geomosaic frames"),
         (("notes.txt",), "give the folder that holds the frames"),
     ],
