@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.doors.at_hand import at_hand
 from geomosaic.errors import FileError, InputError
 
 _AGAIN: Final = "copy it again from the camera, or take it out of the folder"
@@ -129,7 +130,7 @@ def _raw(path: Path) -> Iterator[Any]:
 
     try:
         with rawpy.RawPy() as raw:
-            raw.open_file(str(path))
+            raw.open_file(str(at_hand(path)))
             raw.set_unpack_params()
             yield raw
     except (rawpy.LibRawError, ValueError, MemoryError) as error:
@@ -141,7 +142,7 @@ def _heic(path: Path) -> Iterator[Any]:
     import pillow_heif
 
     try:
-        yield pillow_heif.open_heif(path, convert_hdr_to_8bit=False)
+        yield pillow_heif.open_heif(at_hand(path), convert_hdr_to_8bit=False)
     except FileError:
         raise
     except (ValueError, OSError, EOFError, RuntimeError, SyntaxError, MemoryError) as error:

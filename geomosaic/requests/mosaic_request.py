@@ -113,8 +113,9 @@ class MosaicRequest(FramesRequest):
     )
     radiometry: str | None = asked(
         Option(
-            "reflectance calibrates multispectral frames by the makers' models, sun sensor and panels [none]",
-            "none|reflectance",
+            "reflectance calibrates multispectral frames by the makers' models, sun sensor and panels; "
+            "temperature reads the degrees in FLIR's JPEG frames [none]",
+            "none|reflectance|temperature",
             INPUTS,
             sets="survey.read.radiometry",
         )

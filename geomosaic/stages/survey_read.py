@@ -106,7 +106,7 @@ class SurveyParams(StageParams):
     radiometry: str = param(
         "none",
         help="reflectance: values of MicaSense's, DJI's and Parrot's multispectral cameras by the makers' "
-        "models, sun sensor and panels; none: as recorded",
+        "models, sun sensor and panels; temperature: the degrees in FLIR's JPEG frames; none: as recorded",
         choices=RADIOMETRY,
     )
     panel: str | None = param(

@@ -15,7 +15,7 @@ from geomosaic.geodesy.sun import sun_direction
 from geomosaic.radiometry.calibration import Calibration, Vignetting
 from geomosaic.radiometry.quantity import CELSIUS, CENTIKELVIN, Quantity
 from geomosaic.radiometry.sun_sensor import horizontal_irradiance, sensor_axis
-from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.header import JPEG_SUFFIXES, FrameHeader
 from geomosaic.survey.strays import camera_kind
 from geomosaic.survey.xmp import Xmp, number, numbers
 
@@ -50,11 +50,13 @@ def sensor_model(header: FrameHeader) -> SensorModel | None:
 
 
 def temperature(header: FrameHeader) -> Quantity | None:
-    """How values are temperatures: those of MicaSense's thermal band, and floats of a thermal camera; None
-    where they are not."""
-    if (header.xmp or {}).get("Camera:BandName", "").upper() == "LWIR":
-        return CENTIKELVIN
-    return CELSIUS if camera_kind(header) == "thermal" and header.dtype == "float32" else None
+    """How values are temperatures: those of MicaSense's thermal band, and floats of a thermal camera, of a
+    band that is called LWIR or of a JPEG; None where they are not."""
+    band = (header.xmp or {}).get("Camera:BandName", "").upper() == "LWIR"
+    if header.dtype != "float32":
+        return CENTIKELVIN if band else None
+    thermal = band or camera_kind(header) == "thermal" or header.path.suffix.lower() in JPEG_SUFFIXES
+    return CELSIUS if thermal else None
 
 
 def _micasense(header: FrameHeader) -> SensorModel | None:

@@ -13,6 +13,7 @@ from rasterio.windows import Window
 from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.camera_formats import camera_format, decoded_camera_image
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
+from geomosaic.doors.thermograms import thermogram
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import decoded
 from geomosaic.survey.header import JPEG_SUFFIXES
@@ -52,7 +53,9 @@ def read_pixels(
     pixels: NDArray[Any]
     valid: Mask | None
     bands = frame.bands
-    if path.suffix.lower() in JPEG_SUFFIXES:
+    if path.suffix.lower() in JPEG_SUFFIXES and frame.dtype == "float32":
+        pixels, valid = means(thermogram(path)[..., None], reduction), None
+    elif path.suffix.lower() in JPEG_SUFFIXES:
         bands = 1 if luma else bands
         small = None if spare is None or reduction == 1 else spare.found()
         kept = None if small is None else small.at(reduction, luma=luma)

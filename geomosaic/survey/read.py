@@ -23,6 +23,7 @@ from geomosaic.survey.read_frames import (
     with_cameras,
     with_frames,
     with_observations,
+    with_temperatures,
     without_other_cameras,
     without_strays,
 )
@@ -32,6 +33,7 @@ from geomosaic.survey.usable import Inspect, inspect_all
 from geomosaic.survey.zone import proposing_zone
 
 PROCEDURE: Final[tuple[Callable[[SurveyDraft], SurveyDraft], ...]] = (
+    with_temperatures,
     without_other_cameras,
     with_reflectance,
     without_strays,

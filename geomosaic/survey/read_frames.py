@@ -6,11 +6,13 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from geomosaic.doors.thermograms import check_thermograms, thermogram
 from geomosaic.errors import InputError
+from geomosaic.survey.calibration_tags import temperature
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.extent import check_extent
 from geomosaic.survey.folder import unused_folders
-from geomosaic.survey.header import FrameHeader
+from geomosaic.survey.header import JPEG_SUFFIXES, FrameHeader
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Band, Frame, UnusedImage, Warn
 from geomosaic.survey.motion_tags import turns_of, velocity_of
@@ -50,11 +52,39 @@ def readable_frames(inputs: SurveyInputs, inspect: Inspect, progress: Progress |
     return SurveyDraft(inputs, pos, cameras, found, headers, in_time, folder_warnings=warnings)
 
 
+def with_temperatures(draft: SurveyDraft) -> SurveyDraft:
+    """FLIR's JPEG frames as their temperatures, where these are asked for; without the frames that have none,
+    unless a camera is asked for.
+
+    Raises: `InputError` where no frame has them.
+    """
+    if draft.inputs.radiometry != "temperature":
+        return draft
+    check_thermograms()
+    errors: dict[str, InputError] = {}
+    headers = []
+    for header in draft.headers:
+        if header.path.suffix.lower() in JPEG_SUFFIXES:
+            try:
+                rows, cols = thermogram(header.path).shape
+                header = replace(header, width_px=cols, height_px=rows, bands=1, dtype="float32")
+            except InputError as error:
+                errors[header.name] = error
+        headers.append(header)
+    if errors and not any(temperature(header) for header in headers):
+        raise next(iter(errors.values()))
+    if draft.inputs.camera_kind is not None:
+        errors = {}
+    strays = [("frame-no-temperature", UnusedImage(name, error.problem)) for name, error in errors.items()]
+    return replace(draft, headers=tuple(without(headers, strays)), strays=tuple(strays))
+
+
 def without_other_cameras(draft: SurveyDraft) -> SurveyDraft:
     """Frames of one kind; of a rig that writes a file a band, those of one band."""
     inputs = draft.inputs
-    strays = [] if inputs.leave_out == "none" else other_kinds(draft.headers, inputs.camera_kind)
-    draft = replace(draft, headers=tuple(without(draft.headers, strays)), strays=tuple(strays))
+    others = [] if inputs.leave_out == "none" else other_kinds(draft.headers, inputs.camera_kind)
+    headers = tuple(without(draft.headers, others))
+    draft = replace(draft, headers=headers, strays=(*draft.strays, *others))
     rig = captures(draft.headers)
     if rig is None:
         return draft

@@ -26,7 +26,7 @@ from geomosaic.survey.strays import camera_kind
 from geomosaic.survey.table import is_number, read_lines, read_table
 from geomosaic.survey.xmp import number
 
-RADIOMETRY: Final = ("none", "reflectance")
+RADIOMETRY: Final = ("none", "reflectance", "temperature")
 _LOW_M = tuned(
     10.0, "m", "below the median height: frames searched for a panel; more misses it, less is slow"
 )
@@ -34,7 +34,7 @@ _SATURATED = sourced(65_000.0, "digital numbers", "beyond which a panel is satur
 _GIVE_PANEL: Final = "give a photo of a panel with --panel IMAGE=ALBEDO"
 _GREY: Final = (
     "thermal frames are read as the grey pictures that their JPEG files show, not as temperatures: for "
-    "degrees convert them to TIFF in 32-bit floats first (DJI Thermal Analysis Tool; flyr for FLIR)"
+    "degrees give --radiometry temperature (FLIR), or convert them to TIFF in 32-bit floats first (DJI)"
 )
 _LEAVE: Final = "leave out --radiometry reflectance to have values as recorded"
 
@@ -106,7 +106,7 @@ def with_reflectance(draft: SurveyDraft) -> SurveyDraft:
     bands = _by_band(draft)
     firsts = {band: next(iter(files.values())) for band, files in bands.items() if files}
     meant = {band: kind for band, header in firsts.items() if (kind := temperature(header)) is not None}
-    if draft.inputs.radiometry == "none":
+    if draft.inputs.radiometry != "reflectance":
         rest = dict.fromkeys(bands.keys() - meant.keys(), UNCALIBRATED) if draft.rig else {}
         grey = [h.name for h in draft.headers if camera_kind(h) == "thermal" and h.dtype == "uint8"]
         warnings = [Warn("thermal-grey", "", _GREY)] if grey else []

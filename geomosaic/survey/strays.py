@@ -46,6 +46,7 @@ _NEAREST = tuned(5, "frames", "each side, to compare sharpness: fewer let one de
 _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
     "frame-other-camera": "taken by another of the aircraft's cameras (--camera-kind chooses one)",
+    "frame-no-temperature": "without temperatures that can be read",
     "frame-copy": "copies of other frames",
     "frame-take-off": "taken far below all others at the flight's beginning or end",
     "frame-far-away": "farther away than a survey reaches",
