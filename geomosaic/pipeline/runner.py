@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -295,7 +296,5 @@ class _Run:
         return StageTask(step, inputs, context, log, lineage)
 
     def _record_failure(self, stage: str, text: str) -> None:
-        try:
+        with suppress(GeomosaicError):
             self._log.recorder.log("error", text, stage=stage)
-        except GeomosaicError:
-            return

@@ -106,10 +106,7 @@ class MosaicRequest(FramesRequest):
         )
     )
     every: int = asked(
-        Option(
-            "use every N-th frame, in the order of exposure", "N", RARE, sets="survey.read.every", least=1
-        ),
-        1,
+        Option("use every N-th frame, in time", "N", RARE, sets="survey.read.every", least=1), 1
     )
     radiometry: str | None = asked(
         Option(

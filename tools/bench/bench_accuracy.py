@@ -35,8 +35,10 @@ from geomosaic.quality.misalignment import trend
 
 Floats = NDArray[np.float64]
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
-SIZE = ["--width-px", "1336", "--height-px", "1002", "--k1", "0", "--k2", "0"]
-BLOCK = [*SIZE, "--lines", "3", "--frames-per-line", "8"]
+PIXELS = ["--width-px", "1336", "--height-px", "1002", "--k2", "0"]
+SIZE = [*PIXELS, "--k1", "0"]
+LINES = ["--lines", "3", "--frames-per-line", "8"]
+BLOCK = [*SIZE, *LINES]
 NAMED = {"turned-frame": "frame-turned", "wrong-yaw": "yaw-wrong", "position-outlier": "position-wrong"}
 """What truth.json calls a thing that is wrong on purpose, and what a run's warning calls it. Of a frame with
 two things wrong one must be told: an image turned by 180 degrees and a heading wrong by 180 cancel."""
@@ -67,7 +69,7 @@ class Case:
 
 CASES = [
     Case("flat", BLOCK, 0.15, 0.5),
-    Case("k1 unknown", [*BLOCK, "--k1", "-0.08", "--no-lens-told"], 0.3),
+    Case("k1 unknown", [*PIXELS, *LINES, "--k1", "-0.08", "--no-lens-told"], 0.3),
     Case("hills, DEM", [*BLOCK, "--relief-m", "20"], 0.3, dem=True),
     Case("hills, no DEM", [*BLOCK, "--relief-m", "20"], 0.6, 1.2),
     Case("hills, no DEM, as if flat", [*BLOCK, "--relief-m", "20"],

@@ -28,7 +28,7 @@ from geomosaic.requests.strips_request import StripsRequest
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 FEW = "matching.sift.keypoints=700"
 SMALL = ["--width-px", "480", "--height-px", "360", "--height-above-ground-m", "54"]
-STRIPS = ["--ccds", "3", "--lines", "1500", "--width-px", "128", "--overlap-px", "56", "--relief-m", "200"]
+STRIPS = ["--ccds", "3", "--lines", "2400", "--width-px", "128", "--overlap-px", "56", "--relief-m", "200"]
 
 
 @dataclass(frozen=True)
