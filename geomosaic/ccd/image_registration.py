@@ -1,13 +1,16 @@
-"""Dense normalised correlation and a smooth curve, pair by pair (method `image_registration`).
+"""Dense normalised correlation pair by pair, and a smooth curve or one mean (two methods).
 
-What the jitter correction of HiRISE does (hijitreg and slither of USGS ISIS; Mattson et al. 2009): patches
-along the overlap are correlated, doubtful ones dropped, and a smooth curve is drawn through the rest.
+`image_registration` is what the jitter correction of HiRISE does (hijitreg and slither of USGS ISIS; Mattson
+et al. 2009): patches along the overlap are correlated, doubtful ones dropped, and a smooth curve is drawn
+through the rest. `mean_offset` is how HiRISE's CCDs are put together without it: hijitreg's average offsets
+of each pair, for all its lines.
 """
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
 
@@ -18,13 +21,14 @@ from geomosaic.ccd.model import (
     UNKNOWN_SD_PX,
     UNRELIABLE,
     CcdSettings,
+    Flags,
     Floats,
     Overlap,
     PairOffsets,
     Progress,
 )
 from geomosaic.ccd.overlaps import Strips
-from geomosaic.ccd.sift_chains import bridging_sd, pieces
+from geomosaic.ccd.sift_chains import NEAR_PX, bridging_sd, pieces
 from geomosaic.constants import sourced, tuned
 from geomosaic.survey.strips import StripGeometry
 
@@ -38,16 +42,28 @@ _PHASE_SD_PX = tuned(0.02, "px", "pixel locking of parabola peaks: less claims t
 
 def image_registration(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
     """A smoothing spline through the peaks of the correlation of patches of 64 lines."""
+    found = _all_patches(strips, settings, progress)
+    return tuple(_curve(pair, strips.lines(pair), patches_of) for pair, patches_of in found.items())
+
+
+def mean_offset(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
+    """One offset for each pair: the mean of the peaks of the correlation of patches of 64 lines.
+
+    The standard deviation is that of a patch about the mean: the motion within the scene is not corrected.
+    """
+    found = _all_patches(strips, settings, progress)
+    return tuple(_mean(pair, strips.lines(pair), patches_of) for pair, patches_of in found.items())
+
+
+def _all_patches(strips: Strips, settings: CcdSettings, progress: Progress) -> dict[int, Floats]:
+    """The patches (p, 4) of every pair, as `patches` returns them."""
     found: dict[int, list[Floats]] = {pair: [] for pair in strips.pairs}
     spare = settings.search_lines_px + 3 * (BOX_PX // 2)
     for done, (pair, first, stop, total) in enumerate(pieces(strips, _PIECE_LINES)):
         overlap = strips.overlap(pair, first - spare, stop + spare)
         found[pair].append(patches(overlap, strips.geometry, settings, spare))
         progress(done + 1, total)
-    return tuple(
-        _curve(pair, strips.lines(pair), np.concatenate([np.zeros((0, 4)), *parts]))
-        for pair, parts in found.items()
-    )
+    return {pair: np.concatenate([np.zeros((0, 4)), *parts]) for pair, parts in found.items()}
 
 
 def patches(overlap: Overlap, geometry: StripGeometry, settings: CcdSettings, spare: int) -> Floats:
@@ -86,30 +102,54 @@ def patches(overlap: Overlap, geometry: StripGeometry, settings: CcdSettings, sp
 
 
 def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
-    """Odd patches are those far from the middle of the seven about them.
-
-    The standard deviation is that of a patch: what the curve smooths is not counted on.
-    """
-    centre, offset, r = found[:, 0], found[:, 1:3], found[:, 3]
-    label = np.full(lines, UNRELIABLE, dtype=np.uint8)
-    good = r >= _LEAST_CORRELATION
-    if good.any():
-        usual = median_filter(offset[good], size=(7, 1), mode="nearest")
-        good[good] = np.abs(offset[good] - usual).max(axis=1) <= _ODD_PX
+    """The standard deviation is that of a patch: what the curve smooths is not counted on."""
+    good = _plausible(found)
     if good.sum() < _LEAST_PATCHES:
-        zero, far = np.zeros(lines), np.full(lines, UNKNOWN_SD_PX)
-        return PairOffsets(pair, zero, zero.copy(), far, far.copy(), label)
-    at = centre[good]
+        return _nothing(pair, lines)
+    at, offset, r = found[good, 0], found[good, 1:3], found[good, 3]
     t = np.arange(lines, dtype=np.float64)
     curves, deviations = [], []
     for axis in (0, 1):
-        spline = make_smoothing_spline(at, offset[good, axis], w=r[good] ** 2)
+        spline = make_smoothing_spline(at, offset[:, axis], w=r**2)
         curves.append(np.asarray(spline(np.clip(t, at[0], at[-1]))))
-        deviations.append(bridging_sd(t, at, offset[good, axis], np.full(lines, _PHASE_SD_PX), _PATCH_LINES))
-    for middle, kept in zip(centre, good, strict=True):
-        first = round(middle - (_PATCH_LINES - 1) / 2)
-        label[first : first + _PATCH_LINES] = MEASURED if kept else BRIDGED
+        deviations.append(bridging_sd(t, at, offset[:, axis], np.full(lines, _PHASE_SD_PX), _PATCH_LINES))
+    label = _labels(lines, found[:, 0], good)
     return PairOffsets(pair, curves[0], curves[1], deviations[0], deviations[1], label)
+
+
+def _mean(pair: int, lines: int, found: Floats) -> PairOffsets:
+    good = _plausible(found)
+    if good.sum() < _LEAST_PATCHES:
+        return _nothing(pair, lines)
+    offset = found[good, 1:3]
+    mean, sd = offset.mean(axis=0), offset.std(axis=0, ddof=1)
+    near = good & (np.hypot(*(found[:, 1:3] - mean).T) <= NEAR_PX)
+    dcol, dline, sd_col, sd_line = (np.full(lines, value) for value in (*mean, *sd))
+    return PairOffsets(pair, dcol, dline, sd_col, sd_line, _labels(lines, found[:, 0], near))
+
+
+def _plausible(found: Floats) -> Flags:
+    """Patches (p,) that correlate and lie near the middle of the seven about them."""
+    good = found[:, 3] >= _LEAST_CORRELATION
+    if good.any():
+        offset = found[good, 1:3]
+        usual = median_filter(offset, size=(7, 1), mode="nearest")
+        good[good] = np.abs(offset - usual).max(axis=1) <= _ODD_PX
+    return np.asarray(good)
+
+
+def _labels(lines: int, centre: Floats, measured: Flags) -> NDArray[np.uint8]:
+    """Lines of patches are measured or bridged, the others unreliable."""
+    label = np.full(lines, UNRELIABLE, dtype=np.uint8)
+    for middle, own in zip(centre, measured, strict=True):
+        first = round(middle - (_PATCH_LINES - 1) / 2)
+        label[first : first + _PATCH_LINES] = MEASURED if own else BRIDGED
+    return label
+
+
+def _nothing(pair: int, lines: int) -> PairOffsets:
+    zero, far = np.zeros(lines), np.full(lines, UNKNOWN_SD_PX)
+    return PairOffsets(pair, zero, zero, far, far, np.full(lines, UNRELIABLE, dtype=np.uint8))
 
 
 def _vertex(three: Floats) -> float:

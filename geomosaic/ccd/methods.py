@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from geomosaic.ccd.image_registration import image_registration
+from geomosaic.ccd.image_registration import image_registration, mean_offset
 from geomosaic.ccd.joint import joint
 from geomosaic.ccd.model import CcdSettings, PairOffsets, Progress
 from geomosaic.ccd.overlaps import Strips
@@ -19,5 +19,6 @@ METHODS: Final[dict[str, Method]] = {
     "piecewise_linear": piecewise_linear,
     "whole_scene": whole_scene,
     "image_registration": image_registration,
+    "mean_offset": mean_offset,
     "virtual_line": virtual_line,
 }

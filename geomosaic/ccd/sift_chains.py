@@ -32,7 +32,7 @@ from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 
 _AGREE_PX = tuned(1.0, "px", "of one shift: less parts points by jitter; more admits low clouds")
-_NEAR_PX = tuned(0.5, "px", "off the scene's offset, for measured lines: more admits misplaced ones")
+NEAR_PX = tuned(0.5, "px", "off the scene's offset, for measured lines: more admits misplaced ones")
 _LEAST_POINTS = tuned(6, "points", "that agree: fewer do by chance among 100; more lose low contrast")
 _ABNORMAL_PX = tuned(2.0, "px", "off its neighbours' line: less rejects jitter; more keeps clouds")
 
@@ -174,7 +174,7 @@ def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) ->
         sd = np.maximum(NORMAL_PER_MAD * np.median(np.abs(moved - shift), axis=0), moved[inside].std(axis=0))
         for first, stop, part in parts:
             enough = len(part) >= _LEAST_POINTS
-            near = enough and np.hypot(*(np.median(part.moved_px, axis=0) - shift)) <= _NEAR_PX
+            near = enough and np.hypot(*(np.median(part.moved_px, axis=0) - shift)) <= NEAR_PX
             label[first:stop] = MEASURED if near else BRIDGED
     dcol, dline, sd_col, sd_line = (np.full(lines, value) for value in (*shift, *sd))
     return PairOffsets(pair, dcol, dline, sd_col, sd_line, label)

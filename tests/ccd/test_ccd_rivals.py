@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rasterio.env import get_gdal_config
 
-from geomosaic.ccd.image_registration import image_registration
+from geomosaic.ccd.image_registration import image_registration, mean_offset
 from geomosaic.ccd.methods import Method
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, CcdSettings, PairOffsets, StripOffsets
 from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
@@ -80,7 +80,8 @@ def rms(e: np.ndarray) -> float:
 
 @pytest.mark.parametrize("first_row", [1, 2])
 @pytest.mark.parametrize(
-    ("method", "limit"), [(whole_scene, 0.25), (piecewise_linear, 0.08), (image_registration, 0.12)]
+    ("method", "limit"),
+    [(whole_scene, 0.25), (piecewise_linear, 0.08), (image_registration, 0.12), (mean_offset, 0.25)],
 )
 def test_a_still_scene_is_found_with_the_signs_of_either_side(method, limit, first_row):
     """Drift angle and mounting alone: offsets of some pixels that no two pairs share."""
@@ -100,23 +101,23 @@ def test_a_still_scene_is_found_with_the_signs_of_either_side(method, limit, fir
 def test_a_fraction_of_a_line_in_the_row_separation_is_no_offset():
     """Rows 2100.4 lines apart: the strips are set against each other by whole lines, the offsets are not."""
     strips, pairs = simulated(replace(STILL, row_separation_lines=2100.4, lines=3200, ccds=2))
-    for method in (whole_scene, piecewise_linear, image_registration):
+    for method in (whole_scene, piecewise_linear, image_registration, mean_offset):
         for found in method(strips, CcdSettings(), silent):
             assert abs(errors(strips, pairs, found)[1].mean()) < 0.12
 
 
 def test_segments_follow_a_motion_that_one_offset_cannot():
     strips, pairs = simulated(MOVING)
-    old, new, dense = (
+    old, mean, new, dense = (
         [rms(errors(strips, pairs, found)) for found in found_by(method, MOVING)]
-        for method in (whole_scene, piecewise_linear, image_registration)
+        for method in (whole_scene, mean_offset, piecewise_linear, image_registration)
     )
-    assert min(old) > 0.8
+    assert min(old) > 0.8 and min(mean) > 0.8
     assert max(new) < 0.35
     assert max(dense) < 0.1
 
 
-@pytest.mark.parametrize("method", [whole_scene, piecewise_linear, image_registration])
+@pytest.mark.parametrize("method", [whole_scene, piecewise_linear, image_registration, mean_offset])
 def test_stated_deviations_hold_the_errors(method):
     strips, pairs = simulated(MOVING)
     inside = []

@@ -38,7 +38,7 @@ from geomosaic_simulate.strip_overlaps import simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
 
 LINES, MIXED_LINES, WIDTH_PX = 16384, 8192, 4096
-RIVALS = ("whole_scene", "piecewise_linear", "image_registration")
+RIVALS = ("whole_scene", "mean_offset", "piecewise_linear", "image_registration")
 CASES = ("clean", "low contrast 40 %", "clouds 20 %", "clouds 50 %", "all together")
 AIMS = {"clean": (0.05, 0.10), "low contrast 40 %": (0.3, None), "clouds 20 %": (0.3, None),
         "clouds 50 %": (0.5, None), "all together": (0.8, None)}  # fmt: skip
