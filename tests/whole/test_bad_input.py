@@ -249,7 +249,7 @@ def test_files_of_another_kind_are_named_before_anything_is_made(
     elif content is not None:
         file.write_text(content)
     if name == "huge.csv":
-        os.truncate(file, 65 << 20)
+        os.truncate(file, 129 << 20)
     refused(mosaic(survey.frames, survey.run, option, file if file.exists() else name), survey.run, words)
     assert not survey.run.exists()
 
