@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from geomosaic.constants import sourced
-from geomosaic.doors.addresses import NAME_BYTES
 from geomosaic.doors.files import TEXT_BYTES, printable
 from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
@@ -53,6 +52,8 @@ CRITERIA = (
     ScoreQuestion("overall", "The mosaic as a whole"),
 )
 
+_MOST_LETTERS: Final = 200
+"""Of a run's or a viewer's name: a line of the report."""
 _FIX: Final = "give files that a report's score form saved"
 
 
@@ -87,7 +88,9 @@ def read_opinion(path: Path) -> Opinion:
         if type(score) is not int or score not in levels:
             raise FileError(f"has no score of 1 to 5 for {criterion.key!r}", file=path, fix=_FIX)
         scores[criterion.key] = score
-    run, viewer, date = (printable(str(content.get(k) or ""))[:NAME_BYTES] for k in ("run", "viewer", "date"))
+    run, viewer, date = (
+        printable(str(content.get(k) or ""))[:_MOST_LETTERS] for k in ("run", "viewer", "date")
+    )
     return Opinion(run or printable(path.stem), viewer, date, scores)
 
 
