@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from geomosaic.constants import sourced
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import TEXT_BYTES, printable
 from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
@@ -52,8 +52,7 @@ CRITERIA = (
     ScoreQuestion("overall", "The mosaic as a whole"),
 )
 
-_MOST_LETTERS: Final = 200
-"""Of a run's or a viewer's name: a line of the report."""
+_MOST_LETTERS = tuned(200, "letters", "of a run's or viewer's name: more do not fit a line")
 _FIX: Final = "give files that a report's score form saved"
 
 
