@@ -140,8 +140,9 @@ def simulate_frames(
             write_csv(paths.moving_cars, CAR_COLUMNS, rows)
 
         def image(i: int) -> bytes:
-            light = _frame(plan, camera, flight, readouts[i], world, sights[i], texture, cars[i], changes, i)
-            return frame_bytes(plan, reported, flight, observed, i, light)
+            seen = (sights[i], texture, cars[i], changes)
+            light, automatic = _frame(plan, camera, flight, readouts[i], world, *seen, i)
+            return frame_bytes(plan, reported, flight, observed, i, light, automatic)
 
         for n, (i, data) in enumerate(zip(plan.kept, in_threads(image, plan.kept), strict=True)):
             for name in (names[i], copies.get(i)):
@@ -208,8 +209,8 @@ def _frame(
     cars: Floats,
     changes: Floats,
     i: int,
-) -> NDArray[np.float32]:
-    """One frame as it is stored, values of [0, 255]."""
+) -> tuple[NDArray[np.float32], float]:
+    """One frame as it is stored, values of [0, 255], and the gain that the camera's automatic chose."""
     pose = flight.poses[i]
     if plan.buildings_stand:
         west, south, east, north = sight.bounds_m
@@ -237,9 +238,10 @@ def _frame(
         light = motion_blur(light, smear_px(plan, camera, flight, i))
     if i in plan.numbered("blurred"):
         light = shaken(plan, light, i)
-    gain = exposure_gain(plan, i) * automatic_gain(plan.auto_exposure, light)
+    automatic = automatic_gain(plan.auto_exposure, light)
+    gain = exposure_gain(plan, i) * automatic
     light = develop(light, gain, plan.vignetting, plan.blur_px, plan.pixel_noise, plan.rng("pixels", i))
-    return light[::-1, ::-1] if i in plan.turned_frames() else light
+    return (light[::-1, ::-1] if i in plan.turned_frames() else light), automatic
 
 
 def smear_px(plan: SurveyPlan, camera: Camera, flight: Flight, i: int) -> Floats:

@@ -99,9 +99,16 @@ def frame_name(plan: SurveyPlan, i: int) -> str:
 
 
 def frame_bytes(
-    plan: SurveyPlan, reported: Camera, flight: Flight, observed: Observed, i: int, light: NDArray[np.float32]
+    plan: SurveyPlan,
+    reported: Camera,
+    flight: Flight,
+    observed: Observed,
+    i: int,
+    light: NDArray[np.float32],
+    automatic: float,
 ) -> bytes:
-    """One frame encoded: `light` is (rows, cols, 3) RGB in [0, 255]; 16-bit TIFFs use the whole range."""
+    """One frame encoded: `light` is (rows, cols, 3) RGB in [0, 255]; 16-bit TIFFs use the whole range.
+    automatic: the gain that the camera chose."""
     if plan.format == "tiff16":
         pixels: NDArray[Any] = np.round(light * 257.0).astype(np.uint16)
     else:
@@ -115,6 +122,8 @@ def frame_bytes(
     focal_35mm = max(round(reported.focal_length_px * FILM_DIAGONAL_MM / math.hypot(*size)), 1)
     focal_mm = reported.focal_length_px / float(per_mm)
     exposure_s = Fraction(round(plan.exposure_time_s * 1e6), 1_000_000) or _USUAL_EXPOSURE_S
+    if plan.exposure_told:
+        exposure_s = Fraction(round(automatic * float(exposure_s) * 1e6), 1_000_000)
     main, exif = camera_tags(
         float(flight.time_s[i]), MAKE, plan.camera_model, size, focal_mm, per_mm, focal_35mm, exposure_s
     )

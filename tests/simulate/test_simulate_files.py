@@ -21,6 +21,7 @@ from geomosaic.errors import OutputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.stage import Context
+from geomosaic.survey.header import read_header
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.read import read_survey
 from geomosaic_simulate.exif import sexagesimal
@@ -373,3 +374,20 @@ def test_the_stage_writes_the_survey_into_its_folder(tmp_path: Path) -> None:
     assert done[-1] == (3, 3, "frames")
     kept = {str(p.relative_to(tmp_path / "out")) for p in context.kept}
     assert kept == {*contents(tmp_path / "out")} - {"truth/cameras.json"}
+
+
+def test_frames_report_the_exposure_that_the_automatic_chose(tmp_path: Path) -> None:
+    """Twice the ground's brightness, half the exposure time; read back as the survey's frames hold it."""
+    plan = dataclasses.replace(PLAN, turned="", pixel_noise=0.0, exposure_sd=0.0)
+    automatic = dataclasses.replace(plan, auto_exposure=1.0, exposure_told=True)
+    ground = simulate_frames(tmp_path / "plain", plan)
+    even = simulate_frames(tmp_path / "automatic", automatic)
+    light, exposure = [], []
+    for path in sorted(ground.frames.iterdir()):
+        light.append(float(cv2.imread(str(path)).mean()))
+        exposure.append(read_header(even.frames / path.name).exif.exposure or 0.0)
+        assert read_header(path).exif.exposure == pytest.approx(1.0 / 800.0 / 2.8**2)
+    assert np.ptp(light) > 2.0
+    np.testing.assert_allclose(
+        np.array(light) * exposure, 110.0 / 800.0 / 2.8**2, rtol=0.02, err_msg="110 is the mean aimed at"
+    )
