@@ -9,27 +9,27 @@ from typing import Final
 import cv2
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
-from scipy.sparse.linalg import spsolve
 
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
+from geomosaic.composition.tone_deviations import GAIN_SD, Exposures, Scatter
 from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
-from geomosaic.constants import NORMAL_PER_MAD, tuned
-from geomosaic.estimation.linear import least_squares
+from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, sourced, tuned
+from geomosaic.estimation.linear import SparseFactors, least_squares
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.matching.tracks import frame_by_frame
 
 _WHITE: Final = float(np.iinfo(np.uint8).max + 1)
 """Of the tone curve of pictures: the highest grey level itself could not move."""
-_GAIN_SD = tuned(0.2, "log brightness", "prior, half a stop: less forbids exposure; more follows noise")
+_SHARED_SD = tuned(
+    0.5, "log brightness", "prior of what frames share: fields' spots came to 0.6; corners to 0.5"
+)
 _SLOPE_SD = tuned(0.1, "log brightness", "prior, middle to corner: 10 % by the sun's side")
-_VIGNETTE_SD = tuned(0.5, "log brightness", "prior, middle to corner: half at most")
-_SPOT_SD = tuned(0.5, "log brightness", "prior: fields came to 0.6")
+_LINEAR = sourced(1.0, "log brightness/log exposure", "contrast expected, and its prior", "values as light")
 _INDEPENDENT = tuned(25.0, "places", "independent in a frame, by fields: more follow noise at small overlaps")
 _LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights places that agree by chance")
 _LEVEL_SD = tuned(
     0.25, "of a frame's longer side", "exposure follows a frame; less: frames' own scatter stays"
 )
-_ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Evenness:
 def solve_tones(
     places: ToneSightings,
     values: Floats32,
-    camera_of: Sequence[int],
+    exposures: Exposures,
     picture: bool = False,
     sun: SunBehind | None = None,
 ) -> tuple[Tones, Evenness]:
@@ -55,10 +55,10 @@ def solve_tones(
     Of pictures of 8 bits by the response that leaves the smaller differences in the median; with a hot spot
     where they show one.
 
-    Args: values (m, b) of the sightings, NaN where unknown; camera_of (n,) of the frames, from 0.
+    Args: values (m, b) of the sightings, NaN where unknown.
     """
     found = [
-        _by_response(places, values, camera_of, white)
+        _by_response(places, values, exposures, white)
         for white in ((np.inf, _WHITE) if picture else (np.inf,))
     ]
     tones, evenness, left = min(found, key=lambda one: np.nan_to_num(one[1].after_median))
@@ -66,7 +66,7 @@ def solve_tones(
     if sun is not None and shown is not None:
         away, width_rad = shown
         spot = hot_spot(sun.rays, away[places.frame], width_rad)
-        tones, evenness, _ = _by_response(places, values, camera_of, tones.white, spot)
+        tones, evenness, _ = _by_response(places, values, exposures, tones.white, spot)
         tones = replace(tones, away=away, spot_width_rad=width_rad)
     return tones, evenness
 
@@ -74,52 +74,68 @@ def solve_tones(
 def _by_response(
     places: ToneSightings,
     values: Floats32,
-    camera_of: Sequence[int],
+    exposures: Exposures,
     white: float,
     spot: Floats | None = None,
 ) -> tuple[Tones, Evenness, TonesLeft]:
     """The solution by one response: see `Tones`. spot (m,): `hot_spot` of the sightings, where it counts.
 
     Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
-    cars drive off and water shines from one side; weak priors at nothing.
+    cars drive off and water shines from one side. Gains scatter about what exposures report, by a
+    variance component.
     """
-    n, bands = len(camera_of), values.shape[1]
+    of_frame = exposures.camera
+    n, bands = len(of_frame), values.shape[1]
     known = np.isfinite(values).all(axis=1)
     known &= np.bincount(places.place[known], minlength=len(places.nodes))[places.place] > 1
     place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
     grey = values[known].astype(np.float64)
     below = np.maximum(1.0 - grey / white, 1.0 / _WHITE)
     logs = np.log(grey / below)
-    camera = np.asarray(camera_of, dtype=np.intp)[frame]
+    camera = of_frame[frame]
     seen = np.bincount(frame, minlength=n)
     share = np.minimum(1.0, _INDEPENDENT / np.maximum(seen, 1))[frame]
-    cameras, radius2 = max(camera_of, default=0) + 1, (offset**2).sum(axis=1)
+    cameras, radius2 = int(of_frame.max(initial=0)) + 1, (offset**2).sum(axis=1)
+    nothing = np.zeros(len(frame))
     terms = (
-        (frame, np.ones(len(frame)), n, _GAIN_SD),
+        (frame, np.ones(len(frame)), n, np.inf),
+        (camera, nothing, cameras, _LINEAR),
+        (camera, nothing, cameras, _SHARED_SD),
         (frame, offset[:, 0], n, _SLOPE_SD),
         (frame, offset[:, 1], n, _SLOPE_SD),
-        (camera, radius2, cameras, _VIGNETTE_SD),
-        (camera, radius2**2, cameras, _VIGNETTE_SD),
-        *([] if spot is None else [(np.zeros_like(frame), spot[known], 1, _SPOT_SD)]),
+        (camera, radius2, cameras, _SHARED_SD),
+        (camera, radius2**2, cameras, _SHARED_SD),
+        *([] if spot is None else [(np.zeros_like(frame), spot[known], 1, _SHARED_SD)]),
     )
     at = np.arange(len(frame))
     design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
     of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.nodes))).tocsr()
     bent = float(np.median(1.0 / below)) if len(at) else 1.0
-    prior = np.concatenate([np.full(count, (sd * bent) ** -2) for _, _, count, sd in terms])
-    found, left, weight = np.zeros((bands, len(prior))), np.zeros_like(logs), np.zeros_like(logs)
+    deviations = np.concatenate([np.full(count, sd * bent) for _, _, count, sd in terms])
+    unknowns = len(deviations)
+    ends = np.cumsum([count for _, _, count, _ in terms])
+    errors, reported = exposures.gain_errors(), np.isfinite(exposures.log_exposure)
+    errors.resize(n, unknowns)
+    linear = _LINEAR * bent * exposures.about_mean
+    scatters = [
+        Scatter(diags(1.0 / deviations, format="csr"), np.zeros(unknowns), 1.0, True),
+        *(
+            Scatter(errors[of], linear[of], GAIN_SD * bent, not its)
+            for of, its in ((reported, True), (~reported, False))
+        ),
+    ]
+    found, left, weight = np.zeros((bands, unknowns)), np.zeros_like(logs), np.zeros_like(logs)
     for b in range(bands if len(at) else 0):
-        found[b], left[:, b], weight[:, b] = _solved(design, of_place, logs[:, b], share, prior)
-    parts = np.split(found.T, np.cumsum([c for _, _, c, _ in terms])[:-1])
-    gain, across, along, second, fourth = parts[:5]
+        found[b], left[:, b], weight[:, b] = _solved(design, of_place, logs[:, b], share, scatters)
+    gain, contrast, _, across, along, second, fourth, *rest = np.split(found.T, ends[:-1])
     seen_at_all = (seen > 0)[:, None]
-    of_frame = np.asarray(camera_of, dtype=np.intp)
     tones = Tones(
         np.where(seen_at_all, gain, 0.0),
         np.where(seen_at_all[..., None], np.stack([across, along], axis=-1), 0.0),
         np.stack([second[of_frame], fourth[of_frame]], axis=-1),
         white,
-        spot=None if spot is None else parts[5][0],
+        spot=rest[0][0] if rest else None,
+        reported=exposures.about_mean[:, None] * (_LINEAR * bent + contrast[of_frame]),
     )
     before = logs - _means(of_place, np.ones(len(at)), logs)
     evenness = _evenness(grey * below, before, left)
@@ -127,20 +143,25 @@ def _by_response(
 
 
 def _solved(
-    design: csr_matrix, of_place: csr_matrix, logs: Floats, share: Floats, prior: Floats
+    design: csr_matrix,
+    of_place: csr_matrix,
+    logs: Floats,
+    share: Floats,
+    scatters: Sequence[Scatter],
 ) -> tuple[Floats, Floats, Floats]:
     """One band's unknowns, what they leave of the differences to each place's mean, and the weights."""
     found, weight, left = np.zeros(design.shape[1]), share, logs - _means(of_place, share, logs)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
         weight = share / sd**2 * cauchy_weight(left / sd)
         weighed = diags(weight) @ design
         coupling = of_place.T @ weighed
-        total = of_place.T @ weight
-        per = diags(1.0 / np.maximum(total, 1e-12))
-        normal = design.T @ weighed - coupling.T @ per @ coupling + diags(prior)
+        per = diags(1.0 / np.maximum(of_place.T @ weight, 1e-12))
+        normal = design.T @ weighed - coupling.T @ per @ coupling
         side = weighed.T @ logs - coupling.T @ (per @ (of_place.T @ (weight * logs)))
-        found = spsolve(normal.tocsc(), side)
+        factors = SparseFactors(normal + sum(scatter.normal for scatter in scatters))
+        found = factors.solve(side + sum(scatter.side for scatter in scatters))
+        scatters = [scatter.estimated(found, factors) for scatter in scatters]
         off = logs - design @ found
         left = off - _means(of_place, weight, off)
     return found, left, weight
@@ -153,6 +174,23 @@ def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
     return np.asarray(of_place @ (sums / (total if values.ndim == 1 else total[:, None])))
 
 
+def reports_tell(tones: Tones) -> bool:
+    """Whether exposures that frames report account for more of their gains than they leave."""
+    if tones.reported is None:
+        return False
+    left = tones.gain - tones.reported
+    return bool(tones.reported.var(axis=0).sum() > left.var(axis=0).sum())
+
+
+def with_one_level(tones: Tones, places: ToneSightings) -> Tones:
+    """Tones with which the map shows all ground by one exposure: that of the frames about the place where
+    they were exposed least. So the ground that is brightest keeps the brightness of its frames."""
+    if not len(places.frame) or tones.reported is None:
+        return tones
+    about = _about_places(places, tones.reported[places.frame])
+    return replace(tones, gain=tones.gain - about[about.sum(axis=1).argmin()])
+
+
 def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
     """Tones with which the map is as bright as the frames that show a place are in the mean: what a camera's
     exposure follows stays, and only differences between frames go. The mean is taken over about half a frame,
@@ -161,7 +199,17 @@ def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
         return tones
     n, b = tones.gain.shape
     own = tones.gain[places.frame] + np.einsum("mbk,mk->mb", tones.slope[places.frame], places.offset)
-    first = places.nodes.min(axis=0)
+    target = _about_places(places, own)
+    level = np.zeros((n, b, 6))
+    for i, mine in frame_by_frame(places.frame):
+        terms = powers(*(places.offset[mine, k][:, None] for k in (0, 1)))
+        level[i] = least_squares(terms, target[mine].astype(np.float64)).T
+    return replace(tones, level=level)
+
+
+def _about_places(places: ToneSightings, own: Floats) -> Floats32:
+    """Means of sightings' values (m, b) over about half a frame, at each sighting's place."""
+    first, b = places.nodes.min(axis=0), own.shape[1]
     shape = tuple((places.nodes.max(axis=0) - first + 1).tolist())
     sums = np.zeros((*shape, b + 1), dtype=np.float32)
     row, col = (places.nodes - first).T
@@ -170,12 +218,7 @@ def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
     sums[sums[..., -1] > 0] /= sums[sums[..., -1] > 0][:, -1:]
     smooth = cv2.GaussianBlur(sums, (0, 0), _LEVEL_SD * ACROSS, borderType=cv2.BORDER_CONSTANT)
     smooth = smooth.reshape(*shape, b + 1)
-    target = (smooth[..., :b] / np.maximum(smooth[..., b:], 1e-6))[row, col][places.place]
-    level = np.zeros((n, b, 6))
-    for i, mine in frame_by_frame(places.frame):
-        terms = powers(*(places.offset[mine, k][:, None] for k in (0, 1)))
-        level[i] = least_squares(terms, target[mine].astype(np.float64)).T
-    return replace(tones, level=level)
+    return np.asarray((smooth[..., :b] / np.maximum(smooth[..., b:], 1e-6))[row, col][places.place])
 
 
 def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:

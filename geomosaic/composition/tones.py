@@ -51,6 +51,7 @@ class Tones:
     distance from there. level (n, b, 6): of what all frames show together there, by these offsets' `powers`;
     the map keeps it. None where it shows one exposure throughout. spot (b,): times a `hot_spot` of this
     width about the direction away from the sun in each camera's axes, away (n, 3); None where none shows.
+    reported (n, b): the part of the gains that frames' exposures account for.
     """
 
     gain: Floats
@@ -61,6 +62,7 @@ class Tones:
     spot: Floats | None = None
     away: Floats | None = None
     spot_width_rad: float = 0.0
+    reported: Floats | None = None
 
     def flat(self, frame: int) -> bool:
         """Whether a frame shows the ground as bright as all do."""

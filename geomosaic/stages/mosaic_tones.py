@@ -10,7 +10,8 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
-from geomosaic.composition.tone_solution import solve_tones, with_own_level
+from geomosaic.composition.tone_deviations import Exposures
+from geomosaic.composition.tone_solution import reports_tell, solve_tones, with_one_level, with_own_level
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
 from geomosaic.errors import InputError
 from geomosaic.matching.tracks import frame_by_frame
@@ -21,7 +22,7 @@ from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
 _EVEN = ("auto", "always", "never")
-_LEVELS = ("frames", "common")
+_LEVELS = ("auto", "frames", "common")
 
 
 class TonesParams(StageParams):
@@ -36,12 +37,13 @@ class TonesParams(StageParams):
     level: str = param(
         "frames",
         help="brightness of the map: frames is that of the frames about a place; common is that of one "
-        "exposure for all, which brightens what a camera exposed less",
+        "exposure for all, by which bright ground stays brighter than dark; auto: common where the frames' "
+        "tags report their exposures, frames elsewhere",
         choices=_LEVELS,
     )
 
 
-@stage("mosaic.tones", "Even the tones", group="Mosaic", version=11, outputs="tones")
+@stage("mosaic.tones", "Even the tones", group="Mosaic", version=12, outputs="tones")
 def mosaic_tones(
     survey: Survey, ground: GroundSurface, adjusted: Adjusted, params: TonesParams, context: Context
 ) -> Tones:
@@ -65,11 +67,11 @@ def mosaic_tones(
         return none
     places = lattice(views, survey.map_crs, survey.work_frame, ground)
     values = _values(survey, places, bands, context)
-    number = {name: k for k, name in enumerate(dict.fromkeys(c.name for c in adjusted.cameras))}
+    exposures = Exposures.of(frames, adjusted.cameras)
     sun = SunBehind.of(survey, views, places.frame, places.image_px)
-    tones, evenness = solve_tones(places, values, [number[c.name] for c in adjusted.cameras], images, sun)
-    if params.level == "frames":
-        tones = with_own_level(tones, places)
+    tones, evenness = solve_tones(places, values, exposures, images, sun)
+    common = params.level == "common" or (params.level == "auto" and reports_tell(tones))
+    tones = (with_one_level if common else with_own_level)(tones, places)
     columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
     slopes = {
         f"slope_log_{axis}_{k + 1}": tones.slope[:, k, i] for k in range(bands) for i, axis in enumerate("xy")
@@ -80,6 +82,11 @@ def mosaic_tones(
     if tones.spot is not None:
         context.metric("tones.hot_spot_log", tones.spot.round(3))
         context.metric("tones.hot_spot_width_deg", round(float(np.degrees(tones.spot_width_rad)), 1))
+    context.metric("tones.level", "common" if common else "frames")
+    if tones.reported is not None and np.ptp(tones.reported):
+        left = tones.gain - tones.reported
+        context.metric("tones.reported_sd", float(tones.reported.std()))
+        context.metric("tones.unreported_sd", float(np.sqrt(left.var(axis=0).mean())))
     context.metric("tones.gain_sd", float(tones.gain.std()))
     return tones
 

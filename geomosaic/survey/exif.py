@@ -53,6 +53,14 @@ class Exif:
     f_number: float | None = None
     black_level: float | None = None
 
+    @property
+    def exposure(self) -> float | None:
+        """The exposure time in s that takes as much light at f/1 and ISO 100; a camera that reports no
+        f-number has one aperture. None where time or sensitivity are unknown."""
+        if self.exposure_s is None or self.iso is None:
+            return None
+        return self.exposure_s * self.iso / 100.0 / (self.f_number or 1.0) ** 2
+
 
 def exif_from_block(block: bytes) -> Exif:
     """From an EXIF segment's bytes or a whole TIFF file's: a TIFF header and its directories."""

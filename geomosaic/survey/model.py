@@ -78,7 +78,8 @@ class Frame:
     the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC. Of a damaged frame
     that is used none the less, only the first `whole_rows` count. velocity_m_per_s: east, north, up;
     turns: while its rows were read. platform: serial number of the drone or the camera, as far as tags
-    report one. calibration: of the recorded values to reflectance, which decoding then gives.
+    report one. calibration: of the recorded values to reflectance, which decoding then gives. exposure: time
+    in s that takes as much light at f/1 and ISO 100, as the tags report it.
     """
 
     name: str
@@ -98,6 +99,7 @@ class Frame:
     whole_rows: int | None = None
     platform: str = ""
     calibration: Calibration | None = None
+    exposure: float | None = None
 
 
 @dataclass(frozen=True)

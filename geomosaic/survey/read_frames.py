@@ -179,6 +179,7 @@ def with_frames(draft: SurveyDraft) -> SurveyDraft:
             whole_rows=found.whole_rows.get(h.name),
             platform=platform_of(h),
             calibration=draft.calibrations.get(str(h.path)),
+            exposure=h.exif.exposure,
         )
         for h, camera, position, attitude in zip(
             draft.headers, draft.choice.names, observed.positions, observed.attitudes, strict=True
@@ -219,6 +220,7 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
         nodata=header.nodata,
         valid_mask=None,
         whole_rows=None,
+        exposure=header.exif.exposure,
     )
 
 

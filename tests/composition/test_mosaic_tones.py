@@ -16,7 +16,8 @@ from rasterio.warp import reproject
 from small_surveys import mosaic, summary
 
 from geomosaic.camera.interior import Camera
-from geomosaic.composition.tone_solution import solve_tones, with_own_level
+from geomosaic.composition.tone_deviations import Exposures
+from geomosaic.composition.tone_solution import reports_tell, solve_tones, with_one_level, with_own_level
 from geomosaic.composition.tones import (
     Sampling,
     Tones,
@@ -69,12 +70,17 @@ def sightings(
     )
 
 
+def exposures(frames: int, log_exposure: np.ndarray | float = np.nan) -> Exposures:
+    """Of one camera."""
+    return Exposures(np.zeros(frames, dtype=np.intp), np.broadcast_to(log_exposure, frames))
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_gains_of_each_band_and_the_vignette_are_found(seed: int) -> None:
     places, values, gains, vignette, _ = sightings(seed)
     values[::17] *= 1.8  # cars that drove off, and water that shines
     values[5] = np.nan
-    tones, evenness = solve_tones(places, values, [0] * 12)
+    tones, evenness = solve_tones(places, values, exposures(12))
     off = tones.gain - gains
     assert np.abs(off - off.mean(axis=0)).max() < 0.03
     corner, found = vignette.sum(), tones.vignette.sum(axis=-1)
@@ -87,7 +93,7 @@ def test_light_that_falls_off_across_each_frame_is_found(seed: int) -> None:
     """As where the sun stands behind the camera on one side. What all frames have in common would be a slope
     of the land."""
     places, values, _, _, slopes = sightings(seed, slope_sd=0.08)
-    tones, evenness = solve_tones(places, values, [0] * 12)
+    tones, evenness = solve_tones(places, values, exposures(12))
     off = tones.slope - slopes[:, None]
     assert np.abs(off - off.mean(axis=0)).max() < 0.03
     assert evenness.after_median < 0.35 * evenness.before_median
@@ -100,7 +106,7 @@ def test_alike_frames_stay_as_they_are_and_a_block_doesnt_drift() -> None:
     values = (level[places.place][:, None] * np.exp(rng.normal(0.0, 0.05, (len(places.place), 3)))).astype(
         np.float32
     )
-    tones, _ = solve_tones(places, values, [0] * 60)
+    tones, _ = solve_tones(places, values, exposures(60))
     assert np.abs(tones.gain).max() < 0.04
     trend = np.polyfit(np.arange(60.0), tones.gain.mean(axis=1), 1)[0] * 60.0
     assert abs(trend) < 0.03
@@ -133,6 +139,45 @@ def test_the_map_keeps_what_the_exposure_follows_and_loses_what_frames_differ_by
     assert np.abs(level.ravel() - mean[flat[0]]).max() < 0.01, "alike in all frames"
 
 
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_reported_exposures_keep_a_long_line_of_frames_from_drifting(seed: int) -> None:
+    """Exposures that double along the line, reported to 1 %; overlaps alone lose some of it."""
+    places, values, gains, _, _ = sightings(seed, frames=40, noise=0.1)
+    rng = np.random.default_rng(seed)
+    true = np.linspace(-0.35, 0.35, 40)
+    values = (values * np.exp(true[:, None] - gains)[places.frame]).astype(np.float32)
+    reported = 0.001 * np.exp(true + rng.normal(0.0, 0.01, 40))
+    alone, _ = solve_tones(places, values, exposures(40))
+    tones, _ = solve_tones(places, values, exposures(40, np.log(reported)))
+    off, off_alone = (of.gain - of.gain.mean(axis=0) - true[:, None] for of in (tones, alone))
+    assert np.sqrt((off**2).mean()) < 0.6 * np.sqrt((off_alone**2).mean())
+    assert reports_tell(tones) and not reports_tell(alone)
+
+
+def test_exposures_that_say_nothing_of_the_gains_change_nothing() -> None:
+    places, values, _, _, _ = sightings(24)
+    wrong = np.random.default_rng(24).permutation(np.linspace(-0.5, 0.5, 12))
+    alone, _ = solve_tones(places, values, exposures(12))
+    tones, _ = solve_tones(places, values, exposures(12, wrong))
+    np.testing.assert_allclose(
+        tones.gain - tones.gain.mean(axis=0), alone.gain - alone.gain.mean(axis=0), atol=0.02
+    )
+    assert not reports_tell(tones)
+
+
+def test_by_one_level_the_brightest_ground_keeps_its_brightness_and_other_ground_its_share_of_it() -> None:
+    """Frames exposed twice as long over a wood as over a beach: the map shows the wood half as bright."""
+    places, *_ = sightings(25, frames=40)
+    reported = np.repeat([[0.0], [-0.7]], 20, axis=0)
+    tones = Tones(reported.copy(), np.zeros((40, 1, 2)), np.zeros((40, 1, 2)), reported=reported)
+    # one node of the lattice a place: frames see three columns of it, and means go over six
+    found = with_one_level(tones, places)
+    assert found.level is None
+    np.testing.assert_allclose(found.gain[30:], 0.0, atol=0.02)
+    np.testing.assert_allclose(found.gain[:10], 0.7, atol=0.02)
+    assert with_one_level(replace(tones, reported=None), places).gain is tones.gain
+
+
 def test_evened_pixels_are_those_that_all_frames_would_show() -> None:
     slope, vignette = np.array([[[0.0, 0.0]], [[0.25, -0.1]]]), np.array([[[0.0, 0.0]], [[-0.2, -0.1]]])
     tones = Tones(np.array([[0.0], [np.log(0.5)]]), slope, vignette)
@@ -156,12 +201,12 @@ def test_frames_say_whether_their_values_bend_towards_white(seed: int, bends: bo
     places, light, gains, _, _ = sightings(seed)
     light = np.minimum(light, 240.0)
     values = 256.0 * light / (90.0 + light) if bends else light
-    tones, evenness = solve_tones(places, values.astype(np.float32), [0] * 12, picture=True)
+    tones, evenness = solve_tones(places, values.astype(np.float32), exposures(12), picture=True)
     assert np.isfinite(tones.white) == bends
     off = tones.gain - gains
     assert np.abs(off - off.mean(axis=0)).max() < 0.05
     assert evenness.after_median < 0.45 * evenness.before_median
-    assert solve_tones(places, values.astype(np.float32), [0] * 12)[0].white == np.inf, "measured values"
+    assert solve_tones(places, values.astype(np.float32), exposures(12))[0].white == np.inf, "measured values"
 
 
 def test_what_bends_towards_white_is_never_beyond_it_and_keeps_its_order() -> None:
@@ -220,7 +265,7 @@ def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
         mine = places.frame == i
         values[mine] = sampled(Sampling(frame, places.image_px[mine])).values
     assert np.nanmedian(values) > 1000.0
-    tones, _ = solve_tones(places, values, [0] * 6)
+    tones, _ = solve_tones(places, values, exposures(6))
     true = np.log(gains) - np.log(gains).mean()
     off = tones.gain - tones.gain.mean(axis=0) - true[:, None]
     assert np.abs(off).max() < 0.03
