@@ -56,6 +56,9 @@ bench-paper: setup ## the paper's comparison of adjustment methods (about 10 min
 bench-composition: setup ## how much like the ground the mosaic looks, on flights of uneven light (about 10 minutes)
 	$(PY) -m tools.bench.bench_composition --out out/bench-composition
 
+bench-light: setup ## mosaics of ten simulated flights with sun, hot spot, automatic exposure and clouds against the true radiance (about 10 minutes)
+	$(PY) -m tools.bench.bench_light --results docs/results/light --out out/bench-light
+
 bench-surface: setup ## the dense surface of three simulated towns against their truth, and of real flights (40 minutes on two idle cores, reckoned from its parts)
 	$(PY) -m tools.bench.bench_surface --roofs --rival --scale --large --out out/bench-surface
 
@@ -148,4 +151,4 @@ format: dev ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-constants bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-cluster bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-light bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-constants bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-cluster bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

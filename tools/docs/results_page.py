@@ -38,7 +38,7 @@ QUESTIONS = (
     "Is the reflectance of multispectral frames right?",
     "Can others carry the code on?",
 )
-FLIGHTS, DIRTY, STATED, _, FAULTS, _, _, FAST, PAPER, _, _, SAFE, _, REFLECTED, HOUSE = QUESTIONS
+FLIGHTS, DIRTY, STATED, _, FAULTS, _, LOOKS, FAST, PAPER, _, _, SAFE, _, REFLECTED, HOUSE = QUESTIONS
 SIGNIFICANT = 2.6
 """Standard deviations beyond which a slope differs from 0 (99 %)."""
 HEAD = """# Results
@@ -103,7 +103,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
     readers: dict[str, Callable[[Any, str, str], Iterable[Row]]] = {
         "flights": of_flights, "dirty": of_dirty, "halves": of_halves, "accuracy_raster": of_raster,
         "fixes": of_fixes, "worst": of_worst, "paper": of_paper, "house": of_house,
-        "reflectance": of_reflectance, "cluster": of_cluster,
+        "reflectance": of_reflectance, "cluster": of_cluster, "light": of_light,
     }  # fmt: skip
     for name, reader in readers.items():
         data = _read(folder / f"{name}.json")
@@ -236,6 +236,21 @@ def of_cluster(data: Any, command: str, date: str) -> Iterator[Row]:
         if stage != "seconds":
             what = f"{stage} by two Dask workers without a shared disk: speed over one"
             yield Row(FAST, what, "1.7", f"{ratio:.2f}", ratio >= 1.7, command, date)
+
+
+def of_light(data: Any, command: str, date: str) -> Iterator[Row]:
+    for case in data["cases"]:
+        judged = case["way"] == "one exposure"
+        of = f"{case['flights']} simulated flights with {case['kind']}, {case['way']}"
+        for name, what, target in (
+            ("radiance", "mosaic against the true radiance, RMS, median; worst", 0.02),
+            ("hot_spot", "hot spot left in the mosaic, median; worst", 0.01),
+        ):
+            worst = case[f"{name}_worst"]
+            value = f"{100.0 * case[f'{name}_median']:.1f} %; {100.0 * worst:.1f} %"
+            met = worst <= target if judged else None
+            yield Row(LOOKS, f"{of}: {what}", f"{100.0 * target:.0f} %" if judged else "-", value,
+                      met, command, date)  # fmt: skip
 
 
 def of_worst(data: Any, command: str, date: str) -> Iterator[Row]:
