@@ -39,6 +39,11 @@ class Exposures:
         return cls(np.array([number[c.name] for c in cameras], dtype=np.intp), np.log(exposures))
 
     @property
+    def unknown(self) -> Exposures:
+        """Of the same cameras, without exposures."""
+        return replace(self, log_exposure=np.full(len(self.camera), np.nan))
+
+    @property
     def about_mean(self) -> Floats:
         """The logarithms (n,) less their mean; 0 where unknown, or where all are alike."""
         known = np.isfinite(self.log_exposure)

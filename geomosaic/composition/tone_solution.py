@@ -13,7 +13,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tone_deviations import GAIN_SD, Exposures, Scatter
 from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
-from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import SparseFactors, least_squares
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.matching.tracks import frame_by_frame
@@ -30,6 +30,7 @@ _LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights place
 _LEVEL_SD = tuned(
     0.25, "of a frame's longer side", "exposure follows a frame; less: frames' own scatter stays"
 )
+_ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def _solved(
 ) -> tuple[Floats, Floats, Floats]:
     """One band's unknowns, what they leave of the differences to each place's mean, and the weights."""
     found, weight, left = np.zeros(design.shape[1]), share, logs - _means(of_place, share, logs)
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
         weight = share / sd**2 * cauchy_weight(left / sd)
         weighed = diags(weight) @ design

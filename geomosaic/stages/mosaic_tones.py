@@ -37,8 +37,8 @@ class TonesParams(StageParams):
     level: str = param(
         "frames",
         help="brightness of the map: frames is that of the frames about a place; common is that of one "
-        "exposure for all, by which bright ground stays brighter than dark; auto: common where the frames' "
-        "tags report their exposures, frames elsewhere",
+        "exposure for all, by which bright ground stays brighter than dark; auto: common where the "
+        "exposures in the frames' tags account for their brightness, frames elsewhere",
         choices=_LEVELS,
     )
 
@@ -68,9 +68,13 @@ def mosaic_tones(
     places = lattice(views, survey.map_crs, survey.work_frame, ground)
     values = _values(survey, places, bands, context)
     exposures = Exposures.of(frames, adjusted.cameras)
+    if params.level == "frames":
+        exposures = exposures.unknown
     sun = SunBehind.of(survey, views, places.frame, places.image_px)
     tones, evenness = solve_tones(places, values, exposures, images, sun)
-    common = params.level == "common" or (params.level == "auto" and reports_tell(tones))
+    common = params.level == "common" or reports_tell(tones)
+    if params.level == "auto" and not common:
+        tones, evenness = solve_tones(places, values, exposures.unknown, images, sun)
     tones = (with_one_level if common else with_own_level)(tones, places)
     columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
     slopes = {
