@@ -377,8 +377,8 @@ def test_the_stage_writes_the_survey_into_its_folder(tmp_path: Path) -> None:
 
 
 def test_frames_report_the_exposure_that_the_automatic_chose(tmp_path: Path) -> None:
-    """Twice the ground's brightness, half the exposure time; read back as the survey's frames hold it."""
-    plan = dataclasses.replace(PLAN, turned="", pixel_noise=0.0, exposure_sd=0.0)
+    """Half the brightness aimed at, in the shadow of clouds: twice the exposure time, read back from tags."""
+    plan = dataclasses.replace(PLAN, turned="", pixel_noise=0.0, exposure_sd=0.0, clouds=0.5)
     automatic = dataclasses.replace(plan, auto_exposure=1.0, exposure_told=True)
     ground = simulate_frames(tmp_path / "plain", plan)
     even = simulate_frames(tmp_path / "automatic", automatic)
@@ -387,7 +387,7 @@ def test_frames_report_the_exposure_that_the_automatic_chose(tmp_path: Path) -> 
         light.append(float(cv2.imread(str(path)).mean()))
         exposure.append(read_header(even.frames / path.name).exif.exposure or 0.0)
         assert read_header(path).exif.exposure == pytest.approx(1.0 / 800.0 / 2.8**2)
-    assert np.ptp(light) > 2.0
+    assert max(light) < 60.0
     np.testing.assert_allclose(
         np.array(light) * exposure, 110.0 / 800.0 / 2.8**2, rtol=0.02, err_msg="110 is the mean aimed at"
     )
