@@ -56,7 +56,7 @@ bench-paper: setup ## the paper's comparison of adjustment methods (about 10 min
 bench-composition: setup ## how much like the ground the mosaic looks, on flights of uneven light (about 10 minutes)
 	$(PY) -m tools.bench.bench_composition --out out/bench-composition
 
-bench-light: setup ## mosaics of ten simulated flights with sun, hot spot, automatic exposure and clouds against the true radiance (about 10 minutes)
+bench-light: setup ## mosaics of simulated flights with sun, hot spot, automatic exposure and clouds against the true radiance
 	$(PY) -m tools.bench.bench_light --results docs/results/light --out out/bench-light
 
 bench-surface: setup ## the dense surface of three simulated towns against their truth, and of real flights (40 minutes on two idle cores, reckoned from its parts)
