@@ -4,10 +4,12 @@
     python -m tools.bench.bench_strips --seeds 5 --methods all    # its rivals beside it
     python -m tools.bench.bench_strips --mixed 60                 # the paper's two chains and joint
     python -m tools.bench.bench_strips --small 20                 # short scenes of two cameras
+    python -m tools.bench.bench_strips --resampled 20             # scenes that are sampled otherwise
 
 Scenes are simulated anew (7 pairs of strips 4096 px wide, of which the overlaps alone are made; 16,384
 lines, mixed scenes 8,192). Short scenes have 6,000 lines, of TH-1 narrowed (4 CCDs, 2 m) or of a camera of
-three CCDs and 5 m pixels with jitter at other frequencies.
+three CCDs and 5 m pixels with jitter at other frequencies. Scenes sampled otherwise (`strips_resampled`)
+have 8,192 lines and 4 pairs.
 What was measured is kept in OUT/strips.jsonl; a killed bench goes on where it was.
 """
 
@@ -34,8 +36,10 @@ from geomosaic.ccd.methods import METHODS
 from geomosaic.ccd.model import CcdSettings, StripOffsets
 from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.quality.strip_figures import scene_errors
+from geomosaic.survey.strips import StripGeometry
 from geomosaic_simulate.strip_overlaps import simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
+from tools.bench.strips_resampled import resampled_scene
 
 LINES, MIXED_LINES, WIDTH_PX = 16384, 8192, 4096
 RIVALS = ("whole_scene", "mean_offset", "piecewise_linear", "image_registration")
@@ -62,6 +66,12 @@ SKIES: dict[str, dict[str, Any]] = {
     "clouds 30 %, ground as bright": {"cloud_cover": 0.3, "brightness": 0.75},
 }
 SMALL = tuple(f"{sensor}, {sky}" for sensor in SENSORS for sky in SKIES)
+RESAMPLED: dict[str, tuple[float, float]] = {
+    "resampled, clean": (0.0, 0.0),
+    "resampled, low contrast 40 %": (0.4, 0.0),
+    "resampled, clouds 50 %": (0.0, 0.5),
+}
+"""Shares of faint lines and of clouds."""
 
 
 def small_plan(case: str, seed: int) -> StripPlan:
@@ -130,16 +140,25 @@ def _mixed(rng: np.random.Generator, deck: dict[str, float]) -> dict[str, Any]:
     }
 
 
-def measured(job: tuple[str, int, tuple[str, ...]]) -> list[dict[str, Any]]:
-    """One scene by some methods."""
-    case, seed, methods = job
-    cv2.setNumThreads(1)
+def scene_of(case: str, seed: int) -> tuple[StripGeometry, list[tuple[Any, Any]], dict[int, Any]]:
+    """The geometry, both strips' columns of each pair, and the true offsets (lines, 2) by pair."""
+    if case in RESAMPLED:
+        scene = resampled_scene(seed, MIXED_LINES, 4, *RESAMPLED[case])
+        return scene.geometry, scene.edges, scene.truth
     plan = plan_of(case, seed)
     geometry, pairs = simulate_overlaps(plan)
     if plan.motion is not None:
         plan.motion.unlink()
-    strips = strips_in_memory(geometry, [(p.left, p.right) for p in pairs])
     truth = {p.truth.pair: np.stack([p.truth.dcol_px, p.truth.dline_px], axis=1) for p in pairs}
+    return geometry, [(p.left, p.right) for p in pairs], truth
+
+
+def measured(job: tuple[str, int, tuple[str, ...]]) -> list[dict[str, Any]]:
+    """One scene by some methods."""
+    case, seed, methods = job
+    cv2.setNumThreads(1)
+    geometry, edges, truth = scene_of(case, seed)
+    strips = strips_in_memory(geometry, edges)
     rows = []
     for method in methods:
         worked = time.process_time()
@@ -221,7 +240,7 @@ def cells(case: str, method: str, rows: list[dict[str, Any]]) -> list[str]:
 
 def order(of: tuple[str, str]) -> tuple[int, int]:
     """As the issue's table has them."""
-    names = (*CASES, "mixed", *SMALL)
+    names = (*CASES, "mixed", *SMALL, *RESAMPLED)
     return names.index(of[0]), (*RIVALS, "joint").index(of[1])
 
 
@@ -238,17 +257,25 @@ def main() -> None:
         "--mixed", type=int, default=0, help="so many mixed scenes by whole_scene, piecewise_linear, joint"
     )
     parser.add_argument("--small", type=int, default=0, help="so many short scenes of each sensor and sky")
+    parser.add_argument("--resampled", type=int, default=0, help="so many scenes of each that is resampled")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("out/bench-strips"))
     told = parser.parse_args()
     usual = "whole_scene,piecewise_linear,joint" if told.mixed else "joint"
     methods = (*RIVALS, "joint") if told.methods == "all" else tuple((told.methods or usual).split(","))
-    seeds = range(told.first_seed, told.first_seed + (told.mixed or told.small or told.seeds))
-    cases = ["mixed"] if told.mixed else list(SMALL) if told.small else told.cases.split(",")
+    seeds = range(
+        told.first_seed, told.first_seed + (told.mixed or told.small or told.resampled or told.seeds)
+    )
+    cases, name = told.cases.split(","), "cases.md"
+    if told.mixed:
+        cases, name = ["mixed"], "mixed.md"
+    elif told.small:
+        cases, name = list(SMALL), "small.md"
+    elif told.resampled:
+        cases, name = list(RESAMPLED), "resampled.md"
     jobs = [(case, seed, methods) for case in cases for seed in seeds]
     lines = table(run(jobs, told.out, told.workers))
     print("\n".join(lines))
-    name = "mixed.md" if told.mixed else "small.md" if told.small else "cases.md"
     (told.out / name).write_text("\n".join(lines) + "\n")
 
 
