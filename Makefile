@@ -97,6 +97,9 @@ bench-speed: setup ## real and simulated frames beside the floor and other progr
 bench-cluster: dev ## Dask workers without a shared disk: killed, slow, by an object store (about 15 minutes; root)
 	$(PY) -m tools.bench.bench_cluster --seed $(SEED) --out out/bench-cluster --results docs/results/cluster
 
+bench-marking: dev ## a scripted session that marks 8 targets in 20 frames in Chromium, with a person's waits (about 5 minutes); SEED=n
+	$(PY) -m tools.bench.bench_marking --seed $(SEED) --out out/bench-marking --results docs/results/marking
+
 bench-scale: setup ## 50 to 1,000 frames from pixels, 5,000 by observations, 50,000 windows planned (about an hour)
 	$(PY) -m tools.bench.bench_scale --out out/bench-scale
 
@@ -151,4 +154,4 @@ format: dev ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-light bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-constants bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-cluster bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-light bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-constants bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-cluster bench-marking bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

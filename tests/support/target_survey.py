@@ -25,8 +25,8 @@ class TargetSurvey:
 
 
 def target_survey(out: Path, **plan: Any) -> TargetSurvey:
-    """Eight frames with six points and a target at each, painted where the truth has it."""
-    survey = small_survey(out, control_points=6, pos_in="exif", **plan)
+    """Eight frames with six points, unless told otherwise, and a target at each, painted where the truth has it."""
+    survey = small_survey(out, **{"control_points": 6, "pos_in": "exif", **plan})
     assert survey.true_control and survey.control
     truth: dict[str, dict[str, tuple[float, float]]] = {}
     with survey.true_control.open(newline="") as file:

@@ -38,7 +38,7 @@ QUESTIONS = (
     "Is the reflectance of multispectral frames right?",
     "Can others carry the code on?",
 )
-FLIGHTS, DIRTY, STATED, _, FAULTS, _, LOOKS, FAST, PAPER, _, _, SAFE, _, REFLECTED, HOUSE = QUESTIONS
+FLIGHTS, DIRTY, STATED, _, FAULTS, _, LOOKS, FAST, PAPER, _, _, SAFE, GIS, REFLECTED, HOUSE = QUESTIONS
 SIGNIFICANT = 2.6
 """Standard deviations beyond which a slope differs from 0 (99 %)."""
 HEAD = """# Results
@@ -104,6 +104,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
         "flights": of_flights, "dirty": of_dirty, "halves": of_halves, "accuracy_raster": of_raster,
         "fixes": of_fixes, "worst": of_worst, "paper": of_paper, "house": of_house,
         "reflectance": of_reflectance, "cluster": of_cluster, "light": of_light,
+        "marking": of_marking,
     }  # fmt: skip
     for name, reader in readers.items():
         data = _read(folder / f"{name}.json")
@@ -280,6 +281,13 @@ def of_paper(data: Any, command: str, date: str) -> Iterator[Row]:
             what = f"{case['title']}: growth of the error along the line, bundle"
             met = abs(slope) <= SIGNIFICANT * sd
             yield Row(PAPER, what, "0 mm a frame", f"{slope:+.0f} ± {sd:.0f} mm", met, command, date)
+
+
+def of_marking(data: Any, command: str, date: str) -> Iterator[Row]:
+    what = f"{data['targets']} targets of {data['frames']} frames marked in the browser by a scripted person"
+    page, off = f"{data['page_s']:.0f} s of them the page", f"at most {data['most_off_px']:.2f} px off"
+    value = f"{data['seconds']:.0f} s, {page}; {data['marks']} marks, {off}"
+    yield Row(GIS, what, f"{data['most_s']:.0f} s, 1 px", value, data["right"], command, date)
 
 
 def of_house(data: Any, command: str, date: str) -> Iterator[Row]:

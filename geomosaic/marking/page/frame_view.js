@@ -39,8 +39,9 @@ export class FrameView extends PanZoom {
     else if (col >= 0 && row >= 0 && col <= this.size[0] && row <= this.size[1]) this.mark(col, row);
   }
 
-  // Asks for the tiles around a place before they are shown.
-  preload(number, [col, row]) {
+  // Asks for the tile at a place before it is shown; of a place outside the frame there is none.
+  preload(number, [col, row], [width, height]) {
+    if (col < 0 || row < 0 || col >= width || row >= height) return;
     this.tile(number, 1, Math.floor(col / this.tilePx), Math.floor(row / this.tilePx));
   }
 

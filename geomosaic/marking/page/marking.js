@@ -56,7 +56,7 @@ function chooseFrame(i) {
   render();
   document.querySelector("#frames [aria-current=true]")?.scrollIntoView({ block: "nearest", inline: "nearest" });
   const next = order[order.indexOf(i) + 1], place = next === undefined ? null : entry(next).predicted;
-  if (place) picture.preload(next, place);
+  if (place) picture.preload(next, place, [survey.frames[next].width, survey.frames[next].height]);
 }
 
 function step(list, now, by) {
