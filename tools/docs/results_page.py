@@ -67,6 +67,10 @@ class Row:
         return f"| {' | '.join(cell.replace('|', '/') or '-' for cell in cells)} |"
 
 
+_COMPARED = (("processor_s", " s", 1.0), ("centres_after_mm", " mm", 1.0), ("ssim", "", -1.0))
+"""Figures of other programs beside geomosaic's: key, unit, and the sign of what is worse."""
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -105,6 +109,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
         "fixes": of_fixes, "worst": of_worst, "paper": of_paper, "house": of_house,
         "reflectance": of_reflectance, "cluster": of_cluster, "light": of_light,
         "marking": of_marking,
+        "peers": of_peers,
     }  # fmt: skip
     for name, reader in readers.items():
         data = _read(folder / f"{name}.json")
@@ -281,6 +286,24 @@ def of_paper(data: Any, command: str, date: str) -> Iterator[Row]:
             what = f"{case['title']}: growth of the error along the line, bundle"
             met = abs(slope) <= SIGNIFICANT * sd
             yield Row(PAPER, what, "0 mm a frame", f"{slope:+.0f} ± {sd:.0f} mm", met, command, date)
+
+
+def of_peers(data: Any, command: str, _: str) -> Iterator[Row]:
+    for name, flight in data["flights"].items():
+        ours, *peers = flight["programs"]
+        for peer in peers:
+            figures = peer["figures"]
+            if peer["failed"] or "processor_s" not in figures:
+                yield Row(FAST, f"{name}: {peer['name']}", "", peer["failed"], None, command, flight["date"])
+                continue
+            mine = ours["figures"]
+            shown = [of for of in _COMPARED if of[0] in figures and of[0] in mine]
+            theirs, own = (
+                ", ".join(f"{of[key]:.3g}{unit}" for key, unit, _ in shown) for of in (figures, mine)
+            )
+            met = all(sign * mine[key] <= sign * figures[key] for key, _, sign in shown)
+            what = f"{name}: {peer['name']}: processor time, error of centres or SSIM"
+            yield Row(FAST, what, f"geomosaic better: {own}", theirs, met, command, flight["date"])
 
 
 def of_marking(data: Any, command: str, date: str) -> Iterator[Row]:

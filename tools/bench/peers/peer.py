@@ -12,6 +12,7 @@ from tools.bench.peers.environments import environment
 
 Command = list[str | Path]
 PYORTHOMOSAIC = "pyOrthomosaic==0.9.3"
+STITCHING = "stitching==0.7.0"
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,11 @@ def _scans(frames: Path, out: Path, home: Path) -> Command:
     return [sys.executable, Path(__file__).with_name("opencv_scans.py"), frames, out]
 
 
+def _affine(frames: Path, out: Path, home: Path) -> Command:
+    programs = environment(home / "stitching", STITCHING)
+    return [programs / "python", Path(__file__).with_name("stitching_affine.py"), frames, out]
+
+
 def _told(file: str) -> Callable[[Path], int]:
     return lambda out: int(json.loads((out / file).read_text())["images_used"])
 
@@ -51,4 +57,5 @@ PEERS = (
     Peer("pyOrthomosaic 0.9.3, 2D", True, _two_dimensions, "mosaic.tif", _told("mosaic_report.json")),
     Peer("pyOrthomosaic 0.9.3, 3D", True, _three_dimensions, "orthophoto.tif", _told("report.json")),
     Peer("OpenCV Stitcher, SCANS", False, _scans, "mosaic.tif", _told("report.json")),
+    Peer("stitching 0.7.0, affine", False, _affine, "mosaic.tif", _told("report.json")),
 )
