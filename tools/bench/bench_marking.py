@@ -1,6 +1,6 @@
 """How long a person takes to mark the targets of a survey in the browser: a scripted session in Chromium.
 
-    python -m tools.bench.bench_marking [--lines 4] [--frames-per-line 5] [--targets 8] [--width-px 1000]
+    python -m tools.bench.bench_marking [--lines 4] [--frames-per-line 5] [--targets 8] [--width-px 480]
                                         [--seed 1] [--out out/bench-marking] [--results docs/results/marking]
 
 `geomosaic control` serves a simulated survey with painted targets, by the positions of the frames' tags. The
@@ -8,14 +8,17 @@ script visits each frame that is listed for each point, with refinement on: it l
 presses N; where the target lies outside the frame it only presses N. It waits as a person does, so that the
 page loads what it loads meanwhile:
 
-- 1.5 s to look at each frame and decide;
+- 1.35 s to look at each frame and decide, and 0.28 s for a key (the operators M and K, of a person who is no
+  trained typist, of the keystroke-level model; Card, Moran and Newell 1980);
 - pointing from the last click by Fitts' law, -0.107 + 0.223 log2(D / W + 1) s for a mouse (MacKenzie, Sellen
   and Buxton 1991), to a place of W = 10 px, within which a click is refined;
-- 0.28 s for a key and 0.2 s for a click (Card, Moran and Newell 1983: an average typist; press and release).
+- 0.2 s to press and release the button of the mouse (0.1 s each, operator B; Kieras 1993).
 
 Clicks scatter by 1.5 px. The left hand stays on the keys and the right one on the mouse. What is slower than
 these waits is the page: its time counts in full, and on a machine that others use it is longer than on an
-idle one. Exit code 1 if the session takes five minutes or more, or a mark is 1 px off the truth.
+idle one. The time of the session is the person's and the page's; the script's own queries of the page (where
+the truth lies in the picture) are in `wall_s` only. Exit code 1 if the session takes five minutes or more,
+or a mark is 1 px off the truth.
 """
 
 from __future__ import annotations
@@ -47,7 +50,7 @@ from tools.bench.bench_flights import commit
 
 PROGRAM = Path(sys.executable).with_name("geomosaic")
 MOST_S = 300.0
-DECISION_S, KEY_S, CLICK_S = 1.5, 0.28, 0.2
+DECISION_S, KEY_S, CLICK_S = 1.35, 0.28, 0.2
 FITTS_S = -0.107, 0.223
 ACCEPTED_PX, SCATTER_PX = 10.0, 1.5
 MOST_OFF_PX = 1.0
@@ -165,13 +168,14 @@ def measured(survey: TargetSurvey, out: Path, seed: int) -> dict[str, Any]:
             person = Person(page, np.random.default_rng(seed))
             begun = time.monotonic()
             marks = session(person, url, survey)
-            seconds = time.monotonic() - begun
+            wall_s = time.monotonic() - begun
             errors = page.errors
         server.terminate()
         server.stdout.read()
     found = off_px(out / "marks" / "gcp.csv", survey)
     return {
-        "seconds": round(seconds, 1),
+        "seconds": round(person.person_s + person.page_s, 1),
+        "wall_s": round(wall_s, 1),
         "person_s": round(person.person_s, 1),
         "page_s": round(person.page_s, 1),
         "marks": marks,
@@ -187,7 +191,7 @@ def main() -> int:
     ask.add_argument("--lines", type=int, default=4)
     ask.add_argument("--frames-per-line", type=int, default=5)
     ask.add_argument("--targets", type=int, default=8)
-    ask.add_argument("--width-px", type=int, default=1000, help="of the frames, which are 4 : 3")
+    ask.add_argument("--width-px", type=int, default=480, help="of the frames, which are 4 : 3")
     ask.add_argument("--seed", type=int, default=1)
     ask.add_argument("--patience-s", type=float, default=60.0, help="for one thing of the page")
     ask.add_argument("--out", type=Path, default=Path("out/bench-marking"))
