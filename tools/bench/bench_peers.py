@@ -58,6 +58,8 @@ Places = Mapping[str, Sequence[float]]
 PYCOLMAP = "pycolmap==4.2.1"
 MAPPERS = {"incremental": "pycolmap 4.2.1, incremental", "global": "pycolmap 4.2.1, global"}
 MAPPING = Path(__file__).parent / "peers" / "pycolmap_mapping.py"
+MOST_JUDGED_WHOLE, PARTS = 100, 12
+"""Mosaics of so many frames are judged whole, those of more on so many squares."""
 COLUMNS = (
     Column("processor_s", "processor time, s", 1),
     Column("processor_ratio", "over geomosaic's", 2),
@@ -158,7 +160,8 @@ def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> list[Result]
     mapped = run_pycolmap(flight, home, asked.peer_s, most_mb)
     made = [Made(ours, run / "mosaic.tif")]
     made += [run_peer(flight, peer, home, asked.peer_s, most_mb) for peer in PEERS]
-    judge = Judge(flight, run, made, argparse.Namespace(parts=12, part_px=1536, seed=asked.seed))
+    parts = PARTS if len(flight.paths) > MOST_JUDGED_WHOLE else 0
+    judge = Judge(flight, run, made, argparse.Namespace(parts=parts, part_px=1536, seed=asked.seed))
     results = [judge.judged(one) for one in made]
     truth = places_of(flight.ortho.with_name("positions.csv")) if flight.ortho else None
     by_name = {"geomosaic": ours_places, **{title: places for title, (_, places) in mapped.items()}}
@@ -226,7 +229,11 @@ def main() -> int:
     asked = ask.parse_args()
     out = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    flights = [simulated(out, frames, asked.width_px, asked.seed) for frames in asked.frames]
+    size = f"{asked.width_px} x {asked.width_px * 3 // 4} px"
+    flights = [
+        replace(simulated(out, n, asked.width_px, asked.seed), name=f"{n} simulated frames of {size}")
+        for n in asked.frames
+    ]
     if asked.shared:
         real = asked.shared.absolute() / "data" / "brighton_beach" / "images"
         if real.is_dir():

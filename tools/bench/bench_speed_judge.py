@@ -49,6 +49,8 @@ FAR_M, NEAR_PX = 6.0, 64
 """A mosaic is looked for that far off; after the best similarity, so many pixels around."""
 PATCH_PX = 64
 """`compare`'s."""
+MOST_SMALL_PX = 4096
+"""Longer side of mosaics in which each other patch is looked for, instead of each eighth."""
 PATCH, BESIDE = 32, 5
 """Side of the patches, of the grid's pixels, by which a mosaic is laid onto another before its steps are
 measured; and how many of them count in a cell."""
@@ -95,7 +97,7 @@ def against_truth(
     """
     parts = squares and squares.windows(mosaic, PATCH_PX)
     try:
-        far = far_off(mosaic, ortho, 2 * PATCH_PX if parts else 8 * PATCH_PX, parts)
+        far = far_off(mosaic, ortho, 2 * PATCH_PX if parts or _is_small(mosaic) else 8 * PATCH_PX, parts)
         if not np.isfinite(far.figures.similarity.scale):
             return {}
         true = moved(ortho, similarity_of(far.figures.similarity), scratch / "ortho-moved.vrt")
@@ -112,6 +114,12 @@ def against_truth(
         "area_m2": area_m2(mosaic) / far.figures.similarity.scale**2,
         "found": figures.share_measured,
     }
+
+
+def _is_small(mosaic: Path) -> bool:
+    """Whether patches far from each other are too few in it to find where it lies."""
+    with rasterio.open(mosaic) as tiff:
+        return max(tiff.shape) < MOST_SMALL_PX
 
 
 def placed(image: Path, reference: Path, to: Path) -> Path | None:
