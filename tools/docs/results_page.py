@@ -290,19 +290,12 @@ def of_paper(data: Any, command: str, date: str) -> Iterator[Row]:
 
 def of_peers(data: Any, _: str, __: str) -> Iterator[Row]:
     for name, flight in data["flights"].items():
+        command, date = flight["command"], flight["date"]
         ours, *peers = flight["programs"]
         for peer in peers:
             figures = peer["figures"]
             if peer["failed"] or "processor_s" not in figures:
-                yield Row(
-                    FAST,
-                    f"{name}: {peer['name']}",
-                    "",
-                    peer["failed"],
-                    None,
-                    flight["command"],
-                    flight["date"],
-                )
+                yield Row(FAST, f"{name}: {peer['name']}", "", peer["failed"], None, command, date)
                 continue
             mine = ours["figures"]
             shown = [of for of in _COMPARED if of[0] in figures and of[0] in mine]
@@ -311,7 +304,7 @@ def of_peers(data: Any, _: str, __: str) -> Iterator[Row]:
             )
             met = all(sign * mine[key] <= sign * figures[key] for key, _, sign in shown)
             what = f"{name}: {peer['name']}: processor time, error of centres or SSIM"
-            yield Row(FAST, what, f"geomosaic better: {own}", theirs, met, flight["command"], flight["date"])
+            yield Row(FAST, what, f"geomosaic better: {own}", theirs, met, command, date)
 
 
 def of_marking(data: Any, command: str, date: str) -> Iterator[Row]:
