@@ -247,7 +247,7 @@ def of_cluster(data: Any, command: str, date: str) -> Iterator[Row]:
 def of_light(data: Any, command: str, date: str) -> Iterator[Row]:
     for case in data["cases"]:
         judged = case["way"] == "one exposure"
-        of = f"{case['flights']} simulated flights with {case['kind']}, {case['way']}"
+        of = f"simulated flights with {case['kind']} ({case['flights']} in all), {case['way']}"
         for name, what, target in (
             ("radiance", "mosaic against the true radiance, RMS, median; worst", 0.02),
             ("hot_spot", "hot spot left in the mosaic, median; worst", 0.01),
