@@ -12,7 +12,7 @@ from rasterio.windows import Window as RasterWindow
 
 from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.composition.plan import windows
-from geomosaic.composition.raster import MosaicFiles, writing_mosaic
+from geomosaic.composition.raster import COLOURS, MosaicFiles, writing_mosaic
 from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.views import PosedFrames
 from geomosaic.composition.window import Composed
@@ -34,11 +34,12 @@ def compose_bands(
     """
     rasters = [folder / f"{k}.tif" for k in range(1 + len(rig.bands))]
     mosaic = composing(frames, replace(files, raster=rasters[0]))
+    dtypes = [mosaic.dtype]
     for band, path in zip(other_bands(frames, rig), rasters[1:], strict=True):
-        composing(band, MosaicFiles(path))
-    names = band_names(frames.survey)
-    stack_bands(rasters, names, mosaic.grid, mosaic.dtype, files.raster)
-    return replace(mosaic, raster=files.raster.name, bands=len(names), band_names=names)
+        dtypes.append(composing(band, MosaicFiles(path)).dtype)
+    names, dtype = band_names(frames.survey), str(np.result_type(*dtypes))
+    stack_bands(rasters, names, mosaic.grid, dtype, files.raster)
+    return replace(mosaic, raster=files.raster.name, bands=len(names), band_names=names, dtype=dtype)
 
 
 def other_bands(frames: PosedFrames, rig: RigPoses) -> Iterator[PosedFrames]:
@@ -54,35 +55,54 @@ def other_bands(frames: PosedFrames, rig: RigPoses) -> Iterator[PosedFrames]:
         yield PosedFrames(shown, band_poses(frames.poses, pose), cameras, there, frames.ground)
 
 
+def narrowest(frames: PosedFrames, rig: RigPoses) -> PosedFrames | None:
+    """The band whose camera sees a part of what the frames see, such as a thermal camera beside a wide one.
+
+    None where there is none. It shows what all bands show.
+    """
+    if not rig.bands or not any(frames.used):
+        return None
+    own = frames.cameras[list(frames.used).index(True)]
+    size = np.array([own.width_px, own.height_px])
+    for band, pose in zip(other_bands(frames, rig), rig.bands, strict=True):
+        rays = pose.camera.ray_from_image(pose.camera.border_px()) @ pose.own_from_band.T
+        at_px = own.image_from_camera(rays)
+        if (at_px > 0.0).all() and (at_px < size).all():
+            return band
+    return None
+
+
 def with_all_bands(survey: Survey) -> list[bool]:
     """Which frames have a file of each of the rig's bands: the others would leave gaps in the mosaic."""
     return [all(files) for files in zip(survey.frames, *(b.frames for b in survey.other_bands), strict=True)]
 
 
 def band_names(survey: Survey) -> tuple[str, ...]:
-    """In the order of the mosaic's bands: the captures' own, then the others."""
-    return survey.band, *(b.name for b in survey.other_bands)
+    """In the order of the mosaic's bands: the captures' own, or its colours, then the others."""
+    own = COLOURS if survey.frames[0].bands == len(COLOURS) else (survey.band,)
+    return *own, *(b.name for b in survey.other_bands)
 
 
 def stack_bands(
     rasters: Sequence[Path], names: Sequence[str], grid: OutputGrid, dtype: str, path: Path
 ) -> bool:
-    """Rasters of one band and one grid as one with named bands; valid is what all of them show, if anything.
+    """Rasters of one grid as one with named bands; valid is what all of them show, if anything.
 
     Raises: `OSError` if it can't be written.
     """
     shows = False
     with ExitStack() as files:
-        bands = [files.enter_context(open_raster(raster, OWN)) for raster in rasters]
+        opened = [files.enter_context(open_raster(raster, OWN)) for raster in rasters]
+        bands = [(raster, k) for raster in opened for k in raster.indexes]
         kind = TileKind(len(bands), np.dtype(dtype))
-        meant = {name: quantity_of(band, 1) for name, band in zip(names, bands, strict=True)}
+        meant = {name: quantity_of(*band) for name, band in zip(names, bands, strict=True)}
         out = files.enter_context(writing_mosaic(MosaicFiles(path), grid, kind, bands=meant))
         for window in windows(grid, TILE_PX):
             at = RasterWindow(window.col, window.row, window.width, window.height)
-            valid = np.all([band.dataset_mask(window=at) for band in bands], axis=0)
+            valid = np.all([raster.dataset_mask(window=at) for raster in opened], axis=0)
             if valid.any():
                 shows = True
-                pixels = np.stack([band.read(1, window=at) for band in bands], axis=-1)
+                pixels = np.stack([raster.read(k, window=at) for raster, k in bands], axis=-1).astype(dtype)
                 pixels[~valid] = 0
                 out.write(Composed(window, pixels, valid, valid.astype(np.int16) - 1, (0,), ()))
     return shows

@@ -77,9 +77,12 @@ def write_ortho(
     if len(frame) == 1:
         return _write(warping, area, frame[0], within, path)
     rasters = [path.with_suffix(f".{k}.tif") for k in range(len(frame))]
-    shows = [_write(warping, area, *one) for one in zip(frame, [within] * len(frame), rasters, strict=True)]
+    shows = [_write(warping, area, frame[0], within, rasters[0])]
+    for band, raster in zip(frame[1:], rasters[1:], strict=True):
+        shows.append(_write(replace(warping, tones=None, dtype=band.frame.dtype), area, band, within, raster))
+    dtype = str(np.result_type(*(band.frame.dtype for band in frame)))
     try:
-        return all(shows) and stack_bands(rasters, names, _part(grid, within), warping.dtype, path)
+        return all(shows) and stack_bands(rasters, names, _part(grid, within), dtype, path)
     finally:
         for raster in rasters:
             raster.unlink(missing_ok=True)

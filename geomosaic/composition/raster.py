@@ -41,6 +41,9 @@ _COLOURS: Final = {
     3: (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand),
 }
 
+COLOURS: Final = ("red", "green", "blue")
+"""Names of a colour camera's bands beside those of another camera."""
+
 
 class Raster:
     """A raster to write windows into, and beside it one of who gave each pixel, if that is wanted."""
@@ -94,12 +97,13 @@ def writing_mosaic(
     """Files on the map to write windows into; there when the block ends.
 
     frames: names of all of them, for the frame indices. bands: the name of each, as a rig's have, and what
-    its values mean; then none is a colour.
+    its values mean; then only COLOURS are colours.
     Raises: `OSError` (with `ENOSPC` where the disk is full) if they can't be written.
     """
     colours = _COLOURS.get(kind.bands, ())
     if bands:
-        colours = (gdal.GCI_GrayIndex, *[gdal.GCI_Undefined] * (kind.bands - 1))
+        first = _COLOURS[3] if tuple(bands)[:3] == COLOURS else _COLOURS[1]
+        colours = (*first, *[gdal.GCI_Undefined] * (kind.bands - len(first)))
     look = RasterMetadata(kind, grid, colours, tuple(bands), quantities=tuple(bands.values()))
     with ExitStack() as stack:
         image = stack.enter_context(_writing(files.raster, grid.width_px, grid.height_px, look))

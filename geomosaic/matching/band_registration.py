@@ -9,6 +9,7 @@ from functools import partial
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose, Poses
@@ -31,7 +32,7 @@ from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import GroundWindow, ground_window
 from geomosaic.survey.model import Band, Frame, Survey
-from geomosaic.survey.pixels import read_pixels
+from geomosaic.survey.pixels import Mask, read_pixels
 
 Matches = tuple[int, Floats, Floats]
 """A frame, ground points (n, 3) and their image coordinates (n, 2) in the band."""
@@ -108,9 +109,18 @@ def band_poses(poses: Poses, band: BandPose) -> Poses:
 
 def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i: int) -> Matches:
     """Matches of a band with frame i."""
-    window, pose = _window(captures, i), band_poses(captures.poses, so_far)[i]
-    own = _edges(window, captures.poses[i], captures.cameras[i], captures.survey.frames[i])
-    other = _edges(window, pose, so_far.camera, band.frames[i])
+    pose = band_poses(captures.poses, so_far)[i]
+    gsd_m, band_gsd_m = (
+        ground_sampling_distance_m(of, camera, captures.ground)
+        for of, camera in ((captures.poses[i], captures.cameras[i]), (pose, so_far.camera))
+    )
+    coarser = max(1, int(band_gsd_m / gsd_m)) if np.isfinite(band_gsd_m) else 1
+    window = _window(captures, i, coarser * gsd_m)
+    frame, of_band = captures.survey.frames[i], band.frames[i]
+    if of_band is None:
+        raise ValueError("a capture without this band")
+    own = _edges(window, captures.poses[i], captures.cameras[i], *_brightness(frame, coarser, lit=True))
+    other = _edges(window, pose, so_far.camera, *_brightness(of_band, 1, lit=frame.bands == 1))
     step_px = max(1, int(np.sqrt(own.pixels.size / _PATCHES)))
     found = measure_displacements(
         other,
@@ -125,13 +135,12 @@ def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i
     return i, _bilinear(points, found.centres_px)[good], image_px[good]
 
 
-def _window(captures: Captures, i: int) -> GroundWindow:
-    """The map window of frame i at its ground sampling distance."""
+def _window(captures: Captures, i: int, gsd_m: float) -> GroundWindow:
+    """The map window of frame i."""
     survey, pose, camera = captures.survey, captures.poses[i], captures.cameras[i]
     border = ground_from_image(pose, camera, captures.ground, camera.border_px())
     geodetic = survey.work_frame.geodetic_from_enu(border[np.isfinite(border).all(axis=1)])
     on_map = MapProjection(survey.map_crs).map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
-    gsd_m = ground_sampling_distance_m(pose, camera, captures.ground)
     west, south = on_map.min(axis=0)
     east, north = on_map.max(axis=0)
     size = int((east - west) / gsd_m) + 1, int((north - south) / gsd_m) + 1
@@ -139,16 +148,41 @@ def _window(captures: Captures, i: int) -> GroundWindow:
     return ground_window(grid, survey.work_frame, captures.ground)
 
 
-def _edges(window: GroundWindow, pose: Pose, camera: Camera, frame: Frame | None) -> MaskedImage:
-    """Gradient magnitude of a frame's log grey values on the window, and where it is valid."""
-    if frame is None:
-        raise ValueError("a capture without this band")
-    pixels, mask = read_pixels(frame)
-    on_ground, valid = seen_on(window, pose, camera, np.log1p(pixels[..., 0].astype(np.float32)), mask)
+def _edges(
+    window: GroundWindow,
+    pose: Pose,
+    camera: Camera,
+    image: NDArray[np.float32],
+    mask: Mask | None,
+) -> MaskedImage:
+    """Gradient magnitude of an image on the window, and where it is valid."""
+    on_ground, valid = seen_on(window, pose, camera, image, mask)
     smooth = cv2.GaussianBlur(on_ground, (0, 0), SMOOTHING_SIGMA_PX)
     edges = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
     valid = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
     return MaskedImage(np.where(valid, edges * 100.0, np.float32(0.0)).astype(np.float32), valid)
+
+
+def _brightness(frame: Frame, coarser: int, *, lit: bool) -> tuple[NDArray[np.float32], Mask | None]:
+    """A frame's log grey values, linear where they are in a unit or show heat, and where they are valid.
+
+    coarser: how many pixels a pixel of the window spans. lit: whether they show light.
+    """
+    pixels, mask = read_pixels(frame)
+    values = pixels.astype(np.float32).mean(axis=2)
+    values = np.log1p(values) if lit and pixels.dtype.kind != "f" else _spread(values, mask)
+    if coarser > 1:
+        values = np.asarray(cv2.GaussianBlur(values, (0, 0), coarser / np.sqrt(12.0)))  # as a mean over them
+    return values, mask
+
+
+def _spread(values: NDArray[np.float32], mask: Mask | None) -> NDArray[np.float32]:
+    """Values from 0 at the first percentile to 1 at the last."""
+    known = values[np.isfinite(values) if mask is None else np.isfinite(values) & (mask != 0)]
+    low, high = np.percentile(known, (1.0, 99.0)) if known.size else (0.0, 0.0)
+    if not high > low:
+        return np.zeros_like(values)
+    return np.asarray(np.nan_to_num(np.clip((values - low) / (high - low), 0.0, 1.0)), dtype=np.float32)
 
 
 def _bilinear(points: Floats, pixel: Floats) -> Floats:

@@ -99,7 +99,8 @@ class MosaicRequest(FramesRequest):
     )
     camera_kind: str | None = asked(
         Option(
-            "frames of one of the aircraft's cameras: wide, zoom, thermal [the one with most pixels]",
+            "frames of one of the aircraft's cameras: wide, zoom, thermal; wide+thermal: of both as bands of "
+            "one mosaic [the one with most pixels]",
             "KIND",
             RARE,
             sets="survey.read.camera_kind",

@@ -20,7 +20,7 @@ class RigParams(StageParams):
 
 
 @stage(
-    "adjustment.rig", "Register a rig's bands", group="Adjustment", version=3, outputs="rig",
+    "adjustment.rig", "Register a rig's bands", group="Adjustment", version=4, outputs="rig",
     wants_frames=True,
 )  # fmt: skip
 def adjustment_rig(survey: Survey, adjusted: Adjusted, params: RigParams, context: Context) -> RigPoses:

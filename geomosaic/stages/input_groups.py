@@ -44,6 +44,14 @@ class FrameShares(InputGroup):
 
 
 @dataclass(frozen=True)
+class BandTones(InputGroup):
+    """How frames show the ground: their tones, and their other bands where they are a rig's."""
+
+    rig: RigPoses | None = None
+    tones: Tones | None = None
+
+
+@dataclass(frozen=True)
 class FrameMosaic(InputGroup):
     """A survey and the mosaic of its frames."""
 

@@ -61,9 +61,10 @@ def mosaic_compose(
     """Warps the frames onto the map and blends them."""
     survey, ownership = of.survey, shares.ownership
     feather_m = None if params.feather_m == "auto" else params.feather_m
-    options = CompositionOptions(params.blend, feather_m, params.resampling, shares.tones, params.threads)
 
     def composing(frames: PosedFrames, files: MosaicFiles) -> Mosaic:
+        tones = shares.tones if frames.survey is survey else None
+        options = CompositionOptions(params.blend, feather_m, params.resampling, tones, params.threads)
         return compose(frames, ownership, files, options, context)
 
     rig = shares.rig or RigPoses()

@@ -12,6 +12,7 @@ import numpy as np
 
 from geomosaic.composition.alignment import read_alignment
 from geomosaic.composition.area import read_outline
+from geomosaic.composition.bands import narrowest
 from geomosaic.composition.grid import MAX_GIGAPIXELS, far_from_own
 from geomosaic.composition.mosaic_scene import (
     EDGES,
@@ -27,12 +28,13 @@ from geomosaic.composition.plugins import SEAMS_GROUP
 from geomosaic.composition.seam_cut import NEAREST_NADIR, SEAMS, with_whole_objects
 from geomosaic.composition.seam_figures import seam_figures
 from geomosaic.composition.seam_parts import giving, glimpsed, glimpses
-from geomosaic.composition.tones import Tones
 from geomosaic.composition.trim import filled
+from geomosaic.composition.views import PosedFrames
+from geomosaic.matching.band_registration import RigPoses
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.model import Placement
-from geomosaic.stages.input_groups import AdjustedSurvey
+from geomosaic.stages.input_groups import AdjustedSurvey, BandTones
 from geomosaic.stages.reporting import reported_trimmed, trimmed_text
 from geomosaic.survey.small import Small
 
@@ -100,10 +102,16 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     check=_check, plugged=lambda params: [(SEAMS_GROUP, params.seam)], conclusions=_conclusions,
 )  # fmt: skip
 def mosaic_seams(
-    of: AdjustedSurvey, placement: Placement, params: SeamParams, context: Context, tones: Tones | None = None
+    of: AdjustedSurvey, placement: Placement, params: SeamParams, context: Context, shown: BandTones
 ) -> Ownership:
-    """Gives every part of the mosaic to a frame, with seams where frames show the ground alike."""
-    chosen = _scene(of, placement, params, context)
+    """Gives every part of the mosaic to a frame, with seams where frames show the ground alike.
+
+    Of cameras that take pictures at once the one that sees least decides.
+    """
+    tones = shown.tones
+    if narrowed := _narrowed(of, shown.rig or RigPoses()):
+        of, tones = narrowed, None
+    chosen = _scene(of, placement, params, context, coarser=narrowed is not None)
     scene, hidden, unseen = occluded_scene(chosen.scene, context)
     if unseen is not None:
         context.metric("seams.unseen", asdict(unseen))
@@ -134,14 +142,30 @@ def mosaic_seams(
     return cut
 
 
-def _scene(of: AdjustedSurvey, placement: Placement, params: SeamParams, context: Context) -> MosaicScene:
-    """The scene by the adjusted frames, on the pixels that were asked for."""
+def _narrowed(of: AdjustedSurvey, rig: RigPoses) -> AdjustedSurvey | None:
+    """The block as the band with the least view shows it; None where none has less than the frames."""
+    adjusted = of.adjusted
+    used = [status != "rejected" for status in adjusted.status]
+    posed = PosedFrames(of.survey, adjusted.poses, adjusted.cameras, used, of.ground)
+    band = narrowest(posed, rig)
+    if band is None:
+        return None
+    seen = replace(adjusted, poses=band.poses, cameras=tuple(band.cameras))
+    return replace(of, survey=band.survey, adjusted=seen)
+
+
+def _scene(
+    of: AdjustedSurvey, placement: Placement, params: SeamParams, context: Context, *, coarser: bool
+) -> MosaicScene:
+    """The scene by the adjusted frames, on the pixels that were asked for. coarser: than the frames' own are
+    those of the band that decides."""
     frames = CandidateFrames.adjusted(of.survey, of.adjusted, of.ground)
     own_m = placement.ground_pixel_m if any(of.survey.located) else frames.pixel_m
+    seen_m = max(own_m, frames.pixel_m) if coarser else own_m
     pixels = mosaic_pixels(params.gsd_m, params.align_to, of.survey.map_crs, own_m)
     if text := far_from_own(pixels.gsd_m, own_m):
         context.warn("gsd-far", "", text)
-    limits = frames.limits(params.edges, max(pixels.gsd_m, own_m))
+    limits = frames.limits(params.edges, max(pixels.gsd_m, seen_m))
     scenes = SceneChoice(
         frames, of.adjusted, placement.poses.positions_m, pixels, params.aoi, params.max_gigapixels
     )

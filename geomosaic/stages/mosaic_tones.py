@@ -51,13 +51,14 @@ def mosaic_tones(
     frames = survey.frames
     n, bands = len(frames), max((f.bands for f in frames), default=1)
     none = Tones(np.zeros((n, bands)), np.zeros((n, bands, 2)), np.zeros((n, bands, 2)))
-    if survey.other_bands and params.even == "always":
+    measured = bool(survey.other_bands) and bands == 1
+    if measured and params.even == "always":
         raise InputError(
             "the bands of a multispectral rig are measured values and are not balanced",
             fix="leave out --set mosaic.tones.even",
         )
     alike = all(f.bands == bands for f in frames)
-    images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not survey.other_bands
+    images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not measured
     if not alike or params.even == "never" or (params.even == "auto" and not images):
         return none
     used = [s != "rejected" for s in adjusted.status]

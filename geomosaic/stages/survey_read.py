@@ -90,7 +90,8 @@ class SurveyParams(StageParams):
     camera_kind: str | None = param(
         None,
         help="frames of which of the aircraft's cameras are used, by their tag ImageSource: wide, zoom, "
-        "thermal; without it those that have most pixels",
+        "thermal; wide+thermal: both as bands of one mosaic, the first is adjusted; without it those that "
+        "have most pixels",
     )
     every: int = param(1, help="every how many frames one is used, in the order of exposure", ge=1)
     height_datum: str | None = param(

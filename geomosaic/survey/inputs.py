@@ -24,11 +24,11 @@ class SurveyInputs:
     ellipsoidal heights. gcp_optional: a gcp of which no point can be used is a warning. crs: the map's,
     `auto` for the UTM zone of the middle. pos_crs: of x and y in pos. attitude_convention: one of
     `attitude.CONVENTIONS`. damaged: one of `usable.DAMAGED`. leave_out: one of `strays.LEAVE_OUT`.
-    camera_kind: of the aircraft's cameras, see `strays.camera_kind`. every: one frame of so many is used.
-    height_datum: what heights count from whose source doesn't state it, a name for
-    `geodesy.heights.height_datum`. strict: unusable frames, frames without a line in pos and lines without a
-    frame are errors. radiometry: one of `reflectance.RADIOMETRY`. panel: photos of reflectance panels,
-    IMAGE=ALBEDO between commas, a number or the file of a table.
+    camera_kind: of the aircraft's cameras, see `strays.camera_kind`; several with a + between them. every:
+    one frame of so many is used. height_datum: what heights count from whose source doesn't state it, a name
+    for `geodesy.heights.height_datum`. strict: unusable frames, frames without a line in pos and lines
+    without a frame are errors. radiometry: one of `reflectance.RADIOMETRY`. panel: photos of reflectance
+    panels, IMAGE=ALBEDO between commas, a number or the file of a table.
     """
 
     frames: Path

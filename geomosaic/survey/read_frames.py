@@ -9,6 +9,7 @@ from dataclasses import replace
 from geomosaic.doors.thermograms import check_thermograms, thermogram
 from geomosaic.errors import InputError
 from geomosaic.survey.calibration_tags import temperature
+from geomosaic.survey.camera_kinds import JOINED, captures_of_kinds, other_cameras
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.extent import check_extent
 from geomosaic.survey.folder import unused_folders
@@ -80,8 +81,15 @@ def with_temperatures(draft: SurveyDraft) -> SurveyDraft:
 
 
 def without_other_cameras(draft: SurveyDraft) -> SurveyDraft:
-    """Frames of one kind; of a rig that writes a file a band, those of one band."""
+    """Frames of one kind; of a rig that writes a file a band, those of one band, and of cameras that are
+    mosaicked together those of the first."""
     inputs = draft.inputs
+    kinds = (inputs.camera_kind or "").split(JOINED)
+    if len(kinds) > 1:
+        together = captures_of_kinds(draft.headers, kinds)
+        headers, in_time = _in_order([band.header for band in together.own])
+        strays = (*draft.strays, *other_cameras(draft.headers, kinds))
+        return replace(draft, rig=together, headers=headers, in_time=in_time, strays=strays)
     others = [] if inputs.leave_out == "none" else other_kinds(draft.headers, inputs.camera_kind)
     headers = tuple(without(draft.headers, others))
     draft = replace(draft, headers=headers, strays=(*draft.strays, *others))
@@ -209,13 +217,15 @@ def with_bands(draft: SurveyDraft) -> SurveyDraft:
 
 
 def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
-    """The same capture's file of another band."""
+    """The same capture's file of another band, whose colours count as one brightness."""
     return replace(
         frame,
         name=header.name,
         path=str(header.path),
         width_px=header.width_px,
         height_px=header.height_px,
+        bands=1,
+        dtype=header.dtype,
         camera=camera,
         nodata=header.nodata,
         valid_mask=None,

@@ -108,7 +108,8 @@ def with_reflectance(draft: SurveyDraft) -> SurveyDraft:
     meant = {band: kind for band, header in firsts.items() if (kind := temperature(header)) is not None}
     if draft.inputs.radiometry != "reflectance":
         rest = dict.fromkeys(bands.keys() - meant.keys(), UNCALIBRATED) if draft.rig else {}
-        grey = [h.name for h in draft.headers if camera_kind(h) == "thermal" and h.dtype == "uint8"]
+        files = [header for of in bands.values() for header in of.values()]
+        grey = [h.name for h in files if camera_kind(h) == "thermal" and h.dtype == "uint8"]
         warnings = [Warn("thermal-grey", "", _GREY)] if grey else []
         warnings = [*draft.folder_warnings, *warnings]
         return replace(draft, quantities=meant | rest, folder_warnings=tuple(warnings))

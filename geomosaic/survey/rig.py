@@ -120,9 +120,21 @@ def _rank(band: str, count: int, files: Sequence[BandHeader]) -> tuple[float, fl
     return -count, known, first.index if first.index is not None else 99.0, band
 
 
+def capture_by_tag(header: FrameHeader) -> str:
+    """The capture that a file's tags name, '' where they name none."""
+    xmp: Xmp = header.xmp or {}
+    return next((xmp[name] for name in _CAPTURE_TAGS if xmp.get(name)), "")
+
+
+def capture_by_name(header: FrameHeader) -> str:
+    """A file's name without a band's or a camera's letters at its end, '' where it has none."""
+    match = _SUFFIX.fullmatch(PurePath(header.name).stem)
+    return "" if match is None else match[1]
+
+
 def _by_tags(header: FrameHeader) -> BandHeader | None:
     xmp: Xmp = header.xmp or {}
-    capture = next((xmp[name] for name in _CAPTURE_TAGS if xmp.get(name)), "")
+    capture = capture_by_tag(header)
     band = xmp.get("Camera:BandName", "")
     if not capture or not band or "," in band:
         return None

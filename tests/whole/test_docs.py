@@ -53,6 +53,7 @@ NOT_RUN = {
     "geomosaic watch": "waits for frames: test_watch.py copies some",
     "geomosaic measure": "wants lines and polygons: test_measure.py has some",
     "geomosaic view": "opens a window: test_recording_readers.py",
+    "--camera-kind": "wants two cameras' pictures: test_camera_kinds.py has some",
     "--formula temperature": "wants a thermal band: test_index.py has one",
     "NDVI": "wants a near-infrared band: test_index.py has one",
     "--radiometry": "wants a multispectral rig's frames: test_reflectance.py has some",
