@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.plugins import SEAMS_GROUP, Named
@@ -61,36 +60,6 @@ def cut_seams(nearest: Ownership, parts: Sequence[SeamPart], spread: Spread | No
     for part, mine in zip(parts, may, strict=True):
         owner[part.of_all][mine] = part.frame + 1
     return replace(nearest, owner=owner)
-
-
-def with_whole_objects(cut: Ownership, parts: Sequence[SeamPart]) -> Ownership:
-    """Each object that stands on the ground goes, with the cells about it, to one frame: of those that may
-    give all of it the one that gives most of it. What no frame gives whole stays as cut.
-    """
-    stands = np.zeros(cut.owner.shape, dtype=np.uint8)
-    for part in parts:
-        if part.standing is not None:
-            stands[part.of_all] |= part.standing
-    if not stands.any():
-        return cut
-    owner = cut.owner.copy()
-    objects, _ = ndimage.label(cv2.dilate(stands, np.ones((3, 3), np.uint8)), np.ones((3, 3)))
-    for number, at in enumerate(ndimage.find_objects(objects), start=1):
-        own = objects[at] == number
-        givers = np.unique(cut.owner[at][own])
-        if len(givers) < 2:
-            continue
-        whole = [p for p in parts if p.frame + 1 in givers and _gives_all(p, at, own)]
-        if whole:
-            most = [int(np.count_nonzero(cut.owner[at][own] == p.frame + 1)) for p in whole]
-            owner[at][own] = whole[int(np.argmax(most))].frame + 1
-    return replace(cut, owner=owner)
-
-
-def _gives_all(part: SeamPart, at: tuple[slice, slice], own: Bools) -> bool:
-    """Whether a frame may give all of some cells, and the rows and cols that they lie in."""
-    inside = all(a.start <= b.start and b.stop <= a.stop for a, b in zip(part.of_all, at, strict=True))
-    return inside and bool(part.may[part.at(*at)][own].all())
 
 
 def _rounds(pairs: Sequence[tuple[int, int]], parts: int) -> list[list[tuple[int, int]]]:

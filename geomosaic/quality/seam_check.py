@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.choice import MOST_PLACES
 from geomosaic.composition.model import OutputGrid, Seamline
 from geomosaic.composition.views import PosedFrames
 from geomosaic.constants import tuned
@@ -37,7 +38,6 @@ Floats = NDArray[np.float64]
 WINDOW_PX = tuned(256, "mosaic px", "tested place: smaller lacks patches; larger leaves the overlap")
 PATCH_PX = tuned(64, "mosaic px", "smaller matches by chance; larger averages houses and ground")
 SEARCH_PX = tuned(48, "mosaic px", "farther is not found: less misses jumps; more finds other ground")
-MOST_PLACES = tuned(60, "places", "tested in two frames each: the median is good to 0.01; more take time")
 LEAST_PATCHES = tuned(4, "patches", "of 49 found: fewer are chance; more leave woods unmeasured")
 
 

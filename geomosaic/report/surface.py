@@ -183,13 +183,10 @@ def _ortho(metrics: Mapping[str, Any]) -> list[Row]:
     ground = chosen.get("ground", chosen.get("laid_on"))  # "laid_on": of earlier versions
     if ground is None:
         return []
-    why = "as was asked for"
-    if "objects" in chosen:
-        share = percent(chosen["area_on_surface"])
-        why = (
-            f"{chosen['objects_on_surface']} of {chosen['objects']} objects, {share} of their area: there "
-            "frames agree on it; the others lean"
-        )
+    found, why = chosen.get("disagreement"), "as was asked for"
+    if found is not None:
+        each = " and ".join(f"{short(off)} on the {name}" for name, off in found.items())
+        why = f"1 - correlation of neighbouring frames is {each}, median over {chosen.get('places')} places"
     return [("the mosaic stands on", f"the {ground}", why)]
 
 

@@ -155,7 +155,7 @@ class MosaicRequest(FramesRequest):
     ortho: str | None = asked(
         Option(
             "with --surface dense, project onto the surface (roofs in place) or the terrain below it; auto "
-            "takes the surface for each object on which three frames agree [auto]",
+            "takes the surface if frames agree clearly better on it [auto]",
             "auto|surface|terrain",
             SURFACE,
             sets="mosaic.ground.ortho",

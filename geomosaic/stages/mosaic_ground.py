@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-import numpy as np
-
-from geomosaic.composition.object_choice import agreement
-from geomosaic.composition.objects import objects_between, standing_on, with_objects
+from geomosaic.composition.choice import agreement
 from geomosaic.composition.ortho_surface import ortho_surface
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.pipeline.function_stage import stage
@@ -27,7 +24,7 @@ class OrthoParams(StageParams):
     ortho: str = param(
         AUTO,
         help="surface: roofs and crowns lie where they belong; terrain: what stands on the ground leans "
-        "as frames show it, nothing is torn; auto: the surface for each object on which frames agree",
+        "as frames show it, nothing is torn; auto: the surface if frames differ clearly less on it",
         choices=(AUTO, *ORTHOS),
     )
 
@@ -38,38 +35,32 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     ground = ortho.get("ground", ortho.get("laid_on"))  # "laid_on": of earlier versions
     if ground is None:
         return []
-    return [("ortho", f"projected onto the {ground}{ortho_why(ortho)}")]
-
-
-def ortho_why(ortho: Mapping[str, Any]) -> str:
-    """How many objects lie on the surface, and of their area; empty where they were not asked for."""
-    if not ortho.get("objects"):
-        return ""
-    share = f"{100.0 * ortho['area_on_surface']:.0f} % of their area"
-    return f": {ortho['objects_on_surface']} of {ortho['objects']} objects, {share}; the others lean"
+    found, why = ortho.get("disagreement"), ""
+    if found is not None and all(found.get(name) is not None for name in ORTHOS):
+        each = ", ".join(f"{found[name]:.2f} on the {name}" for name in ORTHOS)
+        why = f": frames differ by {each}, at {ortho['places']} places"
+    return [("ortho", f"projected onto the {ground}{why}")]
 
 
 @stage(
-    "mosaic.ground", "Choose the mosaic's ground", group="Mosaic", version=5, outputs="ground",
+    "mosaic.ground", "Choose the mosaic's ground", group="Mosaic", version=6, outputs="ground",
     conclusions=_conclusions,
 )  # fmt: skip
 def mosaic_ground(
     of: AdjustedSurvey, terrain: TerrainModel, params: OrthoParams, context: Context
 ) -> GroundSurface:
-    """Chooses the ground of the mosaic, object by object."""
-    survey, adjusted, land = of.survey, of.adjusted, terrain.ground()
-    context.metric("ortho.ground", "surface" if params.ortho == AUTO else params.ortho)
-    if params.ortho != AUTO:
-        return land if params.ortho == "terrain" else ortho_surface(of.ground)
-    objects = objects_between(of.ground, land)
-    used = [s != "rejected" for s in adjusted.status]
-    frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, land)
-    views = frame_views(frames, survey.map_crs)
-    raised = with_objects(of.ground, land, objects)
-    chosen = agreement(survey, views, objects, (raised, land), context).chosen
-    stands = objects.where(chosen)
-    standing = int(np.count_nonzero(objects.labels))
-    context.metric("ortho.objects", len(chosen))
-    context.metric("ortho.objects_on_surface", int(chosen.sum()))
-    context.metric("ortho.area_on_surface", float(stands.sum() / max(standing, 1)))
-    return standing_on(land, raised, stands)
+    """Chooses the ground of the mosaic, by what frames agree on."""
+    survey, adjusted = of.survey, of.adjusted
+    grounds = ortho_surface(of.ground), terrain.ground()
+    chosen = params.ortho
+    if chosen == AUTO:
+        used = [s != "rejected" for s in adjusted.status]
+        frames = PosedFrames(survey, adjusted.poses, adjusted.cameras, used, grounds[1])
+        views = frame_views(frames, survey.map_crs)
+        found = agreement(survey, views, grounds, context)
+        chosen = ORTHOS[found.best]
+        context.metric("ortho.disagreement", dict(zip(ORTHOS, found.disagreement, strict=True)))
+        context.metric("ortho.squares", found.squares)
+        context.metric("ortho.places", found.places)
+    context.metric("ortho.ground", chosen)
+    return grounds[ORTHOS.index(chosen)]

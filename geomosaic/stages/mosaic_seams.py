@@ -25,7 +25,7 @@ from geomosaic.composition.mosaic_scene import (
 from geomosaic.composition.occlusion import occluded_scene
 from geomosaic.composition.ownership import Ownership, cell_px_of, nearest_nadir, within
 from geomosaic.composition.plugins import SEAMS_GROUP
-from geomosaic.composition.seam_cut import NEAREST_NADIR, SEAMS, with_whole_objects
+from geomosaic.composition.seam_cut import NEAREST_NADIR, SEAMS
 from geomosaic.composition.seam_figures import seam_figures
 from geomosaic.composition.seam_parts import giving, glimpsed, glimpses
 from geomosaic.composition.trim import filled
@@ -98,7 +98,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.seams", "Place the seamlines", group="Mosaic", version=15, outputs="ownership",
+    "mosaic.seams", "Place the seamlines", group="Mosaic", version=16, outputs="ownership",
     check=_check, plugged=lambda params: [(SEAMS_GROUP, params.seam)], conclusions=_conclusions,
 )  # fmt: skip
 def mosaic_seams(
@@ -136,7 +136,7 @@ def mosaic_seams(
     jobs = glimpses(scene, ownership, nearest_m, of.survey.frames, spare)
     look = partial(glimpsed, replace(scene, views=()), ownership.cell_px, tones)
     parts = context.map("seams", look, jobs, keys=[v.frame for v in giving(scene, ownership)])
-    cut = with_whole_objects(SEAMS[params.seam](ownership, parts, context), parts)
+    cut = SEAMS[params.seam](ownership, parts, context)
     for how, result in ((NEAREST_NADIR, ownership), (params.seam, cut)):
         context.metric(f"seams.{how}", asdict(seam_figures(result, parts)))
     return cut

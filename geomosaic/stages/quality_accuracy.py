@@ -90,7 +90,7 @@ def quality_accuracy(
 
 
 def _matched(ground: GroundSurface, heights: MatchedHeights) -> MatchedCells | None:
-    """Of the ground that the mosaic lies on, if that was matched; what leans on the terrain was not."""
+    """Of the ground that the mosaic lies on, if that was matched."""
     kind, surface, terrain = ground.kind, heights.surface, heights.terrain
     if surface is None or kind not in MATCHED:
         return None
@@ -99,8 +99,7 @@ def _matched(ground: GroundSurface, heights: MatchedHeights) -> MatchedCells | N
         return MatchedCells(surface.cells, matched)
     if kind == TERRAIN:
         return MatchedCells(surface.cells, matched & terrain.seen)
-    stands_m = standing_m(surface.up_m, terrain.up_m, matched)
-    return MatchedCells(surface.cells, matched & (terrain.seen | (ground.up_m != terrain.up_m)), stands_m)
+    return MatchedCells(surface.cells, matched, standing_m(surface.up_m, terrain.up_m, matched))
 
 
 def _known(value: float) -> float | None:

@@ -27,7 +27,7 @@ from geomosaic.composition.plan import windows
 from geomosaic.composition.plugins import BLENDS_GROUP, Named
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.scene import Scene
-from geomosaic.composition.seam_cut import Shared, cut_pair, cut_seams, with_whole_objects
+from geomosaic.composition.seam_cut import Shared, cut_pair, cut_seams
 from geomosaic.composition.seam_figures import seam_figures
 from geomosaic.composition.seam_parts import Glimpse, SeamPart, bands, giving, glimpsed
 from geomosaic.composition.views import PosedFrames, frame_views
@@ -195,27 +195,6 @@ def test_seams_keep_off_what_stands_on_the_ground(tmp_path: Path) -> None:
     blind = [replace(p, standing=None) for p in parts]
     assert seam_figures(cut_seams(nearest, blind), parts).on_objects != 0.0
     assert seam_figures(cut, blind).on_objects is None
-
-
-def test_an_object_that_a_seam_cuts_goes_to_one_frame_that_sees_it_whole(tmp_path: Path) -> None:
-    """To the frame that gives most of it; if neither can give all of it, it stays cut."""
-    up_m = np.zeros((201, 201))
-    up_m[90:111, 90:111] = 6.0
-    house = GroundSurface("dem", -100.0, -100.0, 1.0, up_m)
-    survey, *_, scene = scene_of(tmp_path, lines=1, per_line=2, ground=house)
-    nearest, found = glimpses(survey, scene)
-    stands = np.zeros(nearest.owner.shape, dtype=bool)
-    for part in found:
-        assert part.standing is not None
-        stands[part.of_all] |= part.standing
-    assert len(np.unique(nearest.owner[stands])) == 2
-    seeing = [replace(p, may=np.ones_like(p.may)) for p in found]
-    whole = with_whole_objects(nearest, seeing)
-    assert len(np.unique(whole.owner[stands])) == 1
-    beyond = cv2.dilate(stands.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
-    assert (whole.owner == nearest.owner)[beyond].all()
-    none = [replace(p, may=np.zeros_like(p.may)) for p in found]
-    assert (with_whole_objects(nearest, none).owner == nearest.owner).all()
 
 
 def crossed(first: np.ndarray, difference: np.ndarray) -> float:

@@ -64,7 +64,7 @@ METRICS = {
         "heights": "ellipsoidal, WGS 84, metres",
         "ground_share": 0.81,
     },
-    "ortho": {"ground": "surface", "objects": 41, "objects_on_surface": 30, "area_on_surface": 0.72},
+    "ortho": {"ground": "terrain", "disagreement": {"surface": 0.412, "terrain": 0.2}, "places": 17},
 }
 
 
@@ -115,7 +115,7 @@ def test_figures_and_what_the_mosaic_stands_on(run):
     assert rows["deviation"][0] == "median 0.250\u00a0m, 90 % below 0.250\u00a0m"
     assert rows["ground"][0] == "81\u00a0%"
     value, why = rows["the mosaic stands on"]
-    assert value == "the surface" and why.startswith("30 of 41 objects, 72\u00a0% of their area")
+    assert value == "the terrain" and "0.412 on the surface and 0.200 on the terrain" in why
     asked = section(run, {"ortho": {"laid_on": "surface"}}).rows
     assert ("the mosaic stands on", "the surface", "as was asked for") in asked
     assert "the mosaic stands on" not in {name for name, *_ in section(run, {}).rows}
