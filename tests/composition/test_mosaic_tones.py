@@ -272,7 +272,7 @@ def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
 
 
 def test_a_rigs_bands_are_not_evened_by_one_bands_tones(tmp_path: Path) -> None:
-    survey, *_ = make_survey(tmp_path, lines=1, per_line=2)
+    survey, *_ = make_survey(tmp_path, lines=1, per_line=2, bands=1)
     with_band = replace(survey, other_bands=(Band("NIR", 790.0, survey.camera_of(0), survey.frames),))
     stage, nobody = mosaic_tones(), cast(Context, None)
     asked = {"survey": with_band, "ground": None, "adjusted": None}
