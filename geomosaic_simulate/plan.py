@@ -133,7 +133,7 @@ class SurveyPlan:
 
     exposure_sd: float = 0.0
     auto_exposure: float = 0.0
-    exposure_told: bool = False
+    exposure_reported: bool = False
     vignetting: float = 0.0
     hot_spot: float = 0.0
     blur_px: float = 0.0

@@ -220,8 +220,8 @@ class SimulateFrames(Stage):
         auto_exposure: float = param(
             _PLAN.auto_exposure, help="how far the camera evens out each frame's brightness", ge=0, le=1
         )
-        exposure_told: bool = param(
-            _PLAN.exposure_told, help="frames hold the exposure time by which the camera evens them out"
+        exposure_reported: bool = param(
+            _PLAN.exposure_reported, help="frames hold the exposure time by which the camera evens them out"
         )
         vignetting: float = param(_PLAN.vignetting, help="light lost in the corners", ge=0, le=0.9)
         hot_spot: float = param(

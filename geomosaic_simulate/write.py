@@ -122,7 +122,7 @@ def frame_bytes(
     focal_35mm = max(round(reported.focal_length_px * FILM_DIAGONAL_MM / math.hypot(*size)), 1)
     focal_mm = reported.focal_length_px / float(per_mm)
     exposure_s = Fraction(round(plan.exposure_time_s * 1e6), 1_000_000) or _USUAL_EXPOSURE_S
-    if plan.exposure_told:
+    if plan.exposure_reported:
         exposure_s = Fraction(round(automatic * float(exposure_s) * 1e6), 1_000_000)
     main, exif = camera_tags(
         float(flight.time_s[i]), MAKE, plan.camera_model, size, focal_mm, per_mm, focal_35mm, exposure_s

@@ -56,20 +56,21 @@ def other_bands(frames: PosedFrames, rig: RigPoses) -> Iterator[PosedFrames]:
 
 
 def narrowest(frames: PosedFrames, rig: RigPoses) -> PosedFrames | None:
-    """The band whose camera sees a part of what the frames see, such as a thermal camera beside a wide one.
+    """The band whose camera sees least, and nothing that the frames do not: a thermal one beside a wide one.
 
-    None where there is none. It shows what all bands show.
+    None where each band sees beyond the frames.
     """
     if not rig.bands or not any(frames.used):
         return None
     own = frames.cameras[list(frames.used).index(True)]
     size = np.array([own.width_px, own.height_px])
+    inside: list[tuple[float, PosedFrames]] = []
     for band, pose in zip(other_bands(frames, rig), rig.bands, strict=True):
         rays = pose.camera.ray_from_image(pose.camera.border_px()) @ pose.own_from_band.T
         at_px = own.image_from_camera(rays)
         if (at_px > 0.0).all() and (at_px < size).all():
-            return band
-    return None
+            inside.append((float(np.ptp(at_px, axis=0).prod()), band))
+    return min(inside, key=lambda one: one[0])[1] if inside else None
 
 
 def with_all_bands(survey: Survey) -> list[bool]:

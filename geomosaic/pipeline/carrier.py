@@ -50,7 +50,7 @@ class RunFiles:
             inside = files.path_within(self.folder, path.relative_to(self.folder).as_posix())
         except ValueError:
             inside = None
-        if inside is None and path not in self._hashes.inputs():
+        if inside is None and not self._hashes.reads(path):
             return None
         if path.suffix.lower() == ".vrt":
             fix = "write one TIFF of it (gdal_translate), or share the disk with all workers"

@@ -46,6 +46,7 @@ class FileHashes:
         self._known: dict[str, list[Any]] = {}
         self._now: dict[str, tuple[Mark, str]] = {}
         self._read: dict[Path, str] = {}
+        self._inputs: set[Path] = set()
         self._companions: dict[Path, list[Path]] = {}
         self._new = False
         if memory is not None:
@@ -89,6 +90,7 @@ class FileHashes:
         digest = self.of_file(path)
         if path not in self._read:
             self._companions.setdefault(path.with_suffix(""), []).append(path)
+            self._inputs.add(Path(os.path.normpath(path.absolute())))
         self._read[path] = digest
         return digest
 
@@ -114,7 +116,11 @@ class FileHashes:
 
     def inputs(self) -> frozenset[Path]:
         """The files that the run reads, as normalised absolute paths."""
-        return frozenset(Path(os.path.normpath(path.absolute())) for path in self._read)
+        return frozenset(self._inputs)
+
+    def reads(self, path: Path) -> bool:
+        """Whether the run reads a file, given by its normalised absolute path."""
+        return path in self._inputs
 
     def manifest(self, path: Path, progress: Callable[[int, int], None] | None = None) -> dict[str, str]:
         """Names and hashes of what a file parameter stands for.

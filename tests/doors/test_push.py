@@ -54,11 +54,11 @@ def test_what_a_store_refuses_or_loses_is_one_line(
     server: Server, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     server.wrong["/maps/north/mosaic.tif"] = "refuses"
-    told = refused(capsys, run, "s3://maps/north/")
-    assert "s3://maps/north/mosaic.tif: can't be written" in told and "the right to write there" in told
+    said = refused(capsys, run, "s3://maps/north/")
+    assert "s3://maps/north/mosaic.tif: can't be written" in said and "the right to write there" in said
     server.wrong["/maps/north/mosaic.tif"] = "loses"
-    told = refused(capsys, run, "s3://maps/north/")
-    assert "s3://maps/north/mosaic.tif: arrived with another size; push again" in told
+    said = refused(capsys, run, "s3://maps/north/")
+    assert "s3://maps/north/mosaic.tif: arrived with another size; push again" in said
     assert not (server.root / "maps" / "north" / "run.json").exists()
 
 

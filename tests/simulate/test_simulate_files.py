@@ -379,7 +379,7 @@ def test_the_stage_writes_the_survey_into_its_folder(tmp_path: Path) -> None:
 def test_frames_report_the_exposure_that_the_automatic_chose(tmp_path: Path) -> None:
     """Half the brightness aimed at, in the shadow of clouds: twice the exposure time, read back from tags."""
     plan = dataclasses.replace(PLAN, turned="", pixel_noise=0.0, exposure_sd=0.0, clouds=0.5)
-    automatic = dataclasses.replace(plan, auto_exposure=1.0, exposure_told=True)
+    automatic = dataclasses.replace(plan, auto_exposure=1.0, exposure_reported=True)
     ground = simulate_frames(tmp_path / "plain", plan)
     even = simulate_frames(tmp_path / "automatic", automatic)
     light, exposure = [], []

@@ -25,7 +25,7 @@ class TargetSurvey:
 
 
 def target_survey(out: Path, **plan: Any) -> TargetSurvey:
-    """Eight frames with six points, unless told otherwise, and a target at each, painted where the truth has it."""
+    """Eight frames with six points, unless more are asked for, each with a painted target."""
     survey = small_survey(out, **{"control_points": 6, "pos_in": "exif", **plan})
     assert survey.true_control and survey.control
     truth: dict[str, dict[str, tuple[float, float]]] = {}

@@ -160,10 +160,10 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_wide_and_thermal_become_one_mosaic(flown: tuple[Path, Path]) -> None:
     """The thermal band is within a tenth of its pixel of what the mosaic's own colours give."""
     _, run = flown
-    told = summary(run)
-    assert told["frames"]["tied"] == 4 and told["metrics"]["bands"]["thermal"]["after_px"] < 0.3
-    (band,) = load_artefact(run, told, "rig", RigPoses).bands
-    wide = load_artefact(run, told, "adjusted", Adjusted).cameras[0]
+    summed = summary(run)
+    assert summed["frames"]["tied"] == 4 and summed["metrics"]["bands"]["thermal"]["after_px"] < 0.3
+    (band,) = load_artefact(run, summed, "rig", RigPoses).bands
+    wide = load_artefact(run, summed, "adjusted", Adjusted).cameras[0]
     off = registration_error_px(band, wide)
     assert np.sqrt(np.mean(off**2)) < 0.06 and off.max() < 0.2
     with rasterio.open(run / "mosaic.tif") as found:
@@ -201,10 +201,10 @@ def test_grey_thermal_pictures_are_registered_as_well(flown: tuple[Path, Path], 
         low, high = np.percentile(values, (0.5, 99.5))
         grey = np.clip(255.0 * (values - low) / (high - low), 0.0, 255.0).astype(np.uint8)
         picture(tmp_path / f"DJI_{k:04d}_T.JPG", "T", k, np.repeat(grey[..., None], 3, axis=2))
-    told = summary(run)
-    adjusted = load_artefact(run, told, "adjusted", Adjusted)
+    summed = summary(run)
+    adjusted = load_artefact(run, summed, "adjusted", Adjusted)
     bands = kinds_of(tmp_path, "wide+thermal").other_bands
-    survey = replace(load_artefact(run, told, "survey", Survey), other_bands=bands)
+    survey = replace(load_artefact(run, summed, "survey", Survey), other_bands=bands)
     captures = Captures(survey, adjusted.poses, adjusted.cameras, [True] * 4, adjusted.ground)
     (band,) = register_bands(captures).bands
     off = registration_error_px(band, adjusted.cameras[0])

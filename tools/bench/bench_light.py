@@ -40,7 +40,7 @@ from tools.bench.bench_flights import commit
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 PLAN = SurveyPlan(
     lines=3, frames_per_line=5, width_px=480, height_px=360, height_above_ground_m=25.0, side_overlap=0.6,
-    position_sd_m=0.02, height_sd_m=0.02, exposure_sd=0.01, auto_exposure=1.0, exposure_told=True,
+    position_sd_m=0.02, height_sd_m=0.02, exposure_sd=0.01, auto_exposure=1.0, exposure_reported=True,
     vignetting=0.25, hot_spot=0.5,
 )  # fmt: skip
 KINDS = {"sun": 0.0, "sun and clouds": 0.3}

@@ -114,8 +114,8 @@ def pointing_s(distance_px: float) -> float:
 def session(person: Person, url: str, survey: TargetSurvey) -> int:
     """Marks all targets in all frames that are listed for them. Returns the number of marks."""
     page = person.page
-    told = json.load(urllib.request.urlopen(f"{url}survey"))
-    frames, points = ([of["name"] for of in told[key]] for key in ("frames", "points"))
+    survey = json.load(urllib.request.urlopen(f"{url}survey"))
+    frames, points = ([of["name"] for of in survey[key]] for key in ("frames", "points"))
     marks = 0
     for k, name in enumerate(points):
         person.key("j")

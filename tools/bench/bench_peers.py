@@ -152,8 +152,8 @@ def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> list[Result]
     flight.out.mkdir(parents=True, exist_ok=True)
     for path in flight.paths:
         path.read_bytes()
-    run, taken, told = run_ours(flight)
-    used = told["frames"]["tied"] + told["frames"]["placed"]
+    run, taken, outcome = run_ours(flight)
+    used = outcome["frames"]["tied"] + outcome["frames"]["placed"]
     ours = Result("geomosaic", {**together(taken), "frames_used": used})
     ours_places = places_of(run / "positions.csv")
     most_mb = 1e3 * asked.peer_gb

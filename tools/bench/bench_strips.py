@@ -260,23 +260,23 @@ def main() -> None:
     parser.add_argument("--resampled", type=int, default=0, help="so many scenes of each that is resampled")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("out/bench-strips"))
-    told = parser.parse_args()
-    usual = "whole_scene,piecewise_linear,joint" if told.mixed else "joint"
-    methods = (*RIVALS, "joint") if told.methods == "all" else tuple((told.methods or usual).split(","))
+    asked = parser.parse_args()
+    usual = "whole_scene,piecewise_linear,joint" if asked.mixed else "joint"
+    methods = (*RIVALS, "joint") if asked.methods == "all" else tuple((asked.methods or usual).split(","))
     seeds = range(
-        told.first_seed, told.first_seed + (told.mixed or told.small or told.resampled or told.seeds)
+        asked.first_seed, asked.first_seed + (asked.mixed or asked.small or asked.resampled or asked.seeds)
     )
-    cases, name = told.cases.split(","), "cases.md"
-    if told.mixed:
+    cases, name = asked.cases.split(","), "cases.md"
+    if asked.mixed:
         cases, name = ["mixed"], "mixed.md"
-    elif told.small:
+    elif asked.small:
         cases, name = list(SMALL), "small.md"
-    elif told.resampled:
+    elif asked.resampled:
         cases, name = list(RESAMPLED), "resampled.md"
     jobs = [(case, seed, methods) for case in cases for seed in seeds]
-    lines = table(run(jobs, told.out, told.workers))
+    lines = table(run(jobs, asked.out, asked.workers))
     print("\n".join(lines))
-    (told.out / name).write_text("\n".join(lines) + "\n")
+    (asked.out / name).write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -52,14 +52,14 @@ class Component:
     least: float
     most: float
 
-    def estimated(self, believed: Callable[[float, float], float]) -> Component:
-        """With the factor by the residuals (Foerstner 1979). believed: from the scatter and its redundancy,
+    def estimated(self, factor_of: Callable[[float, float], float]) -> Component:
+        """With the factor by the residuals (Foerstner 1979). factor_of: from the scatter and its redundancy,
         the factor that is taken."""
         if self.redundancy < LEAST_REDUNDANCY:
             return replace(self, factor=float(np.clip(self.factor, self.least, self.most)))
         scatter = self.factor * float(np.sqrt(self.squares / self.redundancy))
         a_little = 1.0 + float(np.sqrt(np.finfo(np.float64).eps))
-        found, above = (believed(f, self.redundancy) for f in (scatter, a_little * scatter))
+        found, above = (factor_of(f, self.redundancy) for f in (scatter, a_little * scatter))
         inside = self.least < found < self.most
         follows = float(np.log(above / found) / np.log(a_little)) if inside else 0.0
         return replace(self, factor=float(np.clip(found, self.least, self.most)), follows=follows)
