@@ -6,25 +6,18 @@ small systems (`*_each`) such ones become NaN. No exception of a linear algebra 
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from itertools import repeat
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlauum, dpotrf
+from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlauum, dpotrf, dtrtri
 from scipy.sparse import spmatrix
 from scipy.sparse.linalg import splu
 
 from geomosaic.arrays import Bools, Complexes, Floats
-from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
 
-_PANEL = tuned(
-    512, "unknowns", "at once in one of two threads; fewer: small products; more: one thread waits"
-)
 Values = TypeVar("Values", Floats, Complexes)
 _PRECISION: Final = float(np.finfo(np.float64).eps)
 _SINGULAR: Final = "a system of equations is singular"
@@ -156,60 +149,17 @@ def is_parallel(normal: Floats, most: float) -> bool:
 def cholesky(matrix: Floats, *, overwrite: bool = False) -> tuple[Floats, int]:
     """Lower Cholesky factor of one symmetric matrix (n, n), and the number of the unknown at which it shows
     that the matrix is not finite or not positive definite to double precision, else -1. The upper triangle is
-    not read. A large one is factorised in two threads. Args: overwrite: a matrix in the order of columns
-    becomes the factor."""
-    diagonal, n = np.diag(matrix).copy(), len(matrix)
-    factor = matrix if overwrite and matrix.flags.f_contiguous else np.array(matrix, order="F")
-    with ThreadPoolExecutor(2) as threads:
-        for panel in _panels(n):
-            at, end = panel.start, panel.stop
-            if at:
-                list(threads.map(_less_columns_before, repeat(factor), _halves(at, n), repeat(panel)))
-            factor[panel, panel], broken = dpotrf(factor[panel, panel], lower=1, clean=1)
-            factor[panel, end:] = 0.0
-            if broken:
-                return factor, at + broken - 1
-            list(threads.map(_divided, repeat(factor), _halves(end, n), repeat(panel)))
+    not read. Args: overwrite: a matrix in the order of columns becomes the factor."""
+    diagonal = np.diag(matrix).copy()
+    factor, broken = dpotrf(matrix, lower=1, clean=1, overwrite_a=overwrite)
     pivots = np.diag(factor)
     good = np.isfinite(pivots) & (pivots**2 > _PRECISION * diagonal)
-    return factor, -1 if good.all() else int(good.argmin())
+    return np.asarray(factor), broken - 1 if broken else -1 if good.all() else int(good.argmin())
 
 
 def inverse_of_factor(factor: Floats) -> Floats:
     """Inverse (n, n), in the order of columns, of a factor of `cholesky`."""
-    n = len(factor)
-    out = np.zeros((n, n), order="F")
-
-    def solved(panel: slice) -> None:
-        rows = slice(panel.start, n)
-        unit = np.eye(n - panel.start, panel.stop - panel.start, order="F")
-        out[rows, panel] = dtrsm(1.0, factor[rows, rows], unit, lower=1, overwrite_b=1)
-
-    with ThreadPoolExecutor(2) as threads:
-        list(threads.map(solved, _panels(n)))
-    return out
-
-
-def _panels(n: int) -> list[slice]:
-    """Columns of a matrix that are worked on at once: all, or of a large one some at a time."""
-    wide = n if n < 4 * _PANEL else _PANEL
-    return [slice(at, min(at + wide, n)) for at in range(0, n, wide)]
-
-
-def _halves(first: int, end: int) -> list[slice]:
-    """Of some rows, in two parts unless there are too few."""
-    middle = (first + end) // 2
-    return [slice(a, z) for a, z in ((first, middle), (middle, end)) if a < z]
-
-
-def _less_columns_before(factor: Floats, rows: slice, panel: slice) -> None:
-    """Subtracts from some rows of a panel what the columns before it make of them."""
-    factor[rows, panel] -= factor[rows, : panel.start] @ factor[panel, : panel.start].T
-
-
-def _divided(factor: Floats, rows: slice, panel: slice) -> None:
-    """Divides some rows of a panel by the factor on its diagonal."""
-    factor[rows, panel] = dtrsm(1.0, factor[panel, panel], factor[rows, panel], side=1, lower=1, trans_a=1)
+    return np.asarray(dtrtri(factor, lower=1)[0])
 
 
 def square_of_factor(factor: Floats) -> Floats:

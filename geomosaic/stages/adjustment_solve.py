@@ -79,7 +79,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=76, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=77, outputs=("adjusted", "ground"),
     conclusions=_conclusions,
 )  # fmt: skip
 def adjustment_solve(

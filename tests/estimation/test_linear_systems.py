@@ -69,17 +69,6 @@ def test_a_factor_says_where_its_matrix_is_not_positive_definite() -> None:
     assert linear.cholesky(np.array([[1.0, np.nan], [np.nan, 1.0]]))[1] == 1
 
 
-def test_a_large_matrix_is_factorised_and_inverted_panel_by_panel() -> None:
-    n = 4 * linear._PANEL + 1
-    matrix = 3.0 * np.eye(n) + np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)
-    factor, broken_at = linear.cholesky(matrix)
-    assert broken_at == -1
-    assert np.allclose(factor @ factor.T, matrix)
-    assert np.allclose(linear.inverse_of_factor(factor) @ factor, np.eye(n))
-    matrix[n - 9, n - 9] = -1.0
-    assert linear.cholesky(matrix)[1] == n - 9
-
-
 def test_a_point_without_a_solution_takes_no_part() -> None:
     blocks = np.stack([np.diag([4.0, 9.0, 16.0]), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)])
     roots = linear.inverse_roots(blocks)
