@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -59,6 +60,12 @@ class GroundSurface:
         north = self.north_0_m + self.spacing_m * np.arange(rows)
         return np.stack(np.meshgrid(east, north), axis=-1)
 
+    @cached_property
+    def steepest(self) -> float:
+        """No slope of the ground is greater, m a m."""
+        rise = (np.abs(np.diff(self.up_m, axis=axis)).max(initial=0.0) for axis in (0, 1))
+        return float(np.hypot(*rise)) / self.spacing_m
+
     def about(self, places_m: Floats, nodes: int) -> GroundSurface:
         """The part under places (..., 2 or 3), with so many nodes more on every side: views of its arrays."""
         corner, size = np.array([self.east_0_m, self.north_0_m]), np.array(self.up_m.shape[::-1])
@@ -94,8 +101,9 @@ class GroundSurface:
         """Where rays first meet the ground, shape (..., 3); NaN where a ray doesn't come down to it.
 
         Over a ground with walls a ray is walked cell by cell, as far as it lies within the grid. Elsewhere
-        it is sampled between the surface's highest and lowest level; the first crossing is refined by the
-        Illinois variant of the secant method, so that slopes steeper than the ray can't make it diverge.
+        the first crossing between the surface's highest and lowest level is found by the Illinois variant of
+        the secant method. Rays that could cross it more than once, since some slope is steeper than they
+        are, are sampled before.
 
         Args: origin_m (..., 3) or (3,), ray (..., 3) directions of any length.
         """
@@ -122,15 +130,16 @@ class GroundSurface:
 
     def _sampled(self, origin: Floats, per_drop: Floats) -> Floats:
         high, low = float(self.up_m.max()), float(self.up_m.min())
-        top = np.maximum(origin[..., 2] - high - 1e-3, 0.0)
-        bottom = origin[..., 2] - low + 1e-3
+        top = np.asarray(np.maximum(origin[..., 2] - high - 1e-3, 0.0))
+        bottom = np.asarray(origin[..., 2] - low + 1e-3)
         at = self._clearance(origin, per_drop)
-        if high - low > 1e-2:
-            drops = top + (bottom - top) * np.linspace(0.0, 1.0, _RAY_SAMPLES).reshape(-1, *[1] * top.ndim)
-            below = at(drops) <= 0.0
-            first = np.maximum(below.argmax(axis=0), 1)
-            top = np.take_along_axis(drops, (first - 1)[None], axis=0)[0]
-            bottom = np.take_along_axis(drops, first[None], axis=0)[0]
+        again = ~(np.hypot(per_drop[..., 0], per_drop[..., 1]) * self.steepest < 1.0)
+        if high - low > 1e-2 and again.any():
+            its = self._clearance(origin[again], per_drop[again])
+            samples = np.linspace(0.0, 1.0, _RAY_SAMPLES)[:, None]
+            drops = top[again] + (bottom[again] - top[again]) * samples
+            first = np.maximum((its(drops) <= 0.0).argmax(axis=0), 1)[None]
+            top[again], bottom[again] = (np.take_along_axis(drops, k, axis=0)[0] for k in (first - 1, first))
         f_top, f_bottom = at(top), at(bottom)
         for _ in range(MOST_ROUNDS):
             with np.errstate(divide="ignore", invalid="ignore"):
