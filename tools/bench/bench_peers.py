@@ -5,7 +5,7 @@
 
 Flights: simulated ones of so many frames with positions in their tags, and 18 real frames of 9 MP
 (SHARED/data/brighton_beach, left out where it is not there). Programs: geomosaic's whole run; pycolmap with
-matching by position and then its incremental or its global mapper (the time of matching counts in both);
+matching by position and then its incremental or its global mapper (the time of matching counts in each);
 pyOrthomosaic in two and three dimensions; OpenCV's Stitcher for scans and the package `stitching`. Each has
 an environment of its own, made from the package index; one that cannot be had is left out with the reason.
 
@@ -56,7 +56,11 @@ from tools.bench.peers.peer import PEERS
 Places = Mapping[str, Sequence[float]]
 """Latitude, longitude and height of the projection centre by frame."""
 PYCOLMAP = "pycolmap==4.2.1"
-MAPPERS = {"incremental": "pycolmap 4.2.1, incremental", "global": "pycolmap 4.2.1, global"}
+MAPPERS = {
+    "incremental": "pycolmap 4.2.1, incremental",
+    "tagged_lens": "pycolmap 4.2.1, incremental, lens of the tags",
+    "global": "pycolmap 4.2.1, global",
+}
 MAPPING = Path(__file__).parent / "peers" / "pycolmap_mapping.py"
 MOST_JUDGED_WHOLE, PARTS = 100, 12
 """Mosaics of so many frames are judged whole, those of more on so many squares."""
@@ -119,7 +123,7 @@ def together(*steps: Taken) -> dict[str, float]:
 def run_pycolmap(
     flight: Flight, home: Path, most_s: float, most_mb: float
 ) -> dict[str, tuple[Result, Places]]:
-    """Each mapper's figures, and the centres that it found; matched once for both."""
+    """Each mapper's figures, and the centres that it found; matched once for all."""
     out = flight.out / "pycolmap"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)

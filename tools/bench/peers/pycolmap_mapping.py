@@ -1,12 +1,13 @@
 """COLMAP's mapping of a folder of frames, with the positions of their tags as priors.
 
-    python pycolmap_mapping.py match|incremental|global FRAMES OUT
+    python pycolmap_mapping.py match|incremental|tagged_lens|global FRAMES OUT
 
-`match` extracts keypoints and matches neighbours by position into OUT/database.db. `incremental` and `global`
-map from it and write OUT/incremental.json or OUT/global.json: for each frame lat, lon, height of its
-projection centre. Options are pycolmap's own, apart from these: one camera for all frames, positions in
-metres east, north and up, one thread a core, and a fixed seed. The global mapper takes no positions:
-its result is aligned to them and adjusted once more with them as priors.
+`match` extracts keypoints and matches neighbours by position into OUT/database.db. The others map from it and
+write OUT/NAME.json: for each frame lat, lon, height of its projection centre. Options are pycolmap's own,
+apart from these: one camera for all frames, positions in metres east, north and up with the deviations that
+geomosaic assumes of them too, one thread a core, and a fixed seed. `tagged_lens` is the incremental mapper
+with the lens as the tags report it: COLMAP has no prior deviation of a lens, and frees or keeps it. The
+global mapper takes no positions: its result is aligned to them and adjusted once more with them as priors.
 
 Runs in an environment of its own with pycolmap, without the project.
 """
@@ -23,6 +24,8 @@ import pycolmap  # type: ignore[import-not-found]
 SEED = 1
 ALIGNED_M = 10.0
 """Positions farther off than this are no inliers of the global map's alignment."""
+POSITION_SD_M = (5.0, 5.0, 15.0)
+"""Of positions in tags, east, north and up; without a covariance pycolmap assumes 1 m."""
 
 
 def match(frames: Path, out: Path) -> None:
@@ -37,18 +40,25 @@ def match(frames: Path, out: Path) -> None:
         enu_m = pycolmap.GPSTransform().ellipsoid_to_enu(lat_lon_height, *origin)
         for prior, position in zip(priors, enu_m, strict=True):
             prior.position = position
+            prior.position_covariance = np.diag(np.square(POSITION_SD_M))
             prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
             file.update_pose_prior(prior)
     (out / "origin.json").write_text(json.dumps(origin.tolist()))
     pycolmap.match_spatial(database)
 
 
-def incremental(frames: Path, out: Path) -> pycolmap.Reconstruction:
-    """The largest model of the incremental mapper, which takes the positions."""
+def incremental(frames: Path, out: Path, lens: bool = True) -> pycolmap.Reconstruction:
+    """The largest model of the incremental mapper, which takes the positions. lens: whether it is freed."""
     options = pycolmap.IncrementalPipelineOptions()
     options.use_prior_position = True
     options.random_seed = SEED
+    options.ba_refine_focal_length = options.ba_refine_extra_params = lens
     return _largest(pycolmap.incremental_mapping(out / "database.db", frames, _folder(out), options))
+
+
+def tagged_lens(frames: Path, out: Path) -> pycolmap.Reconstruction:
+    """The same with the lens of the tags."""
+    return incremental(frames, out, lens=False)
 
 
 def global_(frames: Path, out: Path) -> pycolmap.Reconstruction:
@@ -89,7 +99,8 @@ def main() -> int:
     if step == "match":
         match(frames, out)
         return 0
-    found = {"incremental": incremental, "global": global_}[step](frames, out)
+    mappers = {"incremental": incremental, "tagged_lens": tagged_lens, "global": global_}
+    found = mappers[step](frames, out)
     images = [found.image(i) for i in found.reg_image_ids()]
     centres_m = np.array([image.projection_center() for image in images])
     origin = json.loads((out / "origin.json").read_text())
