@@ -84,6 +84,12 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
+def _name(command: RequestCommand | Callable[..., Any]) -> str:
+    """As it's typed."""
+    named = command.name if isinstance(command, RequestCommand) else command.__name__
+    return named.replace("_", "-")
+
+
 def _function(
     command: RequestCommand | Callable[..., Any], helping: bool, argv: Sequence[str]
 ) -> Callable[..., Any]:
@@ -95,7 +101,7 @@ def _function(
 
 
 def build_app(argv: Sequence[str] = ()) -> typer.Typer:
-    """The application. The commands of a group made from stages are made only if `argv` asks for it."""
+    """The application; of its commands the one that `argv` asks for, and all where it names none."""
     app = typer.Typer(
         name="geomosaic",
         cls=HeadedGroup,
@@ -115,9 +121,10 @@ def build_app(argv: Sequence[str] = ()) -> typer.Typer:
         """Make one map-true mosaic (orthomosaic) of overlapping aerial frames."""
 
     helping = bool({"-h", "--help", "--help-all"} & {*argv})
-    for heading, commands in _COMMANDS.items():
-        for command in commands:
-            app.command(cls=HeadedCommand, rich_help_panel=heading)(_function(command, helping, argv))
+    named = {_name(command): (heading, command) for heading, all in _COMMANDS.items() for command in all}
+    asked = {*argv[:1]} & named.keys()
+    for heading, command in (named[name] for name in asked or named):
+        app.command(cls=HeadedCommand, rich_help_panel=heading)(_function(command, helping, argv))
     app.add_typer(geoid, name="geoid", rich_help_panel="Before a run")
     for group, (heading, help) in _GENERATED.items():
         part = typer.Typer(cls=HeadedGroup, help=help, no_args_is_help=True, rich_markup_mode=None)

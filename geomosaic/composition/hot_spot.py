@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
@@ -109,7 +109,7 @@ def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | Non
     if not any(gains):
         return None
     best = int(np.argmax(gains))
-    least = chi2.isf(_BY_CHANCE / np.count_nonzero(gains), left.logs.shape[1])
+    least = chdtri(left.logs.shape[1], _BY_CHANCE / np.count_nonzero(gains))
     return spots[best] if gains[best] * len(left.frame) / len(some.frame) > least else None
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 import numpy as np
-from scipy.special import ndtr, ndtri
-from scipy.stats import binom
+from scipy.special import bdtr, ndtr, ndtri  # those of scipy.stats take half a second to import
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
@@ -249,7 +248,8 @@ def _seams(seams: SeamCheck) -> dict[str, float]:
     if not length.size:
         return {}
     median, bad = float(np.median(length)), CRITERIA["seams"].bad
-    surely = length[max(int(binom.ppf(_CHANCE, length.size, 0.5)) - 1, 0)]
+    below = bdtr(np.arange(length.size + 1), length.size, 0.5)
+    surely = length[max(int(np.searchsorted(below, _CHANCE)) - 1, 0)]
     return {
         "seams": median if surely > bad else min(median, bad),
         "worst tenth of the seams": float(np.quantile(length, 0.9)),
