@@ -165,7 +165,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body) if length is None else length))
         self.end_headers()
         try:
-            if self.command == "GET":
+            if self.command != "HEAD":
                 self.wfile.write(body)
         except OSError:  # who asked has had enough
             self.close_connection = True
