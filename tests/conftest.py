@@ -21,13 +21,18 @@ sys.dont_write_bytecode = False
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LONGEST = (
-    "test_docs", "test_chosen_model", "test_ccd_joint", "test_dask", "test_end_to_end", "test_resume",
-    "test_degenerate_blocks", "test_cli_staircase", "test_bad_input", "test_ccd_rivals", "test_control",
-    "test_cli_commands", "test_strips_command", "test_mosaic_trim", "test_surface_matching", "test_fuzz_short",
-    "test_bundle", "test_bundle_oracle", "test_adjustment_surface", "test_bench_flights", "test_recording_kills",
-    "test_ccd_radiometry", "test_design_effect", "test_stale", "test_placement", "test_start", "test_dirty",
-    "test_mosaic_tones", "test_survey_makefile", "test_mosaic_grid", "test_recording_frames_gone", "test_plugin",
-    "test_python", "test_messages", "test_example_package", "test_cli_home",
+    "test_docs", "test_chosen_model", "test_ccd_joint", "test_end_to_end", "test_dask", "test_cli_staircase",
+    "test_bad_input", "test_ccd_rivals", "test_strips_command", "test_mosaic_compose",
+    "test_marking_chromium", "test_cli_commands", "test_mosaic_tones", "test_lens_start", "test_control",
+    "test_surface_matching", "test_resume", "test_viewer_chromium", "test_mosaic_grid",
+    "test_matching_reference", "test_reflectance", "test_mosaic_trim", "test_python", "test_plausible",
+    "test_ccd_radiometry", "test_recording_kills", "test_survey_makefile", "test_stopping", "test_stale",
+    "test_bundle", "test_report_chromium", "test_positions_missing", "test_degenerate_blocks",
+    "test_adjustment_surface", "test_camera_kinds", "test_design_effect", "test_matching",
+    "test_mosaic_strips", "test_fetch", "test_fuzz_short", "test_simulate_files", "test_cli_home",
+    "test_bench_flights", "test_quality_strips", "test_bundle_oracle", "test_report_control",
+    "test_pipeline_runner", "test_heights", "test_watch", "test_video_frames", "test_simulate_strips",
+    "test_camera_formats", "test_placement", "test_report_page", "test_faint_frames", "test_export_web",
 )  # fmt: skip
 """Files that take longest go first: one that a worker is given last is what all wait for."""
 

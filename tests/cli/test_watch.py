@@ -13,6 +13,7 @@ from small_surveys import mosaic, small_survey
 from geomosaic.cli.main import main
 
 LIMIT_S = 120
+METHOD = ("--adjust", "least_squares")
 
 
 def _wait_for(page: Path, text: str, process: subprocess.Popen[str]) -> str:
@@ -25,11 +26,11 @@ def _wait_for(page: Path, text: str, process: subprocess.Popen[str]) -> str:
 
 
 def test_previews_while_frames_arrive_and_then_the_mosaic_of_one_go(tmp_path: Path) -> None:
-    survey = small_survey(tmp_path / "simulated")
+    survey = small_survey(tmp_path / "simulated", lines=1, frames_per_line=5, width_px=320, height_px=240)
     frames = sorted(survey.frames.glob("*.jpg"))
     card, run = tmp_path / "card", tmp_path / "run"
     card.mkdir()
-    command = [sys.executable, "-m", "geomosaic.cli.main", "watch", card, "-o", run, "--after", "4"]
+    command = [sys.executable, "-m", "geomosaic.cli.main", "watch", card, "-o", run, "--after", "4", *METHOD]
     source = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
     watching = subprocess.Popen(
         [*map(str, command), "--workers", "1"],
@@ -52,7 +53,7 @@ def test_previews_while_frames_arrive_and_then_the_mosaic_of_one_go(tmp_path: Pa
     assert watching.returncode == 0, err
     assert out.count("preview ") >= 2
     assert (run / "report.html").exists()
-    assert mosaic(card, tmp_path / "one") == 0
+    assert mosaic(card, tmp_path / "one", *METHOD) == 0
     for product in ("mosaic.tif", "accuracy.tif", "positions.csv"):
         assert (run / product).read_bytes() == (tmp_path / "one" / product).read_bytes(), product
 

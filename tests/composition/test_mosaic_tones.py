@@ -13,7 +13,7 @@ import pytest
 import rasterio
 from mosaic_scenes import CRS, make_survey
 from rasterio.warp import reproject
-from small_surveys import mosaic, summary
+from small_surveys import MAP_ALONE, made_map
 
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.tone_deviations import Exposures
@@ -36,6 +36,7 @@ from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.survey import simulate_frames
 
 CAMERA = Camera("c", 400, 300, 350.0, 200.0, 150.0)
+EVENED = (*MAP_ALONE[:5], "mosaic.tones", *MAP_ALONE[5:])
 
 
 def sightings(
@@ -226,14 +227,15 @@ def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:
     )
     survey = simulate_frames(tmp_path / "flight", plan)
     run, as_they_are = tmp_path / "run", tmp_path / "as_they_are"
-    told = ["--pos", survey.pos, "--camera", survey.camera]
-    assert mosaic(survey.frames, run, *told) == 0
-    figures = summary(run)["metrics"]["tones"]["difference_grey"]
+    bundle = {"method": "bundle"}
+    figures = made_map(survey, run, EVENED, adjustment__solve=bundle)["metrics"]["tones"]["difference_grey"]
     assert figures["before_90"] > 8.0
     assert figures["after_90"] < 2.5
     shutil.copytree(run, as_they_are)  # matched and adjusted
-    assert mosaic(survey.frames, as_they_are, *told, "--set=mosaic.tones.even=never") == 0
-    assert "tones" not in summary(as_they_are)["metrics"]
+    uncorrected = made_map(
+        survey, as_they_are, EVENED, adjustment__solve=bundle, mosaic__tones={"even": "never"}
+    )
+    assert "tones" not in uncorrected["metrics"]
     spread = [uneven(path / "mosaic.tif", survey.ortho) for path in (run, as_they_are)]
     assert spread[0] < 0.6 * spread[1]
 
@@ -247,8 +249,7 @@ def test_the_hot_spot_goes_where_frames_show_one(tmp_path: Path, spot: float) ->
     )  # fmt: skip
     survey = simulate_frames(tmp_path / "flight", plan)
     run = tmp_path / "run"
-    mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera)
-    figures = summary(run)["metrics"]["tones"]
+    figures = made_map(survey, run, EVENED)["metrics"]["tones"]
     assert ("hot_spot_log" in figures) == bool(spot)
     assert uneven(run / "mosaic.tif", survey.ortho) < 0.03, "0.05 as the frames are, with the spot"
 

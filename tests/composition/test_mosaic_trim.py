@@ -163,7 +163,13 @@ def test_the_command_makes_the_same_mosaic_with_frames_at_the_horizon(tmp_path: 
     found = []
     for horizon in (0, 2):
         survey, run = (
-            small_survey(tmp_path / f"s{horizon}", horizon_frames=horizon, width_px=320, height_px=240),
+            small_survey(
+                tmp_path / f"s{horizon}",
+                horizon_frames=horizon,
+                frames_per_line=3,
+                width_px=320,
+                height_px=240,
+            ),
             tmp_path / f"run{horizon}",
         )
         told = ["--pos", survey.pos, "--camera", survey.camera, "--set", "survey.read.leave_out=none"]

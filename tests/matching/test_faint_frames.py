@@ -24,6 +24,12 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     return small_survey(tmp_path_factory.mktemp("flown") / "s", frames_per_line=3, pos_in="csv")
 
 
+@pytest.fixture(scope="module")
+def clear(flown: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    """The figures of matching the frames as they are."""
+    return matched(flown, flown.frames, tmp_path_factory.mktemp("clear") / "run")
+
+
 def thermal(grey: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """What a thermal camera makes of an image: a tenth of the contrast, another gain and level in each frame, a dark
     rim, noise, and a few hot places that hold the range open."""
@@ -62,8 +68,9 @@ def matched(flown: SimulatedSurvey, frames: Path, run: Path) -> dict[str, object
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "uint16", "float32"])
-def test_thermal_frames_tie_as_ordinary_ones_do(flown: SimulatedSurvey, tmp_path: Path, kind: str) -> None:
-    clear = matched(flown, flown.frames, tmp_path / "clear")
+def test_thermal_frames_tie_as_ordinary_ones_do(
+    flown: SimulatedSurvey, clear: dict[str, object], tmp_path: Path, kind: str
+) -> None:
     faint = matched(flown, folder(flown, tmp_path / kind, kind), tmp_path / "run")
     assert (clear["faint_frames"], faint["faint_frames"]) == (0, 6)
     assert faint["pairs_tied"] == clear["pairs_tied"]

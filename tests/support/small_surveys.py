@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from geomosaic.cli.main import main
+from geomosaic.pipeline.recipe import Recipe
+from geomosaic.pipeline.run_options import RunOptions
+from geomosaic.pipeline.runner import run
+from geomosaic.requests.run_request import recipe_of
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.survey import SimulatedSurvey, simulate_frames
 
 NOISE_M = 0.4
 """Of each axis of a position."""
+
+MAP_ALONE = (
+    "survey.read", "projection.ground", "placement.pos", "matching.sift", "adjustment.solve",
+    "mosaic.seams", "mosaic.compose", "export.cog", "export.layers",
+)  # fmt: skip
+"""The stages of a map. Tones, verdict and report take half of a small run."""
 
 
 def small_survey(out: Path, **plan: Any) -> SimulatedSurvey:
@@ -29,6 +40,25 @@ def geomosaic(*arguments: object) -> int:
 def mosaic(frames: Path, run: Path, *arguments: object) -> int:
     """`geomosaic mosaic` with one worker."""
     return geomosaic("mosaic", frames, "-o", run, "--workers", 1, *arguments)
+
+
+def map_alone(made: SimulatedSurvey, stages: Sequence[str] = MAP_ALONE, **params: dict[str, Any]) -> Recipe:
+    """The recipe of a survey's map by least squares. params: of stages, with `__` for the point in their names."""
+    given: dict[str, dict[str, Any]] = {
+        "survey.read": {"frames": made.frames, "pos": made.pos, "camera": made.camera},
+        "adjustment.solve": {"method": "least_squares"},
+    }
+    for name, more in params.items():
+        stage = name.replace("__", ".")
+        given[stage] = given.get(stage, {}) | more
+    return recipe_of(("map", ""), stages, given)
+
+
+def made_map(
+    made: SimulatedSurvey, to: Path, stages: Sequence[str] = MAP_ALONE, **params: dict[str, Any]
+) -> dict[str, Any]:
+    """Runs `map_alone`; what run.json says of it."""
+    return run(map_alone(made, stages, **params), to, RunOptions())
 
 
 def summary(run: Path) -> dict[str, Any]:

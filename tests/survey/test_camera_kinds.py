@@ -153,7 +153,10 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     tmp_path = tmp_path_factory.mktemp("flown")
     folder, pos = flight(tmp_path)
     run = tmp_path / "run"
-    assert mosaic(folder, run, "--pos", pos, "--camera-kind", "wide+thermal", "-q") == 0
+    assert (
+        mosaic(folder, run, "--pos", pos, "--camera-kind", "wide+thermal", "--adjust", "least_squares", "-q")
+        == 0
+    )
     return folder, run
 
 

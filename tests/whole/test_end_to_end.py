@@ -216,10 +216,10 @@ def test_the_recording_is_read_by_others(run: Path) -> None:
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedSurvey, Path]:
-    """Six small frames, and their run up to the adjustment and on."""
+    """Six small frames, and their run by one of the methods."""
     folder = tmp_path_factory.mktemp("few")
     survey = small_survey(folder, frames_per_line=3, width_px=320, height_px=240)
-    assert mosaic(survey.frames, folder / "run", *told(survey), *compared(survey)) == 0
+    assert mosaic(survey.frames, folder / "run", *told(survey), "--adjust", "least_squares") == 0
     return survey, folder / "run"
 
 
@@ -232,7 +232,6 @@ def test_every_method_goes_to_the_end(method: str, few: tuple[SimulatedSurvey, P
     told_run = summary(again)
     assert "matching.sift" in told_run["cached_stages"]
     assert told_run["metrics"]["adjustment"]["method"] == method
-    assert "quality" not in told_run["metrics"]
     off = rms(off_m(again, block)[:, :2])
     most = {"none": 1.5, "least_squares": 2.0}.get(method, 12.0)
     assert 0.05 < off < most * NOISE_M, method
@@ -245,7 +244,14 @@ def test_every_method_goes_to_the_end(method: str, few: tuple[SimulatedSurvey, P
 
 def test_hills_with_a_dem_and_frames_that_were_turned(tmp_path: Path) -> None:
     survey = small_survey(
-        tmp_path, frames_per_line=3, relief_m=8.0, relief_wavelength_m=120.0, turned="2-3", seed=5
+        tmp_path,
+        frames_per_line=3,
+        width_px=360,
+        height_px=270,
+        relief_m=8.0,
+        relief_wavelength_m=120.0,
+        turned="2-3",
+        seed=5,
     )
     run = tmp_path / "run"
     dem = ["--dem", str(survey.dem), "--dem-offset", "0"]
@@ -261,7 +267,9 @@ def test_hills_with_a_dem_and_frames_that_were_turned(tmp_path: Path) -> None:
 
 def test_frames_alone_across_the_border_of_two_zones_in_the_south(tmp_path: Path) -> None:
     """No POS, no camera file: EXIF and XMP say it all. Zones 20 and 21 meet at 60 degrees west."""
-    survey = small_survey(tmp_path, lines=1, lon_deg=-60.0, lat_deg=-33.5, pos_in="exif", seed=6)
+    survey = small_survey(
+        tmp_path, lines=1, width_px=320, height_px=240, lon_deg=-60.0, lat_deg=-33.5, pos_in="exif", seed=6
+    )
     run = tmp_path / "run"
     assert mosaic(survey.frames, run, "--adjust", "least_squares", *compared(survey)) == 0
     lon = [float(r["lon_deg"]) for r in rows(run / "positions.csv")]
