@@ -48,7 +48,8 @@ class Block:
     """A survey ready to be adjusted. `cameras[i]` took frame i, `lines[i]` is its flight line, `sequence`
     lists frames in order of flight. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`: all is
     given for the images as they lie in the files. times_s (n,): of frames whose velocity no tag reports, when
-    they were taken, or NaN. heights: None with a DEM, or where heights fix nothing."""
+    they were taken, or NaN. heights: None with a DEM, or where heights fix nothing. flights: number of each
+    frame's flight, whose positions have an error in common; empty for one flight."""
 
     names: tuple[str, ...]
     cameras: tuple[Camera, ...]
@@ -62,6 +63,12 @@ class Block:
     control: tuple[GroundControl, ...] = ()
     times_s: Floats | None = None
     heights: HeightReference | None = None
+    flights: tuple[int, ...] = ()
+
+    @property
+    def flight_of(self) -> Ints:
+        """(n,): number of each frame's flight."""
+        return np.array(self.flights or (0,) * len(self.names), dtype=np.intp)
 
     @property
     def lenses(self) -> tuple[Camera, ...]:

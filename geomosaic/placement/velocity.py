@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _STEPS = tuned(3, "steps", "each side, for a median: fewer show clock rounding; more straighten curves")
-_PAUSE = tuned(3.0, "usual intervals", "between lines: less splits at a lost frame; more crosses turns")
+PAUSE = tuned(3.0, "usual intervals", "between lines: less splits at a lost frame; more crosses turns")
 _CORNER = sourced(1.35, "usual speeds", "change at a corner: less breaks jittery lines", "2 sin(85 deg / 2)")
 _FASTEST = tuned(150.0, "m/s", "of a step: less loses survey aircraft; more joins two that fly at once")
 
@@ -65,7 +65,7 @@ def _way(positions_m: Floats, times_s: Floats) -> _Way:
     passed, moved = np.diff(times_s[at]), np.diff(positions_m[at], axis=0)
     is_step = (passed > 0.0) & (np.linalg.norm(moved, axis=1) <= _FASTEST * passed)
     if is_step.any():
-        is_step &= passed <= _PAUSE * float(np.median(passed[is_step]))
+        is_step &= passed <= PAUSE * float(np.median(passed[is_step]))
     return _Way(at, passed, moved, is_step)
 
 

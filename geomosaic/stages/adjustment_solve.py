@@ -16,6 +16,7 @@ from geomosaic.adjustment.procedure.outcome import unplaced_parts
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.stage import Context, StageParams, param
+from geomosaic.placement.flights import flights_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
@@ -79,7 +80,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=77, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=78, outputs=("adjusted", "ground"),
     conclusions=_conclusions,
 )  # fmt: skip
 def adjustment_solve(
@@ -152,6 +153,7 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
         control=ground_control(survey, ground),
         times_s=np.where([f.velocity_m_per_s is None for f in survey.frames], survey.clock_times_s, np.nan),
         heights=height_reference(survey),
+        flights=tuple(flights_of(survey.clock_times_s).tolist()),
     )
 
 

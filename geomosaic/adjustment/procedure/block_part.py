@@ -54,6 +54,7 @@ def part_of_block(block: Block, frames: Ints) -> Block:
         control=(),
         times_s=None,
         heights=None,
+        flights=tuple(block.flights[i] for i in frames) if block.flights else (),
     )
 
 

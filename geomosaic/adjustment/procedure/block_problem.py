@@ -68,7 +68,9 @@ def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Fl
     part, one = part_of_frames(block), np.ones((len(assumed), 3))
     parts = tuple(np.flatnonzero(part == k) for k in np.unique(part))
     frames = [
-        GnssPositions(reported, assumed, parts, one, settings.lever_arm, settings.gps_lag),
+        GnssPositions(
+            *(reported, assumed, parts, one, settings.lever_arm, settings.gps_lag), flight=block.flight_of
+        ),
         Attitudes(reported, parts, one, settings.boresight),
     ]
     rotation = _rolling_shutter_rotation(block, settings)
@@ -109,7 +111,8 @@ def with_control(problem: BlockProblem, control: Sequence[GroundControl]) -> Blo
 
 
 def with_offset(problem: BlockProblem, sd_m: Floats) -> BlockProblem:
-    """The problem in which all positions may be off in common, with deviations (3,) east, north and up."""
+    """The problem in which the positions of each flight may be off in common, with deviations (3,) east,
+    north and up."""
     east, north, up = (float(v) for v in sd_m)
     frames = tuple(
         replace(t, offset_sd_m=(east, north, up)) if isinstance(t, GnssPositions) else t

@@ -30,6 +30,7 @@ from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import clearances_m, too_near
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.solver.solve import SolveOptions, last_steps, solve
+from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.terrain import Terrain
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
@@ -45,7 +46,7 @@ from geomosaic.survey.accuracy import POSITION
 @dataclass(frozen=True)
 class BlockSolution:
     """Tie points, the problem that was solved (with control points last), its solution, and the ground.
-    offset (3,): axes along which a common offset of the positions was solved for. relief_px: see
+    offset (3,): axes along which control points show what all positions are off by in common. relief_px: see
     `chosen_ground`, of a surface taken after flat ground failed. steps: of all solves that led here."""
 
     ties: Tracks
@@ -91,11 +92,13 @@ def block_solution(
         if start is not None:
             again = start.of_points(_nearest_to_rays(ties, start.poses, lenses, points))
     problem = block_problem(block, settings, ties, points)
+    if isinstance(start, BlockSolution):
+        problem = with_offset(problem, _of_flights_m(start.problem))
     options = replace(last, last=not ties.points)
     free = solve(problem, poses, again, options) if ties.points else None
     controlled, offset = with_control(problem, block.control), np.zeros(3, dtype=bool)
     if free is not None and controlled is problem:
-        solved = free
+        controlled, solved = _with_flights(block, problem, free, options)
     else:
         controlled, solved, offset = _with_control(block, controlled, poses, free, options)
     steps = solved.steps if free is None or solved is free else free.steps + solved.steps
@@ -199,6 +202,27 @@ def _with_control(
         again = replace(free, estimate=replace(free.estimate, points_m=points, shared=shared), local=None)
     problem = with_offset(problem, offset_sd_m)
     return problem, solve(problem, begun, again, options), offset_sd_m > 0.0
+
+
+def _with_flights(
+    block: Block, problem: BlockProblem, free: Solution, options: SolveOptions
+) -> tuple[BlockProblem, Solution]:
+    """The solution in which the positions of each of several flights are off in plan in common, since a
+    receiver's error lasts for a flight: else two such errors would turn and stretch the block. What all
+    flights are off by stays unknown, see `common_error`."""
+    if _of_flights_m(problem).any() or not block.flight_of.any():
+        return problem, free
+    sd_m = np.sqrt(common_error(block, free.poses, block.ground, free.components)) * [1.0, 1.0, 0.0]
+    if not sd_m.any():
+        return problem, free
+    problem = with_offset(problem, sd_m)
+    return problem, solve(problem, free.poses, free, options)
+
+
+def _of_flights_m(problem: BlockProblem) -> Floats:
+    """Deviations (3,) of the offsets in plan that the flights of a problem have, 0 for one flight."""
+    positions = next(t for t in problem.frames if isinstance(t, GnssPositions))
+    return np.array(positions.offset_sd_m) * [1.0, 1.0, 0.0] * (positions.flights > 1)
 
 
 def _of_ties(solved: Solution, ties: Tracks) -> Solution:

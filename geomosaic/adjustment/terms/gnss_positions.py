@@ -1,9 +1,9 @@
-"""Reported positions of the projection centres, with lever arm, delay and an offset in common."""
+"""Reported positions of the projection centres, with lever arm, delay and an offset of each flight."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -23,7 +23,7 @@ from geomosaic.camera.rotation import CAMERA_FROM_BODY
 from geomosaic.constants import tuned
 
 HORIZONTAL, VERTICAL = "horizontal", "vertical"
-LEVER_ARM, DELAY, OFFSET = "lever arm", "GNSS delay", "common offset"
+LEVER_ARM, DELAY, OFFSET = "lever arm", "GNSS delay", "offset of a flight"
 ANYWHERE_M = tuned(1e3, "m", "deviation of what is not known; more: the equations lose their digits")
 LEVER_ARM_SD_M = tuned(0.5, "m", "lever arms of small drones; less: one that is asked for is held")
 DELAY_SD_S = tuned(1.0, "s", "by which positions are late; less: one that is asked for is held")
@@ -34,7 +34,8 @@ class GnssPositions(FrameTerm):
     """Positions of f frames; residuals by component `horizontal` and `vertical`. reported: positions,
     deviations (inf where unknown) and velocities. assumed (f,): frames whose position is an assumption, which
     tells nothing about the others' deviations. parts: frames of each connected part. lever_arm (forward,
-    right, down), delay: solved for. offset_sd_m (3,): of a common offset of all positions, zeros for none."""
+    right, down), delay: solved for. offset_sd_m (3,): of an offset that the positions of each flight have in
+    common, zeros for none; flight (f,): numbers from 0 on, empty for one flight."""
 
     reported: Poses
     assumed: Bools
@@ -43,6 +44,7 @@ class GnssPositions(FrameTerm):
     lever_arm: bool = False
     delay: bool = False
     offset_sd_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    flight: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     name: ClassVar[str] = "GNSS positions"
 
@@ -54,9 +56,22 @@ class GnssPositions(FrameTerm):
         if self.delay:
             out.append(Unknowns(DELAY, "platform", ("gps_lag_s",), zero[:1], np.full(1, DELAY_SD_S)))
         if any(self.offset_sd_m):
-            names = "offset_east_m", "offset_north_m", "offset_up_m"
-            out.append(Unknowns(OFFSET, "positions", names, zero, np.array(self.offset_sd_m), optional=False))
+            k = self.flights
+            which = [f"_{flight + 1}" for flight in range(k)] if k > 1 else [""]
+            axes = tuple(f"offset_{axis}{flight}_m" for flight in which for axis in ("east", "north", "up"))
+            sd_m = np.tile(self.offset_sd_m, k)
+            out.append(Unknowns(OFFSET, "positions", axes, np.zeros(3 * k), sd_m, optional=False))
         return tuple(out)
+
+    @property
+    def flights(self) -> int:
+        """How many there are."""
+        return int(self.flight.max(initial=0)) + 1
+
+    def _offset_m(self, at: Estimate) -> Floats:
+        """Of each frame, (f, 3), or of all, (1, 3)."""
+        of_flights = at.value(OFFSET, 3 * self.flights).reshape(-1, 3)
+        return of_flights[self.flight] if self.flights > 1 else of_flights
 
     def component_names(self) -> tuple[str, ...]:
         return HORIZONTAL, VERTICAL
@@ -66,7 +81,7 @@ class GnssPositions(FrameTerm):
 
     def miss(self, at: Estimate) -> Floats:
         lever = CAMERA_FROM_BODY @ at.value(LEVER_ARM, 3)
-        computed = at.positions_m + at.rotations @ lever + at.value(OFFSET, 3)
+        computed = at.positions_m + at.rotations @ lever + self._offset_m(at)
         if self.reported.velocities_m_per_s is not None:
             computed = computed - at.value(DELAY, 1) * self.reported.velocities_m_per_s
         return np.asarray(self.reported.positions_m - computed)
@@ -84,7 +99,8 @@ class GnssPositions(FrameTerm):
         shared = [(LEVER_ARM, at.rotations @ CAMERA_FROM_BODY)]
         if self.reported.velocities_m_per_s is not None:
             shared.append((DELAY, -self.reported.velocities_m_per_s[:, :, None]))
-        shared.append((OFFSET, np.broadcast_to(np.eye(3), (f, 3, 3))))
+        mine = np.eye(self.flights)[self.flight] if self.flights > 1 else np.ones((f, 1))
+        shared.append((OFFSET, np.einsum("fk,ij->fikj", mine, np.eye(3)).reshape(f, 3, -1)))
         return by_pose, shared
 
     def own_miss(self, at: Estimate, components: Components) -> tuple[Floats, int]:
@@ -107,10 +123,11 @@ class GnssPositions(FrameTerm):
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
         (own, slopes), observed = self.own_miss(at, components), ~self.assumed[:, None]
         share, sd = variances[:, self.columns(at)] * self.information(components), self.sd(components)
-        # in common: a similarity in plan, a level; of parts that slope two numbers more
+        own_offsets = (self.flights - 1.0) * (np.array(self.offset_sd_m) > 0.0)
+        # in common: a similarity in plan, a level; of parts that slope two numbers more; offsets but one
         for name, numbers, common in ((HORIZONTAL, [0, 1], 4.0), (VERTICAL, [2], 1.0)):
             counted = np.isin(np.arange(3), numbers) & observed
-            more = 2.0 * slopes if name == VERTICAL else 0.0
+            more = (2.0 * slopes if name == VERTICAL else 0.0) + float(own_offsets[numbers].sum())
             group = FrameGroup(name, counted, sd, self.weight, own, self.parts, common, more)
             yield group.component(components[name], share, variances.shape[1], 0)
 

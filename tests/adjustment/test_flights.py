@@ -1,0 +1,92 @@
+"""Flights whose positions err in common: told apart by pauses, each with an offset of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjustment_blocks import fly, frame_terms
+
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.problem.estimate import Estimate, UnknownLayout
+from geomosaic.adjustment.terms.gnss_positions import OFFSET
+from geomosaic.adjustment.terms.terrain import level_unknown
+from geomosaic.placement.flights import flights_of
+
+OFFSETS_M = np.array([[1.9, -1.2], [-2.2, 0.8]])
+FLIGHT = np.array([0, 0, 1, 1, 1])
+
+
+def test_a_long_pause_parts_two_flights() -> None:
+    """Lines with turns of 12 s between frames of 3 s, then a change of battery; not in order of time."""
+    first, second = [0.0, 3.0, 6.0, 18.0, 21.0], [300.0, 303.0, 306.0]
+    assert flights_of(np.array(second + first)).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
+    assert flights_of(np.arange(5) * 40.0 + [0, 0, 0, 70.0, 70.0]).tolist() == [0] * 5  # slow, no pause
+    assert flights_of(np.array([0.0, 3.0, np.nan, 900.0])).tolist() == [0] * 4
+    assert flights_of(np.zeros(0)).tolist() == [] and flights_of(np.zeros(1)).tolist() == [0]
+
+
+def test_each_flight_has_its_own_offset() -> None:
+    """Reported positions are the true ones and their flight's offset; derivatives belong to it alone."""
+    poses = fly(1, 1, 5, points=20).truth
+    values = np.array([1.0, 2.0, 3.0, -4.0, 5.0, -6.0])
+    moved = replace(poses, positions_m=poses.positions_m + values.reshape(2, 3)[FLIGHT])
+    gnss = replace(frame_terms(moved)[0], flight=FLIGHT, lever_arm=False, delay=False)
+    layout = UnknownLayout((), level_unknown(1.0), gnss.unknowns())
+    assert [name for _, name in layout.names[1:]] == [
+        "offset_east_1_m", "offset_north_1_m", "offset_up_1_m", "offset_east_2_m", "offset_north_2_m", "offset_up_2_m",
+    ]  # fmt: skip
+    none = np.zeros((0, 3)), np.append(0.0, values), np.zeros((5, 0, 3)), np.zeros((5, 3))
+    at = Estimate(layout, poses.positions_m, poses.rotations, *none)
+    np.testing.assert_allclose(gnss.miss(at), 0.0, atol=1e-12)
+    by = dict(gnss.derivatives(at)[1])[OFFSET]
+    assert by.shape == (5, 3, 6)
+    assert by[1].tolist() == np.hstack([np.eye(3), np.zeros((3, 3))]).tolist()
+    assert by[4].tolist() == np.hstack([np.zeros((3, 3)), np.eye(3)]).tolist()
+
+
+def flown_twice(seed: int) -> tuple[Block, np.ndarray]:
+    """Six lines of seven frames, three a flight, with EXIF's deviations; and the true positions."""
+    flown = fly(seed, 6, 7, position_sd_m=np.array([0.4, 0.4, 0.8]), points=900)
+    block, n = flown.block, len(flown.block.names)
+    flight = np.repeat([0, 1], n // 2)
+    positions_m = block.poses.positions_m.copy()
+    positions_m[:, :2] += OFFSETS_M[flight]
+    stated_m = np.tile([5.0, 5.0, 15.0], (n, 1))
+    poses = replace(block.poses, positions_m=positions_m, positions_sd_m=stated_m)
+    return replace(block, poses=poses, flights=tuple(flight.tolist())), flown.truth.positions_m
+
+
+def scale_off(adjusted: Adjusted, true_m: np.ndarray) -> float:
+    """By how much a block is too large."""
+    found, true = (m[:, 0] + 1j * m[:, 1] for m in (adjusted.poses.positions_m, true_m))
+    found, true = found - found.mean(), true - true.mean()
+    return float(abs(np.vdot(true, found) / np.vdot(true, true)) - 1.0)
+
+
+def test_two_flights_do_not_stretch_the_block() -> None:
+    """By one offset for all, 4 m between two halves of 240 m would; the offsets are found instead."""
+    block, true_m = flown_twice(3)
+    apart = METHODS["bundle"](block, Settings(ground="flat"))
+    as_one = METHODS["bundle"](replace(block, flights=()), Settings(ground="flat"))
+    assert abs(scale_off(as_one, true_m)) > 6e-3
+    assert abs(scale_off(apart, true_m)) < 3e-3
+    assert apart.shared is not None
+    found = dict(zip(apart.shared.names, apart.shared.found, strict=True))
+    between = [found[f"offset_{axis}_2_m"] - found[f"offset_{axis}_1_m"] for axis in ("east", "north")]
+    assert between == pytest.approx(OFFSETS_M[1] - OFFSETS_M[0], abs=0.7)
+    error_m = np.linalg.norm((apart.poses.positions_m - true_m)[:, :2], axis=1)
+    assert (error_m < 3.0 * np.linalg.norm(apart.poses.positions_sd_m[:, :2], axis=1)).all()
+
+
+def test_rtk_flights_keep_their_positions() -> None:
+    """Positions that scatter as stated have nothing in common that they hide."""
+    block, _ = flown_twice(4)
+    stated_m = np.tile([0.4, 0.4, 0.8], (len(block.names), 1))
+    straight_m = block.poses.positions_m.copy()
+    straight_m[:, :2] -= OFFSETS_M[list(block.flights)]
+    sharp = replace(block.poses, positions_m=straight_m, positions_sd_m=stated_m)
+    adjusted = METHODS["bundle"](replace(block, poses=sharp), Settings(ground="flat"))
+    assert adjusted.shared is not None and not any("offset" in name for name in adjusted.shared.names)
