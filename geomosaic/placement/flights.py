@@ -8,7 +8,7 @@ from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.placement.velocity import PAUSE
 
-_PAUSE_S = tuned(60.0, "s", "between two flights: less parts a hover; more joins a quick change of battery")
+_PAUSE_S = tuned(120.0, "s", "between two flights: less parts a hover; more joins quick changes of battery")
 
 
 def flights_of(times_s: Floats) -> Ints:

@@ -23,7 +23,7 @@ def test_a_long_pause_parts_two_flights() -> None:
     """Lines with turns of 12 s between frames of 3 s, then a change of battery; not in order of time."""
     first, second = [0.0, 3.0, 6.0, 18.0, 21.0], [300.0, 303.0, 306.0]
     assert flights_of(np.array(second + first)).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
-    assert flights_of(np.arange(5) * 40.0 + [0, 0, 0, 70.0, 70.0]).tolist() == [0] * 5  # slow, no pause
+    assert flights_of(np.arange(5) * 50.0 + [0, 0, 0, 90.0, 90.0]).tolist() == [0] * 5  # slow, no pause
     assert flights_of(np.array([0.0, 3.0, np.nan, 900.0])).tolist() == [0] * 4
     assert flights_of(np.zeros(0)).tolist() == [] and flights_of(np.zeros(1)).tolist() == [0]
 
