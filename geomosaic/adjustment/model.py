@@ -149,6 +149,15 @@ class SharedUnknowns:
     correlation: Floats
     fixed: Bools
 
+    def flights_apart_m(self) -> float:
+        """The largest distance in plan between the offsets of two flights' positions, 0 for one flight."""
+        east, north = (
+            [m for name, m in zip(self.names, self.found, strict=True) if name.startswith(f"offset_{axis}_")]
+            for axis in ("east", "north")
+        )
+        plan = np.array(east) + 1j * np.array(north)
+        return float(np.abs(plan[:, None] - plan).max(initial=0.0))
+
 
 @dataclass(frozen=True)
 class ModelChoice:

@@ -113,6 +113,10 @@ def adjustment_solve(
         context.warn(warning.code, warning.frame, warning.text)
     _report_control(context, adjusted)
     _report_shared(context, adjusted)
+    apart_m = 0.0 if adjusted.shared is None else adjusted.shared.flights_apart_m()
+    if apart_m:
+        text = f"the positions of {1 + max(block.flights)} flights differ by up to {apart_m:.2g} m in plan"
+        context.inform(f"{text}; each flight has an offset of its own")
     if adjusted.model is not None:
         context.metric("adjustment.model", asdict(adjusted.model))
     for name, value in adjusted.figures.items():

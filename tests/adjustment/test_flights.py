@@ -77,6 +77,10 @@ def test_two_flights_do_not_stretch_the_block() -> None:
     found = dict(zip(apart.shared.names, apart.shared.found, strict=True))
     between = [found[f"offset_{axis}_2_m"] - found[f"offset_{axis}_1_m"] for axis in ("east", "north")]
     assert between == pytest.approx(OFFSETS_M[1] - OFFSETS_M[0], abs=0.7)
+    assert apart.shared.flights_apart_m() == pytest.approx(
+        np.linalg.norm(OFFSETS_M[1] - OFFSETS_M[0]), abs=0.7
+    )
+    assert as_one.shared is not None and as_one.shared.flights_apart_m() == 0.0
     error_m = np.linalg.norm((apart.poses.positions_m - true_m)[:, :2], axis=1)
     assert (error_m < 3.0 * np.linalg.norm(apart.poses.positions_sd_m[:, :2], axis=1)).all()
 
