@@ -31,14 +31,14 @@ sys.exit(main.main())
 """
 
 
-@pytest.fixture
-def raster(tmp_path: Path) -> Path:
-    path = tmp_path / "raster.tif"
-    shape = {"width": 3000, "height": 3000, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+@pytest.fixture(scope="module")
+def raster(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("raster") / "raster.tif"
+    shape = {"width": 2000, "height": 2000, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
     with rasterio.open(
         path, "w", driver="GTiff", transform=rasterio.Affine(1, 0, 5e5, 0, -1, 5e6), **shape
     ) as out:
-        out.write(np.random.default_rng(1).integers(0, 255, (3, 3000, 3000), dtype=np.uint8))
+        out.write(np.random.default_rng(1).integers(0, 255, (3, 2000, 2000), dtype=np.uint8))
     return path
 
 

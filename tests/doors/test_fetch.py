@@ -158,7 +158,9 @@ def test_fetched_frames_give_the_mosaic_of_local_ones(
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
-    return small_survey(tmp_path_factory.mktemp("survey"), lines=1, frames_per_line=3, seed=21)
+    return small_survey(
+        tmp_path_factory.mktemp("survey"), lines=1, frames_per_line=3, width_px=320, height_px=240, seed=21
+    )
 
 
 def test_whoever_wants_frames_from_a_url_is_told_how(

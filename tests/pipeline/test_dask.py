@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from pipeline_toy import powered
-from small_surveys import small_survey
+from small_surveys import map_alone, small_survey
 
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.pipeline import executor
@@ -19,8 +19,6 @@ from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
-from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
-from geomosaic.requests.run_request import recipe_of
 from geomosaic_simulate.survey import SimulatedSurvey
 from tools.trials.dask_team import Team, can_hide, dask_team
 
@@ -65,13 +63,7 @@ def team(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Team]:
 
 
 def recipe(survey: SimulatedSurvey) -> Recipe:
-    given = {
-        "survey.read": {"frames": survey.frames, "pos": survey.pos, "camera": survey.camera},
-        "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
-        "adjustment.solve": {"method": "least_squares"},
-    }
-    stages = [id for id in STAGES if id not in OPTIONAL]
-    return recipe_of(("mosaic", ""), stages, given)
+    return map_alone(survey, mosaic__seams={"gsd_m": 0.04})  # several blocks of windows
 
 
 def test_a_worker_that_is_killed_leaves_the_pixels_as_they_are(

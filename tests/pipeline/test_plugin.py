@@ -1,4 +1,4 @@
-"""A plug-in as people install it: its faults carry its name, its changed code gets no old results."""
+"""An installed plug-in: its faults carry its name, its changed code gets no old results."""
 
 from __future__ import annotations
 
@@ -61,42 +61,37 @@ class HazeWrite(Stage):
             path.write_text(str(inputs["haze"].value))
         return {"haze_file": context.run_file("haze.txt")}
 """
-PROJECT = """
-[build-system]
-requires = ["setuptools"]
-build-backend = "setuptools.build_meta"
-[project]
-name = "haze-plugin"
-version = "1.0"
-[project.entry-points."geomosaic.stages"]
-"haze.sum" = "hazeplugin.stage:HazeSum"
-"haze.write" = "hazeplugin.stage:HazeWrite"
-[tool.setuptools]
-packages = ["hazeplugin"]
+ENTRIES = """[geomosaic.stages]
+haze.sum = hazeplugin.stage:HazeSum
+haze.write = hazeplugin.stage:HazeWrite
 """
 SUMS = "def total(values):\n    return {factor} * sum(values)\n"
 
 
 class Desk:
-    """A plug-in's project, a folder where it is installed, and numbers to sum."""
+    """A folder where a plug-in is installed, and numbers to sum."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.site = folder, folder / "site"
-        (folder / "project" / "hazeplugin").mkdir(parents=True)
-        (folder / "project" / "hazeplugin" / "__init__.py").touch()
-        (folder / "project" / "hazeplugin" / "stage.py").write_text(STAGE)
         (folder / "numbers.txt").write_text("1 2 4")
         stages = "stages: [{stage: haze.sum, params: {file: numbers.txt}}, haze.write]\n"
         (folder / "haze.yaml").write_text(stages)
 
-    def install(self, version: str, sums: str, text: str = PROJECT) -> None:
-        project = self.folder / "project"
-        (project / "pyproject.toml").write_text(text.replace("1.0", version))
-        (project / "hazeplugin" / "sums.py").write_text(sums)
-        shutil.rmtree(self.site, ignore_errors=True)  # pip would leave the old version beside the new one
-        quiet = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-        command = [sys.executable, "-m", "pip", "install", *quiet, "--target", self.site, project]
-        subprocess.run(command, check=True, capture_output=True, timeout=120)
+    def install(self, version: str, sums: str, entries: str = ENTRIES) -> None:
+        """What pip leaves; pip itself installs the package of test_example_package.py."""
+        shutil.rmtree(self.site, ignore_errors=True)
+        info = f"haze_plugin-{version}.dist-info"
+        files = {
+            "hazeplugin/__init__.py": "",
+            "hazeplugin/stage.py": STAGE,
+            "hazeplugin/sums.py": sums,
+            f"{info}/METADATA": f"Metadata-Version: 2.1\nName: haze-plugin\nVersion: {version}\n",
+            f"{info}/entry_points.txt": entries,
+        }
+        files[f"{info}/RECORD"] = "".join(f"{name},,\n" for name in (*files, f"{info}/RECORD"))
+        for name, text in files.items():
+            (self.site / name).parent.mkdir(parents=True, exist_ok=True)
+            (self.site / name).write_text(text)
 
     def run(self) -> tuple[int, str]:
         command = [sys.executable, "-m", "geomosaic.cli.main", "run", "haze.yaml", "-o", "RUN"]
@@ -141,8 +136,7 @@ for blend in ("haze", "feather"):
 
 def test_a_changed_blend_of_others_gets_no_old_mosaic(desk: Desk) -> None:
     """Whose name stands in a parameter of geomosaic's own stage; other blends keep what they made."""
-    blend = '[project.entry-points."geomosaic.blends"]\nhaze = "hazeplugin.sums:HAZE"\n[tool.setuptools]'
-    desk.install("1.0", "HAZE = 1\n", PROJECT.replace("[tool.setuptools]", blend))
+    desk.install("1.0", "HAZE = 1\n", f"{ENTRIES}[geomosaic.blends]\nhaze = hazeplugin.sums:HAZE\n")
 
     def codes() -> list[str]:
         environment = {**os.environ, "PYTHONPATH": str(desk.site), "PYTHONDONTWRITEBYTECODE": "1"}

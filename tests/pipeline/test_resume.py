@@ -13,14 +13,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from small_surveys import small_survey
+from small_surveys import MAP_ALONE, small_survey
 
 from geomosaic.errors import FileError, OutputError
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
-from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
 from geomosaic.requests.run_request import recipe_of
 from geomosaic_simulate.survey import SimulatedSurvey
 
@@ -56,8 +55,7 @@ def recipe(frames: Path, camera: Path) -> Recipe:
         "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
         "adjustment.solve": {"method": "least_squares"},
     }
-    stages = [id for id in STAGES if id not in OPTIONAL]
-    return recipe_of(("mosaic", ""), stages, given)
+    return recipe_of(("map", ""), MAP_ALONE, given)
 
 
 def die(frames: str, camera: str, to: str, at: str, tell: str) -> None:

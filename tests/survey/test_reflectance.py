@@ -146,7 +146,7 @@ def test_values_of_a_rig_that_nobody_calibrates_are_called_so(flown: SimulatedSu
     rig_flight(flown.frames, tmp_path / "rig", RigFlight("dji", panels=False))
     run = tmp_path / "run"
     shutil.rmtree(run, ignore_errors=True)
-    assert mosaic(tmp_path / "rig", run) == 0
+    assert mosaic(tmp_path / "rig", run, "--adjust", "least_squares") == 0
     assert "uncalibrated values as recorded" in (run / "report.html").read_text()
     with rasterio.open(run / "mosaic.tif") as found:
         assert found.tags(2)["QUANTITY"] == "uncalibrated values as recorded" and found.scales == (1.0,) * 3

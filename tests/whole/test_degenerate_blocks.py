@@ -16,11 +16,13 @@ from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.errors import NotSolvableError
 from tools.trials.trial_degenerate import problems, tried
 
+EACH_WAY = (0, 1, 2, 3, 4, 5, 7, 8, 10, 12, 20, 23, 24, 27, 28, 32, 33, 34, 38, 39)
+"""Draws of which each way to be degenerate has two, unless 40 have but one."""
 
-@pytest.mark.parametrize("first", range(20_000, 20_040, 20))
-def test_degenerate_blocks_end_finite(first: int) -> None:
-    """Each way to be degenerate some times; `make trial-degenerate` draws 10,000."""
-    wrong = [(seed, kind, why) for seed, kind, why, _, _ in map(tried, range(first, first + 20)) if why]
+
+def test_degenerate_blocks_end_finite() -> None:
+    """`make trial-degenerate` draws 10,000."""
+    wrong = [(20_000 + k, kind, why) for k in EACH_WAY for _, kind, why, *_ in [tried(20_000 + k)] if why]
     assert not wrong
 
 
