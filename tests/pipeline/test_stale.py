@@ -7,7 +7,9 @@ import os
 import shutil
 import time
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +17,7 @@ import pytest
 import rasterio
 from osgeo import gdal
 from pipeline_toy import Numbers
-from small_surveys import geomosaic, mosaic, small_survey, summary
+from small_surveys import MAP_ALONE, geomosaic, made_map, small_survey
 from test_pipeline_runner import Toys, toys  # noqa: F401
 
 from geomosaic.doors.raster import DEM, open_raster
@@ -25,8 +27,6 @@ from geomosaic.pipeline.artefacts import encode, fingerprint_of_bytes, fingerpri
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic_simulate.survey import SimulatedSurvey
 
-QUICK = ("--adjust", "least_squares")
-
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
@@ -34,15 +34,17 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     return small_survey(folder, lines=1, frames_per_line=3, width_px=320, height_px=240, seed=21)
 
 
-def told(survey: SimulatedSurvey) -> list[object]:
-    return ["--pos", survey.pos, "--camera", survey.camera, *QUICK]
-
-
 def copied(survey: SimulatedSurvey, to: Path) -> Path:
     to.mkdir()
     for frame in survey.frames.iterdir():
         (to / frame.name).write_bytes(frame.read_bytes())
     return to
+
+
+def made(survey: SimulatedSurvey, frames: Path, run: Path) -> dict[str, Any]:
+    """The map of frames in the place of the survey's; what run.json says of it."""
+    stages = (MAP_ALONE[0], "matching.flying_height", *MAP_ALONE[1:])  # retouched frames have no XMP
+    return made_map(replace(survey, frames=frames), run, stages)
 
 
 def invert(frame: Path) -> None:
@@ -63,26 +65,26 @@ def pixels_of(run: Path) -> np.ndarray:
 
 def test_changed_images_and_masks_give_another_mosaic(survey: SimulatedSurvey, tmp_path: Path) -> None:
     frames = copied(survey, tmp_path / "frames")
-    assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
+    made(survey, frames, tmp_path / "run")
     first = pixels_of(tmp_path / "run")
     for frame in sorted(frames.iterdir()):
         invert(frame)
-    assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
+    again = made(survey, frames, tmp_path / "run")
     second = pixels_of(tmp_path / "run")
     assert np.nanmean(first) + np.nanmean(second) == pytest.approx(255.0, abs=3.0)
     assert abs(np.nanmean(first) - np.nanmean(second)) > 10.0
-    assert "matching.sift" not in summary(tmp_path / "run")["cached_stages"]
+    assert "matching.sift" not in again["cached_stages"]
     mask = np.full((240, 320), 255, np.uint8)
     mask[:120] = 0
     for frame in sorted(frames.glob("*.jpg")):
         cv2.imwrite(str(frames / f"{frame.stem}_mask.png"), mask)
-    assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
+    made(survey, frames, tmp_path / "run")
     third = np.isfinite(pixels_of(tmp_path / "run")).mean()
     for frame in sorted(frames.glob("*.jpg")):
         cv2.imwrite(str(frames / f"{frame.stem}_mask.png"), mask[::-1].copy())
-    assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
+    made(survey, frames, tmp_path / "run")
     fourth = pixels_of(tmp_path / "run")
-    assert mosaic(frames, tmp_path / "fresh", *told(survey)) == 0
+    made(survey, frames, tmp_path / "fresh")
     assert np.array_equal(fourth, pixels_of(tmp_path / "fresh"), equal_nan=True)
     assert 0.0 < third < 0.95 * np.isfinite(first).mean()
 
@@ -90,7 +92,7 @@ def test_changed_images_and_masks_give_another_mosaic(survey: SimulatedSurvey, t
 def test_frames_retouched_after_a_kill_are_matched_anew(survey: SimulatedSurvey, tmp_path: Path) -> None:
     """Pairs are kept by their numbers, so the frames' contents must be in their key."""
     frames = copied(survey, tmp_path / "frames")
-    assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
+    made(survey, frames, tmp_path / "run")
     (tmp_path / "run" / "run.json").unlink()
     for folder in ("adjustment.solve", "mosaic.compose", "export.cog"):
         for entry in (tmp_path / "run" / "work" / folder).glob("*/entry.json"):
@@ -99,8 +101,8 @@ def test_frames_retouched_after_a_kill_are_matched_anew(survey: SimulatedSurvey,
     first, last = names[0].read_bytes(), names[-1].read_bytes()
     names[0].write_bytes(last)
     names[-1].write_bytes(first)
-    assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
-    assert mosaic(frames, tmp_path / "fresh", *told(survey)) == 0
+    made(survey, frames, tmp_path / "run")
+    made(survey, frames, tmp_path / "fresh")
     for name in ("positions.csv", "mosaic.tif"):
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "fresh" / name).read_bytes()
 
@@ -109,7 +111,7 @@ def test_a_replay_over_other_images_is_refused(
     survey: SimulatedSurvey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     frames = copied(survey, tmp_path / "frames")
-    assert mosaic(frames, tmp_path / "run", *told(survey)) == 0
+    made(survey, frames, tmp_path / "run")
     invert(sorted(frames.iterdir())[1])
     capsys.readouterr()
     replay = ("replay", tmp_path / "run", "-o", tmp_path / "again", "--workers", 1, "--from")

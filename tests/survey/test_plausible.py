@@ -90,10 +90,15 @@ def copied(
     return folder / "frames", pos
 
 
-@pytest.mark.parametrize("height", ["616333.1", "6163331"])
-def test_a_slip_of_the_decimal_point_is_named_and_the_mosaic_is_made(
-    flown: SimulatedSurvey, tmp_path: Path, height: str
-) -> None:
+def test_a_slip_of_the_decimal_point_is_named(flown: SimulatedSurvey, tmp_path: Path) -> None:
+    frames, pos = copied(flown, tmp_path, {2: "616333.1"})
+    survey = read_survey(SurveyInputs(frames, pos=pos, camera=flown.camera))
+    (told,) = [w for w in survey.warnings if w.code == "height-absurd"]
+    assert told.frame == "F0003.jpg" and "616333 m" in told.text
+
+
+def test_a_larger_slip_is_named_and_the_mosaic_is_made(flown: SimulatedSurvey, tmp_path: Path) -> None:
+    height = "6163331"
     frames, pos = copied(flown, tmp_path, {2: height})
     code, err, peak_gb = limited(
         "mosaic",
