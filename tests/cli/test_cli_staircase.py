@@ -75,7 +75,8 @@ def files_of(folder: Path) -> list[str]:
 def test_two_runs_with_fixed_time_record_equal_bytes(four: Path, tmp_path: Path) -> None:
     for name, workers in (("a", "1"), ("a longer name", "2")):
         out = str(tmp_path / name)
-        assert main(["mosaic", str(four), "-o", out, "--fixed-time", "--workers", workers]) == 0
+        how = ["--adjust", "least_squares", "--fixed-time", "--workers", workers]
+        assert main(["mosaic", str(four), "-o", out, *how]) == 0
     a, b = ((tmp_path / name / "run.mcap").read_bytes() for name in ("a", "a longer name"))
     assert a == b and len(a) > 50_000
     summary = json.loads((tmp_path / "a" / "run.json").read_text())

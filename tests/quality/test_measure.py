@@ -146,7 +146,7 @@ def test_the_surface_of_a_run_gives_volumes_and_none_past_its_end(tmp_path: Path
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small flight over flat ground, mosaicked."""
-    survey = small_survey(tmp_path_factory.mktemp("flight"))
+    survey = small_survey(tmp_path_factory.mktemp("flight"), width_px=320, height_px=240)
     folder = tmp_path_factory.mktemp("runs") / "run"
     assert mosaic(survey.frames, folder, "--pos", survey.pos, "--camera", survey.camera) == 0
     return folder
