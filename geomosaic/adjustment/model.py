@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -44,12 +45,53 @@ class ControlResidual:
 
 
 @dataclass(frozen=True)
+class SolvedBlock:
+    """A solution that the adjustment of a later run begins from, of the frames that it is certain of: their
+    names (n,), positions_m (n, 3) and rotations (n, 3, 3) in the work frame, swing_rad (n, t, 3) and drift
+    (n, 3) while rows are read. settings, lenses: of its model, as assumed; cameras: as found. shared, fixed:
+    values of the shared unknowns by the name of their part, and which were kept as given. components:
+    variance components by name. observations: number of image observations.
+    """
+
+    names: tuple[str, ...]
+    positions_m: Floats
+    rotations: Floats
+    swing_rad: Floats
+    drift: Floats
+    settings: Settings
+    lenses: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]
+    shared: dict[str, Floats]
+    fixed: dict[str, Bools]
+    components: dict[str, float]
+    observations: int
+
+    def of(self, names: Collection[str]) -> SolvedBlock:
+        """Without other frames."""
+        kept = np.array([name in names for name in self.names], dtype=bool)
+        return replace(
+            self,
+            names=tuple(name for name in self.names if name in names),
+            positions_m=self.positions_m[kept],
+            rotations=self.rotations[kept],
+            swing_rad=self.swing_rad[kept],
+            drift=self.drift[kept],
+        )
+
+    def moved(self, turn: Floats, shift_m: Floats) -> SolvedBlock:
+        """In another work frame: turn (3, 3) to its axes, shift_m (3,) of the origin in them."""
+        positions_m = self.positions_m @ turn.T + shift_m
+        return replace(self, positions_m=positions_m, rotations=turn @ self.rotations)
+
+
+@dataclass(frozen=True)
 class Block:
     """A survey ready to be adjusted. `cameras[i]` took frame i, `lines[i]` is its flight line, `sequence`
     lists frames in order of flight. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`: all is
     given for the images as they lie in the files. times_s (n,): of frames whose velocity no tag reports, when
     they were taken, or NaN. heights: None with a DEM, or where heights fix nothing. flights: number of each
-    frame's flight, whose positions have an error in common; empty for one flight."""
+    frame's flight, whose positions have an error in common; empty for one flight.
+    earlier: a solution to begin from."""
 
     names: tuple[str, ...]
     cameras: tuple[Camera, ...]
@@ -64,6 +106,7 @@ class Block:
     times_s: Floats | None = None
     heights: HeightReference | None = None
     flights: tuple[int, ...] = ()
+    earlier: SolvedBlock | None = None
 
     @property
     def flight_of(self) -> Ints:
@@ -222,7 +265,7 @@ class Adjusted:
     north. ground: the block's own unless the method estimates it. control: of all measured control and check
     points. Of methods that solve for them: pose_covariance (f, 6, 6) of east, north, up (m) and turns about
     them (rad), that of the POS for frames that took no part; places, shared, image_residuals; model, where
-    more than the given one was tried.
+    more than the given one was tried; solved, which a later run may begin from.
     """
 
     poses: Poses
@@ -240,6 +283,7 @@ class Adjusted:
     image_residuals: ImageResiduals | None = None
     model: ModelChoice | None = None
     steps: tuple[SolveStep, ...] = ()
+    solved: SolvedBlock | None = None
 
     def __post_init__(self) -> None:
         """Raises ValueError for a camera that can't be one."""

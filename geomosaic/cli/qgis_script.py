@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -96,7 +96,26 @@ def declared(command: str) -> dict[str, Any]:
         "display_name": title,
         "help": help,
         "command": [sys.executable, "-m", "geomosaic.cli.main", command],
-        "params": list(_params((by_id[id] for id in ids if id in by_id and id != _BY_FLAG), first, flags)),
+        "params": [
+            *_params((by_id[id] for id in ids if id in by_id and id != _BY_FLAG), first, flags),
+            *(_switch(its) for its in fields(request) if option_of(its).toolbox),
+        ],
+    }
+
+
+def _switch(its: Field[Any]) -> dict[str, Any]:
+    """An option without a value."""
+    text = option_of(its).help
+    return {
+        "key": its.name.upper(),
+        "name": its.name,
+        "option": flag_of(its),
+        "kind": "bool",
+        "text": f"{text[:1].upper()}{text[1:]}",
+        "required": False,
+        "advanced": True,
+        "default": its.default,
+        **dict.fromkeys(("choices", "min", "max")),
     }
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.composition.area import Area
 from geomosaic.composition.blends import BLENDS
+from geomosaic.composition.composed_tiles import KeptTile
 from geomosaic.composition.frame_part import FramePart
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import OutputGrid
@@ -41,16 +42,24 @@ class Blending:
 @dataclass(frozen=True)
 class Wanted:
     """A window, it with its surroundings, and of each source that matters there: its number, the rows and
-    cols that it is asked for, and all that it gives to the mosaic."""
+    cols that it is asked for, and all that it gives to the mosaic; or the tile of an earlier mosaic."""
 
     window: Window
     around: Window
     parts: tuple[tuple[int, slice, slice], ...]
     gives: tuple[SpooledResult[FramePart], ...]
+    kept: KeptTile | None = None
 
     @classmethod
-    def of(cls, step: CompositionStep, gives: Mapping[int, SpooledResult[FramePart]]) -> Wanted:
+    def of(
+        cls,
+        step: CompositionStep,
+        gives: Mapping[int, SpooledResult[FramePart]],
+        kept: KeptTile | None = None,
+    ) -> Wanted:
         """A step of the plan, without the frames themselves, which all windows share."""
+        if kept is not None:
+            return cls(step.window, step.window, (), (), kept)
         parts = tuple((part.source.number, part.rows, part.cols) for part in step.parts)
         return cls(step.window, step.around, parts, tuple(gives[number] for number, *_ in parts))
 
@@ -123,7 +132,7 @@ def _blended(how: Blending, of: Wanted) -> Blended:
         part.source.number: give.look() for part, give in zip(parts, of.gives, strict=True)
     }
     manner = Manner(BLENDS[how.blend], how.kind.bands, how.kind.dtype.name)
-    done = compose_window(manner, step, gives)
+    done = of.kept.composed(of.window) if of.kept else compose_window(manner, step, gives)
     if how.area is not None:
         done = done.cut(how.area.mask(how.grid, of.window))
     index = None

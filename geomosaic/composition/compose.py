@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -22,6 +22,13 @@ from geomosaic.composition.blended import (
 )
 from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.cells import MosaicCells
+from geomosaic.composition.composed_tiles import (
+    ComposedTiles,
+    EarlierMosaic,
+    KeptTile,
+    Noting,
+    TileNotes,
+)
 from geomosaic.composition.frame_part import Asked, Warping, frame_part
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import Mosaic
@@ -48,12 +55,23 @@ AUTO_FEATHER_PX = tuned(48, "mosaic px", "default feather: less shows lines; mor
 
 
 @dataclass(frozen=True)
+class TileKeeping:
+    """frames: of the survey, by name and content. earlier: whose tiles are kept where they would be the same.
+    noted: takes the tiles' notes and how many are kept."""
+
+    frames: tuple[str, ...]
+    earlier: EarlierMosaic | None
+    noted: Callable[[ComposedTiles, int], None]
+
+
+@dataclass(frozen=True)
 class CompositionOptions:
     """How frames become a mosaic.
 
     blend: one of BLENDS; auto: multi_band for images of 8 bits, feather for measured values, which stay as
     they are where one frame shows the ground. feather_m: width of a feathered blend, AUTO_FEATHER_PX if None.
-    tones: how brightly frames show the ground, evened out; as they are if None. threads: that write.
+    tones: how brightly frames show the ground, evened out; as they are if None. threads: that write. keeping:
+    of tiles for the next mosaic, and of an earlier one's.
     """
 
     blend: str = AUTO
@@ -61,6 +79,7 @@ class CompositionOptions:
     resampling: str = "cubic"
     tones: Tones | None = None
     threads: int = 2
+    keeping: TileKeeping | None = None
 
 
 def compose(
@@ -113,6 +132,7 @@ def compose(
         blending,
         Warping(scene, options.resampling, options.tones, kind.dtype, reach_px / 2.0),
         spread,
+        options.keeping,
     )
     gave_pixels: set[int] = set()
     whole = windows(grid, TILE_PX)
@@ -159,12 +179,13 @@ class _Walk:
     blending: Blending
     warping: Warping
     spread: Spooler
+    keeping: TileKeeping | None = None
 
     @contextmanager
     def windows(self, order: Sequence[Window]) -> Iterator[Sequence[SpooledResult[BlendedBlock]]]:
         """Windows of the grid, by the overview's tiles over them, blended by whoever is free of what frames
         give."""
-        plan, cells = self._plan(order)
+        plan, cells, kept = self._plan(order)
         blocks: dict[tuple[int, int], list[CompositionStep]] = {}
         for step in plan:
             blocks.setdefault(place_over(step.window), []).append(step)
@@ -180,7 +201,9 @@ class _Walk:
                 )
                 gives = dict(zip(asked, parts.enter_context(spooled), strict=True))
                 for place, steps in blocks.items():
-                    yield WantedBlock(place, tuple(Wanted.of(step, gives) for step in steps))
+                    yield WantedBlock(
+                        place, tuple(Wanted.of(step, gives, kept.get(step.window)) for step in steps)
+                    )
 
             keys = [
                 (
@@ -193,8 +216,10 @@ class _Walk:
                 parts.close()
                 yield made
 
-    def _plan(self, order: Sequence[Window]) -> tuple[list[CompositionStep], dict[int, MosaicCells]]:
-        """The windows' steps, and the cells that frames are asked for."""
+    def _plan(
+        self, order: Sequence[Window]
+    ) -> tuple[list[CompositionStep], dict[int, MosaicCells], dict[Window, KeptTile]]:
+        """The windows' steps, the cells that frames are asked for, and tiles of an earlier mosaic."""
         scene, sources, reach_px = self.warping.scene, self.blending.sources, self.blending.reach_px
         halo_px = BLENDS[self.blending.blend].halo_px(reach_px)
         frames = [self._on_map(number) for number in sources]
@@ -204,12 +229,31 @@ class _Walk:
         seen = self.spread.map("what frames see", look, frames, [one.frame.path for one in frames])
         lying = dict(zip(sources, seen, strict=True))
         planning = Planning(self.ownership, sources, lying, halo_px, reach_px)
-        plan, asking = [], Asking(lying)
+        plan, asking, kept = [], Asking(lying), dict[Window, KeptTile]()
+        notes = self._notes(halo_px)
         for planned in planning.steps(order):
             self.spread.check_cancelled()
-            asking.add(planned)
-            plan.append(planned.step)
-        return plan, asking.cells()
+            if notes is not None and (tile := notes.look(planned.step)) is not None:
+                kept[planned.step.window] = tile
+                plan.append(replace(planned.step, parts=()))
+            else:
+                asking.add(planned)
+                plan.append(planned.step)
+        if notes is not None and self.keeping is not None:
+            self.keeping.noted(notes.tiles(), notes.kept)
+        return plan, asking.cells(), kept
+
+    def _notes(self, halo_px: int) -> TileNotes | None:
+        """Of the tiles, if they are wanted."""
+        how, warping = self.blending, self.warping
+        if self.keeping is None:
+            return None
+        manner = f"{how.blend} {warping.resampling} {how.reach_px:.6g} {how.kind} {how.area is not None}"
+        noting = Noting(
+            *(warping.scene, self.ownership, warping.tones, self.keeping.frames),
+            *(manner, halo_px, how.kind.bands),
+        )
+        return TileNotes(noting, self.keeping.earlier)
 
     def _on_map(self, number: int) -> FrameOnMap:
         return FrameOnMap(self.survey.frames[number], self.blending.sources[number].view)

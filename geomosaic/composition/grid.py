@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.composition.limits import COARSER
 from geomosaic.composition.model import MapPixels, OutputGrid
+from geomosaic.composition.tiles import TILE_PX
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
@@ -52,7 +53,8 @@ def output_grid(
     names: Sequence[str],
     max_gigapixels: float = MAX_GIGAPIXELS,
 ) -> OutputGrid:
-    """The smallest grid that holds every frame's bounds, its corner whole ground pixels from their origin.
+    """The smallest grid that holds every frame's bounds, its corner whole ground pixels from their origin, or
+    whole tiles from that of an earlier mosaic.
 
     Args: names: of all the survey's frames, for the message.
     Raises: `InputError` if there is no frame, or if the mosaic would be larger than max_gigapixels or than
@@ -67,6 +69,11 @@ def output_grid(
     if not _fits(views, gsd_m, max_gigapixels):
         raise _too_large(views, names, gsd_m, max_gigapixels)
     west, south, east, north = _edges(views, gsd_m, origin_m)
+    if pixels.earlier is not None:
+        first, top = pixels.earlier.west_m - origin_m[0], pixels.earlier.north_m - origin_m[1]
+        first, top = round(first / gsd_m), round(top / gsd_m)
+        west = first + (west - first) // TILE_PX * TILE_PX
+        north = top + -((top - north) // TILE_PX) * TILE_PX
     west_m, north_m = origin_m[0] + west * gsd_m, origin_m[1] + north * gsd_m
     return OutputGrid(
         pixels.crs, west_m, north_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1)

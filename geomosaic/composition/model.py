@@ -14,11 +14,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MapPixels:
-    """Where pixels lie on the map: its CRS, their side, and easting and northing of a corner of theirs."""
+    """Where pixels lie on the map: its CRS, their side, and easting and northing of a corner of theirs.
+    earlier: the grid of a mosaic of whose tiles this one has whole ones more or fewer."""
 
     crs: str
     gsd_m: float
     origin_m: tuple[float, float] = (0.0, 0.0)
+    earlier: MapGrid | None = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from geomosaic.pipeline.run_folder import WORK, RunFolder
 from geomosaic.pipeline.stage_recorder import StageRecorder
 from geomosaic.pipeline.stored_result import OptionalCache, StoredResult, without_bytes
 from geomosaic.recording.file.fingerprints import fingerprint_of_bytes, fingerprint_of_json
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.earlier_run import EarlierRun
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -89,7 +92,7 @@ class Surroundings(TypedDict, total=False):
     """What a run gives a stage's `Context`.
 
     seed: the recipe's, for a stage that reports it; randomness comes from `Context.rng`.
-    key: the fingerprint of the stage's work; nothing is kept without one.
+    key: the fingerprint of the stage's work; nothing is kept without one. earlier: see `Stage.goes_on`.
     """
 
     stage_id: str
@@ -106,6 +109,7 @@ class Surroundings(TypedDict, total=False):
     on_note: Callable[[str], None]
     cancelled: Callable[[], bool]
     summary: Mapping[str, Any]
+    earlier: EarlierRun | None
 
 
 class Context:
@@ -114,11 +118,7 @@ class Context:
     lasting_items: where `map` keeps results that outlive the stage's own outcome.
     """
 
-    def __init__(
-        self,
-        run_folder: Path | RunFolder,
-        **given: Unpack[Surroundings],
-    ) -> None:
+    def __init__(self, run_folder: Path | RunFolder, **given: Unpack[Surroundings]) -> None:
         if isinstance(run_folder, Path):
             run_folder = RunFolder(run_folder, overwrite=True)
         self._folder = run_folder
@@ -134,6 +134,7 @@ class Context:
         self._hashes = given.get("hashes") or FileHashes()
         self.key = given.get("key", "")
         self.seed = given.get("seed", 0)
+        self.earlier = given.get("earlier")
         self._on_progress = given.get("on_progress")
         self._on_note = given.get("on_note")
         self._cancelled = given.get("cancelled")
@@ -223,6 +224,10 @@ class Context:
     def run_file(self, filename: str) -> RunFile:
         """The artefact of a file in the run folder."""
         return RunFile(filename, self._hashes.of_written(self._folder.within(filename)))
+
+    def content_of(self, path: Path) -> str:
+        """What names the content of an input and of the files beside it that count."""
+        return fingerprint_of_json(sorted(self._hashes.named([str(path)]).values()))
 
     def copied_file(self, filename: str, original: RunFile) -> RunFile:
         """The artefact of a file that was written as a copy of another one."""

@@ -26,6 +26,7 @@ class Declaration(TypedDict, total=False):
     formerly: dict[str, str]
     cached: bool
     concurrent: bool
+    goes_on: bool
     looks_ahead: bool
     wants_frames: bool
     results: tuple[str, ...]

@@ -14,6 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import geomosaic
+from geomosaic.pipeline.recipe import Recipe
+from geomosaic.pipeline.run_folder import RunFolder
+from geomosaic.recording.file.levels import RecordOptions
+from geomosaic.recording.file.privacy import Privacy
 
 
 def surroundings(*, private: bool) -> dict[str, Any]:
@@ -68,3 +72,13 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor()
+
+
+def privacy_of(record: RecordOptions, recipe: Recipe, folder: RunFolder) -> Privacy | None:
+    """What a recording leaves out; None where nothing is."""
+    if not record.hides:
+        return None
+    inputs = {p for step in recipe.steps for p in step.stage.files(step.params).values()}
+    parents = {p.absolute().parent for p in inputs}
+    named = {*inputs, *parents, folder.path, folder.path.parent, Path.cwd(), Path.home()}
+    return Privacy(named, places=record.private_places)

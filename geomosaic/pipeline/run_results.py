@@ -17,13 +17,11 @@ from geomosaic.recording.file.reader import artefact_data, read_recording
 _MAX_BYTES = 64 << 20  # names and hashes of 400,000 frames
 
 
-def read_summary(run_folder: Path) -> dict[str, Any]:
+def read_summary(run_folder: Path, name: str = RUN_JSON) -> dict[str, Any]:
     """run.json of a finished run. Raises `FileError` if there is none, `LinkError` for a link."""
-    path = files.path_within(run_folder, RUN_JSON)
+    path = files.path_within(run_folder, name)
     if not path.exists():
-        raise FileError(
-            f"is no finished run ({RUN_JSON} is missing)", file=run_folder, fix="give a run's folder"
-        )
+        raise FileError(f"is no finished run ({name} is missing)", file=run_folder, fix="give a run's folder")
     summary = read_json(path, _MAX_BYTES, "a run's summary", "run the recipe again")
     if not isinstance(summary, dict) or not isinstance(summary.get("artefacts"), dict):
         raise FileError("doesn't describe a run", file=path, fix="run the recipe again")

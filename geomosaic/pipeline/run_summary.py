@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 from geomosaic.pipeline.artefact_reader import with_texts
 from geomosaic.pipeline.artefacts import type_name
 from geomosaic.pipeline.cache import ArtefactHandle, CachedOutcome
+from geomosaic.pipeline.earlier_run import STAGE_VERSIONS, stage_versions
 from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers, peak_memory_bytes
 from geomosaic.pipeline.recipe import Recipe
@@ -35,6 +36,7 @@ class RunSummary:
         """Before the first stage. manifest: of the files that are read."""
         self.plain = {
             "recipe": recipe.plain(),
+            STAGE_VERSIONS: stage_versions(recipe),
             "versions": versions(),
             "inputs": manifest,
             "warnings": [],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,14 @@ from geomosaic.pipeline.cache import (
     stage_key,
 )
 from geomosaic.pipeline.context import Context
+from geomosaic.pipeline.earlier_run import EarlierRun, begun
 from geomosaic.pipeline.environment import versions
 from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.memory_release import release_memory
 from geomosaic.pipeline.plugin import blamed, code_of
-from geomosaic.pipeline.provenance import commit, sizes, surroundings
-from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe, RecipeStep
+from geomosaic.pipeline.provenance import commit, privacy_of, sizes, surroundings
+from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, Recipe, RecipeStep
 from geomosaic.pipeline.replayed_stage import ReplayedStage, bring_files
 from geomosaic.pipeline.reporter import Reporter, Silent, Source
 from geomosaic.pipeline.run_folder import WORK, RunFolder
@@ -36,8 +38,7 @@ from geomosaic.pipeline.stage import Stage
 from geomosaic.pipeline.stage_log import RunLog, StageLog
 from geomosaic.pipeline.stage_recorder import replay_calls
 from geomosaic.pipeline.stage_task import StageTask, concurrent_steps, may_be_forged_data
-from geomosaic.recording.file.levels import RecordOptions
-from geomosaic.recording.file.privacy import Privacy
+from geomosaic.recording.file.fingerprints import fingerprint_of_json
 from geomosaic.recording.file.writer import Recorder
 from geomosaic.recording.rerun.live import watched
 
@@ -66,13 +67,12 @@ def run(
     folder = RunFolder.opened(run_folder, sorted(recipe.results()), overwrite=options.overwrite)
     workers = Workers(options.workers, options.dask)
     with files.in_one_wording(folder.path), folder.locked(), workers as team:
-        _put_unfinished_aside(folder)
-        folder.remove(RUN_JSON)
+        earlier = begun(folder, recipe, options)
         files.sweep(folder.path)
         bring_files(recipe, given, folder)
         if record.level == "off":
             folder.remove(RECORDING)
-        privacy = _privacy(record, recipe, folder)
+        privacy = privacy_of(record, recipe, folder)
         path = None if record.level == "off" else folder.claim(RECORDING)
         recorder = Recorder(
             path,
@@ -83,35 +83,22 @@ def run(
         )
         with recorder, watched(path, record.live):
             log = RunLog(recorder, reporter or Silent(), options.cancelled)
-            return _Run(recipe, folder, team, log).run(given)
-
-
-def _put_unfinished_aside(folder: RunFolder) -> None:
-    """A run that was killed or failed left no run.json; its recording says where it was."""
-    path = folder.within(RECORDING)
-    if RECORDING in folder.made() and path.is_file() and not folder.within(RUN_JSON).exists():
-        path.replace(folder.claim(UNFINISHED))
-
-
-def _privacy(record: RecordOptions, recipe: Recipe, folder: RunFolder) -> Privacy | None:
-    if not record.hides:
-        return None
-    inputs = {p for step in recipe.steps for p in step.stage.files(step.params).values()}
-    parents = {p.absolute().parent for p in inputs}
-    named = {*inputs, *parents, folder.path, folder.path.parent, Path.cwd(), Path.home()}
-    return Privacy(named, places=record.private_places)
+            return _Run(recipe, folder, team, log, earlier).run(given)
 
 
 class _Run:
     """One run in progress."""
 
-    def __init__(self, recipe: Recipe, folder: RunFolder, workers: Workers, log: RunLog) -> None:
+    def __init__(
+        self, recipe: Recipe, folder: RunFolder, workers: Workers, log: RunLog, earlier: EarlierRun | None
+    ) -> None:
         self._recipe = recipe
         self._folder = folder
         self._workers = workers
         self._log = log
         self._hashes = FileHashes(folder.within(f"{WORK}/hashes.json"))
         self._cache = StageCache(folder, self._hashes)
+        self._earlier = earlier and replace(earlier, hashes=self._hashes)
         workers.serve(folder.path, self._hashes)
         self._summary = RunSummary(folder, log, workers)
         self._artefacts: dict[str, ArtefactHandle] = {}
@@ -272,7 +259,11 @@ class _Run:
         stage, inputs = step.stage, self._inputs(step.stage)
         code = code_of(stage, stage.plugged(step.params))
         key = stage_key(step, inputs, self._recipe.seed, lineage, code)
+        earlier = self._earlier if stage.goes_on else None
         finished = self._cache.find(stage, key, lineage) if stage.cached else None
+        if finished is None and earlier is not None:
+            key = fingerprint_of_json([key, earlier.mark])
+            finished = self._cache.find(stage, key, lineage)
         if finished is not None and finished.calls is not None:
             return finished
         spool = self._cache.spool(stage)
@@ -292,6 +283,7 @@ class _Run:
             on_note=log.note,
             cancelled=log.cancelled,
             summary=self._summary.for_stage(),
+            earlier=earlier,
         )
         return StageTask(step, inputs, context, log, lineage)
 

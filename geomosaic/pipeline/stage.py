@@ -42,6 +42,8 @@ class Stage(ABC):
     it runs every time.
     concurrent: True for a stage that shares nothing with other stages but its inputs and may run in a thread
     of its own as soon as these are there.
+    goes_on: True for a stage that may begin with what it made in an earlier run (`Context.earlier`); its
+    outcome is kept apart from that of a whole run.
     looks_ahead: True for a stage that says what the later ones will take (`context.inform`): with the last of
     these a dry run ends.
     wants_frames: True for a stage that makes nothing of thumbnails: a replay without frames leaves it out.
@@ -59,6 +61,7 @@ class Stage(ABC):
     formerly: ClassVar[dict[str, str]] = {}
     cached: ClassVar[bool] = True
     concurrent: ClassVar[bool] = False
+    goes_on: ClassVar[bool] = False
     looks_ahead: ClassVar[bool] = False
     wants_frames: ClassVar[bool] = False
     results: ClassVar[tuple[str, ...]] = ()

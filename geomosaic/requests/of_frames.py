@@ -30,6 +30,15 @@ class FramesRequest(NewRunRequest, ABC):
             sets="mosaic.seams.align_to",
         )
     )
+    incremental: bool = asked(
+        Option(
+            "go on from the finished run in RUN: do anew only what added, removed and replaced frames change",
+            None,
+            RUNNING,
+            toolbox=True,
+        ),
+        False,
+    )
     dask: str | None = asked(DASK)
     strict: bool = asked(
         Option(
@@ -46,6 +55,11 @@ class FramesRequest(NewRunRequest, ABC):
     def is_strict(self) -> bool:
         """Whether a poor result is an error."""
         return self.strict
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it goes on from the finished run in its folder."""
+        return self.incremental
 
     @property
     def cluster(self) -> str | None:

@@ -28,7 +28,8 @@ class Option:
     """help: as the command line's help shows it. metavar: its value in the help. heading: of the help, ''
     for an argument without a flag. sets: STAGE.PARAMETER that takes the value. flags: if they are others than
     the field's name. parse: of a text that the command line gives. least, most: of a number. methods:
-    whether the help names the choices of the parameter."""
+    whether the help names the choices of the parameter. toolbox: whether QGIS offers it too, where it sets no
+    parameter."""
 
     help: str
     metavar: str | None = None
@@ -39,6 +40,7 @@ class Option:
     least: float | None = None
     most: float | None = None
     methods: bool = False
+    toolbox: bool = False
 
 
 def asked(option: Option, default: Any = None) -> Any:

@@ -125,12 +125,18 @@ class RunRequest(ABC):
             dask=self.cluster,
             fixed_time=self.fixed_time,
             overwrite=self.overwrite,
+            incremental=self.goes_on,
             record=self.recorded(),
         )
 
     @property
     def is_strict(self) -> bool:
         """Whether a poor result is an error."""
+        return False
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it goes on from the finished run in its folder."""
         return False
 
     @property

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.model import Adjusted, Block, Settings, SolvedBlock
 from geomosaic.adjustment.procedure.control_points import ground_control
+from geomosaic.adjustment.procedure.earlier_solution import EARLIER
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
 from geomosaic.matching.model import TiePoints
@@ -81,7 +83,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 @stage(
     "adjustment.solve", "Adjust the frames", group="Adjustment", version=78, outputs=("adjusted", "ground"),
-    conclusions=_conclusions,
+    conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
     matched: MatchedFrames, params: SolveParams, context: Context, map_places: MapPlaces | None = None
@@ -91,6 +93,7 @@ def adjustment_solve(
     if map_places is not None:
         survey = replace(survey, control=(*survey.control, *map_places.points))
     block = block_of(survey, matched.prior_ground, matched.placement, matched.ties)
+    block = replace(block, earlier=_earlier(survey, context))
     settings = Settings(**params.model_dump(exclude={"method"}))
     adjusted = METHODS[params.method](block, settings, context)
     of_control = (*precision_warnings(block.control, adjusted.figures), *control_warnings(adjusted.control))
@@ -98,6 +101,10 @@ def adjustment_solve(
     _warn_of_loose_frames(context, block, adjusted, params.method == "bundle")
     residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
     residual = residual[np.isfinite(residual).all(axis=1)]
+    if context.earlier is not None:
+        warm = any(step.solve == EARLIER for step in adjusted.steps)
+        context.metric("reused.adjustment", warm)
+        context.inform("begins from the run before" if warm else "whole: the run before fits no more")
     context.metric("adjustment.method", params.method)
     context.metric("adjustment.rounds", len(adjusted.rounds))
     context.metric(
@@ -125,6 +132,23 @@ def adjustment_solve(
     context.metric("ground.reason", ground_reason(adjusted, params.ground))
     record_adjusted(context, matched.survey, block, adjusted, params.method)
     return adjusted, adjusted.ground
+
+
+def _earlier(survey: Survey, context: Context) -> SolvedBlock | None:
+    """What the run before found of the frames that are as they were, in this survey's work frame."""
+    if context.earlier is None:
+        return None
+    unchanged = context.earlier.unchanged(Path(frame.path) for frame in survey.frames)
+    context.metric("reused.frames", len(unchanged))
+    context.metric("reused.frames_of", len(survey.frames))
+    before: Survey | None = context.earlier.artefact("survey", Survey)
+    adjusted: Adjusted | None = context.earlier.artefact("adjusted", Adjusted)
+    if before is None or adjusted is None or adjusted.solved is None:
+        return None
+    was, now = before.work_frame, survey.work_frame
+    turn = now.enu_from_local_rotation(was.lon_deg, was.lat_deg)
+    shift_m = now.enu_from_geodetic(was.lon_deg, was.lat_deg, was.height_ellipsoidal_m)
+    return adjusted.solved.of(unchanged).moved(turn, shift_m)
 
 
 def _of_map(context: Context, adjusted: Adjusted) -> Adjusted:

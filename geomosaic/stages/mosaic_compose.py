@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import Any, Literal
 
 from geomosaic.composition.bands import compose_bands
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.compose import AUTO, AUTO_FEATHER_PX, CompositionOptions, compose
+from geomosaic.composition.compose import (
+    AUTO,
+    AUTO_FEATHER_PX,
+    CompositionOptions,
+    TileKeeping,
+    compose,
+)
+from geomosaic.composition.composed_tiles import ComposedTiles, EarlierMosaic
 from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.composition.plugins import BLENDS_GROUP
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames
 from geomosaic.matching.band_registration import RigPoses
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import encode
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
 from geomosaic.stages.input_groups import AdjustedSurvey, FrameShares
+from geomosaic.survey.model import Survey
 
 RASTER = "work/mosaic.compose/mosaic.tif"
 SOURCES = "sources.tif"
+NOTES = "work/mosaic.compose/tiles.artefact"
 
 
 class ComposeParams(StageParams):
@@ -51,9 +63,23 @@ def _plugged(params: ComposeParams) -> list[tuple[str, str]]:
     return [(BLENDS_GROUP, params.blend)]
 
 
+def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What was reused of the run before."""
+    its = summary["metrics"].get("reused")
+    if its is None:
+        return []
+    parts = [
+        f"{its[name]:,} of {its[f'{name}_of']:,} {what}"
+        for name, what in (("frames", "frames' keypoints"), ("tiles", "tiles"))
+        if name in its
+    ]
+    begun = ["the solution to begin from"] if its.get("adjustment") else []
+    return [("reused", f"{', '.join(parts + begun)} of the run before")]
+
+
 @stage(
     "mosaic.compose", "Compose the mosaic", group="Mosaic", version=19, outputs=("mosaic", "raster_file"),
-    results=(SOURCES,), plugged=_plugged,
+    results=(SOURCES,), plugged=_plugged, conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def mosaic_compose(
     of: AdjustedSurvey, shares: FrameShares, params: ComposeParams, context: Context
@@ -62,12 +88,16 @@ def mosaic_compose(
     survey, ownership = of.survey, shares.ownership
     feather_m = None if params.feather_m == "auto" else params.feather_m
 
+    rig = shares.rig or RigPoses()
+    keeping = None if rig.bands or not params.sources else _keeping(survey, context)
+
     def composing(frames: PosedFrames, files: MosaicFiles) -> Mosaic:
         tones = shares.tones if frames.survey is survey else None
-        options = CompositionOptions(params.blend, feather_m, params.resampling, tones, params.threads)
+        options = CompositionOptions(
+            *(params.blend, feather_m, params.resampling, tones, params.threads, keeping)
+        )
         return compose(frames, ownership, files, options, context)
 
-    rig = shares.rig or RigPoses()
     if survey.other_bands and not rig.bands:
         text = f"only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
         context.warn("bands-left-out", "", text)
@@ -84,6 +114,26 @@ def mosaic_compose(
     mosaic = replace(mosaic, raster=RASTER)
     _report(context, ownership.grid, mosaic)
     return mosaic, context.run_file(RASTER)
+
+
+def _keeping(survey: Survey, context: Context) -> TileKeeping:
+    """Tiles of the run before are kept where they would be the same; notes of all lie beside the raster."""
+    frames = tuple(f"{frame.name} {context.content_of(Path(frame.path))}" for frame in survey.frames)
+    before = context.earlier
+
+    def noted(tiles: ComposedTiles, kept: int) -> None:
+        with context.writing(NOTES) as path:
+            path.write_bytes(encode(tiles))
+        if before is not None:
+            context.metric("reused.tiles", kept)
+            context.metric("reused.tiles_of", len(tiles.places))
+            context.inform(f"{kept:,} of {len(tiles.places):,} tiles are from the run before")
+
+    files = [] if before is None else [before.file("raster_file", name) for name in (RASTER, SOURCES, NOTES)]
+    earlier = None
+    if files and files[0] is not None and files[1] is not None and files[2] is not None:
+        earlier = EarlierMosaic(files[0], files[1], decode(files[2].read_bytes(), ComposedTiles))
+    return TileKeeping(frames, earlier, noted)
 
 
 def _report(context: Context, grid: OutputGrid, mosaic: Mosaic) -> None:

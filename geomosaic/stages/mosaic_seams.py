@@ -100,6 +100,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 @stage(
     "mosaic.seams", "Place the seamlines", group="Mosaic", version=16, outputs="ownership",
     check=_check, plugged=lambda params: [(SEAMS_GROUP, params.seam)], conclusions=_conclusions,
+    goes_on=True,
 )  # fmt: skip
 def mosaic_seams(
     of: AdjustedSurvey, placement: Placement, params: SeamParams, context: Context, shown: BandTones
@@ -163,6 +164,9 @@ def _scene(
     own_m = placement.ground_pixel_m if any(of.survey.located) else frames.pixel_m
     seen_m = max(own_m, frames.pixel_m) if coarser else own_m
     pixels = mosaic_pixels(params.gsd_m, params.align_to, of.survey.map_crs, own_m)
+    before = None if context.earlier is None else context.earlier.artefact("ownership", Ownership)
+    if before is not None and before.grid.crs == pixels.crs:
+        pixels = replace(pixels, gsd_m=before.grid.gsd_m, earlier=before.grid)
     if text := far_from_own(pixels.gsd_m, own_m):
         context.warn("gsd-far", "", text)
     limits = frames.limits(params.edges, max(pixels.gsd_m, seen_m))

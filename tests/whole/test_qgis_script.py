@@ -47,10 +47,19 @@ def test_the_scripts_hold_all_that_stages_declare(tmp_path):
         assert imported == {"pathlib", "qgis.core"}, "QGIS' Python has none of our packages"
 
 
+def test_an_option_that_sets_no_parameter_is_a_switch():
+    """`--incremental` has no value on the command line."""
+    (switch,) = (p for p in declared("mosaic")["params"] if "." not in p["name"])
+    assert (switch["name"], switch["option"], switch["kind"]) == ("incremental", "--incremental", "bool")
+    assert not switch["default"]
+    template = (Path(declared.__code__.co_filename).parent / "qgis_algorithm.py.in").read_text()
+    assert 'if declared["kind"] == "bool" and option != "--set":\n            return [option]' in template
+
+
 @pytest.mark.parametrize(("command", "stages"), [("mosaic", mosaic.STAGES), ("strips", strips.STAGES)])
 def test_each_parameter_can_be_set_as_the_script_does(command, stages, tmp_path):
     (tmp_path / "file").touch()
-    of = declared(command)["params"]
+    of = [p for p in declared(command)["params"] if "." in p["name"]]
     needed = {p["name"]: tmp_path for p in of if "reference" in p["option"] or not p["option"]}
     plain = {"stages": [{"stage": stage} for stage in stages if stage != "matching.reference"]}
     for p in of:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from geomosaic.adjustment.procedure.block_solution import (
 )
 from geomosaic.adjustment.procedure.blunder_detection import counted_shares, resected
 from geomosaic.adjustment.procedure.control_points import placed_by_control, with_marks_of_whole_images
+from geomosaic.adjustment.procedure.earlier_solution import EARLIER, begun_from_earlier, still_fits
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.lens_start import with_lens_starts
@@ -64,7 +67,8 @@ def pose_block(block: Block, settings: Settings, spread: Spread | None = None) -
 
 
 def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
-    block = with_lens_starts(block, settings, spread)
+    if block.earlier is None:
+        block = with_lens_starts(block, settings, spread)
     sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
     tracks = thin_tracks(join_tracks(block.ties), sizes, settings.observations_per_frame)
     if not tracks.points and all(c.check for c in block.control):
@@ -78,6 +82,11 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         return solution.poses, tuple(solution.cameras[k] for k in its.lens_of)
 
     block, notes = with_marks_of_whole_images(block, free)
+    if block.earlier is not None:
+        adjusted = _gone_on(block, settings, (tracks, few), spread)
+        if adjusted is None:
+            return _solved(replace(block, earlier=None), settings, spread)
+        return replace(adjusted, warnings=(*notes, *adjusted.warnings))
     work = _begun(block, settings, (tracks, few), spread, placed_by_control(block, free))
     steps = _named("few tie points" if work.rough else "tie points", work.steps)
     skipped: list[Warn] = []
@@ -91,6 +100,25 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         steps += _named(name, work.steps[before:])
     adjusted = bundle_outcome(work)
     return replace(adjusted, steps=steps, warnings=(*notes, *skipped, *adjusted.warnings))
+
+
+def _gone_on(
+    block: Block, settings: Settings, all_and_few: tuple[Tracks, Tracks], spread: Spread
+) -> Adjusted | None:
+    """The block solved from an earlier run's solution, with the model of then; None where there is no such
+    solution, or its model fits no more."""
+    with suppress(NotSolvableError):
+        work = begun_from_earlier(block, settings, all_and_few, spread)
+        if work is None or block.earlier is None:
+            return None
+        steps = _named(EARLIER, work.steps)
+        for name in (n for n in PROCEDURE if n not in OF_THE_MODEL):
+            before = len(work.steps)
+            work = PROCEDURE[name](work)
+            steps += _named(name, work.steps[before:])
+        if still_fits(work, block.earlier):
+            return replace(bundle_outcome(work), steps=steps)
+    return None
 
 
 def _named(name: str, steps: tuple[SolveStep, ...]) -> tuple[SolveStep, ...]:
@@ -263,3 +291,5 @@ PROCEDURE: dict[str, Callable[[Work], Work]] = {
     "readout": _readout_shown,
     "accuracy": _accuracy_stated,
 }
+OF_THE_MODEL: Final = ("model of lens and shutter", "turning", "zero of the gyroscope", "readout")
+"""Steps that an earlier solution has done."""

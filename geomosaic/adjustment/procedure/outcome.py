@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
-from geomosaic.adjustment.model import Adjusted, Block, GroundPlaces, ModelChoice, Round, Settings, SolveStep
+from geomosaic.adjustment.model import (
+    Adjusted,
+    Block,
+    GroundPlaces,
+    ModelChoice,
+    Round,
+    Settings,
+    SolvedBlock,
+    SolveStep,
+)
 from geomosaic.adjustment.paper.misalignment import ties_on_ground
 from geomosaic.adjustment.procedure.block_solution import BlockSolution
 from geomosaic.adjustment.procedure.blunder_detection import (
@@ -212,6 +222,30 @@ def bundle_outcome(work: Work) -> Adjusted:
         model=work.choice,
         shared=shared,
         image_residuals=image_residuals(found.ties, solution),
+        solved=_solved(work, rejected),
+    )
+
+
+def _solved(work: Work, rejected: Collection[int]) -> SolvedBlock:
+    """What a later adjustment may begin from."""
+    solution, names = work.found.solution, work.block.names
+    at, slices = solution.estimate, solution.estimate.layout.slices
+    certain = np.isin(np.arange(len(names)), np.unique(work.found.problem.tracks.frame))
+    certain &= ~solution.left_out
+    certain[list(rejected)] = False
+    return SolvedBlock(
+        names=tuple(name for name, its in zip(names, certain, strict=True) if its),
+        positions_m=at.positions_m[certain],
+        rotations=at.rotations[certain],
+        swing_rad=at.swing_rad[certain],
+        drift=at.drift[certain],
+        settings=work.settings,
+        lenses=work.block.lenses,
+        cameras=solution.cameras,
+        shared={name: at.shared[its] for name, its in slices.items()},
+        fixed={name: solution.fixed[its] for name, its in slices.items()},
+        components=dict(solution.components.values),
+        observations=len(work.found.problem.tracks.frame),
     )
 
 

@@ -1,0 +1,124 @@
+"""The finished run in a folder that the next one goes on from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from geomosaic import __version__
+from geomosaic.errors import FileError, InputError
+from geomosaic.pipeline import files
+from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.params import output_values
+from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe
+from geomosaic.pipeline.run_folder import WORK, RunFolder
+from geomosaic.pipeline.run_options import RunOptions
+from geomosaic.pipeline.run_results import load_artefact, read_summary
+from geomosaic.recording.file.fingerprints import fingerprint_of_json
+
+EARLIER: Final = f"{WORK}/earlier.json"
+"""The summary of the run that one which isn't finished goes on from."""
+STAGE_VERSIONS: Final = "stage_versions"
+"""In run.json: the version of each stage."""
+_WHOLE: Final = "leave out --incremental to run it whole"
+_MOST_ENTRY_BYTES: Final = 64 << 20
+
+
+@dataclass(frozen=True)
+class EarlierRun:
+    """What a finished run made, until the run that goes on from it is finished. summary: its run.json."""
+
+    folder: RunFolder
+    summary: Mapping[str, Any] = field(repr=False)
+    hashes: FileHashes = field(default_factory=FileHashes, repr=False)
+
+    @property
+    def mark(self) -> str:
+        """What names all that it made."""
+        return fingerprint_of_json({n: of["fingerprint"] for n, of in self.summary["artefacts"].items()})
+
+    def artefact(self, name: str, kind: type) -> Any:
+        """What a stage made of it; None where it made none, or not of this type."""
+        with suppress(FileError):
+            return load_artefact(self.folder.path, dict(self.summary), name, kind)
+        return None
+
+    def file(self, artefact: str, name: str) -> Path | None:
+        """A file that the stage wrote which made an artefact, if it is as it was."""
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            entry = self.folder.within(str(self.summary["artefacts"][artefact]["file"])).parent
+            written = json.loads(files.read_own(entry / "entry.json", _MOST_ENTRY_BYTES))["files"]
+            path = self.folder.within(name)
+            if self.hashes.of_written(path) == written[name]:
+                return path
+        return None
+
+    def unchanged(self, paths: Iterable[Path]) -> frozenset[str]:
+        """The names of those frames that it read with the content that they have."""
+        with suppress(KeyError, TypeError, AttributeError):
+            read = self.summary["inputs"]["survey.read.frames"]["files"]
+            return frozenset(p.name for p in paths if read.get(p.name) == self.hashes.of_file(p))
+        return frozenset()
+
+
+def begun(folder: RunFolder, recipe: Recipe, options: RunOptions) -> EarlierRun | None:
+    """A folder without the last run's summary; the finished run that this one goes on from, if it does.
+
+    The recording of a run that was killed or failed, and so left no summary, says where it was: it stays.
+    Raises: as `_finished`.
+    """
+    earlier = _finished(folder, recipe) if options.incremental else None
+    recording = folder.within(RECORDING)
+    if RECORDING in folder.made() and recording.is_file() and not folder.within(RUN_JSON).exists():
+        recording.replace(folder.claim(UNFINISHED))
+    folder.remove(RUN_JSON)
+    if earlier is None:
+        folder.remove(EARLIER)
+    return earlier
+
+
+def _finished(folder: RunFolder, recipe: Recipe) -> EarlierRun:
+    """The finished run in a folder, whose summary is kept until the next one is finished.
+
+    Raises: `InputError` if there is none, or one by other options or another version.
+    """
+    name = RUN_JSON if folder.within(RUN_JSON).exists() else EARLIER
+    try:
+        summary = read_summary(folder.path, name)
+        known = {of["stage"]: of["params"] for of in summary["recipe"]["stages"]}
+        made_by = summary["versions"]["geomosaic"], summary[STAGE_VERSIONS], summary["recipe"]["seed"]
+        there = all(folder.within(str(of["file"])).exists() for of in summary["artefacts"].values())
+    except (FileError, KeyError, TypeError, AttributeError) as error:
+        problem = "there is no finished run to go on from"
+        raise InputError(problem, file=folder.path, fix=_WHOLE) from error
+    if made_by[:2] != (__version__, stage_versions(recipe)):
+        if known.keys() != stage_versions(recipe).keys():
+            raise _by_other_options(folder, "its stages are others")
+        raise InputError("the run there was made by another version", file=folder.path, fix=_WHOLE)
+    if made_by[2] != recipe.seed:
+        raise _by_other_options(folder, f"its --seed is {made_by[2]}")
+    for step in recipe.steps:
+        for option, value in output_values(step.params).items():
+            before = known[step.stage.id].get(option)
+            if before != value and f"{step.stage.id}.{option}" != "survey.read.frames":
+                raise _by_other_options(folder, f"its {step.stage.id}.{option} is {before}")
+    if not there:
+        raise InputError(f"{WORK} has lost results of the run there", file=folder.path, fix=_WHOLE)
+    if name == RUN_JSON:
+        with folder.writing(EARLIER) as path:
+            files.write_json(path, summary)
+    return EarlierRun(folder, summary)
+
+
+def stage_versions(recipe: Recipe) -> dict[str, int]:
+    """The versions of a recipe's stages."""
+    return {step.stage.id: step.stage.version for step in recipe.steps}
+
+
+def _by_other_options(folder: RunFolder, what: str) -> InputError:
+    problem = f"the run there was made with other options: {what}"
+    return InputError(problem, file=folder.path, fix=f"give the same options, or {_WHOLE}")

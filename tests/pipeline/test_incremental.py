@@ -1,0 +1,124 @@
+"""`--incremental`: a run goes on from the finished one in its folder, or says why it can't."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+from small_surveys import mosaic, small_survey, summary
+
+from geomosaic.errors import InputError
+from geomosaic.pipeline.earlier_run import EARLIER
+from geomosaic.pipeline.reporter import Silent
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.perform import perform
+from geomosaic_simulate.survey import SimulatedSurvey
+
+SIZE = {"lines": 3, "frames_per_line": 3, "width_px": 240, "height_px": 180, "seed": 9}
+RTK = {"position_sd_m": 0.01, "height_sd_m": 0.01}
+FIRST, ALL = 6, 9
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
+    return small_survey(tmp_path_factory.mktemp("survey"), **SIZE, **RTK)
+
+
+def given(survey: SimulatedSurvey) -> list[object]:
+    return ["--pos", survey.pos, "--camera", survey.camera, "--fixed-time"]
+
+
+def copied(survey: SimulatedSurvey, to: Path, first: int, last: int) -> Path:
+    to.mkdir(exist_ok=True)
+    for path in sorted(survey.frames.iterdir())[first:last]:
+        shutil.copy2(path, to)
+    return to
+
+
+@pytest.fixture(scope="module")
+def finished(survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Frames and the run of the first two lines."""
+    folder = tmp_path_factory.mktemp("finished")
+    frames = copied(survey, folder / "frames", 0, FIRST)
+    assert mosaic(frames, folder / "run", *given(survey)) == 0
+    return frames, folder / "run"
+
+
+def positions(run: Path) -> NDArray[np.float64]:
+    lines = (run / "positions.csv").read_text().splitlines()[1:]
+    return np.array([[float(cell) for cell in line.split(",")[5:7]] for line in lines])
+
+
+def test_nothing_to_do(finished: tuple[Path, Path], survey: SimulatedSurvey, tmp_path: Path) -> None:
+    """The same frames: all is from the cache, with the same bytes."""
+    frames, run = finished
+    before = digest(run / "mosaic.tif")
+    assert mosaic(frames, run, *given(survey), "--incremental") == 0
+    assert "mosaic.compose" in summary(run)["cached_stages"]
+    assert digest(run / "mosaic.tif") == before
+    with rasterio.open(run / "mosaic.tif") as raster:
+        assert raster.count == 3
+
+
+def digest(path: Path) -> str:
+    return hashlib.blake2b(path.read_bytes()).hexdigest()
+
+
+def refused(frames: Path, run: Path, **options: object) -> str:
+    request = MosaicRequest(frames=frames, output=run, workers=1, incremental=True, **options)
+    with pytest.raises(InputError) as error:
+        perform(request.job(), Silent())
+    return str(error.value)
+
+
+def test_why_it_can_not(finished: tuple[Path, Path], survey: SimulatedSurvey, tmp_path: Path) -> None:
+    """One line each, which says what to do; the finished run stays."""
+    frames, run = finished
+    told = {"pos": survey.pos, "camera": survey.camera, "fixed_time": True}
+    text = refused(frames, tmp_path / "none", **told)
+    assert "no finished run to go on from; leave out --incremental" in text
+    text = refused(frames, run, **told, gsd="0.2")
+    assert "made with other options: its mosaic.seams.gsd_m is auto; give the same options" in text
+    assert "its --seed is 0" in refused(frames, run, **told, seed=4)
+    assert "its stages are others" in refused(frames, run, **told, ground_height=500.0)
+    copy = shutil.copytree(run, tmp_path / "older")
+    made = json.loads((copy / "run.json").read_text())
+    made["stage_versions"]["adjustment.solve"] -= 1
+    (copy / "run.json").write_text(json.dumps(made))
+    assert "made by another version; leave out --incremental" in refused(frames, copy, **told)
+    shutil.rmtree(copy / "work" / "adjustment.solve")
+    made["stage_versions"]["adjustment.solve"] += 1
+    (copy / "run.json").write_text(json.dumps(made))
+    assert "work has lost results" in refused(frames, copy, **told)
+    assert (run / "run.json").exists()
+
+
+def test_a_line_more_then_a_frame_less(
+    survey: SimulatedSurvey,
+    finished: tuple[Path, Path],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Poses are those of a whole run, which the same folder gives without the option."""
+    frames, run = finished
+    copied(survey, frames, FIRST, ALL)
+    assert mosaic(frames, run, *given(survey), "--incremental") == 0
+    reused = summary(run)["metrics"]["reused"]
+    assert (reused["frames"], reused["frames_of"], reused["adjustment"]) == (FIRST, ALL, True)
+    assert reused["tiles_of"] >= reused["tiles"] >= 0
+    assert "6 of 9 frames' keypoints" in capsys.readouterr().out
+    assert not (run / EARLIER).exists()
+    gone_on = positions(run)
+    sorted(frames.iterdir())[0].unlink()
+    assert mosaic(frames, run, *given(survey), "--incremental") == 0
+    reused = summary(run)["metrics"]["reused"]
+    assert (reused["frames"], reused["frames_of"], reused["adjustment"]) == (ALL - 1, ALL - 1, True)
+    copied(survey, frames, 0, 1)
+    assert mosaic(frames, run, *given(survey)) == 0
+    assert "reused" not in summary(run)["metrics"]
+    assert np.abs(positions(run) - gone_on).max() < 0.01
