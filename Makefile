@@ -13,6 +13,7 @@ TRIALS ?= 200
 DRAWS ?= 10000
 SEEDS ?= 100
 FRAMES ?= 24 100
+SIZE ?= --lines 20 --per-line 50
 ONLY ?=
 
 help: ## list the targets
@@ -98,6 +99,9 @@ bench-speed: setup ## real and simulated frames beside the floor and other progr
 bench-cluster: dev ## Dask workers without a shared disk: killed, slow, by an object store (about 15 minutes; root)
 	$(PY) -m tools.bench.bench_cluster --seed $(SEED) --out out/bench-cluster --results docs/results/cluster
 
+bench-incremental: setup ## a 21st line of 50 frames added by --incremental, beside a whole run (about an hour); SIZE="--lines n --per-line n"
+	$(PY) -m tools.bench.bench_incremental $(SIZE) --seed $(SEED) --out out/bench-incremental --results docs/results/incremental
+
 bench-peers: setup ## geomosaic beside pycolmap, pyOrthomosaic, OpenCV and stitching on the same frames (an hour on two idle cores); FRAMES="24 100", DATA=../shared
 	$(PY) -m tools.bench.bench_peers --frames $(FRAMES) --seed $(SEED) --shared "$(DATA)" --out out/bench-peers --results docs/results/peers
 
@@ -158,4 +162,4 @@ format: dev ## rewrite the code's layout
 clean: ## delete results and caches, keep .venv
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-light bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-constants bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-cluster bench-peers bench-marking bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean
+.PHONY: help setup dev demo test lint types layers unit bench-paper bench-composition bench-light bench-surface bench-accuracy bench-accuracy-raster bench-monte-carlo bench-constants bench-start bench-dirty bench-fixes bench-halves bench-bundle bench-speed bench-cluster bench-incremental bench-peers bench-marking bench-scale bench-oracle bench-recording bench-worst bench-strips bench-real results check-qgis bench-flights fuzz trial-degenerate chaos docs format clean

@@ -58,6 +58,7 @@ NOT_RUN = {
     "NDVI": "wants a near-infrared band: test_index.py has one",
     "--radiometry": "wants a multispectral rig's frames: test_reflectance.py has some",
     "--dask": "wants a cluster: test_dask.py has one",
+    "--incremental": "wants a finished run by the same options: test_incremental.py has one",
     "surface": "matches a surface: test_export_surface.py",
     "--scores": "wants what people saved in their browsers: test_scores.py",
     "--dirty": "dozens of frames: test_dirty.py",

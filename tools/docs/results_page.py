@@ -108,7 +108,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
         "flights": of_flights, "dirty": of_dirty, "halves": of_halves, "accuracy_raster": of_raster,
         "fixes": of_fixes, "worst": of_worst, "paper": of_paper, "house": of_house,
         "reflectance": of_reflectance, "cluster": of_cluster, "light": of_light,
-        "marking": of_marking,
+        "marking": of_marking, "incremental": of_incremental,
         "peers": of_peers,
     }  # fmt: skip
     for name, reader in readers.items():
@@ -243,6 +243,20 @@ def of_cluster(data: Any, command: str, date: str) -> Iterator[Row]:
         if stage != "seconds":
             what = f"{stage} by two Dask workers without a shared disk: speed over one"
             yield Row(FAST, what, "1.7", f"{ratio:.2f}", ratio >= 1.7, command, date)
+
+
+def of_incremental(data: Any, command: str, date: str) -> Iterator[Row]:
+    wanted = data["targets"]
+    for row in data["rows"]:
+        counts = f"{row['frames_added']} frames added to {row['frames_before']}"
+        of = f"{counts} by --incremental, {row['positions']}"
+        for name, what, into in (
+            ("share_of_time", "share of a whole run's time", FAST),
+            ("shift_px", "shift against a whole run's mosaic, 95 %, px", SAFE),
+            ("grey", "mean difference against a whole run's mosaic, grey levels", SAFE),
+        ):
+            value, most = row[name], wanted[name]
+            yield Row(into, f"{of}: {what}", f"{most:g}", f"{value:.3f}", value <= most, command, date)
 
 
 def of_light(data: Any, command: str, date: str) -> Iterator[Row]:

@@ -1,0 +1,203 @@
+"""One more flight line in a finished survey: what `--incremental` takes, and how near a whole run it comes.
+
+    python -m tools.bench.bench_incremental [--lines 20] [--per-line 50] [--width 480] [--height 360]
+                                            [--seed 1] [--workers 2] [--out DIR] [--results FILE]
+
+A block of so many lines and one more is simulated twice: with positions as RTK gives them (2 cm) and as
+consumers' GNSS does (1.5 m). Exposures differ by 5 %. All lines but the last are run whole, then the last one
+is added and the run goes on by `--incremental`; beside it stands a whole run of all. Times are those of the
+processors, since other programs may run. Shifts are those of squares of 64 x 64 pixels, by least squares
+from the whole run's mosaic to the other; grey levels are of the pixels that both show.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.windows import from_bounds
+
+from geomosaic_simulate.plan import SurveyPlan
+from geomosaic_simulate.survey import simulate_frames
+from tools.bench.bench_flights import PROGRAM, commit
+from tools.bench.bench_speed_measure import Taken, measured
+
+POSITIONS = {"RTK, 2 cm": (0.02, 0.03), "GNSS, 1.5 m": (1.5, 2.0)}
+TARGET_SHARE, TARGET_PX, TARGET_GREY = 0.1, 0.1, 1.0
+SQUARE_PX = 64
+EXPOSURE_SD = 0.05
+LEAST_GRADIENT = 4.0
+"""Grey levels a pixel of a square's mean gradient, below which it shows no shift."""
+Row = dict[str, Any]
+
+
+def run(frames: Path, survey: Path, target: Path, workers: int, *more: str) -> Taken:
+    """A mosaic of a folder, by the survey's positions and camera."""
+    given = ["--pos", survey / "pos.csv", "--camera", survey / "cameras.json", "--workers", workers]
+    log = target.with_suffix(".log")
+    taken = measured(list(map(str, [PROGRAM, "mosaic", frames, "-o", target, *given, *more])), log)
+    if taken.failed:
+        raise SystemExit(f"{target}: {taken.failed}; see {log}")
+    return taken
+
+
+def linked(survey: Path, names: Sequence[str], to: Path) -> Path:
+    """Frames as hard links in a folder, beside those that it has."""
+    to.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        os.link(survey / "frames" / name, to / name)
+    return to
+
+
+def case(name: str, survey: Path, lines: tuple[int, int], out: Path, workers: int) -> Row:
+    """A line added to a finished survey, beside a whole run of all."""
+    frames = sorted(path.name for path in (survey / "frames").iterdir())
+    before = lines[0] * lines[1]
+    shutil.rmtree(out, ignore_errors=True)
+    folder = linked(survey, frames[:before], out / "frames")
+    first = run(folder, survey, out / "run", workers)
+    linked(survey, frames[before:], folder)
+    added = run(folder, survey, out / "run", workers, "--incremental")
+    whole = run(folder, survey, out / "whole", workers)
+    summary, of_whole = (json.loads((out / r / "run.json").read_text()) for r in ("run", "whole"))
+    row = {
+        "positions": name,
+        "frames_before": before,
+        "frames_added": len(frames) - before,
+        "share_of_time": added.processor_s / whole.processor_s,
+        "share_of_wall_time": added.wall_s / whole.wall_s,
+        "reused": summary["metrics"]["reused"],
+        **differences(out / "run", out / "whole"),
+        "stages_s": {
+            stage: [summary["timings_s"][stage], seconds] for stage, seconds in of_whole["timings_s"].items()
+        },
+    }
+    for key, taken in (("first", first), ("added", added), ("whole", whole)):
+        row[key] = {k: v for k, v in asdict(taken).items() if k in ("wall_s", "processor_s", "peak_mb")}
+    return row
+
+
+def differences(one: Path, other: Path) -> Row:
+    """Between the mosaics of two runs, where both show something."""
+    with rasterio.open(one / "mosaic.tif") as a, rasterio.open(other / "mosaic.tif") as b:
+        west, south = max(a.bounds.left, b.bounds.left), max(a.bounds.bottom, b.bounds.bottom)
+        east, north = min(a.bounds.right, b.bounds.right), min(a.bounds.top, b.bounds.top)
+        at = [
+            from_bounds(west, south, east, north, r.transform).round_offsets().round_lengths() for r in (a, b)
+        ]
+        first, second = (r.read(window=w).astype(np.float32) for r, w in zip((a, b), at, strict=True))
+        valid = np.logical_and(*(r.dataset_mask(window=w) > 0 for r, w in zip((a, b), at, strict=True)))
+    off = np.abs(first - second).max(axis=0)[valid]
+    shifts = list(shifts_px(first.mean(axis=0), second.mean(axis=0), valid))
+    return {
+        "shift_px": float(np.quantile(shifts, 0.95)),
+        "shift_median_px": float(np.median(shifts)),
+        "grey": float(off.mean()),
+        "share_over_1_grey": float((off > TARGET_GREY).mean()),
+    }
+
+
+def shifts_px(one: NDArray[Any], other: NDArray[Any], valid: NDArray[np.bool_]) -> Iterator[float]:
+    """Of squares that both show and that have texture."""
+    down, across = np.gradient(other)
+    for row in range(0, valid.shape[0] - SQUARE_PX, SQUARE_PX):
+        for col in range(0, valid.shape[1] - SQUARE_PX, SQUARE_PX):
+            here = np.s_[row : row + SQUARE_PX, col : col + SQUARE_PX]
+            slopes = np.column_stack([across[here].ravel(), down[here].ravel()])
+            if valid[here].all() and np.abs(slopes).mean() > LEAST_GRADIENT:
+                step = np.linalg.lstsq(slopes, (other[here] - one[here]).ravel(), rcond=None)[0]
+                yield float(np.hypot(*step))
+
+
+def main() -> int:
+    """Runs both cases and writes the results."""
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default in (
+        *(("lines", 20), ("per-line", 50), ("width", 480)),
+        *(("height", 360), ("seed", 1), ("workers", 2)),
+    ):
+        ask.add_argument(f"--{name}", type=int, default=default)
+    ask.add_argument("--positions", nargs="*", choices=POSITIONS, default=list(POSITIONS))
+    ask.add_argument("--out", type=Path, default=Path("out/bench-incremental"))
+    ask.add_argument("--results", type=Path, default=Path("docs/results/incremental"))
+    asked = ask.parse_args()
+    rows = []
+    for k, name in enumerate(asked.positions):
+        plan = SurveyPlan(
+            lines=asked.lines + 1, frames_per_line=asked.per_line, width_px=asked.width,
+            height_px=asked.height, seed=asked.seed, position_sd_m=POSITIONS[name][0],
+            height_sd_m=POSITIONS[name][1], exposure_sd=EXPOSURE_SD,
+        )  # fmt: skip
+        out = asked.out.resolve() / str(k)
+        shutil.rmtree(out, ignore_errors=True)
+        simulate_frames(out / "survey", plan)
+        rows.append(case(name, out / "survey", (asked.lines, asked.per_line), out / "case", asked.workers))
+        print(json.dumps(rows[-1]), flush=True)
+    given = f"--lines {asked.lines} --per-line {asked.per_line} --seed {asked.seed} --workers {asked.workers}"
+    results = {
+        "title": "One more line by --incremental",
+        "command": f"python -m tools.bench.bench_incremental {given}",
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
+        "commit": commit(),
+        "seed": asked.seed,
+        "size_px": [asked.width, asked.height],
+        "targets": {"share_of_time": TARGET_SHARE, "shift_px": TARGET_PX, "grey": TARGET_GREY},
+        "rows": rows,
+    }
+    write(results, asked.results)
+    return 0 if all(r[key] <= most for r in rows for key, most in results["targets"].items()) else 1
+
+
+def write(results: Row, to: Path) -> None:
+    """RESULTS.json and RESULTS.md."""
+    to.parent.mkdir(parents=True, exist_ok=True)
+    to.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n")
+    rows, (width, height) = results["rows"], results["size_px"]
+    lines = [
+        f"# {results['title']}",
+        "",
+        f"`{results['command']}`, {results['date']}, {results['machine']}, beside other programs, commit "
+        f"{results['commit']}. Simulated frames of {width} x {height} px; times are of the processors.",
+        "",
+        f"| | target | {' | '.join(r['positions'] for r in rows)} |",
+        f"|---|---|{'---|' * len(rows)}",
+    ]
+
+    def line(name: str, target: object, cells: Sequence[object]) -> None:
+        lines.append(f"| {name} | {target} | {' | '.join(map(str, cells))} |")
+
+    def verdict(value: float, most: float) -> str:
+        return f"{value:.3f}" if value <= most else f"**{value:.3f}**"
+
+    line("frames before + added", "", [f"{r['frames_before']} + {r['frames_added']}" for r in rows])
+    line("share of a whole run's time", 0.1, [verdict(r["share_of_time"], TARGET_SHARE) for r in rows])
+    line(
+        "its seconds",
+        "",
+        [f"{r['added']['processor_s']:.0f} of {r['whole']['processor_s']:.0f}" for r in rows],
+    )
+    line("shift, 95 % of the squares, px", 0.1, [verdict(r["shift_px"], TARGET_PX) for r in rows])
+    line("difference, mean, grey levels", 1, [verdict(r["grey"], TARGET_GREY) for r in rows])
+    line("pixels off by more than 1 grey level", "", [f"{100 * r['share_over_1_grey']:.1f} %" for r in rows])
+    for what in ("frames", "tiles"):
+        kept = [f"{r['reused'].get(what, 0)} of {r['reused'].get(f'{what}_of', 0)}" for r in rows]
+        line(f"{what} of the run before", "", kept)
+    line("adjustment from the solution before", "", [r["reused"].get("adjustment") for r in rows])
+    to.with_suffix(".md").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
