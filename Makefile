@@ -6,6 +6,7 @@ DEV_STAMP := .venv/.dev-done
 IMAGES ?=
 OUT ?= out/demo
 WORKERS ?= 2
+TEST_WORKERS ?= 3
 DATA ?= ../shared
 SEED ?= 1
 CASES ?= 10000
@@ -49,8 +50,9 @@ types: dev ## mypy --strict on both packages
 layers: dev ## import-linter: data walks one way
 	.venv/bin/lint-imports
 
-unit: dev ## pytest, two workers
-	.venv/bin/pytest -n $(WORKERS) --dist loadfile
+unit: dev ## pytest, three workers: two cores have work while a test waits; TEST_WORKERS=n
+	@.venv/bin/pytest --collect-only -qq >/dev/null || true # compiles the tests once, not in each worker
+	.venv/bin/pytest -n $(TEST_WORKERS) --dist loadfile
 
 bench-paper: setup ## the paper's comparison of adjustment methods (about 10 minutes)
 	$(PY) -m tools.bench.bench_paper --out out/bench-paper

@@ -159,23 +159,6 @@ def test_clouds_alone_are_no_ground():
     assert far_from_nominal(PLAN.geometry(), solved(PLAN)) is None
 
 
-def test_clouds_no_brighter_than_the_ground():
-    plan = StripPlan(
-        seed=308,
-        ccds=4,
-        lines=6000,
-        width_px=512,
-        brightness=0.75,
-        cloud_cover=0.3,
-        cloud_height_m=6000.0,
-        wind_m_per_s=12.0,
-        wind_deg=90.0,
-    )
-    off, _, label = pooled(plan)
-    assert rms(off) < 0.1
-    assert np.hypot(*off[label == MEASURED].T).max() < 1.0
-
-
 def test_low_clouds_as_dark_as_the_ground_are_not_called_measured():
     """3 px off the ground: which of the two layers is the ground can't be known."""
     plan = replace(

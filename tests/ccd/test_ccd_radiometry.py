@@ -81,10 +81,9 @@ def test_gains_and_steps_are_those_of_the_sensors(change):
     assert found.offset.mean() == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("cover", [0.2, 0.5])
 @pytest.mark.parametrize("labels", [True, False])
-def test_moving_clouds_are_kept_out(cover, labels):
-    plan = replace(PLAN, cloud_cover=cover, cloud_size_m=1500.0, seed=6)
+def test_moving_clouds_are_kept_out(labels):
+    plan = replace(PLAN, cloud_cover=0.5, cloud_size_m=1500.0, seed=6)
     strips, _, pairs = simulated(plan)
     found = radiometry(strips, true_offsets(strips, pairs, labels), silent)
     assert np.abs(steps(plan, found)).max() < 0.003

@@ -340,7 +340,7 @@ def test_memory_does_not_grow_with_the_mosaic(tmp_path):
     import tracemalloc
 
     peaks = []
-    for per_line in (8, 24):
+    for per_line in (5, 15):
         survey, poses, ground = make_survey(tmp_path / f"frames{per_line}", lines=1, per_line=per_line)
         tracemalloc.start()
         composed_only(tmp_path, survey, poses, ground)
