@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, eye, hstack
@@ -68,12 +69,12 @@ class Scatter:
     deviation: float
     fixed: bool = False
 
-    @property
+    @cached_property
     def normal(self) -> csr_matrix:
         """What they add to normal equations, (u, u)."""
         return self.combination.T @ self.combination / self.deviation**2
 
-    @property
+    @cached_property
     def side(self) -> Floats:
         """What they add to the right-hand side, (u,)."""
         return np.asarray(self.combination.T @ self.expected / self.deviation**2)

@@ -84,20 +84,23 @@ def project_of(
 
 def vector_layers(package: Path) -> tuple[str, dict[str, ProjectLayer]]:
     """A GeoPackage of ours: its CRS, and its layers that hold anything, by name."""
-    from pyogrio import list_layers, read_info
+    from pyogrio import read_info
     from pyogrio.raw import read
+
+    from geomosaic.doors.bindings import gdal
 
     meta, _, _, columns = read(str(package), layer="layer_styles", read_geometry=False)
     table = dict(zip(meta["fields"].tolist(), columns, strict=True))
     rows = zip(table["f_table_name"], table["styleQML"], table["description"], strict=True)
     styles = {name: (fromstring(document), text) for name, document, text in rows}
     crs, shown = "", {}
-    for name in list_layers(str(package))[:, 0].tolist():
+    opened = gdal.OpenEx(str(package), gdal.OF_VECTOR)
+    for layer in (opened.GetLayer(k) for k in range(opened.GetLayerCount())):
+        name = layer.GetName()
         if name not in styles:
             continue
-        info = read_info(str(package), layer=name)
-        crs = info["crs"]
-        if info["features"]:
+        crs = crs or read_info(str(package), layer=name)["crs"]  # one for all
+        if layer.GetFeatureCount():
             document, text = styles[name]
             title, checked = _TITLES.get(name, (name, True))
             shown[name] = ProjectLayer(

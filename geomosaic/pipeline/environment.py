@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from geomosaic import __version__
@@ -23,10 +24,14 @@ _PACKAGES = (
 
 def versions() -> dict[str, str]:
     """Versions of geomosaic, Python, the platform and the libraries that do the work."""
-    found = {"geomosaic": __version__, "python": platform.python_version(), "platform": platform.platform()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    own = {"geomosaic": __version__, "python": platform.python_version(), "platform": platform.platform()}
+    return own | {package: found for package in _PACKAGES if (found := _version(package))}
+
+
+@cache
+def _version(package: str) -> str:
+    """Empty where it isn't installed; a run asks twice, and each time its metadata would be read."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""

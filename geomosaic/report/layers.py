@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -78,11 +78,8 @@ class MapView:
 
     def plain(self) -> dict[str, Any]:
         """As JSON takes it; layers with nothing in them are left out."""
-        contents = asdict(self)
-        contents["layers"] = [
-            one for one in contents["layers"] if one["areas"] or one["lines"] or one["points"]
-        ]
-        return contents
+        layers = [vars(one) for one in self.layers if one.areas or one.lines or one.points]
+        return {**vars(self), "images": [vars(one) for one in self.images], "layers": layers}
 
 
 def box_of(image: Glance, origin: Floats) -> tuple[float, float, float, float]:
