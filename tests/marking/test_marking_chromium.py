@@ -32,6 +32,7 @@ from geomosaic.survey.names import FrameNames
 
 ROOT = Path(__file__).parents[2]
 CHIP = "document.querySelector('#frames [aria-current=true]')"
+FEW = ("--set", "matching.sift.keypoints=700", "-q")
 SAVED = "document.querySelector('#status').textContent === 'Saved'"
 
 
@@ -196,7 +197,7 @@ def test_a_mosaic_takes_the_marks(survey: TargetSurvey, oriented: OrientedFrames
             for name, at in survey.truth[point.name].items():
                 server.session.mark(k, names.index(name), at, refine=True)
     assert (
-        mosaic(survey.frames, tmp_path / "run", "--camera", survey.camera, "--gcp", tmp_path / TABLE, "-q")
+        mosaic(survey.frames, tmp_path / "run", "--camera", survey.camera, "--gcp", tmp_path / TABLE, *FEW)
         == 0
     )
     found = summary(tmp_path / "run")["metrics"]["adjustment"]
@@ -235,7 +236,7 @@ def test_the_command_serves_saves_and_ends(survey: TargetSurvey, tmp_path: Path)
 
 def test_a_run_without_positions_predicts_by_three_marked_points(tmp_path: Path) -> None:
     unplaced = target_survey(tmp_path / "unplaced", pos_in="csv")
-    assert mosaic(unplaced.frames, tmp_path / "run", "--camera", unplaced.camera, "-q") == 0
+    assert mosaic(unplaced.frames, tmp_path / "run", "--camera", unplaced.camera, *FEW) == 0
     frames = frames_of_run(unplaced.frames, tmp_path / "run")
     assert not frames.on_earth
     points, _ = read_points(unplaced.rover, tmp_path / "none", frames)

@@ -34,7 +34,8 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
 def tagged(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     """Two frames with everything in their tags."""
     folder = tmp_path_factory.mktemp("tagged")
-    return small_survey(folder, lines=1, frames_per_line=2, pos_in="exif", seed=12)
+    size = {"width_px": 320, "height_px": 240}
+    return small_survey(folder, lines=1, frames_per_line=2, pos_in="exif", seed=12, **size)
 
 
 @pytest.fixture
