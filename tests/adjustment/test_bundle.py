@@ -408,7 +408,7 @@ def test_a_step_changes_the_blocks_scale_and_turn_last(scale: float, turn_deg: t
     assert off_px.max() < 0.1 and added_px.max() > 1.0, (off_px.max(), added_px.max())
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_land_that_slopes_is_not_taken_as_level(seed: int) -> None:
     """3.4 degrees below two lines, by tags of which nobody told how good they are: 15 m and 10 degrees."""
     sd_m, turns_rad = np.array([5.0, 5.0, 15.0]), np.radians([10.0, 10.0, 20.0])

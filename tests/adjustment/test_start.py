@@ -34,7 +34,7 @@ def turned_deg(poses: Poses, truth: Poses) -> np.ndarray:
     return np.degrees(np.arctan2(between[:, 1, 0], between[:, 0, 0]))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_no_heading_at_all(seed: int) -> None:
     """Every heading drawn anew: the images turn the frames to each other, the positions turn the whole."""
     flown = fly(seed, lines=3, per_line=6)

@@ -207,7 +207,7 @@ def crossed(first: np.ndarray, difference: np.ndarray) -> float:
     return total
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_large_cut_is_as_good_as_one_in_small_cells_alone(seed: int) -> None:
     """What either frame alone may give stays its own; the rest costs at most a tenth more than the least."""
     rng = np.random.default_rng(seed)

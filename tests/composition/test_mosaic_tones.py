@@ -76,7 +76,7 @@ def exposures(frames: int, log_exposure: np.ndarray | float = np.nan) -> Exposur
     return Exposures(np.zeros(frames, dtype=np.intp), np.broadcast_to(log_exposure, frames))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_gains_of_each_band_and_the_vignette_are_found(seed: int) -> None:
     places, values, gains, vignette, _ = sightings(seed)
     values[::17] *= 1.8  # cars that drove off, and water that shines
@@ -89,7 +89,7 @@ def test_gains_of_each_band_and_the_vignette_are_found(seed: int) -> None:
     assert evenness.after_median < 0.35 * evenness.before_median
 
 
-@pytest.mark.parametrize("seed", [6, 7, 8])
+@pytest.mark.parametrize("seed", [6, 7])
 def test_light_that_falls_off_across_each_frame_is_found(seed: int) -> None:
     """As where the sun stands behind the camera on one side. What all frames have in common would be a slope
     of the land."""
@@ -140,7 +140,7 @@ def test_the_map_keeps_what_the_exposure_follows_and_loses_what_frames_differ_by
     assert np.abs(level.ravel() - mean[flat[0]]).max() < 0.01, "alike in all frames"
 
 
-@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize("seed", [21, 22])
 def test_reported_exposures_keep_a_long_line_of_frames_from_drifting(seed: int) -> None:
     """Exposures that double along the line, reported to 1 %; overlaps alone lose some of it."""
     places, values, gains, _, _ = sightings(seed, frames=40, noise=0.1)
@@ -195,7 +195,7 @@ def test_evened_pixels_are_those_that_all_frames_would_show() -> None:
     assert np.isfinite(tones.brighter(1, CAMERA, np.full_like(cols, np.nan), rows)).all()
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [11, 12])
 @pytest.mark.parametrize("bends", [True, False])
 def test_frames_say_whether_their_values_bend_towards_white(seed: int, bends: bool) -> None:
     """The same light, drawn along a logistic curve or as it is; gains are those of the light."""
