@@ -216,9 +216,9 @@ def test_the_recording_is_read_by_others(run: Path) -> None:
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedSurvey, Path]:
-    """Six small frames, and their run by one of the methods."""
+    """Four small frames, and their run by one of the methods."""
     folder = tmp_path_factory.mktemp("few")
-    survey = small_survey(folder, frames_per_line=3, width_px=320, height_px=240)
+    survey = small_survey(folder, frames_per_line=2, width_px=320, height_px=240)
     assert mosaic(survey.frames, folder / "run", *told(survey), "--adjust", "least_squares") == 0
     return survey, folder / "run"
 
