@@ -33,16 +33,24 @@ def flattened(image: Images, valid: Flags) -> Images:
     Args: image, valid (n, w). Returns: (n, w), 0 where not valid.
     """
     weight = valid.astype(np.float32)
-    given = image * weight
-    given /= column_gains(given, valid)
-    blurred = _blurred(given)
-    if not valid.all():
-        blurred /= np.maximum(_blurred(weight), 1e-3)
-    return np.asarray((given - blurred) * weight, dtype=np.float32)
+    return np.asarray(fine_detail(even_columns(image, valid), weight) * weight)
 
 
-def _blurred(image: Images) -> Images:
+def even_columns(image: Images, valid: Flags) -> Images:
+    """An image (n, w) without its columns' own response."""
+    return np.asarray(image / column_gains(image * valid, valid), dtype=np.float32)
+
+
+def fine_detail(image: Images, weight: Images, box_px: int = BOX_PX) -> Images:
+    """What a blurred image leaves of an image (n, w); pixels of weight (n, w) 0 are not in the blur."""
+    blurred = _blurred(image * weight, box_px)
+    if not weight.all():
+        blurred /= np.maximum(_blurred(weight, box_px), 1e-3)
+    return np.asarray(image - blurred, dtype=np.float32)
+
+
+def _blurred(image: Images, box_px: int) -> Images:
     """Three boxes in place of a Gaussian."""
     for _ in range(3):
-        image = np.asarray(cv2.blur(image, (BOX_PX, BOX_PX)), dtype=np.float32)
+        image = np.asarray(cv2.blur(image, (box_px, box_px)), dtype=np.float32)
     return image

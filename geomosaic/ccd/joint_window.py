@@ -17,7 +17,13 @@ from scipy.ndimage import uniform_filter1d
 
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.least_squares_matching import KnotOffsetsMeasured, PairImages, measure, pair_images
+from geomosaic.ccd.least_squares_matching import (
+    NEARBY_KNOTS,
+    KnotOffsetsMeasured,
+    PairImages,
+    measure,
+    pair_images,
+)
 from geomosaic.ccd.model import SURE_SD_PX, CcdSettings, Flags, Floats
 from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
@@ -38,7 +44,6 @@ _UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; les
 _KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
 _LEAST_FIT = tuned(0.25, "share", "of cells that fit a knot, knots that decide: more loses half clouds")
 _LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: less claims too much")
-_NEARBY_KNOTS = tuned(31, "knots", "averaging of information, odd: fewer show single knots' contrast")
 _LEAST_KNOTS = tuned(8, "knots", "for a pair's median level: fewer may be mostly one cloud's")
 
 
@@ -123,13 +128,17 @@ def solved_window(
             now, cells, used, habits = _refined(ready, now, habits, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
+    measured_px = np.stack([c.offset_px for c in cells])
     information = np.stack([np.diagonal(c.information, axis1=1, axis2=2) for c in cells])
-    nearby = uniform_filter1d(information, _NEARBY_KNOTS, axis=1)
+    nearby = uniform_filter1d(
+        information * np.stack([c.scatter for c in cells])[..., None], NEARBY_KNOTS, axis=1
+    )
     variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
+    sd_px = np.maximum(information, np.diag(_ANCHOR)) ** -0.5
     own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
-    step = widest_step(np.stack([c.offset_px for c in cells]), own, known_px, likely)
+    step = widest_step(measured_px, sd_px, own, known_px, likely)
     return found.widened(step) if step else found, clear
 
 
@@ -195,7 +204,7 @@ def _refined(
     Returns: curves, cells, which of them (pairs, knots) had a say, habits.
     """
     cells, offset, measured = _measured(ready, now)
-    found = np.trace(measured, axis1=2, axis2=3) > 0
+    found = np.trace(measured, axis1=2, axis2=3) > np.trace(_ANCHOR)
     level = _level(offset, found, now)
     close = np.where(found[..., None, None], np.stack([cell.close for cell in cells]), 0.0)
     information, near_by = measured, close
@@ -223,7 +232,7 @@ def _measured(ready: _PreparedPairs, now: Smoothed) -> tuple[list[KnotOffsetsMea
     cells = each(measured_cells, range(len(ready.pairs)))
     near: Flags = np.abs(now.offsets_px - coarse).max(axis=2) < _FAR_PX
     information = np.stack([cell.information for cell in cells]) * near[..., None, None]
-    found = np.trace(information, axis1=2, axis2=3) > 0
+    found = np.trace(information, axis1=2, axis2=3) > np.trace(_ANCHOR)
     return (
         cells,
         np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse),

@@ -1,9 +1,9 @@
 """Sub-pixel offsets of small cells by least squares, and how reliable each is.
 
 Ackermann 1984 (high precision digital image correlation), with shifts alone: the curve that is refined bends
-along the lines, so that within a cell of some lines nothing else is left. Gradients are means of both
-images', which keeps noise from drawing the shift towards zero. A cell's residuals are held
-against what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
+along the lines, so that within a cell of some lines nothing else is left. Both images' fine detail is taken
+over the ground that both show: a blur over different ground shifts what it leaves. A cell's residuals are
+held against what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from geomosaic.ccd.columns import BOX_PX, fine_detail
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
@@ -31,6 +32,8 @@ _HOPELESS_RATIO = tuned(5.0, "1", "misfit of no weight: less loses cells at edge
 _COL_GROUPS = tuned(4, "cells", "across a knot: fewer lose it at a cloud's edge; more lack pixels")
 _UNLIKE = tuned(0.2, "1", "gradient correlation of no weight: less lets smooth clouds in; more loses ground")
 _ALIKE = tuned(0.4, "1", "gradient correlation of full weight: less lets noise decide; more weakens ground")
+_SOFT_PX = tuned(0.8, "px", "blur before matching: less lets aliases in; more loses fine detail")
+NEARBY_KNOTS = tuned(31, "knots", "of one scatter and contrast, odd: fewer are chance; more blur contrast")
 _ALIKE_KNOTS = tuned(5, "knots", "window of that correlation, odd: fewer are noisy; more blur clouds' edges")
 
 
@@ -51,13 +54,15 @@ class KnotOffsetsMeasured:
 
     offset_px: (knots, 2) dcol, dline of the whole, weighted mean of the knot's cells. information:
     (knots, 2, 2) px^-2, zero where nothing was measured. close: (knots, 2, 2) the same, overstated where
-    contrast is high, for curves to learn from. fit: (knots,) share of the cells that fit.
+    contrast is high, for curves to learn from. fit: (knots,) share of the cells that fit. scatter: (knots,)
+    variance factor of the cells about their knots, in information already.
     """
 
     offset_px: Floats
     information: Floats
     close: Floats
     fit: Floats
+    scatter: Floats
 
 
 def pair_images(pair: RowPair, scale: int) -> PairImages:
@@ -67,12 +72,17 @@ def pair_images(pair: RowPair, scale: int) -> PairImages:
         lead, trail = halved(lead), halved(trail)
         n, w = lead.shape
         valid = np.asarray(valid[: 2 * n, : 2 * w].reshape(n, 2, w, 2).all(axis=(1, 3)))
-    gain = float(np.std(lead[valid])) / max(float(np.std(trail[valid])), 1e-9) if valid.any() else 1.0
-    lead, trail = (
-        np.asarray(cv2.GaussianBlur(x, (0, 0), 0.8), dtype=np.float32)
-        for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0)))
-    )
+    gain = float(np.mean(lead[valid])) / max(float(np.mean(trail[valid])), 1e-9) if valid.any() else 1.0
+    lead, trail = (_softened(x, valid) for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0))))
     return PairImages(lead, trail, valid, pair.nominal_col / scale, scale)
+
+
+def _softened(image: Images, valid: Flags) -> Images:
+    """The image blurred; what is not valid is in no other pixel's blur."""
+    soft = cv2.GaussianBlur(image * valid, (0, 0), _SOFT_PX)
+    if not valid.all():
+        soft /= np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _SOFT_PX), 1e-3)
+    return np.asarray(soft, dtype=np.float32)
 
 
 def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: int) -> KnotOffsetsMeasured:
@@ -95,23 +105,47 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
     cols = (last - first) // _COL_GROUPS * _COL_GROUPS
     if cols <= 0 or knots == 0:
         none = np.zeros((knots, 2, 2))
-        return KnotOffsetsMeasured(np.zeros((knots, 2)), none, none, np.zeros(knots))
+        return KnotOffsetsMeasured(np.zeros((knots, 2)), none, none, np.zeros(knots), np.ones(knots))
     map_col = (np.arange(first, first + cols)[None, :] + whole[0][:, None]).astype(np.float32)
     map_line = np.repeat((np.arange(n) + whole[1])[:, None], cols, axis=1).astype(np.float32)
     moved = _remap(given.trail, map_col, map_line, cv2.INTER_CUBIC)
     seen = _remap(given.valid.astype(np.float32), map_col, map_line, cv2.INTER_LINEAR) > 0.999
     lead = given.lead[:n, first : first + cols]
     seen &= given.valid[:n, first : first + cols]
-    difference = lead - moved
-    shape = (knots, lines, _COL_GROUPS, cols // _COL_GROUPS)
     weight = seen.astype(np.float32)
-    facts = _sums(weight, shape)
-    sums = _centred([*_gradients(0.5 * (lead + moved)), difference], weight, shape, facts)
-    apart = _centred(_gradients(0.5 * difference), weight, shape, facts)
+    lead, moved = (fine_detail(image, weight, BOX_PX // s) for image in (lead, moved))
+    cells = _cells(lead, moved, weight, (knots, lines, _COL_GROUPS, cols // _COL_GROUPS))
     bent = curve_px[:, : n * s].reshape(2, knots, knot_lines)
     middle = bent[..., (knot_lines - 1) // 2 : knot_lines // 2 + 1].mean(axis=2) - bent.mean(axis=2)
     at = _lands(whole) - known + np.repeat(middle / s, lines, axis=1)
-    return _weighed(sums, apart, facts, at, s)
+    return _weighed(cells, at, s)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Centred sums over cells (knots, groups).
+
+    normal: (..., 2, 2) products of the mean image's gradients. right: (..., 2) of these and the difference.
+    square: of the difference. shared, whole: power of the gradients that both images have, and of all.
+    pixels: seen ones.
+    """
+
+    normal: Floats
+    right: Floats
+    square: Floats
+    shared: Floats
+    whole: Floats
+    pixels: Floats
+
+
+def _cells(lead: Images, moved: Images, seen: Images, shape: tuple[int, ...]) -> _Cells:
+    pixels = _sums(seen, shape)
+    difference = lead - moved
+    sums = _centred([*_gradients(0.5 * (lead + moved)), difference], seen, shape, pixels)
+    apart = _centred(_gradients(0.5 * difference), seen, shape, pixels)
+    mean, half = sums[0, 0] + sums[1, 1], apart[0, 0] + apart[1, 1]
+    normal, right = np.moveaxis(sums[:2, :2], (0, 1), (2, 3)), np.moveaxis(sums[:2, 2], 0, 2)
+    return _Cells(normal, right, sums[2, 2], mean - half, mean + half, pixels)
 
 
 def _gradients(image: Images) -> list[Images]:
@@ -121,55 +155,76 @@ def _gradients(image: Images) -> list[Images]:
     ]
 
 
-def _weighed(sums: Floats, apart: Floats, facts: Floats, at: Floats, scale: int) -> KnotOffsetsMeasured:
-    """Cells to knots.
+def _weighed(cells: _Cells, at: Floats, scale: int) -> KnotOffsetsMeasured:
+    """Cells to knots. Args: at (2, lines): the shift of each line.
 
-    Args: sums (3, 3, knots, groups): centred products of the mean's gradients and the difference. apart
-    (2, 2, knots, groups): products of the half difference's gradients. at (2, lines): the shift of each line.
+    Noise in the gradients draws a cell's shift towards zero; the share of their power that both images have,
+    by some knots together, says how far. What cells scatter about their knots gives the deviations.
     """
-    knots = facts.shape[0]
-    normal = np.moveaxis(sums[:2, :2], (0, 1), (2, 3))
-    shared = normal - np.moveaxis(apart, (0, 1), (2, 3))
-    alike = _alike(sums, apart)
-    right = np.moveaxis(sums[:2, 2], 0, 2)
-    enough = facts >= 0.5 * facts.max(initial=1.0)
-    ridge = 1e-3 * np.maximum(np.trace(normal, axis1=2, axis2=3), 1e-12)
-    shift = solve_each(normal + ridge[..., None, None] * np.eye(2) + 1e-9 * np.eye(2), right[..., None])[
-        ..., 0
-    ]
-    shift = np.clip(shift, -1.0, 1.0)
-    rest = np.maximum(
-        sums[2, 2] - 2 * (shift * right).sum(-1) + np.einsum("kgi,kgij,kgj->kg", shift, normal, shift), 0.0
-    )
-    count = np.maximum(facts, 1.0)
-    rest, gradient = rest / count, np.trace(normal, axis1=2, axis2=3) / count
+    normal, right = cells.normal, cells.right
+    knots = len(normal)
+    ridge = 1e-3 * np.maximum(np.trace(normal, axis1=2, axis2=3), 1e-12) + 1e-9
+    regular = normal + ridge[..., None, None] * np.eye(2)
+    shift = np.clip(solve_each(regular, right[..., None])[..., 0], -1.0, 1.0)
+    rest = cells.square - 2 * (shift * right).sum(-1) + np.einsum("kgi,kgij,kgj->kg", shift, normal, shift)
+    count = np.maximum(cells.pixels, 1.0)
+    rest, gradient = np.maximum(rest, 0.0) / count, np.trace(normal, axis1=2, axis2=3) / count
+    enough = cells.pixels >= 0.5 * cells.pixels.max(initial=1.0)
     noise = noise_floor(rest[enough])
     expected = noise + _MISFIT_PX**2 * gradient
-    ratio = rest / np.maximum(expected, 1e-12)
-    weight = np.where(ratio < _MOST_RATIO, 1.0, (_MOST_RATIO / np.maximum(ratio, 1e-9)) ** 2)
-    weight *= (ratio < _HOPELESS_RATIO) & enough & (np.abs(shift).max(-1) < 1.0)
-    weight *= np.clip((alike - _UNLIKE) / (_ALIKE - _UNLIKE), 0.0, 1.0)
-    good = (weight > 0.5).mean(axis=1)
-    close = np.einsum(
-        "kg,kgij->kij", weight / np.maximum(expected + _CLOSE_MISFIT_PX**2 * gradient, 1e-12), shared
+    weight = _weights(rest / np.maximum(expected, 1e-12), _alike(cells, noise))
+    weight *= enough & (np.abs(shift).max(-1) < 1.0)
+    mean_power = 0.5 * (cells.shared + cells.whole)
+    both, all_of = (
+        uniform_filter1d((weight * power).sum(axis=1), _ALIKE_KNOTS) for power in (cells.shared, mean_power)
     )
-    weight /= np.maximum(expected + _ALIKE_MISFIT_PX**2 * gradient, 1e-12)
-    total = _definite(np.einsum("kg,kgij->kij", weight, shared))
-    pull = np.einsum("kg,kgij,kgj->ki", weight, shared, shift)
+    share = np.clip(both / np.maximum(all_of, 1e-9), 0.0, 1.0)[:, None]
+    variance, close = (
+        np.maximum(expected + misfit**2 * gradient, 1e-12) for misfit in (_ALIKE_MISFIT_PX, _CLOSE_MISFIT_PX)
+    )
+    total, near_by = (
+        _definite(np.einsum("kg,kgij->kij", weight * share**2 / v, normal)) for v in (variance, close)
+    )
+    pull = np.einsum("kg,kgi->ki", weight * share / variance, right)
     known = np.trace(total, axis1=1, axis2=2) > 0.0
     mean = np.zeros((knots, 2))
     safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
     mean[known] = solve_each(safe, pull[known][..., None])[..., 0]
+    left = right - share[..., None] * np.einsum("kgij,kj->kgi", normal, mean)
+    square = (left * solve_each(regular, left[..., None])[..., 0]).sum(-1) / variance
+    scatter = _scatter(square, weight * known[:, None])
+    total = total / scatter[:, None, None]
     centre = at.reshape(2, knots, -1).mean(axis=2).T
-    return KnotOffsetsMeasured(scale * (centre + mean), total / scale**2, _definite(close) / scale**2, good)
+    good = (weight > 0.5).mean(axis=1)
+    return KnotOffsetsMeasured(scale * (centre + mean), total / scale**2, near_by / scale**2, good, scatter)
 
 
-def _alike(sums: Floats, apart: Floats) -> Floats:
-    """Correlation (knots, groups) of both images' gradients, over some knots: about 0 where the two show
-    different things, however smooth both are."""
-    mean, half = sums[0, 0] + sums[1, 1], apart[0, 0] + apart[1, 1]
-    both, all_of = (uniform_filter1d(x, _ALIKE_KNOTS, axis=0) for x in (mean - half, mean + half))
-    return np.asarray(both / np.maximum(all_of, 1e-9))
+def _weights(ratio: Floats, alike: Floats) -> Floats:
+    """Weights of cells by their misfit and by how far both images show the same."""
+    weight = np.where(ratio < _MOST_RATIO, 1.0, (_MOST_RATIO / np.maximum(ratio, 1e-9)) ** 2)
+    return weight * (ratio < _HOPELESS_RATIO) * np.clip((alike - _UNLIKE) / (_ALIKE - _UNLIKE), 0.0, 1.0)
+
+
+def _alike(cells: _Cells, noise: float) -> Floats:
+    """Share (knots, groups) of the gradients' power, over some knots, that both images have or noise makes.
+
+    About 0 where the two show different things, however smooth both are. noise: variance of the difference.
+    """
+    by_noise = 0.5 * (1.0 - np.exp(-(_SOFT_PX**-2))) * noise * cells.pixels
+    same, whole = (
+        uniform_filter1d(power, _ALIKE_KNOTS, axis=0) for power in (cells.shared + by_noise, cells.whole)
+    )
+    return np.asarray(same / np.maximum(whole, 1e-9))
+
+
+def _scatter(square: Floats, weight: Floats) -> Floats:
+    """Variance factor (knots,), at least 1, of cells about their knots, over nearby knots.
+
+    Args: square (knots, groups): of residuals in deviations, two numbers each.
+    """
+    freedom = 2.0 * np.maximum((weight > 0.0).sum(axis=1) - 1, 0)
+    total, number = (uniform_filter1d(x, NEARBY_KNOTS) for x in ((weight * square).sum(axis=1), freedom))
+    return np.asarray(np.maximum(total / np.maximum(number, 1e-9), 1.0))
 
 
 def _definite(matrix: Floats) -> Floats:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.ccd.columns import BOX_PX
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.model import Floats, Images
 from geomosaic.ccd.rows import RowPair
@@ -163,11 +164,11 @@ def _misfit(pair: RowPair, u: Ints, curve_px: Floats) -> Floats:
     low, high = int(np.floor(lines.min())) - 3, int(np.ceil(lines.max())) + 4
     if last - first < 16 or low < 0 or high > len(pair):
         return np.full(len(u), np.nan)
+    top = max(min(low, int(u[0])) - 2 * BOX_PX, 0)
+    lead, trail = pair.detail(slice(top, max(high, int(u[-1]) + 1) + 2 * BOX_PX))
     cols = (np.arange(first, last) + shift[:, None]).astype(np.float32)
-    rows = np.broadcast_to((lines - low)[:, None], cols.shape).astype(np.float32)
-    moved: Images = np.asarray(
-        cv2.remap(pair.trail[low:high], cols, rows, cv2.INTER_LINEAR), dtype=np.float32
-    )
-    apart = pair.lead[u, first:last] - moved
+    rows = np.broadcast_to((lines - top)[:, None], cols.shape).astype(np.float32)
+    moved: Images = np.asarray(cv2.remap(trail, cols, rows, cv2.INTER_LINEAR), dtype=np.float32)
+    apart = lead[u - top, first:last] - moved
     seen = pair.valid[u, first:last]
     return np.asarray((apart**2 * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1), dtype=np.float64)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.ccd.brightness import grey_cells
-from geomosaic.ccd.columns import flattened
+from geomosaic.ccd.columns import even_columns, fine_detail
 from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.overlaps import Strips
 
@@ -23,8 +23,9 @@ class RowPair:
     """Columns of the leading and of the trailing strip; row i of both is the leading strip's line first + i.
 
     A ground point at (c, u) of lead lies in trail at (c + nominal_col + dcol, u + dline), offsets in the
-    sense "trailing minus leading". lead, trail: (n, read_px), flattened. valid: of both. grey: (2, h, w)
-    mean greys of lead's and of trail's cells. known_px: (n,) part of dline that is known beforehand.
+    sense "trailing minus leading". lead, trail: (n, read_px), without the columns' own response. valid: of
+    both. grey: (2, h, w) mean greys of lead's and of trail's cells. known_px: (n,) part of dline that is
+    known beforehand.
     """
 
     lead: Images
@@ -36,6 +37,12 @@ class RowPair:
 
     def __len__(self) -> int:
         return len(self.lead)
+
+    def detail(self, lines: slice = slice(None)) -> tuple[Images, Images]:
+        """Fine detail of lead and trail at some lines, 0 where not valid."""
+        seen = self.valid[lines].astype(np.float32)
+        lead, trail = (fine_detail(image[lines], seen) * seen for image in (self.lead, self.trail))
+        return lead, trail
 
 
 def row_pair(strips: Strips, pair: int, first: int, last: int, known_px: Floats) -> RowPair:
@@ -51,7 +58,7 @@ def row_pair(strips: Strips, pair: int, first: int, last: int, known_px: Floats)
     grey = np.stack([grey_cells(image) for image in (lead, trail)])
     full = 2.0**g.bit_depth - 1.0
     valid = overlap.valid & (lead < full) & (trail < full)
-    lead, trail = (flattened(image, valid) for image in (lead, trail))
+    lead, trail = (even_columns(image, valid) for image in (lead, trail))
     return RowPair(lead, trail, valid, grey, -overlap.side * (g.read_px - g.overlap_px), known_px)
 
 

@@ -28,22 +28,27 @@ _BREAK_DEVIATIONS = tuned(6.0, "deviations", "significance of a break: less find
 _LEAST_SD_PX = tuned(0.03, "px", "of misses, as over ground: less breaks still curves; more hides far breaks")
 
 
-def widest_step(offset_px: Floats, own: Flags, known_px: Floats, likely: Expected) -> float:
+def widest_step(offset_px: Floats, sd_px: Floats, own: Flags, known_px: Floats, likely: Expected) -> float:
     """The largest step (px) of a pair, against another or alone, that no ground makes; 0 if there is none.
 
-    Args: offset_px (pairs, knots, 2) measured at knots where own (pairs, knots). known_px (pairs, knots): of
-    dline, beforehand; where lines were lost in any pair no other steps are looked for.
+    Args: offset_px, sd_px (pairs, knots, 2) measured at knots where own (pairs, knots), and their deviations.
+    known_px (pairs, knots): of dline, beforehand; where lines were lost in any pair no other steps are looked
+    for.
     """
     lost = (np.abs(np.diff(known_px, axis=1, prepend=known_px[:, :1])) > 0.5).any(axis=0)
     own = own & (uniform_filter1d(lost.astype(np.float64), _MOST_APART_KNOTS + 1) < 1e-9)
     steps = [
-        _against(offset_px[[p, q]], own[p] & own[q], likely) for p, q in combinations(range(len(own)), 2)
+        _against(offset_px[[p, q]], sd_px[[p, q]], own[p] & own[q], likely)
+        for p, q in combinations(range(len(own)), 2)
     ]
-    steps += [_broken(mine, np.flatnonzero(good)) for mine, good in zip(offset_px, own, strict=True)]
+    steps += [
+        _broken(mine[good], sd[good], np.flatnonzero(good))
+        for mine, sd, good in zip(offset_px, sd_px, own, strict=True)
+    ]
     return max(steps, default=0.0)
 
 
-def _against(offset_px: Floats, both: Flags, likely: Expected) -> float:
+def _against(offset_px: Floats, sd_px: Floats, both: Flags, likely: Expected) -> float:
     """The largest step of one pair against another (2, knots, 2), from knots before to as many after."""
     knots = np.flatnonzero(both)
     if len(knots) < 2 * _SIDE_KNOTS:
@@ -58,20 +63,28 @@ def _against(offset_px: Floats, both: Flags, likely: Expected) -> float:
     noise_px = np.maximum(spread[_SIDE_KNOTS:], spread[:-_SIDE_KNOTS])
     relief = np.outer(apart * likely.knot_lines * likely.steepest_px_per_line, [0.0, 1.0])
     length = np.hypot(*step.T)
-    found = (step > _LEAST_PX + relief).any(axis=1) & (apart <= _MOST_APART_KNOTS)
+    sd = _middle_sd(np.hypot(*sd_px[:, knots]))
+    least_px = np.maximum(_LEAST_PX, _BREAK_DEVIATIONS * np.hypot(sd[_SIDE_KNOTS:], sd[:-_SIDE_KNOTS]))
+    found = (step > least_px + relief).any(axis=1) & (apart <= _MOST_APART_KNOTS)
     found &= noise_px < _MOST_SPREAD * length
     return float(length[found].max(initial=0.0))
 
 
-def _broken(offset_px: Floats, knots: np.ndarray) -> float:
-    """The largest break of a pair's curve (knots, 2): how far two straight pieces miss each other half way.
+def _middle_sd(sd_px: Floats) -> Floats:
+    """Deviations of the middle one of each side's knots: by sqrt(pi / 2) larger than their mean's."""
+    sides = np.lib.stride_tricks.sliding_window_view(sd_px**2, _SIDE_KNOTS, axis=0)
+    return np.asarray(np.sqrt(np.pi / 2 * sides.mean(axis=-1) / _SIDE_KNOTS))
+
+
+def _broken(offset_px: Floats, sd_px: Floats, knots: np.ndarray) -> float:
+    """The largest break of a pair's curve at its knots (n, 2): how far two straight pieces miss each other.
 
     A smooth curve's pieces miss by the third power of their distance; how much at the least is the curve's.
     """
     size = _PIECE_KNOTS
     if len(knots) < 2 * size:
         return 0.0
-    pieces = np.lib.stride_tricks.sliding_window_view(offset_px[knots], size, axis=0)
+    pieces = np.lib.stride_tricks.sliding_window_view(offset_px, size, axis=0)
     at = np.lib.stride_tricks.sliding_window_view(knots, size)
     slope = (pieces[..., -1] - pieces[..., 0]) / (size - 1)
     bent = np.abs(pieces[..., 1] - 0.5 * (pieces[..., 0] + pieces[..., -1])).max(axis=1)
@@ -85,5 +98,8 @@ def _broken(offset_px: Floats, knots: np.ndarray) -> float:
         return 0.0
     sd = np.maximum(NORMAL_PER_MAD * np.median(miss[near], axis=0), _LEAST_SD_PX)
     most = np.maximum(_LEAST_BREAK_PX, _BREAK_DEVIATIONS * sd * (apart[:, None] / size) ** 3)
+    variance = np.lib.stride_tricks.sliding_window_view(sd_px**2, size, axis=0).mean(axis=2)
+    chance = (variance[after] + variance[before]) * (1.0 / size + 0.125 * apart[:, None] ** 2)
+    most = np.maximum(most, _BREAK_DEVIATIONS * np.sqrt(chance))
     found = asked & (miss > most).any(axis=1)
     return float(np.hypot(*miss[found].T).max(initial=0.0))

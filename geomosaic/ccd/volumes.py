@@ -31,7 +31,7 @@ def volume(pair: RowPair, blocks: int, settings: CcdSettings) -> Floats:
     Returns: (blocks, 2 search_lines_px // 2 + 1, 2 search_cols_px // 2 + 1); shift 0 in the middle.
     """
     reach_l, reach_c = settings.search_lines_px // 2, settings.search_cols_px // 2
-    lead, trail = (_band_passed(halved(image)) for image in (pair.lead, pair.trail))
+    lead, trail = (_band_passed(halved(image)) for image in pair.detail())
     shift = pair.nominal_col // 2
     w = lead.shape[1]
     begin, end = max(0, reach_c - shift), min(w, w - reach_c - shift)
