@@ -79,10 +79,10 @@ def pair_images(pair: RowPair, scale: int) -> PairImages:
 
 def _softened(image: Images, valid: Flags) -> Images:
     """The image blurred; what is not valid is in no other pixel's blur."""
-    soft = cv2.GaussianBlur(image * valid, (0, 0), _SOFT_PX)
+    soft: Images = np.asarray(cv2.GaussianBlur(image * valid, (0, 0), _SOFT_PX), dtype=np.float32)
     if not valid.all():
         soft /= np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _SOFT_PX), 1e-3)
-    return np.asarray(soft, dtype=np.float32)
+    return soft
 
 
 def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: int) -> KnotOffsetsMeasured:
