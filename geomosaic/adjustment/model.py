@@ -50,7 +50,7 @@ class SolvedBlock:
     names (n,), positions_m (n, 3) and rotations (n, 3, 3) in the work frame, swing_rad (n, t, 3) and drift
     (n, 3) while rows are read. settings, lenses: of its model, as assumed; cameras: as found. shared, fixed:
     values of the shared unknowns by the name of their part, and which were kept as given. components:
-    variance components by name. observations: number of image observations.
+    variance components by name. observations: number of image observations. choice: how the model was chosen.
     """
 
     names: tuple[str, ...]
@@ -65,6 +65,7 @@ class SolvedBlock:
     fixed: dict[str, Bools]
     components: dict[str, float]
     observations: int
+    choice: ModelChoice | None = None
 
     def of(self, names: Collection[str]) -> SolvedBlock:
         """Without other frames."""

@@ -101,7 +101,7 @@ def adjustment_solve(
     _warn_of_loose_frames(context, block, adjusted, params.method == "bundle")
     residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
     residual = residual[np.isfinite(residual).all(axis=1)]
-    if context.earlier is not None:
+    if context.earlier is not None and params.method == "bundle":
         warm = any(step.solve == EARLIER for step in adjusted.steps)
         context.metric("reused.adjustment", warm)
         context.inform("begins from the run before" if warm else "whole: the run before fits no more")

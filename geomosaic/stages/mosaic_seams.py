@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from geomosaic.composition.alignment import read_alignment
 from geomosaic.composition.area import read_outline
 from geomosaic.composition.bands import narrowest
+from geomosaic.composition.earlier_seams import with_earlier_seams
 from geomosaic.composition.grid import MAX_GIGAPIXELS, far_from_own
 from geomosaic.composition.mosaic_scene import (
     EDGES,
@@ -27,7 +28,7 @@ from geomosaic.composition.ownership import Ownership, cell_px_of, nearest_nadir
 from geomosaic.composition.plugins import SEAMS_GROUP
 from geomosaic.composition.seam_cut import NEAREST_NADIR, SEAMS
 from geomosaic.composition.seam_figures import seam_figures
-from geomosaic.composition.seam_parts import giving, glimpsed, glimpses
+from geomosaic.composition.seam_parts import SeamPart, giving, glimpsed, glimpses
 from geomosaic.composition.trim import filled
 from geomosaic.composition.views import PosedFrames
 from geomosaic.matching.band_registration import RigPoses
@@ -36,6 +37,7 @@ from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.stages.input_groups import AdjustedSurvey, BandTones
 from geomosaic.stages.reporting import reported_trimmed, trimmed_text
+from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
 
@@ -138,9 +140,24 @@ def mosaic_seams(
     look = partial(glimpsed, replace(scene, views=()), ownership.cell_px, tones)
     parts = context.map("seams", look, jobs, keys=[v.frame for v in giving(scene, ownership)])
     cut = SEAMS[params.seam](ownership, parts, context)
+    cut = _as_before(cut, parts, of.survey, context)
     for how, result in ((NEAREST_NADIR, ownership), (params.seam, cut)):
         context.metric(f"seams.{how}", asdict(seam_figures(result, parts)))
     return cut
+
+
+def _as_before(cut: Ownership, parts: Sequence[SeamPart], survey: Survey, context: Context) -> Ownership:
+    """With the seams of the run before, where it is gone on from and the frames are the same."""
+    if context.earlier is None:
+        return cut
+    was = context.earlier.artefact("ownership", Ownership)
+    before = context.earlier.artefact("survey", Survey)
+    if was is None or before is None:
+        return cut
+    unchanged = context.earlier.unchanged(Path(frame.path) for frame in survey.frames)
+    number = {frame.name: i + 1 for i, frame in enumerate(survey.frames) if frame.name in unchanged}
+    now = np.array([number.get(frame.name, 0) for frame in before.frames], dtype=np.int32)
+    return with_earlier_seams(cut, parts, was, now)
 
 
 def _narrowed(of: AdjustedSurvey, rig: RigPoses) -> AdjustedSurvey | None:

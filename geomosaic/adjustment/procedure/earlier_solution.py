@@ -63,6 +63,7 @@ def begun_from_earlier(
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
     return Work(
         *(given, misalignments_m, tracks, few, rolling, block, settings, found, spread),
+        choice=earlier.choice,
         notes=tuple(notes),
         steps=found.steps,
     )

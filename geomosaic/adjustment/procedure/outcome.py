@@ -246,6 +246,7 @@ def _solved(work: Work, rejected: Collection[int]) -> SolvedBlock:
         fixed={name: solution.fixed[its] for name, its in slices.items()},
         components=dict(solution.components.values),
         observations=len(work.found.problem.tracks.frame),
+        choice=work.choice,
     )
 
 

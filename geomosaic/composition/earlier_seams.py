@@ -1,0 +1,54 @@
+"""Seams of an earlier mosaic, which stay where the frames beside them are the same.
+
+Where frames differ little, the least moves their seams by some cells, and no mosaic looks better for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.seam_parts import SeamPart
+
+_OFF = 1e-3
+"""Cells by which the corners of two grids may seem to lie apart."""
+
+
+def with_earlier_seams(
+    cut: Ownership, parts: Sequence[SeamPart], was: Ownership, number: NDArray[np.int32]
+) -> Ownership:
+    """The ownership in which a cell stays with its earlier owner, if that still may give it and the present
+    owner gave cells of the earlier mosaic as well.
+
+    Args: number: of each frame of the earlier survey the present index plus 1, 0 where it is gone or another.
+    """
+    side_m = cut.cell_px * cut.grid.gsd_m
+    off = np.array([was.grid.west_m - cut.grid.west_m, cut.grid.north_m - was.grid.north_m]) / side_m
+    col, row = np.rint(off).astype(int).tolist()
+    if (
+        was.cell_px != cut.cell_px
+        or was.grid.gsd_m != cut.grid.gsd_m
+        or np.abs(off - (col, row)).max() > 1e-3
+    ):
+        return cut
+    earlier = _placed(np.concatenate([[0], number]).astype(np.int32)[was.owner], cut.owner.shape, row, col)
+    may = np.zeros(cut.owner.shape, dtype=bool)
+    for part in parts:
+        may[part.of_all] |= part.may & (earlier[part.of_all] == part.frame + 1)
+    both = np.isin(cut.owner, number[number > 0])
+    return replace(cut, owner=np.where(may & both, earlier, cut.owner))
+
+
+def _placed(cells: NDArray[np.int32], shape: tuple[int, ...], row: int, col: int) -> NDArray[np.int32]:
+    """Cells in an array of another shape, from a row and col on that may lie outside; 0 elsewhere."""
+    out = np.zeros(shape, dtype=np.int32)
+    rows, cols = (
+        slice(max(first, 0), max(min(first + size, whole), 0))
+        for first, size, whole in zip((row, col), cells.shape, shape, strict=True)
+    )
+    out[rows, cols] = cells[rows.start - row : rows.stop - row, cols.start - col : cols.stop - col]
+    return out
