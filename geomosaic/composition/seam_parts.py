@@ -26,7 +26,7 @@ Bools = NDArray[np.bool_]
 _BAND = tuned(0.5, "share", "of a frame's part around seams: less leaves no way; more lets houses lean")
 _LEAST_BAND_CELLS = tuned(6.0, "cells", "with high overlap: narrower leaves a seam no choice")
 _EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
-_HIGH_M = tuned(2.0, "m", "least height of an object: cars lean too little; a storey is 2.5")
+HIGH_M = tuned(2.0, "m", "least height of an object: cars lean too little; a storey is 2.5")
 _WIDEST_M = tuned(60.0, "m", "widest object: less misses halls; more takes hills for objects")
 _FINE_M = tuned(2.0, "m", "coarsest node spacing that shows houses: coarser surfaces show ridges")
 _SOME = tuned(4, "cells", "between samples of brightness: all would take longer than the cut")
@@ -176,7 +176,7 @@ def standing(heights_m: Floats32, cell_m: float) -> Bools:
     fit under, a top-hat transform (Serra 1982, Image analysis and mathematical morphology, ch. XII)."""
     across = 2 * int(_WIDEST_M / cell_m / 2.0) + 1
     over_m = cv2.morphologyEx(heights_m, cv2.MORPH_TOPHAT, np.ones((across, across), np.uint8))
-    return np.asarray(over_m > _HIGH_M)
+    return np.asarray(over_m > HIGH_M)
 
 
 def to_8_bits(parts: Sequence[SeamPart]) -> np.float32:

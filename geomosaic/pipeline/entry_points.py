@@ -35,6 +35,7 @@ OWN: Final = {
     "mosaic.ground": "mosaic_ground:mosaic_ground",
     "mosaic.tones": "mosaic_tones:mosaic_tones",
     "mosaic.seams": "mosaic_seams:mosaic_seams",
+    "mosaic.roofs": "mosaic_roofs:mosaic_roofs",
     "mosaic.compose": "mosaic_compose:mosaic_compose",
     "export.cog": "export_cog:export_cog",
     "export.surface": "export_surface:export_surface",

@@ -27,6 +27,27 @@ WALLED: Final = "dense"
 
 
 @dataclass(frozen=True)
+class RaisedObject:
+    """An object that stands on the ground: `up_m` (rows, cols) at nodes, from the south up, as of
+    `GroundSurface`; NaN beyond its outline, which lies halfway between nodes."""
+
+    east_0_m: float
+    north_0_m: float
+    spacing_m: float
+    up_m: NDArray[np.float32]
+
+    def put(self, east_m: Floats, north_m: Floats, up_m: Floats) -> None:
+        """Its height in place of up_m at points of one shape that lie within its outline."""
+        rows, cols = self.up_m.shape
+        col = np.rint((east_m - self.east_0_m) / self.spacing_m)
+        row = np.rint((north_m - self.north_0_m) / self.spacing_m)
+        at = np.nonzero((row >= 0) & (row < rows) & (col >= 0) & (col < cols))
+        if at[0].size:
+            own = self.up_m[row[at].astype(np.intp), col[at].astype(np.intp)]
+            up_m[at] = np.where(np.isnan(own), up_m[at], own)
+
+
+@dataclass(frozen=True)
 class GroundSurface:
     """Up as a function of east and north in the work frame: a regular grid, bilinear between nodes.
 
@@ -34,6 +55,7 @@ class GroundSurface:
     Outside the grid the nearest edge goes on. `kind` is `flat`, `dem`, `tie_surface`, `dense` (matched, with
     all that stands on the ground) or `terrain` (the ground below that). `sd_m`, of the shape
     of `up_m`: deviations of the heights, where they are known. Of many nodes both may have 32 bits.
+    `raised`: objects that stand on it, which frames are rectified on; all else looks at the ground alone.
     """
 
     kind: str
@@ -42,6 +64,7 @@ class GroundSurface:
     spacing_m: float
     up_m: Grid
     sd_m: Grid | None = None
+    raised: tuple[RaisedObject, ...] = ()
 
     def __post_init__(self) -> None:
         """Raises ValueError for endless heights; NaN is a height that isn't known."""
@@ -81,6 +104,18 @@ class GroundSurface:
     def up_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
         """Up (m) under points of any shape."""
         return self._between_nodes(self.up_m, east_m, north_m)
+
+    def raise_objects(self, east_m: Floats, north_m: Floats, up_m: Floats) -> None:
+        """Heights of the objects in place of up_m at points of one shape within their outlines."""
+        if not self.raised or not east_m.size:
+            return
+        west, east, south, north = east_m.min(), east_m.max(), north_m.min(), north_m.max()
+        for one in self.raised:
+            (rows, cols), side = one.up_m.shape, one.spacing_m
+            beyond = one.east_0_m > east + side or one.north_0_m > north + side
+            before = one.east_0_m + cols * side < west or one.north_0_m + rows * side < south
+            if not (beyond or before):
+                one.put(east_m, north_m, up_m)
 
     def sd_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Floats:
         """Deviation (m) of the height under points of any shape; NaN where none is known."""

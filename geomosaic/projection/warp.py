@@ -66,6 +66,11 @@ class GroundWindow:
         rise = ground.up_at(east, north) - up
         if float(np.abs(rise).max(initial=0.0)) * float(np.hypot(*lean)) > 1e-2 * gsd_m:
             rise = ground.up_at(east + rise * lean[0], north + rise * lean[1]) - up
+        if ground.raised:
+            east, north, up, rise = np.broadcast_arrays(east, north, up, rise)
+            height = np.full(rise.shape, np.nan)
+            ground.raise_objects(east, north, height)
+            rise = np.where(np.isnan(height), rise, height - up)
         return np.asarray(rise / self.vertical[2], dtype=np.float32)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from geomosaic.errors import FileError, InputError, UnknownNameError
-from geomosaic.requests.mosaic_stages import OPTIONAL, STAGES
+from geomosaic.requests.mosaic_stages import OPTIONAL, ROOFS, STAGES, WITH_ROOFS
 from geomosaic.requests.of_frames import FramesRequest, crs_of
 from geomosaic.requests.option import (
     ACCURACY,
@@ -26,7 +26,7 @@ from geomosaic.requests.run_request import default_folder, recipe_of
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
 
-SURFACES: Final = ("ties", "dense")
+SURFACES: Final = ("ties", "auto", "dense")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +146,7 @@ class MosaicRequest(FramesRequest):
     surface: str = asked(
         Option(
             "ground onto which frames are projected: ties is a smooth surface through the tie points, dense "
-            "is matched between frames",
+            "is matched between frames; auto is ties, with the roofs that frames agree on in place",
             "|".join(SURFACES),
             SURFACE,
         ),
@@ -275,6 +275,8 @@ class MosaicRequest(FramesRequest):
             "quality.compare": self.reference is not None,
             "quality.surface": self.surface_reference is not None,
         }
+        if self.surface == "auto":
+            return [id for id in WITH_ROOFS if id in ROOFS or wanted.get(id, True)]
         return [id for id in STAGES if wanted.get(id, True)]
 
     def recipe(self) -> Recipe:

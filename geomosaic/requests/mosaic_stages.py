@@ -31,6 +31,22 @@ STAGES: Final = (
     "mosaic.given",
     "export.report",
 )
+ROOFS: Final = ("surface.dense", "surface.terrain", "mosaic.roofs")
+"""Put roofs in place in a mosaic on the tie points' ground: after its seams, before it is composed."""
+_ON_SURFACE: Final = (
+    "surface.dense",
+    "surface.terrain",
+    "mosaic.ground",
+    "export.surface",
+    "quality.surface",
+)
+WITH_ROOFS: Final = tuple(
+    id
+    for stage in STAGES
+    if stage not in _ON_SURFACE
+    for id in ((*ROOFS, stage) if stage == "mosaic.compose" else (stage,))
+)
+"""The same with these."""
 OPTIONAL: Final = (
     "matching.flying_height",
     "matching.reference",

@@ -24,7 +24,7 @@ _SIDES = tuned(0.7, "correlation", "to be offered to neighbours: 0.5 leaves 20 %
 _REACH_CELLS = sourced(6, "cells", "reach of offers", "wrong wall edges: 2: 26 %, 4: 22 %, 6 to 10: 18 %")
 AROUND_CELLS: Final = 2 * _REACH_CELLS + 1
 """Side of a window: the reach both ways and the cell itself."""
-_STEP_CELLS = tuned(2.5, "cells", "range that makes a step: less is slope and noise; 4 loses 1.5 % of crowns")
+STEP_CELLS = tuned(2.5, "cells", "range that makes a step: less is slope and noise; 4 loses 1.5 % of crowns")
 _MOVES_CELLS = tuned(((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0)), "cells", "moves tried by round")
 _WINDOW = tuned(3, "half cells", "comparison window: larger cuts corners; 5 has 19 % wrong crowns, not 17")
 _MOST_GREY = tuned(30, "grey levels", "cap, and value where unseen: higher lets single pixels decide")
@@ -49,7 +49,7 @@ def refine_edges(swept: SweptPictures, height_m: Floats32, alike: Floats32, aske
     lowest = cv2.erode(np.where(sure, height_m, _FAR_M), window)
     highest = cv2.dilate(np.where(sure, height_m, -_FAR_M), window)
     lowest, highest = (np.where(abs(a) < _FAR_M, a, height_m).astype(np.float32) for a in (lowest, highest))
-    leaping = highest - lowest > _STEP_CELLS * cell_m
+    leaping = highest - lowest > STEP_CELLS * cell_m
     blocks = [(at, frames) for at, frames in asked if leaping[at].any()]
     squares = Squares(swept.sweep, swept.pictures, blocks, _RIM_CELLS)
     if not len(squares):

@@ -23,7 +23,7 @@ _ROUNDS = tuned(2, "rounds", "each halves the step: one leaves a tenth of a step
 _SIDE_CELLS = tuned(3, "cells", "window of comparison: smaller follows noise; larger rounds off edges")
 _RIM_CELLS: Final = _SIDE_CELLS // 2
 _AGREEING = tuned(3, "frames", "best ones beside the first: more, and one behind a wall spoils the match")
-_NOISE_GREY = tuned(2.0, "grey levels", "image noise: blank areas vary by less and correlate by chance")
+NOISE_GREY = tuned(2.0, "grey levels", "image noise: blank areas vary by less and correlate by chance")
 SURE = tuned(0.6, "correlation", "to trust a height: 10 % off by > 1 m above it, 31 % below (simulated)")
 
 UNSEEN: Final = -1.0
@@ -115,7 +115,7 @@ def _correlations(squares: Squares, height_m: Floats32, hidden_below_m: Mapping[
 
 def _mean_and_spread(picture: Floats32) -> tuple[Floats32, Floats32]:
     mean = _mean(picture)
-    return mean, np.maximum(_mean(picture * picture) - mean * mean, np.float32(_NOISE_GREY**2))
+    return mean, np.maximum(_mean(picture * picture) - mean * mean, np.float32(NOISE_GREY**2))
 
 
 def _mean(values: Floats32) -> Floats32:

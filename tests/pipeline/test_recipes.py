@@ -26,7 +26,7 @@ def params(recipe: Recipe, stage: str) -> dict[str, object]:
 
 def test_there_is_one_recipe_for_each_method_and_the_paper() -> None:
     strips = {f"strips_{method}" for method in STRIP_METHODS}
-    assert {p.stem for p in RECIPES.glob("*.yaml")} == {*METHODS, "paper", "quick_look", *strips}
+    assert {p.stem for p in RECIPES.glob("*.yaml")} == {*METHODS, "paper", "quick_look", "roofs", *strips}
 
 
 @pytest.mark.parametrize("method", STRIP_METHODS)
@@ -40,7 +40,7 @@ def test_a_strips_recipe_holds_the_method_of_its_name(method: str, tmp_path: Pat
     assert recipe.name == "strips, " + method.replace("_", " ")
 
 
-@pytest.mark.parametrize("name", [*METHODS, "paper", "quick_look"])
+@pytest.mark.parametrize("name", [*METHODS, "paper", "quick_look", "roofs"])
 def test_a_recipe_is_whole(name: str, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((8, 8), np.uint8))
     recipe = load(name, tmp_path)

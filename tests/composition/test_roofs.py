@@ -1,0 +1,128 @@
+"""Roofs in place in a mosaic on the tie points' ground: which, how, and that nothing else changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mosaic_scenes import CAMERA, make_survey
+
+from geomosaic.composition.grid import output_grid
+from geomosaic.composition.mosaic_scene import MapPixels
+from geomosaic.composition.objects import objects_between
+from geomosaic.composition.ownership import by_nearest_nadir
+from geomosaic.composition.roof_ownership import with_roofs
+from geomosaic.composition.roof_planes import roof_planes
+from geomosaic.composition.roofs import FoundRoofs, raised_roofs
+from geomosaic.composition.scene import CELL_PX, Scene, ground_of
+from geomosaic.composition.views import FrameView, PosedFrames, frame_views
+from geomosaic.composition.window import Window
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.lattice import MapLattice
+from geomosaic.spread import AtOnce
+from geomosaic.survey.model import Survey
+
+CAMERA_WIDE = replace(
+    CAMERA, width_px=300, height_px=220, focal_length_px=170.0, principal_col_px=151.0, principal_row_px=109.0
+)
+HIGH_M = 10.0
+
+
+def ground(over_m: np.ndarray, kind: str = "dense") -> GroundSurface:
+    """Heights over a slope, on nodes of 1 m about the origin."""
+    rows, cols = over_m.shape
+    return GroundSurface(kind, -cols / 2.0, -rows / 2.0, 1.0, over_m + 0.2 * np.arange(cols))
+
+
+def hall(height_m: float, kind: str = "dense") -> GroundSurface:
+    """Land with a hall of 9 m x 9 m, or without."""
+    axis = -80.0 + np.arange(161)
+    east, north = np.meshgrid(axis, axis)
+    inside = (abs(east) < 4.5) & (abs(north) < 4.5)
+    return GroundSurface(kind, -80.0, -80.0, 1.0, np.where(inside, height_m, 0.0))
+
+
+def test_objects_end_where_heights_leap_and_cars_are_none() -> None:
+    over = np.zeros((60, 80))
+    over[20:30, 20:34] = 5.0 + 0.5 * np.abs(np.arange(14) - 7)
+    over[20:30, 34:44] = 14.0
+    over[45:52, 60:70] = 3.0
+    over[10:15, 60:64] = 1.5
+    labels = objects_between(ground(over), ground(0.0 * over, "terrain"))
+    of = [set(labels[at].ravel()) for at in (np.s_[22:28, 22:32], np.s_[22:28, 36:42], np.s_[47:50, 62:68])]
+    assert all(len(numbers) == 1 for numbers in of)
+    assert set.union(*of) == {1, 2, 3}
+    assert not labels[8:17, 55:].any()
+
+
+def test_planes_fit_a_hipped_roof_up_to_its_eaves_and_no_crown() -> None:
+    row, col = np.mgrid[0:40, 0:60]
+    own = (row >= 8) & (row < 32) & (col >= 8) & (col < 52)
+    hipped = 4.0 + 0.15 * np.minimum.reduce([row - 8, 31 - row, col - 8, 51 - col])
+    noise = np.random.default_rng(3).normal(0.0, 0.02, own.shape)
+    found = roof_planes((hipped + noise).astype(np.float32), own, 0.3)
+    assert found.share > 0.9 and len(found.terms) == 4
+    off_m = np.abs(found.heights_m(1) - hipped)[own]
+    assert np.quantile(off_m, 0.98) < 0.15 and off_m.max() < 0.5
+    crown = np.random.default_rng(4).uniform(3.0, 8.0, own.shape).astype(np.float32)
+    assert roof_planes(crown, own, 0.3).share < 0.5
+
+
+def found_roofs(
+    survey: Survey, frames: PosedFrames, surface: GroundSurface
+) -> tuple[FoundRoofs, tuple[FrameView, ...]]:
+    views = frame_views(frames, survey.map_crs)
+    grounds = surface, hall(0.0, "terrain"), frames.ground
+    return raised_roofs(grounds, survey.frames, views, AtOnce()), views
+
+
+@pytest.mark.parametrize(("true_m", "frames_used", "raised"), [(HIGH_M, 6, 1), (0.0, 6, 0), (HIGH_M, 2, 0)])
+def test_a_roof_is_raised_that_three_frames_agree_on(
+    tmp_path: Path, true_m: float, frames_used: int, raised: int
+) -> None:
+    """Not a hall that was added to flat land, and not one that two frames see. Its walls are where they are."""
+    survey, poses, _ = make_survey(tmp_path, ground=hall(true_m), camera=CAMERA_WIDE)
+    used = [i < frames_used for i in range(len(poses))]
+    frames = PosedFrames(survey, poses, [CAMERA_WIDE] * len(poses), used, hall(0.0, "tie_surface"))
+    found, _ = found_roofs(survey, frames, hall(HIGH_M))
+    assert len(found.raised) == raised
+    for one in found.raised:
+        rows, cols = np.nonzero(one.mask)
+        for of, first_m in ((rows, one.roof.south_m), (cols, one.roof.west_m)):
+            ends = first_m + one.roof.pixel_m * np.array([of.min(), of.max()])
+            np.testing.assert_allclose(ends, [-4.5, 4.5], atol=2.0)
+        np.testing.assert_allclose(one.roof.roof_m[one.mask], HIGH_M, atol=0.05)
+
+
+def test_one_frame_gives_a_roof_and_all_that_is_far_from_it_stays(tmp_path: Path) -> None:
+    """Owners, what is hidden, and where frames see the map's pixels."""
+    survey, poses, _ = make_survey(tmp_path, ground=hall(HIGH_M), camera=CAMERA_WIDE)
+    flat = hall(0.0, "tie_surface")
+    frames = PosedFrames(survey, poses, [CAMERA_WIDE] * len(poses), [True] * len(poses), flat)
+    found, views = found_roofs(survey, frames, hall(HIGH_M))
+    grid = output_grid(MapPixels(survey.map_crs, 0.25), views, [f.name for f in survey.frames], 1.0)
+    before = by_nearest_nadir(frames, grid)
+    scene = Scene(survey.work_frame, flat, grid, views)
+    after = with_roofs(before, scene, hall(HIGH_M), found.raised, AtOnce())
+    side, (rows, cols) = before.cell_px, before.owner.shape
+    places = ground_of(scene, Window(0, 0, cols * side, rows * side), side).points_m()
+    off_m = np.abs(places[..., :2]).max(axis=-1)
+    assert len(np.unique(after.owner[off_m < 2.5])) == 1
+    assert (after.owner == before.owner)[off_m > 20.0].all()
+    assert (after.owner != before.owner).any() and after.hidden
+    raised = replace(flat, raised=tuple(one.on_ground for one in found.raised))
+    part = grid.part(0, 0, (grid.height_px // CELL_PX * CELL_PX, grid.width_px // CELL_PX * CELL_PX))
+    both = [
+        MapLattice(part, survey.work_frame, of).seen(
+            poses[0], CAMERA_WIDE, slice(0, part.height_px), slice(0, part.width_px)
+        )
+        for of in (flat, raised)
+    ]
+    inside = (both[0].cols > 0) & (both[0].cols < CAMERA_WIDE.width_px)
+    inside &= (both[0].rows > 0) & (both[0].rows < CAMERA_WIDE.height_px)
+    moved = inside & (both[0].cols != both[1].cols)
+    at = ground_of(scene, Window(0, 0, part.width_px, part.height_px), 1).points_m()
+    roof = np.abs(at[..., :2]).max(axis=-1) < 11.0
+    assert moved[roof].any() and not moved[~roof].any()
