@@ -78,7 +78,8 @@ def _with_walls(ground: GroundSurface, nodes: GroundSurface, roofs: Sequence[Rai
 def _hidden(
     scene: Scene, ground: GroundSurface, of_roof: Bools, cell_px: int, spread: Spread
 ) -> tuple[Hidden, ...]:
-    """What frames do not see for the roofs: what is hidden and touches the cells about one of them."""
+    """What frames do not see for the roofs: what is hidden and touches the cells about one of them, and a
+    cell more, since walls are ramps of a node."""
     _, hidden, _ = occluded_scene(replace(scene, ground=ground), spread)
     near, found = cv2.dilate(of_roof.view(np.uint8), _NEAR), []
     for one in hidden:
@@ -92,7 +93,7 @@ def _hidden(
         touch[parts[near[np.ix_(rows, cols)] > 0]] = True
         touch[0] = False
         if touch.any():
-            found.append(Hidden.of(one.frame, one.side_px, one.row, one.col, touch[parts]))
+            found.append(Hidden.of(one.frame, one.side_px, one.row, one.col, touch[parts]).widened(1))
     return tuple(found)
 
 

@@ -65,7 +65,7 @@ def roof_planes(over_m: Floats32, own: Bools, spacing_m: float) -> RoofPlanes:
     left, height = np.ones(len(row), dtype=bool), over_m[row, col].astype(np.float64)
     at = np.column_stack([col, row, np.ones(len(row))]).astype(np.float64)
     off_m = max(_OFF_NODES * spacing_m, _OFF_M)
-    labels, terms = np.zeros(own.shape, dtype=np.int32), []
+    labels, terms = np.zeros(own.shape, dtype=np.int32), list[Floats]()
     least = max(_LEAST_NODES, int(_LEAST_SHARE * len(row)))
     rng = np.random.default_rng(0)
     while left.sum() >= least and len(terms) < _MOST:

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mosaic_scenes import CAMERA, make_survey
+import rasterio
+from mosaic_scenes import CAMERA, make_survey, truth
 
+from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
 from geomosaic.composition.mosaic_scene import MapPixels
 from geomosaic.composition.objects import objects_between
 from geomosaic.composition.ownership import by_nearest_nadir
+from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.roof_ownership import with_roofs
 from geomosaic.composition.roof_planes import roof_planes
 from geomosaic.composition.roofs import FoundRoofs, raised_roofs
@@ -94,6 +97,39 @@ def test_a_roof_is_raised_that_three_frames_agree_on(
             ends = first_m + one.roof.pixel_m * np.array([of.min(), of.max()])
             np.testing.assert_allclose(ends, [-4.5, 4.5], atol=2.0)
         np.testing.assert_allclose(one.roof.roof_m[one.mask], HIGH_M, atol=0.05)
+
+
+def test_a_mosaic_keeps_its_bytes_but_about_the_roof(tmp_path: Path) -> None:
+    """And is nearer to the truth there."""
+    survey, poses, _ = make_survey(tmp_path, ground=hall(HIGH_M), camera=CAMERA_WIDE)
+    flat = hall(0.0, "tie_surface")
+    frames = PosedFrames(survey, poses, [CAMERA_WIDE] * len(poses), [True] * len(poses), flat)
+    found, views = found_roofs(survey, frames, hall(HIGH_M))
+    grid = output_grid(MapPixels(survey.map_crs, 0.25), views, [f.name for f in survey.frames], 1.0)
+    before = by_nearest_nadir(frames, grid)
+    scene = Scene(survey.work_frame, flat, grid, views)
+    after = with_roofs(before, scene, hall(HIGH_M), found.raised, AtOnce())
+    raised = replace(flat, raised=tuple(one.on_ground for one in found.raised))
+    shown = []
+    for name, ground_of_it, ownership in (("flat", flat, before), ("raised", raised, after)):
+        raster = tmp_path / f"{name}.tif"
+        compose(replace(frames, ground=ground_of_it), ownership, MosaicFiles(raster))
+        with rasterio.open(raster) as file:
+            shown.append(file.read().astype(np.float32))
+            easting, northing = _places(file)
+    at = ground_of(scene, Window(0, 0, grid.width_px, grid.height_px), 1).points_m()
+    off_m = np.abs(at[..., :2]).max(axis=-1)
+    differ = (shown[0] != shown[1]).any(axis=0)
+    true = np.moveaxis(truth(easting, northing), -1, 0)
+    roof = off_m < 3.5
+    wrong = [np.abs(image - true)[:, roof].mean() for image in shown]
+    assert differ[roof].mean() > 0.5 and wrong[1] < wrong[0] / 3.0
+    assert not differ[off_m > 15.0].any()
+
+
+def _places(file: rasterio.DatasetReader) -> tuple[np.ndarray, np.ndarray]:
+    row, col = np.indices(file.shape) + 0.5
+    return file.transform.c + file.transform.a * col, file.transform.f + file.transform.e * row
 
 
 def test_one_frame_gives_a_roof_and_all_that_is_far_from_it_stays(tmp_path: Path) -> None:

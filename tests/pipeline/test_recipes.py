@@ -11,6 +11,7 @@ from geomosaic.ccd.methods import METHODS as STRIP_METHODS
 from geomosaic.errors import InputError
 from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.registry import installed
+from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.strips_request import STAGES as STRIP_STAGES
 
 RECIPES = Path(__file__).parents[2] / "recipes"
@@ -66,6 +67,15 @@ def test_the_papers_numbers(tmp_path: Path) -> None:
         params(load("paper", tmp_path, "adjustment.solve.max_rounds=7"), "adjustment.solve")["max_rounds"]
         == 7
     )
+
+
+def test_roofs_are_put_in_place_as_by_the_command(tmp_path: Path) -> None:
+    """After the seams on the tie points' ground, before the mosaic is composed."""
+    asked = MosaicRequest(frames=tmp_path, surface="auto").stages()
+    stages = [step.stage.id for step in load("roofs", tmp_path).steps]
+    assert set(stages) == set(asked)
+    at = stages.index("mosaic.seams")
+    assert stages[at + 1 : at + 5] == ["surface.dense", "surface.terrain", "mosaic.roofs", "mosaic.compose"]
 
 
 def test_without_frames_a_recipe_says_what_is_missing() -> None:

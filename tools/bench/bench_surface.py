@@ -6,11 +6,12 @@
 Towns of 18 frames of 2000 x 1500 px from 100 m, 70 % and 60 % overlap, hills of 10 m, houses with walls of
 3.5 to 10 m and hipped or level roofs, bridges, trees, through the whole command with cells of 4 ground
 pixels: the surface against the true heights, and how far the mosaic's land lies off beside what the verdict
-says of it. With --roofs the mosaic on the surface and the one on the ground through tie points against the
-true ortho, with --rival StereoSGBM on rectified pairs beside it, with --scale what 20, 60 and 200 small
-frames take, and whether one process and two give the same bytes, with --large what 160 frames of 10 MP take.
-Of real data, skipped where they aren't: 18 frames of 9 MP (seconds of the stage and memory of the run,
-mosaics of odd and even frames laid over each other), and four over 600 m of relief against their DEM. Tables
+says of it. With --roofs the mosaic on the surface, the one on the ground through tie points, and the one with
+roofs in place on that (--surface auto) against the true ortho, with --rival StereoSGBM on rectified pairs
+beside it, with --scale what 20, 60 and 200 small frames take, and whether one process and two give the same
+bytes, with --large what 160 frames of 10 MP take. Of real data, skipped where they aren't: 18 frames of 9 MP
+(seconds of the stage and memory of the run, mosaics of odd and even frames laid over each other), and four
+over 600 m of relief against their DEM. Tables
 go to standard output and OUT/surface.json.
 """
 
@@ -23,6 +24,9 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geomosaic.quality.surface import compare_surface
 from tools.bench.bench_real_cloud import read_cloud, write_bare_ground
 from tools.bench.bench_real_halves import CRS, GSD_M, Wanted, halves
@@ -31,7 +35,7 @@ from tools.bench.bench_real_table import Row, print_table
 from tools.bench.bench_surface_judge import Judged, judged
 from tools.bench.bench_surface_land import judged_land
 from tools.bench.bench_surface_rival import stereo_sgbm
-from tools.bench.bench_surface_roofs import FAR_PX, Roofs, roofs
+from tools.bench.bench_surface_roofs import FAR_PX, Roofs, roofs, similarity_by_tile
 from tools.bench.bench_surface_scale import TOWN, called, large, scale
 
 LINES = ["--lines", "3"]
@@ -41,6 +45,7 @@ WANTED_NMAD_PX = {"ground": 1.2, "roofs": 1.5}
 WANTED_OFF_1_M = {"edges": 0.25, "trees": 0.15}
 WANTED_S, WANTED_MB = 15.0, 1500.0
 _CELL_PX, _BARE_REACH_M, _TOLD = 4.0, 1.0, 3
+_SAME_SSIM, _WORSE_SSIM = 1e-4, 0.005
 
 
 def town(out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival: bool) -> list[Row]:
@@ -59,14 +64,19 @@ def town(out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival:
     ]
     rows: list[Row] = []
     took: list[str] = []
-    grounds = (("tie points' ground", "ties"),) * with_roofs + (("surface", "dense", "--ortho", "surface"),)
+    similar: dict[str, NDArray[np.float64]] = {}
+    compared = (("tie points' ground", "ties"), ("ground with roofs in place", "auto")) * with_roofs
+    grounds = (*compared, ("surface", "dense", "--ortho", "surface"))
     for name, *how in grounds:
         taken = called(out, "mosaic", survey / "frames", *told, "-o", run, "--surface", *how, "--overwrite")
         took.append(f"mosaic on the {name} {taken.processor_s:.0f}")
         if with_roofs:
             begun = time.process_time()
             rows += _roof_rows(f"town {seed}, mosaic on the {name}", roofs(run / "mosaic.tif", truth))
+            similar[how[0]] = similarity_by_tile(run / "mosaic.tif", truth)
             took.append(f"roofs {time.process_time() - begun:.0f}")
+    if with_roofs:
+        rows += [_tile_row(seed, how, similar) for how in ("auto", "dense")]
     begun = time.process_time()
     found, cell_m = judged(run, truth)
     (run / "judged.json").write_text(json.dumps({k: asdict(v) for k, v in found.items()}), encoding="utf-8")
@@ -100,6 +110,19 @@ def _roof_rows(what: str, found: dict[str, Roofs]) -> list[Row]:
         good = of.rmse_px <= FAR_PX
         rows.append((f"{what}, {name}", text, f"corners {FAR_PX} px" if wanted else "", good))
     return rows
+
+
+def _tile_row(seed: int, how: str, similar: dict[str, NDArray[np.float64]]) -> Row:
+    """Tiles that a mosaic shows less like the truth than that on the tie points' ground."""
+    gain = similar[how] - similar["ties"]
+    gain = gain[np.isfinite(gain)]
+    changed = gain[np.abs(gain) > _SAME_SSIM]
+    by = float(changed.mean()) if changed.size else 0.0
+    text = (
+        f"{changed.size} of {gain.size} tiles changed, by {by:+.3f} SSIM; "
+        f"{int((gain < -_WORSE_SSIM).sum())} worse by more than {_WORSE_SSIM}, at most by {-gain.min():.3f}"
+    )
+    return f"town {seed}, --surface {how} against ties", text, "", True
 
 
 def _far(of: Roofs) -> str:

@@ -60,6 +60,7 @@ _ALIKE = tuned(
 _APART_M = tuned(0.6, "m", "between two steps of a doubled edge: nearer ones are one that is blurred")
 
 
+_TILE_PX = tuned(128, "px", "side of a tile: larger ones dilute a torn tree; smaller ones are noise")
 _MOST_PX = tuned(
     3000,
     "px",
@@ -108,6 +109,20 @@ def roofs(mosaic: Path, truth: Path) -> dict[str, Roofs]:
         if outlines:
             found[name] = _judged(image, true, seen, inner, outlines, affine.a)
     return found
+
+
+def similarity_by_tile(mosaic: Path, truth: Path) -> Floats:
+    """Mean SSIM of a mosaic and the true ortho by tiles (rows, cols) of 128 px, NaN where less than half of
+    one is seen."""
+    image, true, seen, _ = _registered(mosaic, truth / "ortho.tif")
+    grey, true_grey = (luma(np.moveaxis(a, -1, 0)) for a in (image, true))
+    found = ssim_maps(np.clip(grey, 0, 255), true_grey, seen, 255.0).ssim
+    rows, cols = (n // _TILE_PX for n in found.shape)
+    tiles = found[: rows * _TILE_PX, : cols * _TILE_PX].reshape(rows, _TILE_PX, cols, _TILE_PX)
+    known = np.isfinite(tiles)
+    number = known.sum(axis=(1, 3))
+    total = np.where(known, tiles, 0.0).sum(axis=(1, 3))
+    return np.where(2 * number > _TILE_PX**2, total / np.maximum(number, 1), np.nan)
 
 
 def _registered(mosaic: Path, ortho: Path) -> tuple[Image, Image, Bools, rasterio.Affine]:
