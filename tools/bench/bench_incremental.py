@@ -17,6 +17,7 @@ import datetime
 import json
 import os
 import platform
+import shlex
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -146,6 +147,8 @@ def main() -> int:
         rows.append(case(name, out / "survey", (asked.lines, asked.per_line), out / "case", asked.workers))
         print(json.dumps(rows[-1]), flush=True)
     given = f"--lines {asked.lines} --per-line {asked.per_line} --seed {asked.seed} --workers {asked.workers}"
+    if set(asked.positions) != set(POSITIONS):
+        given += f" --positions {shlex.join(asked.positions)}"
     results = {
         "title": "One more line by --incremental",
         "command": f"python -m tools.bench.bench_incremental {given}",
