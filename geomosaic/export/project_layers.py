@@ -87,14 +87,14 @@ def vector_layers(package: Path) -> tuple[str, dict[str, ProjectLayer]]:
     from pyogrio import read_info
     from pyogrio.raw import read
 
-    from geomosaic.doors.bindings import gdal
+    from geomosaic.doors.vector import open_vector
 
     meta, _, _, columns = read(str(package), layer="layer_styles", read_geometry=False)
     table = dict(zip(meta["fields"].tolist(), columns, strict=True))
     rows = zip(table["f_table_name"], table["styleQML"], table["description"], strict=True)
     styles = {name: (fromstring(document), text) for name, document, text in rows}
     crs, shown = "", {}
-    opened = gdal.OpenEx(str(package), gdal.OF_VECTOR)
+    opened = open_vector(package)
     for layer in (opened.GetLayer(k) for k in range(opened.GetLayerCount())):
         name = layer.GetName()
         if name not in styles:

@@ -23,7 +23,7 @@ from geomosaic.recording.inspect.summary import summary
 @pytest.fixture
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Its frames are away: in frames-away."""
-    survey = bad_survey(tmp_path_factory)
+    survey = bad_survey(tmp_path_factory, "survey-whose-frames-go")
     (survey / "frames").rename(survey / "frames-away")
     yield survey
     (survey / "frames-away").rename(survey / "frames")

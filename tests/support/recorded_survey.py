@@ -27,12 +27,12 @@ _FLOWN = {
 }  # fmt: skip
 
 
-def bad_survey(folders: pytest.TempPathFactory) -> Path:
+def bad_survey(folders: pytest.TempPathFactory, name: str = "bad-survey") -> Path:
     """Its folder: frames, truth, and the run; not to be changed. Made when it is first asked for, once for all
-    processes that share the tests."""
+    processes that share the tests. name: another one's, of whoever changes it."""
     shared = folders.getbasetemp().parent if "PYTEST_XDIST_WORKER" in os.environ else folders.getbasetemp()
-    survey, made = shared / "bad-survey", shared / "bad-survey" / "made"
-    with (shared / "bad-survey.lock").open("w") as lock:
+    survey, made = shared / name, shared / name / "made"
+    with (shared / f"{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not made.exists():
             words = [str(word) for pair in _FLOWN.items() for word in pair]
