@@ -1,5 +1,4 @@
-"""A mosaic of a folder of frames: each field an option of `geomosaic mosaic` and an argument of
-`geomosaic.mosaic`."""
+"""A mosaic of a folder of frames: each field is an option of `geomosaic mosaic` and of `geomosaic.mosaic`."""
 
 from __future__ import annotations
 
