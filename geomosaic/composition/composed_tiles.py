@@ -275,7 +275,8 @@ def _goes_with(noting: Noting, was: ComposedTiles) -> bool:
     if (was.grid.crs, was.grid.gsd_m, was.manner) != (grid.crs, grid.gsd_m, manner):
         return False
     off = _offset_px(grid, was.grid) / TILE_PX
-    standing = noting.scene.ground.has_walls or bool(noting.ownership.hidden)
+    ground = noting.scene.ground
+    standing = ground.has_walls or bool(ground.raised) or bool(noting.ownership.hidden)
     return not standing and bool(np.abs(off - np.rint(off)).max() * TILE_PX < _ON_A_PIXEL)
 
 

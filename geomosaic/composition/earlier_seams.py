@@ -29,11 +29,8 @@ def with_earlier_seams(
     side_m = cut.cell_px * cut.grid.gsd_m
     off = np.array([was.grid.west_m - cut.grid.west_m, cut.grid.north_m - was.grid.north_m]) / side_m
     col, row = np.rint(off).astype(int).tolist()
-    if (
-        was.cell_px != cut.cell_px
-        or was.grid.gsd_m != cut.grid.gsd_m
-        or np.abs(off - (col, row)).max() > 1e-3
-    ):
+    alike = (was.cell_px, was.grid.gsd_m) == (cut.cell_px, cut.grid.gsd_m)
+    if not alike or np.abs(off - (col, row)).max() > _OFF:
         return cut
     earlier = _placed(np.concatenate([[0], number]).astype(np.int32)[was.owner], cut.owner.shape, row, col)
     may = np.zeros(cut.owner.shape, dtype=bool)

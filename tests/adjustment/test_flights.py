@@ -1,4 +1,4 @@
-"""Flights whose positions err in common: told apart by pauses, each with an offset of its own."""
+"""Flights whose positions err in common: separated by pauses, each with an offset of its own."""
 
 from __future__ import annotations
 

@@ -99,25 +99,30 @@ def test_a_roof_is_raised_that_three_frames_agree_on(
         np.testing.assert_allclose(one.roof.roof_m[one.mask], HIGH_M, atol=0.05)
 
 
-def test_a_mosaic_keeps_its_bytes_but_about_the_roof(tmp_path: Path) -> None:
-    """And is nearer to the truth there."""
-    survey, poses, _ = make_survey(tmp_path, ground=hall(HIGH_M), camera=CAMERA_WIDE)
+def flown_over_a_hall(folder: Path) -> tuple[PosedFrames, Scene, FoundRoofs]:
+    """On level ground, and the roofs that are found."""
+    survey, poses, _ = make_survey(folder, ground=hall(HIGH_M), camera=CAMERA_WIDE)
     flat = hall(0.0, "tie_surface")
     frames = PosedFrames(survey, poses, [CAMERA_WIDE] * len(poses), [True] * len(poses), flat)
     found, views = found_roofs(survey, frames, hall(HIGH_M))
     grid = output_grid(MapPixels(survey.map_crs, 0.25), views, [f.name for f in survey.frames], 1.0)
-    before = by_nearest_nadir(frames, grid)
-    scene = Scene(survey.work_frame, flat, grid, views)
+    return frames, Scene(survey.work_frame, flat, grid, views), found
+
+
+def test_a_mosaic_keeps_its_bytes_but_about_the_roof(tmp_path: Path) -> None:
+    """And is nearer to the truth there."""
+    frames, scene, found = flown_over_a_hall(tmp_path)
+    before = by_nearest_nadir(frames, scene.grid)
     after = with_roofs(before, scene, hall(HIGH_M), found.raised, AtOnce())
-    raised = replace(flat, raised=tuple(one.on_ground for one in found.raised))
+    raised = replace(scene.ground, raised=tuple(one.on_ground for one in found.raised))
     shown = []
-    for name, ground_of_it, ownership in (("flat", flat, before), ("raised", raised, after)):
+    for name, ground_of_it, ownership in (("flat", scene.ground, before), ("raised", raised, after)):
         raster = tmp_path / f"{name}.tif"
         compose(replace(frames, ground=ground_of_it), ownership, MosaicFiles(raster))
         with rasterio.open(raster) as file:
             shown.append(file.read().astype(np.float32))
             easting, northing = _places(file)
-    at = ground_of(scene, Window(0, 0, grid.width_px, grid.height_px), 1).points_m()
+    at = ground_of(scene, Window(0, 0, scene.grid.width_px, scene.grid.height_px), 1).points_m()
     off_m = np.abs(at[..., :2]).max(axis=-1)
     differ = (shown[0] != shown[1]).any(axis=0)
     true = np.moveaxis(truth(easting, northing), -1, 0)
@@ -134,13 +139,8 @@ def _places(file: rasterio.DatasetReader) -> tuple[np.ndarray, np.ndarray]:
 
 def test_one_frame_gives_a_roof_and_all_that_is_far_from_it_stays(tmp_path: Path) -> None:
     """Owners, what is hidden, and where frames see the map's pixels."""
-    survey, poses, _ = make_survey(tmp_path, ground=hall(HIGH_M), camera=CAMERA_WIDE)
-    flat = hall(0.0, "tie_surface")
-    frames = PosedFrames(survey, poses, [CAMERA_WIDE] * len(poses), [True] * len(poses), flat)
-    found, views = found_roofs(survey, frames, hall(HIGH_M))
-    grid = output_grid(MapPixels(survey.map_crs, 0.25), views, [f.name for f in survey.frames], 1.0)
-    before = by_nearest_nadir(frames, grid)
-    scene = Scene(survey.work_frame, flat, grid, views)
+    frames, scene, found = flown_over_a_hall(tmp_path)
+    before = by_nearest_nadir(frames, scene.grid)
     after = with_roofs(before, scene, hall(HIGH_M), found.raised, AtOnce())
     side, (rows, cols) = before.cell_px, before.owner.shape
     places = ground_of(scene, Window(0, 0, cols * side, rows * side), side).points_m()
@@ -148,11 +148,12 @@ def test_one_frame_gives_a_roof_and_all_that_is_far_from_it_stays(tmp_path: Path
     assert len(np.unique(after.owner[off_m < 2.5])) == 1
     assert (after.owner == before.owner)[off_m > 20.0].all()
     assert (after.owner != before.owner).any() and after.hidden
+    flat, grid = scene.ground, scene.grid
     raised = replace(flat, raised=tuple(one.on_ground for one in found.raised))
     part = grid.part(0, 0, (grid.height_px // CELL_PX * CELL_PX, grid.width_px // CELL_PX * CELL_PX))
     both = [
-        MapLattice(part, survey.work_frame, of).seen(
-            poses[0], CAMERA_WIDE, slice(0, part.height_px), slice(0, part.width_px)
+        MapLattice(part, scene.work_frame, of).seen(
+            frames.poses[0], CAMERA_WIDE, slice(0, part.height_px), slice(0, part.width_px)
         )
         for of in (flat, raised)
     ]

@@ -80,31 +80,32 @@ def refused(frames: Path, run: Path, **options: object) -> str:
 def test_why_it_can_not(finished: tuple[Path, Path], survey: SimulatedSurvey, tmp_path: Path) -> None:
     """One line each, which says what to do; the finished run stays."""
     frames, run = finished
-    told = {"pos": survey.pos, "camera": survey.camera, "fixed_time": True}
-    text = refused(frames, tmp_path / "none", **told)
+    same = {"pos": survey.pos, "camera": survey.camera, "fixed_time": True}
+    text = refused(frames, tmp_path / "none", **same)
     assert "no finished run to go on from; leave out --incremental" in text
-    text = refused(frames, run, **told, gsd="0.2")
+    text = refused(frames, run, **same, gsd="0.2")
     assert "made with other options: its mosaic.seams.gsd_m is auto; give the same options" in text
-    assert "its --seed is 0" in refused(frames, run, **told, seed=4)
-    assert "its stages are others" in refused(frames, run, **told, ground_height=500.0)
+    assert "its --seed is 0" in refused(frames, run, **same, seed=4)
+    assert "its stages are others" in refused(frames, run, **same, ground_height=500.0)
     copy = shutil.copytree(run, tmp_path / "older")
     made = json.loads((copy / "run.json").read_text())
     made["stage_versions"]["adjustment.solve"] -= 1
     (copy / "run.json").write_text(json.dumps(made))
-    assert "made by another version; leave out --incremental" in refused(frames, copy, **told)
+    assert "made by another version; leave out --incremental" in refused(frames, copy, **same)
     shutil.rmtree(copy / "work" / "adjustment.solve")
     made["stage_versions"]["adjustment.solve"] += 1
     (copy / "run.json").write_text(json.dumps(made))
-    assert "work has lost results" in refused(frames, copy, **told)
+    assert "work has lost results" in refused(frames, copy, **same)
     assert (run / "run.json").exists()
 
 
 def test_a_line_more_then_a_frame_less(
     survey: SimulatedSurvey,
     finished: tuple[Path, Path],
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Poses are those of a whole run, which the same folder gives without the option."""
+    """Poses are those of a whole run, which the same folder gives without the option, byte for byte."""
     frames, run = finished
     copied(survey, frames, FIRST, ALL)
     assert mosaic(frames, run, *given(survey), "--incremental") == 0
@@ -122,3 +123,5 @@ def test_a_line_more_then_a_frame_less(
     assert mosaic(frames, run, *given(survey)) == 0
     assert "reused" not in summary(run)["metrics"]
     assert np.abs(positions(run) - gone_on).max() < 0.01
+    assert mosaic(frames, tmp_path / "fresh", *given(survey)) == 0
+    assert digest(run / "mosaic.tif") == digest(tmp_path / "fresh" / "mosaic.tif")

@@ -10,7 +10,7 @@ says of it. With --roofs the mosaic on the surface, the one on the ground throug
 roofs in place on that (--surface auto) against the true ortho, with --rival StereoSGBM on rectified pairs
 beside it, with --scale what 20, 60 and 200 small frames take, and whether one process and two give the same
 bytes, with --large what 160 frames of 10 MP take. Of real data, skipped where they aren't: 18 frames of 9 MP
-(seconds of the stage and memory of the run, mosaics of odd and even frames laid over each other), and four
+(seconds of the stage and memory of the run, mosaics of odd and even frames compared), and four
 over 600 m of relief against their DEM. Tables
 go to standard output and OUT/surface.json.
 """
