@@ -82,7 +82,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=78, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=79, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -181,7 +181,7 @@ def block_of(survey: Survey, ground: GroundSurface, placement: Placement, ties: 
         control=ground_control(survey, ground),
         times_s=np.where([f.velocity_m_per_s is None for f in survey.frames], survey.clock_times_s, np.nan),
         heights=height_reference(survey),
-        flights=tuple(flights_of(survey.clock_times_s).tolist()),
+        flights=tuple(flights_of(survey.clock_times_s, [f.name for f in survey.frames]).tolist()),
     )
 
 

@@ -22,10 +22,24 @@ FLIGHT = np.array([0, 0, 1, 1, 1])
 def test_a_long_pause_parts_two_flights() -> None:
     """Lines with turns of 12 s between frames of 3 s, then a change of battery; not in order of time."""
     first, second = [0.0, 3.0, 6.0, 18.0, 21.0], [300.0, 303.0, 306.0]
-    assert flights_of(np.array(second + first)).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
-    assert flights_of(np.arange(5) * 50.0 + [0, 0, 0, 90.0, 90.0]).tolist() == [0] * 5  # slow, no pause
-    assert flights_of(np.array([0.0, 3.0, np.nan, 900.0])).tolist() == [0] * 4
-    assert flights_of(np.zeros(0)).tolist() == [] and flights_of(np.zeros(1)).tolist() == [0]
+    names = [f"DJI_{number:04d}.JPG" for number in (6, 7, 8, 1, 2, 3, 4, 5)]
+    assert flights_of(np.array(second + first), names).tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
+    slow = np.arange(5) * 50.0 + [0, 0, 0, 90.0, 90.0]
+    assert flights_of(slow, names[3:]).tolist() == [0] * 5
+    assert flights_of(np.array([0.0, 3.0, np.nan, 900.0]), names[:4]).tolist() == [0] * 4
+    assert flights_of(np.zeros(0), []).tolist() == [] and flights_of(np.zeros(1), names[:1]).tolist() == [0]
+
+
+def test_frames_that_are_not_at_hand_are_no_pause() -> None:
+    """An excerpt of a flight with a frame each 6 s: 76 frames lie between the second and the third, by the
+    counter in the names and not by the time there."""
+    times_s = np.array([0.0, 6.0, 468.0, 474.0, 480.0])
+    names = ["IMG_161122_1633{}_{:04d}_RGB.JPG".format(*at) for at in ((40, 12), (46, 13))]
+    names += ["IMG_161122_1641{}_{:04d}_RGB.JPG".format(*at) for at in ((28, 90), (34, 91), (40, 92))]
+    assert flights_of(times_s, names).tolist() == [0] * 5
+    counted_on = [name.replace("_009", "_001").replace("_0010", "_0014") for name in names]
+    assert flights_of(times_s, counted_on).tolist() == [0, 0, 1, 1, 1]
+    assert flights_of(times_s, ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"]).tolist() == [0, 0, 1, 1, 1]
 
 
 def test_each_flight_has_its_own_offset() -> None:
