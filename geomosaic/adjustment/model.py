@@ -90,9 +90,9 @@ class Block:
     """A survey ready to be adjusted. `cameras[i]` took frame i, `lines[i]` is its flight line, `sequence`
     lists frames in order of flight. `ground_pixel_m` is the paper's D. `turned` is `Placement.turned`: all is
     given for the images as they lie in the files. times_s (n,): of frames whose velocity no tag reports, when
-    they were taken, or NaN. heights: None with a DEM, or where heights fix nothing. flights: number of each
-    frame's flight, whose positions have an error in common; empty for one flight.
-    earlier: a solution to begin from."""
+    they were taken, or NaN. unsteady_m_per_s (n,): by how much velocities change about each frame. heights:
+    None with a DEM, or where heights fix nothing. flights: number of each frame's flight, whose positions
+    have an error in common; empty for one flight. earlier: a solution to begin from."""
 
     names: tuple[str, ...]
     cameras: tuple[Camera, ...]
@@ -105,6 +105,7 @@ class Block:
     turned: tuple[int, ...] = ()
     control: tuple[GroundControl, ...] = ()
     times_s: Floats | None = None
+    unsteady_m_per_s: Floats | None = None
     heights: HeightReference | None = None
     flights: tuple[int, ...] = ()
     earlier: SolvedBlock | None = None

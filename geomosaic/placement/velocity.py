@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.constants import SLIGHT, sourced, tuned
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.placement.smoothing_spline import slopes
 
 Floats = NDArray[np.float64]
@@ -49,6 +50,13 @@ class _Way:
             [0, *(1 + np.flatnonzero(turned | ~self.is_step[:-1] | ~self.is_step[1:])), len(steps)]
         )
         return [(int(a), int(b)) for a, b in itertools.pairwise(ends) if self.is_step[a:b].all()]
+
+    def steps_m_per_s(self, exact: bool) -> Floats:
+        """Velocities from each frame to the next, (n - 1, 3), by `clock`; NaN across pauses."""
+        passed_s = np.where(self.is_step, self.passed_s, np.nan)
+        for first, last in self.ways():
+            passed_s[first:last] = np.diff(self.clock(first, last, exact))
+        return self.moved_m / passed_s[:, None]
 
     def clock(self, first: int, last: int, exact: bool) -> Floats:
         """Times of a way from its beginning; by how far the frames lie apart where the clock is coarse."""
@@ -106,14 +114,33 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     out, way = velocities_m_per_s(positions_m, times_s), _way(positions_m, times_s)
     if not out.any():
         return out
-    exact = bool((np.abs(times_s - np.round(times_s))[way.at] > SLIGHT).mean() > 0.5)
-    ways = way.ways()
+    exact, ways = _exact(times_s[way.at]), way.ways()
     clocks = [way.clock(first, last, exact) for first, last in ways]
     places = [positions_m[way.at[first : last + 1]] for first, last in ways]
     level, upright = (slopes(clocks, [p[:, axes] for p in places]) for axes in ([0, 1], [2]))
     for k in sorted(range(len(ways)), key=lambda k: ways[k][1] - ways[k][0]):
         out[way.at[ways[k][0] : ways[k][1] + 1]] = np.column_stack([level[k], upright[k]])
     return out
+
+
+def unsteady_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
+    """By how much the velocity of each frame may differ from `flown_m_per_s`, (n,), where flight changes, as
+    at its end: half of what the steps before and behind it differ by, at the end of a way those of the frame
+    next to it; 0 where that is no more than three times the median."""
+    out, way = np.zeros(len(times_s)), _way(positions_m, times_s)
+    if len(way.at) < 3:
+        return out
+    steps = way.steps_m_per_s(_exact(times_s[way.at]))
+    change = np.pad(np.linalg.norm(np.diff(steps, axis=0), axis=1), 1, constant_values=np.nan)
+    beside = np.fmax(np.roll(change, 1), np.roll(change, -1))
+    change = np.nan_to_num(np.where(np.isnan(change), beside, change))
+    out[way.at] = np.where(change > THREE_SIGMA * np.median(change), 0.5 * change, 0.0)
+    return out
+
+
+def _exact(times_s: Floats) -> bool:
+    """Whether a clock reports more than whole seconds."""
+    return bool((np.abs(times_s - np.round(times_s)) > SLIGHT).mean() > 0.5)
 
 
 def _spread(steps: Floats) -> float:

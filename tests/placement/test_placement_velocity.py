@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomosaic.placement.velocity import flown_m_per_s, velocities_m_per_s
+from geomosaic.placement.velocity import flown_m_per_s, unsteady_m_per_s, velocities_m_per_s
 
 
 def test_each_line_has_its_own_velocity_whatever_one_position_says() -> None:
@@ -73,3 +73,19 @@ def test_a_platform_thrown_about_its_line_flies_at_its_speed() -> None:
     assert np.sqrt((off**2).mean()) < 0.5 * np.sqrt(
         ((np.gradient(at, times, axis=0) - [6.0, 3.0, 0.0]) ** 2).mean()
     )
+
+
+def test_where_a_flight_ends_its_velocity_is_unsure() -> None:
+    """A line east at 10 m/s with steps of 2 s and a little wander, then down at 4 m/s: the last frame of the
+    line and those of the descent next to it may fly either way; clocks of whole seconds show no change."""
+    rng = np.random.default_rng(7)
+    line = np.arange(9)[:, None] * [20.0, 0.0, 0.0]
+    down = line[-1] + np.arange(1, 4)[:, None] * [0.0, 0.0, -8.0]
+    at = np.concatenate([line, down]) + rng.normal(0.0, 0.05, (12, 3))
+    times = 0.2 + 2.0 * np.arange(12)
+    found = unsteady_m_per_s(at, times)
+    assert np.flatnonzero(found).tolist() == [8]
+    np.testing.assert_allclose(found[8], 0.5 * np.hypot(10.0, 4.0), rtol=0.02)
+    assert np.flatnonzero(unsteady_m_per_s(at[:10], times[:10])).tolist() == [8, 9]
+    assert not unsteady_m_per_s(line, np.floor(1.4 * np.arange(9))).any()
+    assert not unsteady_m_per_s(at, np.full(12, np.nan)).any()

@@ -6,6 +6,7 @@ counted from the same corner of it. (Images turned by 90 degrees are a camera of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,11 +24,13 @@ from geomosaic.survey.names import some
 _LEAST_SD_M = tuned(1e-4, "m", "of a position: no survey is better; zero weighs without bound")
 
 
-def _half_turned(block: Block) -> list[int]:
-    return [i for i, quarters in enumerate(block.turned) if quarters == 2]
+def _half_turned(quarters: Sequence[int]) -> list[int]:
+    return [i for i, its in enumerate(quarters) if its == 2]
 
 
-def _turned_poses(poses: Poses, frames: list[int]) -> Poses:
+def turned_poses(poses: Poses, quarters: Sequence[int]) -> Poses:
+    """Poses of images of which some (2 quarters) are turned by 180 degrees."""
+    frames = _half_turned(quarters)
     rotations = poses.rotations.copy()
     rotations[frames] = Rotation(rotations[frames]).turned(2).matrix
     turns = None if poses.turns is None else poses.turns.turned(frames, 2)
@@ -36,7 +39,7 @@ def _turned_poses(poses: Poses, frames: list[int]) -> Poses:
 
 def as_taken(block: Block) -> Block:
     """The block with half-turned images turned back: poses, cameras, tie points and control."""
-    frames = _half_turned(block)
+    frames = _half_turned(block.turned)
     if not frames:
         return block
     cameras = tuple(c.turned(2) if i in frames else c for i, c in enumerate(block.cameras))
@@ -62,7 +65,7 @@ def as_taken(block: Block) -> Block:
     return replace(
         block,
         cameras=cameras,
-        poses=_turned_poses(block.poses, frames),
+        poses=turned_poses(block.poses, block.turned),
         ties=replace(block.ties, pairs=pairs),
         turned=(),
         control=control,
@@ -71,7 +74,7 @@ def as_taken(block: Block) -> Block:
 
 def as_filed(adjusted: Adjusted, block: Block) -> Adjusted:
     """The outcome of `as_taken(block)` for the images as they lie in the files."""
-    frames, residuals = _half_turned(block), adjusted.image_residuals
+    frames, residuals = _half_turned(block.turned), adjusted.image_residuals
     cameras = tuple(c.turned(2) if i in frames else c for i, c in enumerate(adjusted.cameras))
     if residuals is not None:
         turned = np.isin(residuals.frame, frames)[:, None]
@@ -81,7 +84,7 @@ def as_filed(adjusted: Adjusted, block: Block) -> Adjusted:
             image_px=np.where(turned, size[residuals.frame] - residuals.image_px, residuals.image_px),
             residual_px=np.where(turned, -residuals.residual_px, residuals.residual_px),
         )
-    poses = _turned_poses(adjusted.poses, frames)
+    poses = turned_poses(adjusted.poses, block.turned)
     return replace(adjusted, cameras=cameras, poses=poses, image_residuals=residuals)
 
 

@@ -50,9 +50,10 @@ def part_of_block(block: Block, frames: Ints) -> Block:
         ties=TiePoints(pairs),
         sequence=tuple(number[i] for i in block.sequence if i in number),
         lines=tuple(block.lines[i] for i in frames),
-        turned=tuple(number[i] for i in block.turned if i in number),
+        turned=tuple(block.turned[i] for i in frames) if block.turned else (),
         control=(),
         times_s=None,
+        unsteady_m_per_s=None if block.unsteady_m_per_s is None else block.unsteady_m_per_s[frames],
         heights=None,
         flights=tuple(block.flights[i] for i in frames) if block.flights else (),
     )

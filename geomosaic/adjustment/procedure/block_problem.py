@@ -127,13 +127,18 @@ def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutte
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
-    gust_per_s = GUST_M_PER_S / flying_height_m(block)
-    drift_sd = (
-        gust_per_s * np.abs(readouts_s)[:, None] * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))
-    )
+    drift_sd = _gust_per_s(block) * np.abs(readouts_s)
+    drift_sd = drift_sd[:, None] * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))
     most = PRIOR_FACTORS[1] if settings.turning else THREE_SIGMA
     common = settings.turning and _zero_unknown(block, settings)
     return RollingShutterRotation(_swing_sd_rad(block, settings, readouts_s), drift_sd, common, most)
+
+
+def _gust_per_s(block: Block) -> Floats:
+    """Errors of the frames' velocities (f,), as shares of the flying height in a second."""
+    unsteady = block.unsteady_m_per_s
+    own = np.zeros(len(block.names)) if unsteady is None else unsteady
+    return np.asarray(np.hypot(GUST_M_PER_S, own) / flying_height_m(block))
 
 
 def _swing_sd_rad(block: Block, settings: Settings, readouts_s: Floats) -> Floats:
@@ -143,12 +148,13 @@ def _swing_sd_rad(block: Block, settings: Settings, readouts_s: Floats) -> Float
     recorded = recorded_share(block.poses.turns, np.arange(len(readouts_s)), readouts_s)
     known = np.isfinite(recorded)
     most = VIBRATION_TERMS if settings.vibrating else TERMS
-    rate_sd, terms = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S, most
+    rate_sd: Floats | float = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S
+    terms = most
     if not settings.turning:
-        rate_sd, terms = GUST_M_PER_S / flying_height_m(block), 1
+        rate_sd, terms = _gust_per_s(block), 1
     elif _zero_unknown(block, settings):
         rate_sd, terms = _ZERO_SD_RAD_PER_S, most if known.any() else 1
-    sd = np.repeat(0.5 * rate_sd * np.abs(readouts_s)[:, None], terms, axis=1)
+    sd = np.repeat((0.5 * rate_sd * np.abs(readouts_s))[:, None], terms, axis=1)
     guessed = 0.5 * RATE_SD_RAD_PER_S * np.abs(readouts_s[known]) * (0.5 - recorded[known])
     sd[known, 1:] = guessed[:, None]
     return sd[:, :, None] * (np.ones(3) if settings.turning else IMAGE_AXES)

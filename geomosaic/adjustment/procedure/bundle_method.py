@@ -11,22 +11,18 @@ import numpy as np
 
 from geomosaic.adjustment.ground.ground_choice import levelled, surface_of
 from geomosaic.adjustment.model import Adjusted, Block, ModelChoice, Round, Settings, SolveStep
-from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.problem.usable_block import as_filed, as_taken, usable
-from geomosaic.adjustment.procedure.block_part import read_at_once
-from geomosaic.adjustment.procedure.block_problem import block_problem
+from geomosaic.adjustment.problem.usable_block import as_filed, as_taken, turned_poses, usable
 from geomosaic.adjustment.procedure.block_solution import (
     BlockSolution,
     BlockTask,
     block_solution,
     by_all_points,
-    points_on_ground,
 )
 from geomosaic.adjustment.procedure.blunder_detection import counted_shares, resected
 from geomosaic.adjustment.procedure.control_points import placed_by_control, with_marks_of_whole_images
 from geomosaic.adjustment.procedure.earlier_solution import EARLIER, begun_from_earlier, still_fits
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
-from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
+from geomosaic.adjustment.procedure.first_solution import begun
 from geomosaic.adjustment.procedure.lens_start import with_lens_starts
 from geomosaic.adjustment.procedure.model_selection import (
     GOOD_PX,
@@ -37,15 +33,14 @@ from geomosaic.adjustment.procedure.model_selection import (
     with_readout,
 )
 from geomosaic.adjustment.procedure.outcome import Work, bundle_outcome, outcome, places_of, shape_figures
+from geomosaic.adjustment.procedure.reading_order import read_backwards, surely_better, turned_back
 from geomosaic.adjustment.procedure.reported_corrections import (
     height_drift,
-    with_common_heading,
     with_common_rate,
     with_solved_velocities,
 )
 from geomosaic.adjustment.solver.place_uncertainty import design_effect, with_design_effect
 from geomosaic.adjustment.solver.solution import Start
-from geomosaic.adjustment.solver.solve import SolveOptions, solve
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -78,7 +73,7 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
     few = few if _WORTHWHILE * few.points < tracks.points else tracks
 
     def free(its: Block) -> tuple[Poses, tuple[Camera, ...]]:
-        solution = _begun(its, replace(settings, model="given"), (few, few), spread).found.solution
+        solution = begun(its, replace(settings, model="given"), (few, few), spread).found.solution
         return solution.poses, tuple(solution.cameras[k] for k in its.lens_of)
 
     block, notes = with_marks_of_whole_images(block, free)
@@ -87,7 +82,7 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         if adjusted is None:
             return _solved(replace(block, earlier=None), settings, spread)
         return replace(adjusted, warnings=(*notes, *adjusted.warnings))
-    work = _begun(block, settings, (tracks, few), spread, placed_by_control(block, free))
+    work = begun(block, settings, (tracks, few), spread, placed_by_control(block, free))
     steps = _named("few tie points" if work.rough else "tie points", work.steps)
     skipped: list[Warn] = []
     for name, step in PROCEDURE.items():
@@ -98,7 +93,7 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
             text = f"the step '{name}' of the adjustment cannot be solved ({error}); it is left out"
             skipped.append(Warn("adjustment-step-failed", "", text))
         steps += _named(name, work.steps[before:])
-    adjusted = bundle_outcome(work)
+    adjusted = as_filed(bundle_outcome(work), replace(block, turned=work.turned))
     return replace(adjusted, steps=steps, warnings=(*notes, *skipped, *adjusted.warnings))
 
 
@@ -125,46 +120,6 @@ def _named(name: str, steps: tuple[SolveStep, ...]) -> tuple[SolveStep, ...]:
     return tuple(replace(step, solve=name) for step in steps)
 
 
-def _begun(
-    given: Block,
-    settings: Settings,
-    all_and_few: tuple[Tracks, Tracks],
-    spread: Spread,
-    start: Poses | None = None,
-) -> Work:
-    """Similarities, or initial poses, then a bundle; with a rolling shutter first with all rows read at
-    once."""
-    tracks, few = all_and_few
-    net = offset_net(given)
-    start = start or start_poses(given, net)
-    block, notes = with_common_heading(placed_by_images(given, start), start)
-    rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
-    if rolling:
-        start = _read_at_once(block, settings, few, start)
-        block, _ = with_solved_velocities(block, start)
-    misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
-    del net  # where every tie point lies, twice
-    found = block_solution(BlockTask(block, settings, few, few is not tracks), start)
-    return Work(
-        *(given, misalignments_m, tracks, few, rolling, block, settings, found, spread),
-        notes=tuple(notes),
-        steps=found.steps,
-    )
-
-
-def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses) -> Poses:
-    """Poses as if all rows were read at once, with lenses as given: good enough to show how fast the platform
-    flew. Velocities by given positions are wrong where frames are a few metres apart, and lenses would absorb
-    that."""
-    points, kept = points_on_ground(start, block.cameras, block.ground, tracks)
-    if not len(points):
-        return start
-    settings = replace(settings, rolling_shutter=False, turning=False)
-    options = SolveOptions(rough=True, self_calibration=False)
-    solved = solve(block_problem(read_at_once(block), settings, kept, points), start, options=options)
-    return replace(solved.poses, velocities_m_per_s=start.velocities_m_per_s, turns=start.turns)
-
-
 def again(work: Work, block: Block, settings: Settings, start: BlockSolution | Start | None = None) -> Work:
     """The block solved anew with another block or settings, from the present poses or a solver's solution."""
     poses = start.poses if isinstance(start, Start) else work.found.solution.poses
@@ -181,6 +136,17 @@ def _wrong_ones_resected(work: Work) -> Work:
         return work
     found = block_solution(BlockTask(work.block, work.settings, work.few, work.rough), poses)
     return work.then(found)
+
+
+def _read_in_order(work: Work) -> Work:
+    """Images turned back that were turned after the flight, where rolling shutters show it."""
+    quarters = read_backwards(work)
+    if not quarters or work.turned:
+        return work
+    other = turned_back(work, quarters)
+    poses = turned_poses(work.found.solution.poses, quarters)
+    other = other.then(block_solution(BlockTask(other.block, other.settings, other.few, other.rough), poses))
+    return other if surely_better(other.found.solution, work.found.solution) else work
 
 
 def _heights_freed(work: Work) -> Work:
@@ -205,6 +171,7 @@ def _model_chosen(work: Work) -> Work:
     if choice is None or not choice.taken:
         return replace(work, choice=choice)
     chosen = _heights_freed(replace(again(work, block, settings, begun), choice=choice))
+    chosen = _read_in_order(chosen)
     if contradicts(chosen.found.solution, found.solution):
         contradicted = (*choice.contradicted, "+".join(choice.taken))
         return replace(work, choice=replace(choice, taken=(), contradicted=contradicted))
@@ -284,6 +251,7 @@ def _accuracy_stated(work: Work) -> Work:
 PROCEDURE: dict[str, Callable[[Work], Work]] = {
     "wrong frames resected": _wrong_ones_resected,
     "heights": _heights_freed,
+    "order of reading": _read_in_order,
     "model of lens and shutter": _model_chosen,
     "turning": _turning_too,
     "zero of the gyroscope": _zero_of_the_gyroscope,

@@ -148,7 +148,7 @@ class Work:
     tracks: all tie points, few: those that the model is found by. rolling: rolling shutters were reported.
     block, settings: as corrected by now. found: the present solution. spread: runs tasks side by side.
     choice: of the model of lens and shutter. notes: warnings of the start. steps: of all solves that led
-    here."""
+    here. turned: quarters of images that the procedure turned back, see `read_backwards`."""
 
     given: Block
     misalignments_m: Floats
@@ -162,6 +162,7 @@ class Work:
     choice: ModelChoice | None = None
     notes: tuple[Warn, ...] = ()
     steps: tuple[SolveStep, ...] = ()
+    turned: tuple[int, ...] = ()
 
     @property
     def rough(self) -> bool:
@@ -222,7 +223,7 @@ def bundle_outcome(work: Work) -> Adjusted:
         model=work.choice,
         shared=shared,
         image_residuals=image_residuals(found.ties, solution),
-        solved=_solved(work, rejected),
+        solved=None if work.turned else _solved(work, rejected),
     )
 
 

@@ -18,7 +18,7 @@ from geomosaic.estimation.robust import FAR, LEAST_OBSERVATIONS, THREE_SIGMA
 from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import heading_assumed, heading_limits_rad, position_assumed
-from geomosaic.placement.velocity import flown_m_per_s
+from geomosaic.placement.velocity import flown_m_per_s, unsteady_m_per_s
 from geomosaic.survey.model import Warn
 
 _MOST_PARTS = tuned(4, "jumps and slopes", "two batteries, a wrong barometer: two of each; more: noise")
@@ -38,11 +38,13 @@ def with_solved_velocities(block: Block, poses: Poses) -> tuple[Block, bool]:
     if known.sum() >= 3:
         turn, _ = fit_similarity(poses.positions_m[known, :2], block.poses.positions_m[known, :2])
         scale = float(abs(turn)) if 1.0 / _MOST_SCALE < abs(turn) < _MOST_SCALE else 1.0
+    unsteady = unsteady_m_per_s(scale * poses.positions_m, times_s)
     velocities = flown_m_per_s(scale * poses.positions_m, times_s)
     velocities = np.where(np.isfinite(times_s)[:, None], velocities, given)
     off, speed = (np.linalg.norm(v, axis=1) for v in (velocities - given, velocities))
     other = bool((off > _OTHER_VELOCITY * speed).any())
-    return replace(block, poses=replace(block.poses, velocities_m_per_s=velocities)), other
+    poses = replace(block.poses, velocities_m_per_s=velocities)
+    return replace(block, poses=poses, unsteady_m_per_s=unsteady), other
 
 
 def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tuple[Block, Settings]:
