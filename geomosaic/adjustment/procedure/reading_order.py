@@ -10,11 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.problem.usable_block import as_taken
 from geomosaic.adjustment.procedure.outcome import Work
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.adjustment.terms.interior_orientation import NOMINAL_READOUT_S
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Bools, Floats
@@ -24,12 +26,15 @@ from geomosaic.survey.model import Warn
 
 _STEADY = tuned(0.5, "share of the velocity", "across the view, or unsteady: beyond it no way is known")
 _SURE = sourced(150.0, "times as likely", "that one order is right, not the other", "Kass and Raftery 1995")
+_LEAST_PX = tuned(
+    1.0, "px", "flown while a frame is read: less is like a keypoint's error, whatever the order"
+)
 _AS_SHARP = tuned(1.05, "times", "the image deviation that another order may leave: chance")
 
 
 def read_backwards(work: Work) -> tuple[int, ...]:
     """Quarters by which to turn each frame's image: 2 for those that fly backwards by their images while most
-    fly forwards, or the reverse; empty where there are none, or where all rows are read at once."""
+    fly forwards, or the reverse; empty where there are none, or where the order of reading hardly matters."""
     block, solution = work.block, work.found.solution
     velocities, reported = block.poses.velocities_m_per_s, block.poses.turns is not None
     rolling = any(t.name == RollingShutterRotation.name for t in solution.problem.frames)
@@ -37,6 +42,9 @@ def read_backwards(work: Work) -> tuple[int, ...]:
         return ()
     in_camera = np.einsum("fij,fi->fj", solution.poses.rotations, velocities)
     speed = np.linalg.norm(velocities, axis=1)
+    focal_px = np.array([c.focal_length_px * (c.readout_s or NOMINAL_READOUT_S) for c in block.cameras])
+    if float(np.median(speed * focal_px)) < _LEAST_PX * flying_height_m(block):
+        return ()
     way = np.sign(in_camera[:, 1]) * (np.abs(in_camera[:, 1]) > _STEADY * speed) * _steady(block, speed)
     way[solution.left_out] = 0.0
     fewer = -np.sign(way.sum()) or 1.0
