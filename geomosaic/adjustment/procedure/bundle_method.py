@@ -170,8 +170,11 @@ def _model_chosen(work: Work) -> Work:
     )
     if choice is None or not choice.taken:
         return replace(work, choice=choice)
-    chosen = _heights_freed(replace(again(work, block, settings, begun), choice=choice))
-    chosen = _read_in_order(chosen)
+    try:
+        chosen = again(work, block, settings, begun)
+    except NotSolvableError:  # of a large block, some frames were compared, the others are only near
+        chosen = again(work, block, settings)
+    chosen = _read_in_order(_heights_freed(replace(chosen, choice=choice)))
     if contradicts(chosen.found.solution, found.solution):
         contradicted = (*choice.contradicted, "+".join(choice.taken))
         return replace(work, choice=replace(choice, taken=(), contradicted=contradicted))
