@@ -132,8 +132,8 @@ def unsteady_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
         return out
     steps = way.steps_m_per_s(_exact(times_s[way.at]))
     change = np.pad(np.linalg.norm(np.diff(steps, axis=0), axis=1), 1, constant_values=np.nan)
-    beside = np.fmax(np.roll(change, 1), np.roll(change, -1))
-    change = np.nan_to_num(np.where(np.isnan(change), beside, change))
+    next_to_it = np.fmax(np.roll(change, 1), np.roll(change, -1))
+    change = np.nan_to_num(np.where(np.isnan(change), next_to_it, change))
     out[way.at] = np.where(change > THREE_SIGMA * np.median(change), 0.5 * change, 0.0)
     return out
 
