@@ -26,6 +26,7 @@ from geomosaic.survey.model import Warn
 
 _STEADY = tuned(0.5, "share of the velocity", "across the view, or unsteady: beyond it no way is known")
 _SURE = sourced(150.0, "times as likely", "that one order is right, not the other", "Kass and Raftery 1995")
+_MOST_BACKWARDS = tuned(0.6, "share of the frames", "more fly backwards: cameras look back; half: two lines")
 _LEAST_PX = tuned(
     1.0, "px", "flown while a frame is read: less is like a keypoint's error, whatever the order"
 )
@@ -33,8 +34,9 @@ _AS_SHARP = tuned(1.05, "times", "the image deviation that another order may lea
 
 
 def read_backwards(work: Work) -> tuple[int, ...]:
-    """Quarters by which to turn each frame's image: 2 for those that fly backwards by their images while most
-    fly forwards, or the reverse; empty where there are none, or where the order of reading hardly matters."""
+    """Quarters by which to turn each frame's image: 2 for those that fly backwards by their images while
+    others fly forwards, or the reverse where cameras look back; empty where there are none, or where the
+    order of reading hardly matters."""
     block, solution = work.block, work.found.solution
     velocities, reported = block.poses.velocities_m_per_s, block.poses.turns is not None
     rolling = any(t.name == RollingShutterRotation.name for t in solution.problem.frames)
@@ -47,8 +49,9 @@ def read_backwards(work: Work) -> tuple[int, ...]:
         return ()
     way = np.sign(in_camera[:, 1]) * (np.abs(in_camera[:, 1]) > _STEADY * speed) * _steady(block, speed)
     way[solution.left_out] = 0.0
-    fewer = -np.sign(way.sum()) or 1.0
-    return tuple(2 * int(its == fewer) for its in way) if (way == fewer).any() else ()
+    backwards = float((way < 0.0).mean() / max((way != 0.0).mean(), SLIGHT))
+    turned = way > 0.0 if backwards > _MOST_BACKWARDS else way < 0.0
+    return tuple(2 * int(its) for its in turned) if turned.any() else ()
 
 
 def _steady(block: Block, speed: Floats) -> Bools:
