@@ -115,7 +115,8 @@ class Surroundings(TypedDict, total=False):
 class Context:
     """A stage's surroundings. Only `run_folder` is needed to run a stage by hand, as in a test.
 
-    lasting_items: where `map` keeps results that outlive the stage's own outcome.
+    lasting_items: where `map` keeps results that outlive the stage's own outcome. optional_caches: see
+    `Items.caches`.
     """
 
     def __init__(self, run_folder: Path | RunFolder, **given: Unpack[Surroundings]) -> None:
@@ -144,6 +145,7 @@ class Context:
             self.work_folder, *made_by, self._workers, self._hashes, self.progress, self.inform
         )
         self.lasting_items = self._items.lasting
+        self.optional_caches = self._items.caches
 
     def progress(self, done: int, total: int, text: str = "") -> None:
         """Says how far the stage is; raises `CancelledError` if the user stopped the run."""

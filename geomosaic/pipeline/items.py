@@ -20,6 +20,7 @@ from geomosaic.pipeline.executor import Workers
 from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.stored_result import (
     EncodedFunction,
+    OptionalCache,
     SharedFunction,
     SpoolingFunction,
     StoredResult,
@@ -94,6 +95,14 @@ class Items:
                     i = running.pop(future)
                     done[i] = take(self._kept(returns, places[i], self.workers.result(future)))
         return [done[i] for i in range(len(places))]
+
+    def caches(
+        self, name: str, function: Callable[[Item], Result], items: Iterable[Item]
+    ) -> list[OptionalCache[Result]]:
+        """Cache entries for what a function makes of items, named as by `mapped`: for results that whoever
+        wants one first makes, since perhaps nobody does."""
+        returns = _returns(function)
+        return [OptionalCache(returns, place.path) for place in self._by_content(name, function, items)]
 
     def _submitted(self, work: Callable[[Item], Any], item: Item, left_at: Path | None) -> Future[Any]:
         """An item on its way; other processes leave its result beside `left_at`, if that is given."""

@@ -172,6 +172,11 @@ class OptionalCache(Reference, Generic[Result]):
         except FileError:
             return None
 
+    def forget(self) -> None:
+        """Its file goes."""
+        if self.path is not None:
+            files.remove(self.path)
+
 
 def without_bytes(kept: StoredResult[Result]) -> StoredResult[Result]:
     """The same without the copy in memory, if the result is on disk."""

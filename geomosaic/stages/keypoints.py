@@ -19,7 +19,7 @@ from geomosaic.matching.features import Bytes, Features, reduction_for, shrunk, 
 from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.stage import Context, StageParams, param
-from geomosaic.pipeline.stored_result import StoredResult
+from geomosaic.pipeline.stored_result import OptionalCache, StoredResult
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import FrameToDecode, Small
@@ -83,28 +83,43 @@ def frame_brightness(sight: FrameReduction, unseen: FrameToDecode) -> Brightness
 
 @dataclass(frozen=True)
 class Picture:
-    """A frame's brightness where it lies, and how many of the frame's pixels one of its own is along each
-    side."""
+    """A frame and how it is looked at. Whoever wants its brightness first decodes it, and leaves it for the
+    others."""
 
-    brightness: StoredResult[Brightness]
-    reduction: int
+    sight: FrameReduction
+    unseen: FrameToDecode
+    decoded: OptionalCache[Brightness]
+
+    @property
+    def reduction(self) -> int:
+        """Pixels of the frame in one of the image, along each side."""
+        return self.sight.reduction(self.unseen.frame)
+
+    def brightness(self) -> Brightness:
+        """The frame as it is looked at."""
+        found = self.decoded.found()
+        if found is None:
+            found = frame_brightness(self.sight, self.unseen)
+            self.decoded.leave(found)
+        return found
 
 
 @contextmanager
 def pictured(context: Context, sight: FrameReduction, frames: Sequence[Frame]) -> Iterator[list[Picture]]:
-    """Frames decoded once for all that is done in the block. Then they go: a few MB each, and decoded again
-    sooner than so much is kept; if the block fails, the next run finds them."""
+    """Frames, each decoded once at most for all that is done in the block, and not at all where all that is
+    wanted of it is there from before. Then they go: a few MB each, and decoded again sooner than so much is
+    kept; if the block fails, the next run finds them."""
     unseen = [FrameToDecode(frame, context.optional_cache(Small, frame.path)) for frame in frames]
-    decoded = context.stored("brightness", partial(frame_brightness, sight), unseen)
-    yield [Picture(kept, sight.reduction(frame)) for kept, frame in zip(decoded, frames, strict=True)]
-    for kept in decoded:
-        kept.forget()
+    decoded = context.optional_caches("brightness", partial(frame_brightness, sight), unseen)
+    yield [Picture(sight, one, cache) for one, cache in zip(unseen, decoded, strict=True)]
+    for cache in decoded:
+        cache.forget()
 
 
 def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:
     """Keypoints of an image of the frame with no side longer than keypoints_px: at most `most`, and as many
     again for a frame that is faint all over."""
-    seen = picture.brightness.load()
+    seen = picture.brightness()
     small, valid = shrunk(seen.grey, seen.valid, keypoints_px)
     rows, cols = (
         picture.reduction * whole / part for whole, part in zip(seen.grey.shape, small.shape, strict=True)
@@ -146,7 +161,7 @@ class Windows:
 
 def frame_windows(shown: PlacesAsked) -> Windows:
     """What a frame shows at places."""
-    return Windows(templates(shown.picture.brightness.load().grey, shown.image_px / shown.picture.reduction))
+    return Windows(templates(shown.picture.brightness().grey, shown.image_px / shown.picture.reduction))
 
 
 @dataclass(frozen=True)
@@ -183,7 +198,7 @@ def frame_places(search: Search) -> PlacesFound:
     values = [s.windows.recall().values[s.rows] for s in search.sought]
     found = find(
         np.concatenate([np.zeros((0, TEMPLATE_PX, TEMPLATE_PX), np.uint8), *values]),
-        search.picture.brightness.load().grey,
+        search.picture.brightness().grey,
         np.concatenate([s.near_px for s in search.sought]) / reduction,
         np.concatenate([s.shapes * (s.reduction / reduction) for s in search.sought]),
     )

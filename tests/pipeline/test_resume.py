@@ -174,12 +174,12 @@ def test_a_frame_that_vanishes_is_named_and_costs_nothing_done(
     frames = tmp_path / "frames"
     shutil.copytree(survey.frames, frames)
     last = sorted(frames.glob("*.jpg"))[-1]
-    vanished = Counting("brightness", last.unlink)
+    vanished = Counting("keypoints", last.unlink)
     with pytest.raises(FileError, match=last.name):
         run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=vanished)
     shutil.copy2(survey.frames / last.name, last)
     counting = Counting()
     run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=counting)
-    at = "Match frames with SIFT: brightness"
+    at = "Match frames with SIFT: keypoints"
     assert 0 < vanished.done[at] == counting.found[at][0] < 6
     assert_same(tmp_path / "run", fresh)
