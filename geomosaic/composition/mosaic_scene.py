@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final, Literal, Self
 
@@ -97,14 +98,20 @@ class CandidateFrames(PosedFrames):
         used = [status != "rejected" and complete for status, complete in whole]
         return cls(survey, adjusted.poses, adjusted.cameras, used, ground)
 
-    @property
+    @cached_property
     def pixel_m(self) -> float:
         """The frames' own ground pixel, see `survey_pixel_m`."""
         return survey_pixel_m(self.poses, self.cameras, self.used, self.ground)
 
     def views(self, limits: Limits | None = None) -> tuple[FrameView, ...]:
         """Of all that they see, or of what they see within limits."""
-        return frame_views(self, self.survey.map_crs, limits)
+        if limits not in self._views:
+            self._views[limits] = frame_views(self, self.survey.map_crs, limits)
+        return self._views[limits]
+
+    @cached_property
+    def _views(self) -> dict[Limits | None, tuple[FrameView, ...]]:
+        return {}
 
     def limits(self, edges: str, pixel_m: float) -> Limits | None:
         """Up to where they see well, by the mosaic's pixel or the frames' own, the larger one; None where all
