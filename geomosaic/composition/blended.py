@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from geomosaic.composition.area import Area
 from geomosaic.composition.blends import BLENDS
-from geomosaic.composition.composed_tiles import KeptTile
 from geomosaic.composition.frame_part import FramePart
 from geomosaic.composition.frame_source import FrameSource
+from geomosaic.composition.kept_tile import KeptTile
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.spread import SpooledResult
 from geomosaic.composition.tiles import TILE_PX, PackedTile, TileKind

@@ -25,12 +25,12 @@ from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.composed_tiles import (
     ComposedTiles,
     EarlierMosaic,
-    KeptTile,
     Noting,
     TileNotes,
 )
 from geomosaic.composition.frame_part import Asked, Warping, frame_part
 from geomosaic.composition.frame_source import FrameSource
+from geomosaic.composition.kept_tile import KeptTile
 from geomosaic.composition.model import Mosaic
 from geomosaic.composition.occlusion import with_occlusion
 from geomosaic.composition.ownership import Ownership

@@ -16,20 +16,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.windows import Window as RasterWindow
 
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.kept_tile import KeptTile
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.scene import Scene, ground_of
 from geomosaic.composition.tiles import TILE_PX
 from geomosaic.composition.tones import Tones
 from geomosaic.composition.views import FrameView
-from geomosaic.composition.window import Composed, CompositionStep, Window
+from geomosaic.composition.window import CompositionStep, Window
 from geomosaic.constants import tuned
-from geomosaic.doors.at_hand import at_hand
-from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.projection.warp import frame_from_map
+from geomosaic.projection.warp import GroundWindow, ProjectionEquations, frame_from_map, middles
 
 Floats32 = NDArray[np.float32]
 MOST_MOVED_PX = tuned(0.05, "mosaic px", "that a kept tile may be off: more shows at tiles beside it")
@@ -38,7 +36,7 @@ _ACROSS = 4
 """Places along a tile."""
 _NEAR = 0.1
 """Share of a frame's side by which a place may lie outside and still count."""
-_GREYS = 255.0
+GREYS = 255.0
 _ON_A_PIXEL = 1e-3
 
 
@@ -115,41 +113,6 @@ class EarlierMosaic:
 
 
 @dataclass(frozen=True)
-class KeptTile:
-    """A tile of an earlier mosaic: its files, its first col and row there, and for the number of each of its
-    sources, from 1, the present number, from 0, or -1."""
-
-    raster: Path
-    sources: Path
-    col: int
-    row: int
-    numbers: NDArray[np.int64]
-
-    def composed(self, window: Window) -> Composed:
-        """The tile as a window of the present mosaic."""
-        at = RasterWindow(self.col, self.row, window.width, window.height)
-        with open_raster(at_hand(self.raster), OWN) as raster:
-            pixels = np.ascontiguousarray(np.moveaxis(_padded(raster, at), 0, -1))
-            valid = _padded(raster, at, mask=True)[0] > 0
-        with open_raster(at_hand(self.sources), OWN) as raster:
-            given = np.where(valid, _padded(raster, at)[0].astype(np.int64), 0)
-        numbers = np.unique(self.numbers[given[valid] - 1])
-        label = np.full(valid.shape, -1, dtype=np.int16)
-        label[valid] = np.searchsorted(numbers, self.numbers[given[valid] - 1])
-        pixels[~valid] = 0
-        all_numbers = tuple(int(n) for n in numbers)
-        return Composed(window, pixels, valid, label, all_numbers, all_numbers)
-
-
-def _padded(raster: Any, at: RasterWindow, *, mask: bool = False) -> NDArray[Any]:
-    """A window's pixels, 0 beyond the raster's edge."""
-    height, width = min(at.height, raster.height - at.row_off), min(at.width, raster.width - at.col_off)
-    inner = RasterWindow(at.col_off, at.row_off, width, height)
-    found = raster.dataset_mask(window=inner)[None] if mask else raster.read(window=inner)
-    return np.pad(found, ((0, 0), (0, at.height - height), (0, at.width - width)))
-
-
-@dataclass(frozen=True)
 class Noting:
     """What notes are made by. frames: of the survey, by name and content; manner, white: see
     `ComposedTiles`; halo_px: how far about a tile who gives what matters."""
@@ -179,7 +142,7 @@ class Noting:
     @property
     def most_log(self) -> float:
         """How much brighter a frame may be than it was: by MOST_GREY where that shows most."""
-        share = MOST_GREY / _GREYS
+        share = MOST_GREY / GREYS
         return share if not np.isfinite(self._white) else 4.0 * share
 
     def note(self, step: CompositionStep) -> TileNote:
@@ -189,10 +152,11 @@ class Noting:
         ground = ground_of(self.scene, whole, TILE_PX // _ACROSS)
         parts = {}
         for number, view in ((p.source.number, _view_of(p.source)) for p in step.parts):
-            cols, rows = frame_from_map(ground, view.pose, view.camera)
+            cols, rows = _places(ground, view)
             bright = np.zeros((*cols.shape, self.bands), dtype=np.float32)
             if self.tones is not None:
-                bright = self.tones.brighter(number, view.camera, cols, rows)
+                nearest = np.clip(cols, 0, view.camera.width_px), np.clip(rows, 0, view.camera.height_px)
+                bright = self.tones.brighter(number, view.camera, *nearest)
             image = np.stack([cols, rows], axis=-1).reshape(-1, 2)
             parts[self.frames[number]] = image, bright.reshape(len(image), -1)
         _, _, owner = self.ownership.around(whole.grown(self.halo_px))
@@ -283,6 +247,21 @@ def _goes_with(noting: Noting, was: ComposedTiles) -> bool:
 def _view_of(source: Any) -> FrameView:
     view: FrameView = source.view
     return view
+
+
+def _places(ground: GroundWindow, view: FrameView) -> tuple[Floats32, Floats32]:
+    """Cols and rows of ground points in a frame, beyond its lens as if it had none: of a frame that only
+    touches a tile no other place tells whether it moved."""
+    camera = view.camera
+    cols, rows = frame_from_map(ground, view.pose, camera)
+    beyond = np.isnan(cols)
+    if beyond.any():
+        u, v = middles(ground.width_px), middles(ground.height_px)[:, None]
+        x, y, z = ProjectionEquations(view.pose, camera).axes(ground, u, v, ground.relief_m)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cols[beyond] = (camera.principal_col_px - camera.focal_length_px * x / z)[beyond]
+            rows[beyond] = (camera.principal_row_px + camera.focal_length_px * y / z)[beyond]
+    return cols, rows
 
 
 def _inside(image_px: Floats32, camera: Camera) -> NDArray[np.bool_]:

@@ -19,12 +19,12 @@ _OFF = 1e-3
 
 
 def with_earlier_seams(
-    cut: Ownership, parts: Sequence[SeamPart], was: Ownership, number: NDArray[np.int32]
+    cut: Ownership, parts: Sequence[SeamPart], was: Ownership, numbers: NDArray[np.int64]
 ) -> Ownership:
     """The ownership in which a cell stays with its earlier owner, if that still may give it and the present
     owner gave cells of the earlier mosaic as well.
 
-    Args: number: of each frame of the earlier survey the present index plus 1, 0 where it is gone or another.
+    Args: numbers (n,): of each frame the number that it had, -1 where it is new or another.
     """
     side_m = cut.cell_px * cut.grid.gsd_m
     off = np.array([was.grid.west_m - cut.grid.west_m, cut.grid.north_m - was.grid.north_m]) / side_m
@@ -32,12 +32,14 @@ def with_earlier_seams(
     alike = (was.cell_px, was.grid.gsd_m) == (cut.cell_px, cut.grid.gsd_m)
     if not alike or np.abs(off - (col, row)).max() > _OFF:
         return cut
-    earlier = _placed(np.concatenate([[0], number]).astype(np.int32)[was.owner], cut.owner.shape, row, col)
+    both = np.flatnonzero(numbers >= 0)
+    owner = np.zeros(max(int(was.owner.max(initial=0)), int(numbers.max(initial=-1)) + 1) + 1, dtype=np.int32)
+    owner[numbers[both] + 1] = both + 1
+    earlier = _placed(owner[was.owner], cut.owner.shape, row, col)
     may = np.zeros(cut.owner.shape, dtype=bool)
     for part in parts:
         may[part.of_all] |= part.may & (earlier[part.of_all] == part.frame + 1)
-    both = np.isin(cut.owner, number[number > 0])
-    return replace(cut, owner=np.where(may & both, earlier, cut.owner))
+    return replace(cut, owner=np.where(may & np.isin(cut.owner, both + 1), earlier, cut.owner))
 
 
 def _placed(cells: NDArray[np.int32], shape: tuple[int, ...], row: int, col: int) -> NDArray[np.int32]:

@@ -20,6 +20,10 @@ from geomosaic.matching.tracks import frame_by_frame
 
 _WHITE: Final = float(np.iinfo(np.uint8).max + 1)
 """Of the tone curve of pictures: the highest grey level itself could not move."""
+MEASURED: Final = (np.inf,)
+"""The response of measured values: see `Tones`."""
+PICTURE: Final = (np.inf, _WHITE)
+"""The responses that images of 8 bits may have."""
 _SHARED_SD = tuned(
     0.5, "log brightness", "prior of what frames share: fields' spots came to 0.6; corners to 0.5"
 )
@@ -48,20 +52,16 @@ def solve_tones(
     places: ToneSightings,
     values: Floats32,
     exposures: Exposures,
-    picture: bool = False,
+    whites: Sequence[float] = MEASURED,
     sun: SunBehind | None = None,
 ) -> tuple[Tones, Evenness]:
     """Gains, slopes and vignettes by which all frames show each place alike, band by band.
 
-    Of pictures of 8 bits by the response that leaves the smaller differences in the median; with a hot spot
-    where they show one.
+    By the response that leaves the smallest differences in the median; with a hot spot where they show one.
 
-    Args: values (m, b) of the sightings, NaN where unknown.
+    Args: values (m, b) of the sightings, NaN where unknown. whites: of the responses, see `Tones`.
     """
-    found = [
-        _by_response(places, values, exposures, white)
-        for white in ((np.inf, _WHITE) if picture else (np.inf,))
-    ]
+    found = [_by_response(places, values, exposures, white) for white in whites]
     tones, evenness, left = min(found, key=lambda one: np.nan_to_num(one[1].after_median))
     shown = None if sun is None else shown_spot(sun, left)
     if sun is not None and shown is not None:

@@ -75,6 +75,17 @@ class Tones:
         right, below = (
             np.nan_to_num(a)[..., None] for a in _from_middle(camera, cols, rows)
         )  # NaN: not seen
+        seen = None
+        if self.away is not None:
+            image = np.nan_to_num(np.stack([cols, rows], axis=-1)).astype(np.float64)
+            seen = hot_spot(directions(camera, image), self.away[frame], self.spot_width_rad)
+        return self.at_offsets(frame, right, below, seen)
+
+    def at_offsets(
+        self, frame: int, right: Floats32, below: Floats32, seen: Floats | None = None
+    ) -> Floats32:
+        """As `brighter`, at places (..., 1) to the right of the frame's middle and below it, in half
+        diagonals. seen (...): of the hot spot."""
         across, along = self.slope[frame].astype(np.float32).T
         second, fourth = self.vignette[frame].astype(np.float32).T
         radius2 = right * right + below * below
@@ -82,9 +93,7 @@ class Tones:
         out += self.gain[frame].astype(np.float32)
         if across.any() or along.any():
             out += right * across + below * along
-        if self.spot is not None and self.away is not None:
-            image = np.nan_to_num(np.stack([cols, rows], axis=-1)).astype(np.float64)
-            seen = hot_spot(directions(camera, image), self.away[frame], self.spot_width_rad)
+        if self.spot is not None and seen is not None:
             out += seen[..., None].astype(np.float32) * self.spot.astype(np.float32)
         if self.level is not None:
             out -= powers(right, below) @ self.level[frame].astype(np.float32).T

@@ -35,6 +35,7 @@ from geomosaic.matching.band_registration import RigPoses
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.model import Placement
+from geomosaic.stages.earlier_frames import earlier_numbers
 from geomosaic.stages.input_groups import AdjustedSurvey, BandTones
 from geomosaic.stages.reporting import reported_trimmed, trimmed_text
 from geomosaic.survey.model import Survey
@@ -148,16 +149,8 @@ def mosaic_seams(
 
 def _as_before(cut: Ownership, parts: Sequence[SeamPart], survey: Survey, context: Context) -> Ownership:
     """With the seams of the run before, where it is gone on from and the frames are the same."""
-    if context.earlier is None:
-        return cut
-    was = context.earlier.artefact("ownership", Ownership)
-    before = context.earlier.artefact("survey", Survey)
-    if was is None or before is None:
-        return cut
-    unchanged = context.earlier.unchanged(Path(frame.path) for frame in survey.frames)
-    number = {frame.name: i + 1 for i, frame in enumerate(survey.frames) if frame.name in unchanged}
-    now = np.array([number.get(frame.name, 0) for frame in before.frames], dtype=np.int32)
-    return with_earlier_seams(cut, parts, was, now)
+    was = None if context.earlier is None else context.earlier.artefact("ownership", Ownership)
+    return cut if was is None else with_earlier_seams(cut, parts, was, earlier_numbers(survey, context))
 
 
 def _narrowed(of: AdjustedSurvey, rig: RigPoses) -> AdjustedSurvey | None:

@@ -6,18 +6,28 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.composition.earlier_tones import with_earlier_tones
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
 from geomosaic.composition.tone_deviations import Exposures
-from geomosaic.composition.tone_solution import reports_tell, solve_tones, with_one_level, with_own_level
+from geomosaic.composition.tone_solution import (
+    MEASURED,
+    PICTURE,
+    reports_tell,
+    solve_tones,
+    with_one_level,
+    with_own_level,
+)
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
 from geomosaic.errors import InputError
 from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.stages.earlier_frames import earlier_numbers
 from geomosaic.survey.model import Survey
 from geomosaic.survey.small import Small
 
@@ -43,7 +53,7 @@ class TonesParams(StageParams):
     )
 
 
-@stage("mosaic.tones", "Even the tones", group="Mosaic", version=12, outputs="tones")
+@stage("mosaic.tones", "Even the tones", group="Mosaic", version=12, outputs="tones", goes_on=True)
 def mosaic_tones(
     survey: Survey, ground: GroundSurface, adjusted: Adjusted, params: TonesParams, context: Context
 ) -> Tones:
@@ -72,11 +82,16 @@ def mosaic_tones(
     if params.level == "frames":
         exposures = exposures.unknown
     sun = SunBehind.of(survey, views, places.frame, places.image_px)
-    tones, evenness = solve_tones(places, values, exposures, images, sun)
+    earlier = earlier_numbers(survey, context)
+    was = _earlier_tones(earlier, context)
+    whites = (PICTURE if images else MEASURED) if was is None else (was.white,)
+    tones, evenness = solve_tones(places, values, exposures, whites, sun)
     common = params.level == "common" or reports_tell(tones)
     if params.level == "auto" and not common:
-        tones, evenness = solve_tones(places, values, exposures.unknown, images, sun)
+        tones, evenness = solve_tones(places, values, exposures.unknown, whites, sun)
     tones = (with_one_level if common else with_own_level)(tones, places)
+    if was is not None:
+        tones = with_earlier_tones(tones, places, values, was, earlier)
     columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
     slopes = {
         f"slope_log_{axis}_{k + 1}": tones.slope[:, k, i] for k in range(bands) for i, axis in enumerate("xy")
@@ -94,6 +109,14 @@ def mosaic_tones(
         context.metric("tones.unreported_sd", float(np.sqrt(left.var(axis=0).mean())))
     context.metric("tones.gain_sd", float(tones.gain.std()))
     return tones
+
+
+def _earlier_tones(earlier: NDArray[np.int64], context: Context) -> Tones | None:
+    """Those of the run before, if most frames are the same."""
+    if context.earlier is None or 2 * int((earlier >= 0).sum()) < len(earlier):
+        return None
+    was: Tones | None = context.earlier.artefact("tones", Tones)
+    return was if was is not None and was.gain.any() else None
 
 
 def _values(survey: Survey, places: ToneSightings, bands: int, context: Context) -> np.ndarray[Any, Any]:

@@ -107,6 +107,22 @@ def test_nothing_changed(scene: Scene, first: EarlierMosaic) -> None:
     assert digest(again.sources) == digest(first.sources)
 
 
+def test_frames_that_only_touch_a_tile(scene: Scene) -> None:
+    """Of sixteen places of the tile none lies within such a frame's lens, which ends at its corners; it is
+    kept all the same, unless the frame moved."""
+    cameras = [replace(camera, k1=-0.3) for camera in scene.frames.cameras]
+    frames = replace(scene.frames, cameras=cameras)
+    made, _ = scene.made("bent", frames)
+    assert np.isfinite(made.tiles.image_px).all()
+    _, kept = scene.made("bent-again", frames, made)
+    assert kept == len(made.tiles.places)
+    moved = replace(scene.moved(0, 10.0 * GSD_M), cameras=cameras)
+    part, kept = scene.made("bent-part", moved, made)
+    whole, _ = scene.made("bent-whole", moved)
+    assert 0 < kept < len(made.tiles.places)
+    assert (pixels(part) == pixels(whole)).all()
+
+
 def test_one_frame_moved(scene: Scene, first: EarlierMosaic) -> None:
     """Tiles that it is part of are composed anew, others kept: as the whole mosaic is."""
     moved = scene.moved(0, 10.0 * GSD_M)

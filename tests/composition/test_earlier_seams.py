@@ -14,7 +14,7 @@ from geomosaic.composition.seam_parts import SeamPart
 
 CELL_PX, GSD_M = 8, 0.5
 GRID = OutputGrid("EPSG:32632", 1000.0, 5000.0, GSD_M, 6 * CELL_PX, 4 * CELL_PX)
-NUMBER = np.array([2, 1, 0], dtype=np.int32)
+NUMBERS = np.array([1, 0, -1])
 """Frames 0 and 1 of the earlier survey are 1 and 0 now; its frame 2 is gone, and frame 2 is a new one."""
 
 
@@ -35,14 +35,14 @@ CUT = owned(["222111", "222111", "222111", "333331"])
 
 def test_seams_stay_between_frames_of_both() -> None:
     """The earlier seam lies a cell further left; where the earlier owner is gone, or a new one gives, it moves."""
-    found = with_earlier_seams(CUT, [part(0), part(1), part(2)], WAS, NUMBER)
+    found = with_earlier_seams(CUT, [part(0), part(1), part(2)], WAS, NUMBERS)
     assert found.owner.tolist() == owned(["221111", "221111", "221111", "333331"]).owner.tolist()
 
 
 def test_an_owner_that_may_not_give_a_cell_any_more() -> None:
     may = np.ones((4, 6), dtype=bool)
     may[0, 2] = False
-    found = with_earlier_seams(CUT, [part(0, may), part(1), part(2)], WAS, NUMBER)
+    found = with_earlier_seams(CUT, [part(0, may), part(1), part(2)], WAS, NUMBERS)
     assert found.owner.tolist() == owned(["222111", "221111", "221111", "333331"]).owner.tolist()
 
 
@@ -50,7 +50,7 @@ def test_a_grid_that_has_grown() -> None:
     """By whole cells to the left and above; beyond the earlier grid all is as it was cut."""
     grid = replace(GRID, west_m=1000.0 - CELL_PX * GSD_M, north_m=5000.0 + CELL_PX * GSD_M)
     grown = replace(CUT, grid=grid)
-    found = with_earlier_seams(grown, [part(0), part(1), part(2)], WAS, NUMBER)
+    found = with_earlier_seams(grown, [part(0), part(1), part(2)], WAS, NUMBERS)
     assert found.owner[0].tolist() == grown.owner[0].tolist()
     assert found.owner[:, 0].tolist() == grown.owner[:, 0].tolist()
     assert found.owner[1].tolist() == [2, 2, 2, 1, 1, 1]
@@ -58,5 +58,5 @@ def test_a_grid_that_has_grown() -> None:
 
 @pytest.mark.parametrize("grid", [replace(GRID, west_m=1000.5), replace(GRID, gsd_m=0.4)])
 def test_cells_that_are_others(grid: OutputGrid) -> None:
-    found = with_earlier_seams(replace(CUT, grid=grid), [part(0), part(1), part(2)], WAS, NUMBER)
+    found = with_earlier_seams(replace(CUT, grid=grid), [part(0), part(1), part(2)], WAS, NUMBERS)
     assert found.owner.tolist() == CUT.owner.tolist()

@@ -17,7 +17,13 @@ from small_surveys import MAP_ALONE, made_map
 
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.tone_deviations import Exposures
-from geomosaic.composition.tone_solution import reports_tell, solve_tones, with_one_level, with_own_level
+from geomosaic.composition.tone_solution import (
+    PICTURE,
+    reports_tell,
+    solve_tones,
+    with_one_level,
+    with_own_level,
+)
 from geomosaic.composition.tones import (
     Sampling,
     Tones,
@@ -202,7 +208,7 @@ def test_frames_say_whether_their_values_bend_towards_white(seed: int, bends: bo
     places, light, gains, _, _ = sightings(seed)
     light = np.minimum(light, 240.0)
     values = 256.0 * light / (90.0 + light) if bends else light
-    tones, evenness = solve_tones(places, values.astype(np.float32), exposures(12), picture=True)
+    tones, evenness = solve_tones(places, values.astype(np.float32), exposures(12), PICTURE)
     assert np.isfinite(tones.white) == bends
     off = tones.gain - gains
     assert np.abs(off - off.mean(axis=0)).max() < 0.05

@@ -19,6 +19,7 @@ from geomosaic.pipeline.reporter import Silent
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.perform import perform
 from geomosaic_simulate.survey import SimulatedSurvey
+from tools.bench.bench_incremental import TARGET_GREY, TARGET_PX, differences
 
 SIZE = {"lines": 3, "frames_per_line": 3, "width_px": 240, "height_px": 180, "seed": 9}
 RTK = {"position_sd_m": 0.01, "height_sd_m": 0.01}
@@ -105,7 +106,8 @@ def test_a_line_more_then_a_frame_less(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Poses are those of a whole run, which the same folder gives without the option, byte for byte."""
+    """Poses and mosaic are those of a whole run, which the same folder gives without the option, byte for
+    byte."""
     frames, run = finished
     copied(survey, frames, FIRST, ALL)
     assert mosaic(frames, run, *given(survey), "--incremental") == 0
@@ -115,6 +117,8 @@ def test_a_line_more_then_a_frame_less(
     assert "6 of 9 frames' keypoints" in capsys.readouterr().out
     assert not (run / EARLIER).exists()
     gone_on = positions(run)
+    (tmp_path / "gone-on").mkdir()
+    shutil.copy2(run / "mosaic.tif", tmp_path / "gone-on")
     sorted(frames.iterdir())[0].unlink()
     assert mosaic(frames, run, *given(survey), "--incremental") == 0
     reused = summary(run)["metrics"]["reused"]
@@ -125,3 +129,6 @@ def test_a_line_more_then_a_frame_less(
     assert np.abs(positions(run) - gone_on).max() < 0.01
     assert mosaic(frames, tmp_path / "fresh", *given(survey)) == 0
     assert digest(run / "mosaic.tif") == digest(tmp_path / "fresh" / "mosaic.tif")
+    off = differences(tmp_path / "gone-on", tmp_path / "fresh")
+    assert off["shift_px"] < TARGET_PX
+    assert off["grey"] < TARGET_GREY
