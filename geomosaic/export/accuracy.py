@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 
+from geomosaic.arrays import Floats
 from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.export.surface_heights import reference_of
 from geomosaic.quality.accuracy_grid import AccuracyBlock
 
-Floats = NDArray[np.float64]
 BANDS: Final = (
     ("horizontal standard deviation (root of the mean of the variances east and north)", "m"),
     ("vertical standard deviation (NaN without a surface)", "m"),

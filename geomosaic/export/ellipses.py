@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
+
 _CORNERS = 48
 _SHARE_OF_SPACING = 0.4
 

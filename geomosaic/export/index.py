@@ -11,18 +11,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 from rasterio.enums import ColorInterp
 from rasterio.windows import Window
 
+from geomosaic.arrays import Floats32
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_raster, open_with_osgeo, reading
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.export.surface import NODATA
 from geomosaic.radiometry.quantity import TEMPERATURE, UNCALIBRATED, quantity_of
 
-Floats32 = NDArray[np.float32]
 FORMULAS: Final = {
     "NDVI": "(nir - red) / (nir + red)",
     "NDRE": "(nir - rededge) / (nir + rededge)",

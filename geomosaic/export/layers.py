@@ -24,8 +24,6 @@ from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class SolvedSurvey:

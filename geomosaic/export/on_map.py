@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import about_z
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.model import Survey
-
-Floats = NDArray[np.float64]
 
 
 def map_from_work(survey: Survey, enu_m: Floats) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_x, about_y
 from geomosaic.constants import SLIGHT
@@ -16,7 +17,6 @@ from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.placement.prior import position_assumed
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _SMALL_SHARE = 0.1
 
 

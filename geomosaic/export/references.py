@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.export.orientation import Orientations
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.model import ControlPoint
 
-Floats = NDArray[np.float64]
 _DEGREES: Final = 9
 _METRES: Final = 4
 _ANGLES: Final = 6

@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.arrays import Floats
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
 from geomosaic.export.geopackage import GeoPackage, MapFeatures
@@ -18,7 +19,6 @@ from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MOST_POINTS, MOST_A_FRAME = 200_000, 2_000
 """Of more, in all or in the mean of a frame, the layers show an even share: a map can't show them, and a GIS

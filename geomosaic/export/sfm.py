@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import opencv_terms
 from geomosaic.constants import tuned
@@ -24,7 +25,6 @@ from geomosaic.matching.tracks import (
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _MOST_OFF_PX = tuned(4.0, "px", "RMS of a point's rays: more keeps mismatches; less loses trees in wind")
 _DOWN_AND_FORWARD = np.diag([1.0, -1.0, -1.0])
 """From axes to the right, the image's top and against the view to those to the right, down and forward."""

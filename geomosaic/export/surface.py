@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from osgeo import gdal
 from rasterio.windows import Window
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_with_osgeo, reading
@@ -24,9 +25,6 @@ from geomosaic.surface.cells import Cells
 from geomosaic.surface.dtm import TerrainModel
 from geomosaic.surface.model import DenseSurface
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 NODATA: Final = -9999.0
 _BLOCK_PX: Final = 512
 _OPTIONS: Final = ["TILED=YES", f"BLOCKXSIZE={_BLOCK_PX}", f"BLOCKYSIZE={_BLOCK_PX}", "BIGTIFF=IF_SAFER"]

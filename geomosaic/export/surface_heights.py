@@ -8,17 +8,16 @@ from typing import Any, Final
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import osr
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 
+from geomosaic.arrays import Floats
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offsets_m, height_datum
 from geomosaic.geodesy.mapcrs import MapProjection, is_local
 
-Floats = NDArray[np.float64]
 _GEOID_NODES: Final = 33
 """Along each side of a grid: in 30 km one a kilometre, where geoids bend by millimetres."""
 _SAME_M: Final = 0.01

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, GroundPlaces
+from geomosaic.arrays import Floats
 from geomosaic.constants import MEDIAN_LENGTH, SLIGHT, sourced, tuned
 from geomosaic.quality.check_points import CheckPoints, check_points
 from geomosaic.quality.figures import circle_of, interval_of
 
-Floats = NDArray[np.float64]
 NOT_STATED: Final = float("nan")
 _ASPRS = "ASPRS Positional Accuracy Standards, edition 2 (2023)"
 LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservation is stated", _ASPRS)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.composition.area import Area, rings_of
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
@@ -28,10 +29,7 @@ from geomosaic.quality.ground_accuracy import GroundPropagation, HeightSource
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.surface.cells import Cells
 
-Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,12 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import footprint, ground_from_image
 from geomosaic.survey.extent import TOO_FAR_M
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 _CELLS = tuned(8, "cells", "per frame side: fewer hide a pond; more empty good ground")
 _SEEN_BY = tuned(2, "frames", "others that see the ground: fewer expect ties at single coverage")
 _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: land up to 3 %, water 75 %")

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import GroundPlaces
-
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.quality.compared_block import (
@@ -25,8 +26,6 @@ from geomosaic.quality.compared_block import (
 from geomosaic.quality.figures import Figures, Similarity, figures, touching_patches
 from geomosaic.quality.rasters import blocks, on_grid_of, open_map, pixel_m
 from geomosaic.quality.ssim import SsimTerms, pooled
-
-Floats = NDArray[np.float64]
 
 _FAR_SCALE = tuned(0.2, "share", "change of scale that no two images of one ground have: more admits chance")
 

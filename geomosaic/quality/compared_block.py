@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
 from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
 from geomosaic.matching.least_squares_matching import MaskedImage
 from geomosaic.quality.rasters import grown, read_luma
 from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_terms, ssim_maps
-
-Floats = NDArray[np.float64]
 
 GLANCE_PX = tuned(1024, "px", "read at once: smaller reads margins twice; larger takes memory")
 

@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
 
 
 @dataclass(frozen=True)

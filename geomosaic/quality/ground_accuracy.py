@@ -24,12 +24,11 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import DEM_SD_M
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.block_errors import BlockErrors
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 DEM: Final = "dem"
 _ACROSS = tuned(5, "samples", "of a span; fewer miss a wall of a default cell, more take time")
 

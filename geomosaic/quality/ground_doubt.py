@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes
 from scipy.special import erfc
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.trim import OFF_PX, looked_at, whole_of
@@ -18,8 +18,6 @@ from geomosaic.projection.ground import WALLED, GroundSurface
 from geomosaic.quality.height_fit import MOST_POINTS
 from geomosaic.surface.dtm import TERRAIN
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 MATCHED: Final = (WALLED, TERRAIN)
 """Kinds of ground that were matched between the frames."""
 

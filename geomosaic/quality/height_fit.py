@@ -11,13 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.survey.accuracy import POSITION
 
-Floats = NDArray[np.float64]
 HeightsAt = Callable[[Floats, Floats], Floats]
 """Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
 MOST_POINTS = tuned(200_000, "points", "of a fit or a test, evenly: more take time and change millimetres")

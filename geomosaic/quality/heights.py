@@ -10,10 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 SLOPES_DEG = tuned((5.0, 15.0, 35.0, 60.0), "degrees", "limits of level, gentle and steep; more lack points")
 _KINDS: Final = {
     0: "never classified", 1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation",

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import least_squares
 
-Floats = NDArray[np.float64]
 _DISTORTED = tuned(1e-4, "share", "by which a map may differ from the ellipsoid before both are stated")
 
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

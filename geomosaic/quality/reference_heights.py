@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.arrays import Floats
 from geomosaic.composition.tiles import TILE_PX
 from geomosaic.constants import tuned
 from geomosaic.doors.points import is_point_cloud, open_points
@@ -24,7 +25,6 @@ from geomosaic.survey.dem import read_heights
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel
 
-Floats = NDArray[np.float64]
 _MOST_POINTS = tuned(5_000_000, "points", "of a point cloud, 200 MB: more take memory and are no better")
 
 

@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from rasterio import Affine
 from rasterio.features import geometry_mask
 from rasterio.windows import Window
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import MEDIAN_LENGTH
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.doors.vector import Shapes
@@ -23,7 +23,6 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import check_on_earth
 from geomosaic.quality.measured import Figure, Volume, area_of, length_of, rings_of_polygon, volume_of
 
-Floats = NDArray[np.float64]
 ASSUMED: Final = (
     "errors that the whole map has in common cancel; what a vertex's deviation exceeds the map's least by, "
     "the mismatch at seams and a pixel's rounding count as independent from vertex to vertex; the scale's "

@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.choice import MOST_PLACES
@@ -32,8 +33,6 @@ from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import Mask, read_pixels
 from geomosaic.survey.small import brightness
-
-Floats = NDArray[np.float64]
 
 WINDOW_PX = tuned(256, "mosaic px", "tested place: smaller lacks patches; larger leaves the overlap")
 PATCH_PX = tuned(64, "mosaic px", "smaller matches by chance; larger averages houses and ground")

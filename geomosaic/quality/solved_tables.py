@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ImageResiduals
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
@@ -15,8 +16,6 @@ from geomosaic.matching.model import TiePoints
 from geomosaic.matching.tracks import Tracks, nearest_to_rays
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.quality.misalignment import pair_misalignments
-
-Floats = NDArray[np.float64]
 
 DOWN_WEIGHTED = tuned(0.5, "full weight", "below, a tie point counts as down-weighted")
 SAMPLED_TIES = tuned(4000, "tie points", "shown in a plan, 100 KB: fewer hide where the ground has none")

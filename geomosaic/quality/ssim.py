@@ -8,10 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import sourced
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 WINDOW_PX = sourced(11, "px", "side of its window; another gives other figures", "Wang et al. 2004")
 _SIGMA_PX = sourced(1.5, "px", "deviation of its Gaussian weights", "Wang et al. 2004, section III")
@@ -59,7 +57,7 @@ def luma(bands: ArrayLike) -> NDArray[np.float32]:
     return np.asarray(np.tensordot(weights, image[:3], axes=1), dtype=np.float32)
 
 
-def ssim_maps(image: ArrayLike, reference: ArrayLike, valid: Mask, data_range: float) -> SsimMaps:
+def ssim_maps(image: ArrayLike, reference: ArrayLike, valid: Bools, data_range: float) -> SsimMaps:
     """SSIM of two single-band images on one grid.
 
     Window 11 x 11, Gaussian with sigma 1.5; K1 = 0.01, K2 = 0.03; C3 = C2 / 2, so that with variances

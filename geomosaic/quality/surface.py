@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from geomosaic.arrays import Bools, Floats, Floats32, Ints
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.errors import InputError
@@ -18,10 +18,6 @@ from geomosaic.quality.height_fit import HeightFit, fitted
 from geomosaic.quality.heights import HeightFigures, by_class, height_figures, kind_names, slope_classes
 from geomosaic.quality.reference_heights import ReferenceHeights, read_reference
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.intp]
 _PICTURE_PX = tuned(700, "px", "side of the difference image on a page: more makes it heavy")
 
 

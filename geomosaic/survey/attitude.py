@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -14,7 +14,6 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.onboard import body_from_gimbal
 from geomosaic.survey.table import ParsedTable
 
-Floats = NDArray[np.float64]
 CONVENTIONS: Final = {
     "auto": "per file: by the columns' names; gimbal where the middle pitch lies nearer to -90 than to 0",
     "body": "yaw, pitch, roll of a body; pitch 0 at the nadir, > 0 looking forward; roll > 0 looking left",

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import SLIGHT, sourced, tuned
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
@@ -25,7 +25,6 @@ from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import ParsedTable
 
-Floats = NDArray[np.float64]
 _MOST_POINTS = tuned(20_000, "points", "each adds to the solve: more is another kind of file")
 LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")

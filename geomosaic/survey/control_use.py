@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.control import LEAST_POINTS, ControlFile
@@ -17,7 +17,6 @@ from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import some
 from geomosaic.survey.places import away_from
 
-Floats = NDArray[np.float64]
 _SLIPS = tuned(0.1, "share of image marks", "outside their images as slips; more: marks of other images")
 _LEANS: Final = (
     "no frame has a position, and two control points leave open how the block leans about the line "

@@ -7,19 +7,18 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rasterio import Env
 from rasterio.enums import Resampling
 from rasterio.windows import Window, from_bounds
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import DEM, READ_CACHE_BYTES, Raster, open_raster, reading
 from geomosaic.errors import FileError
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
-Floats = NDArray[np.float64]
 _MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
 _AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills and spikes at its edge")
 _METRES: Final = frozenset({"", "m", "metre", "meter", "metres", "meters"})

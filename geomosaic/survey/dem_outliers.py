@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.constants import sourced, tuned
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 _LAND_M = sourced((-600.0, 9100.0), "m", "land, so no -999 or 9999", "Dead Sea shore -430 m, Everest 8849 m")
 _FILL_BELOW_M = tuned(20.0, "m", "step around a low fill: less loses the sea beside cliffs; more keeps fills")
 _FILL_MOST_M = tuned(100.0, "m", "the same for a value of most cells: less loses plains with towers")
@@ -22,7 +19,7 @@ _LEAST_STEPS = tuned(100, "steps", "that show the usual step: of fewer one cliff
 _MOST_FILLS = tuned(4, "values", "of either sign, as files mix them: each takes a pass over the raster")
 
 
-def outliers(height_m: Floats, mixed: bool = False) -> Flags:
+def outliers(height_m: Floats, mixed: bool = False) -> Bools:
     """Where heights (rows, cols), NaN where unknown, can't be the ground's.
 
     Outside the land's range; one and the same value, the lowest or highest of all, that ends everywhere in a
@@ -46,7 +43,7 @@ def outliers(height_m: Floats, mixed: bool = False) -> Flags:
     return bad | _spikes(left)
 
 
-def _fill(height_m: Floats32, lowest: bool) -> Flags | None:
+def _fill(height_m: Floats32, lowest: bool) -> Bools | None:
     """Where the lowest (highest) value is, if it stands in many pixels and is a fill."""
     known = np.isfinite(height_m)
     if not known.any():
@@ -70,11 +67,11 @@ def _fill(height_m: Floats32, lowest: bool) -> Flags | None:
     return its if float(np.median(border)) > least else None
 
 
-def _both(flags: Flags, axis: int) -> Flags:
+def _both(flags: Bools, axis: int) -> Bools:
     return np.asarray(flags[1:] & flags[:-1] if axis == 0 else flags[:, 1:] & flags[:, :-1])
 
 
-def _spikes(height_m: Floats32) -> Flags:
+def _spikes(height_m: Floats32) -> Bools:
     """Pixels that at most two of the eight around them come near to; unknown ones count as near."""
     if min(height_m.shape) < 3:
         return np.zeros(height_m.shape, dtype=bool)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geomosaic.arrays import Floats
 from geomosaic.doors.raster import DEM, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -19,8 +19,6 @@ from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.dem import check_grid, read_heights
 from geomosaic.survey.model import ElevationModel, Warn
-
-Floats = NDArray[np.float64]
 
 
 def read_elevation(

@@ -6,15 +6,13 @@ import base64
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import LEAST_RECORDED, Turns
 from geomosaic.constants import sourced, tuned
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import FASTEST, FASTEST_TURN, SLOWEST
 from geomosaic.survey.xmp import Xmp, numbers
-
-Floats = NDArray[np.float64]
 
 CAMERA_FROM_UNIT: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """The unit's axes are the body's, forward, right and down, and forward is the image's top: of all 24

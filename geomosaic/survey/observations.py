@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from geomosaic.constants import tuned
@@ -26,7 +25,6 @@ from geomosaic.survey.onboard import (
 from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos_row import PosFile, PosRow
 
-Floats = NDArray[np.float64]
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
 
 

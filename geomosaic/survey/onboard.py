@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import Rotation
 from geomosaic.survey.accuracy import ATTITUDE, POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.exif import Exif
@@ -16,7 +17,6 @@ from geomosaic.survey.model import Attitude, Position
 from geomosaic.survey.tagged_place import tagged_place
 from geomosaic.survey.xmp import Xmp, number
 
-Floats = NDArray[np.float64]
 _NONE = ATTITUDE["none"]
 UNKNOWN_ATTITUDE = Attitude(None, None, None, _NONE.sd_yaw_deg, _NONE.sd_tilt_deg, "none")
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.doors.plain import shown
@@ -22,7 +22,6 @@ from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, ParsedTable
 
-Floats = NDArray[np.float64]
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
 _FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
 _ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")

@@ -17,15 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.model import Attitude, Position, Warn
 from geomosaic.survey.names import some
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ def plausible_attitudes(
     return kept, [warn("attitude-absurd", names, wrong, texts)] if wrong.any() else []
 
 
-def warn(code: str, names: Sequence[str], concerned: Flags, what: Sequence[str]) -> Warn:
+def warn(code: str, names: Sequence[str], concerned: Bools, what: Sequence[str]) -> Warn:
     """One line for all frames that a kind of absurd value concerns, with the first one's."""
     which = [name for name, c in zip(names, concerned, strict=True) if c]
     first = what[int(np.argmax(concerned))]
@@ -136,7 +134,7 @@ def lens_problem(camera: Camera) -> str:
     return ""
 
 
-def strange_lenses(relative: Floats) -> Flags:
+def strange_lenses(relative: Floats) -> Bools:
     """Which focal lengths (n,) of frames of one make, model and size are none that most others can have."""
     if len(relative) < 3:
         return np.zeros(len(relative), dtype=bool)
@@ -144,7 +142,7 @@ def strange_lenses(relative: Floats) -> Flags:
     return np.asarray((ratio > ZOOM.value) & (np.median(ratio) < 2.0))
 
 
-def _absurd(lonlat: Floats, heights_m: Floats) -> Flags:
+def _absurd(lonlat: Floats, heights_m: Floats) -> Bools:
     """Which heights (n,), NaN where unknown, nothing that flies has, or no frame among these neighbours."""
     known = np.isfinite(heights_m)
     wrong = known & ((heights_m < LOWEST.value) | (heights_m > HIGHEST.value))
@@ -156,7 +154,7 @@ def _absurd(lonlat: Floats, heights_m: Floats) -> Flags:
     return wrong
 
 
-def _strangers(at_m: Floats, heights_m: Floats) -> Flags:
+def _strangers(at_m: Floats, heights_m: Floats) -> Bools:
     """Which frames are far above their neighbours, both in plan and in order of capture.
 
     Too low a one does no harm to others, and may be a take-off; below the ground, placement finds it.
@@ -169,7 +167,7 @@ def _strangers(at_m: Floats, heights_m: Floats) -> Flags:
     return np.asarray(_above(heights_m, near) & _above(heights_m, ordered))
 
 
-def _above(heights_m: Floats, groups: NDArray[np.intp]) -> Flags:
+def _above(heights_m: Floats, groups: NDArray[np.intp]) -> Bools:
     """groups (n, k + 1): of each frame its neighbours, and (somewhere) itself."""
     n = len(heights_m)
     own = groups == np.arange(n)[:, None]

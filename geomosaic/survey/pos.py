@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.arrays import Floats
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs, crs_of
 from geomosaic.survey.attitude import read_angles
@@ -74,7 +74,6 @@ ALIASES: Final[Aliases] = {
 }  # fmt: skip
 """Columns and the names they go by; capitals, blanks and units don't matter. docs/inputs.md has it too."""
 
-Floats = NDArray[np.float64]
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
 _GIVE_CRS: Final = "give the EPSG code of x and y with --pos-crs, such as EPSG:n"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -29,8 +29,6 @@ from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.platforms import LEAST_FRAMES
 from geomosaic.survey.plausible import Limit
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 LEAVE_OUT: Final = ("auto", "none")
 COPY: Final = Limit(0.995, "correlation", "of small versions of copies; neighbours have less", CHOSEN)
 _COPY_GREYS = tuned(4.0, "grey levels", "of mean and contrast: more takes bands for copies")
@@ -217,7 +215,7 @@ def _heights_above_ground_m(positions: Sequence[Position]) -> Floats:
     return np.where(np.isfinite(above), above, absolute - float(np.median((absolute - above)[both])))
 
 
-def _low_at_ends(above_m: Floats) -> Flags:
+def _low_at_ends(above_m: Floats) -> Bools:
     """Frames far below the usual height, in one run from the first frame on or up to the last."""
     out = np.zeros(len(above_m), dtype=bool)
     known = above_m[np.isfinite(above_m)]
@@ -239,7 +237,7 @@ def _low_at_ends(above_m: Floats) -> Flags:
     return out
 
 
-def _other_flights(lonlat: Floats, known: Flags) -> dict[int, float]:
+def _other_flights(lonlat: Floats, known: Bools) -> dict[int, float]:
     """Frames of flights apart from the largest by more than both reach, and how far (m)."""
     at = np.flatnonzero(known)
     if len(at) < 2 * LEAST_FRAMES:

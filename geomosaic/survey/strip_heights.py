@@ -9,8 +9,8 @@ from threading import Lock
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import DEM, open_raster
 from geomosaic.errors import InputError
@@ -20,7 +20,6 @@ from geomosaic.survey.dem import HeightRaster, outliers_warning, read_heights
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.model import ElevationModel, Warn
 
-Floats = NDArray[np.float64]
 _TILE_PX = tuned(256, "px a side", "read at once: smaller are many reads; larger hold unused land")
 _MOST_TILES = tuned(384, "tiles", "kept, 200 MB: fewer are read again in a wide scene; more take memory")
 _FIX: Final = "give a DEM of the whole scene, or leave 'dem' out"

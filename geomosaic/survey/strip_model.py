@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.doors.plain import YAML_BYTES, read_yaml, shown
 from geomosaic.errors import InputError, UnknownNameError
 
-Floats = NDArray[np.float64]
 ORBIT_COLUMNS: Final = ("time_s", "x_m", "y_m", "z_m")
 ATTITUDE_COLUMNS: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _KEYS: Final = ("line_rate_hz", "orbit", "attitude", "looks")
