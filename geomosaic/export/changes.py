@@ -15,7 +15,7 @@ from rasterio.enums import Resampling
 from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, open_raster, reading
-from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.quality.changes import HEIGHT, IMAGE, Change
 
 LAYER: Final = "changes"
@@ -37,8 +37,7 @@ def write_polygons(path: Path, changes: Sequence[Change], crs: str, time_s: floa
         shapely.MultiPolygon([c.outline]) if c.outline.geom_type == "Polygon" else c.outline for c in changes
     ]
     text = "Differences of images and heights beyond the accuracy of both maps"
-    with writing_geopackage(path, crs, time_s) as package:
-        package.add_layer(MapFeatures(LAYER, text, "MultiPolygon", shapes, fields))
+    write_geopackage(path, crs, time_s, [MapFeatures(LAYER, text, "MultiPolygon", shapes, fields)])
 
 
 def write_picture(path: Path, mosaic: Path, changes: Sequence[Change]) -> None:

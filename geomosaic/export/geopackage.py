@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import errno
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -35,7 +34,7 @@ class MapFeatures:
     """A layer: its name and description, shapely geometries of a type, and `fields`, columns of the same
     length: numbers, text or times in UTC (`datetime64`). NaN, NaT and None become NULL.
 
-    style: how a GIS shows it at first.
+    style: how a GIS shows it at first. metadata: as GIS show it.
     """
 
     name: str
@@ -47,57 +46,48 @@ class MapFeatures:
     metadata: Mapping[str, str] | None = None
 
 
-class GeoPackage:
-    """The layers that go into a GeoPackage."""
+def write_geopackage(path: Path, crs: str, time_s: float | None, layers: Iterable[MapFeatures]) -> None:
+    """Writes a new GeoPackage with its layers in this order.
 
-    def __init__(self) -> None:
-        self._layers: list[MapFeatures] = []
+    time_s: seconds since 1970 UTC that stand as its time of change, so that equal data give equal bytes.
+    Raises: `OSError` if it can't be written (`ENOSPC` where the disk is full).
+    """
+    import pyogrio
 
-    def add_layer(self, layer: MapFeatures) -> None:
-        """One more, after the others."""
-        columns = {field: np.asarray(values) for field, values in layer.fields.items()}
-        shapes = np.array([*layer.geometries], dtype=object)
-        self._layers.append(replace(layer, geometries=shapes, fields=columns))
-
-    def describe(self, name: str, metadata: Mapping[str, str]) -> None:
-        """Metadata of a layer, as GIS show it. Of a file that has some of its own, GDAL writes a sidecar when
-        it lists the layers."""
-        number = [layer.name for layer in self._layers].index(name)
-        self._layers[number] = replace(self._layers[number], metadata=metadata)
-
-    def write(self, path: Path, crs: str, stamp: datetime) -> None:
-        """Raises: `RuntimeError` (pyogrio's)."""
-        import pyogrio
-
-        settings = {"OGR_CURRENT_DATE": f"{stamp:%Y-%m-%dT%H:%M:%S.000Z}", "OGR_SQLITE_SYNCHRONOUS": "OFF"}
-        before = {name: pyogrio.get_gdal_config_option(name) for name in settings}
-        pyogrio.set_gdal_config_options(settings)
-        try:
-            for number, layer in enumerate(self._layers):
-                _write(path, layer, crs, append=number > 0)
-            if styled := [layer for layer in self._layers if layer.style is not None]:
-                _write(path, _style_table(styled, stamp), None, append=True)
-        finally:
-            pyogrio.set_gdal_config_options(before)
+    stamp, written = datetime.fromtimestamp(time_s or 0.0, UTC), list(layers)
+    if styled := [layer for layer in written if layer.style is not None]:
+        written.append(_style_table(styled, stamp))
+    settings = {"OGR_CURRENT_DATE": f"{stamp:%Y-%m-%dT%H:%M:%S.000Z}", "OGR_SQLITE_SYNCHRONOUS": "OFF"}
+    before = {name: pyogrio.get_gdal_config_option(name) for name in settings}
+    pyogrio.set_gdal_config_options(settings)
+    try:
+        for number, layer in enumerate(written):
+            _write(path, layer, crs, append=number > 0)
+    except RuntimeError as error:
+        full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
+        raise OSError(errno.ENOSPC if full else errno.EIO, " ".join(str(error).split())) from error
+    finally:
+        pyogrio.set_gdal_config_options(before)
 
 
-def _write(path: Path, layer: MapFeatures, crs: str | None, *, append: bool) -> None:
+def _write(path: Path, layer: MapFeatures, crs: str, *, append: bool) -> None:
     from pyogrio.raw import write
 
     placed = layer.geometry_type != "None"
-    times = {field: values for field, values in layer.fields.items() if values.dtype.kind == "M"}
+    fields = {field: np.asarray(values) for field, values in layer.fields.items()}
+    shapes = np.array([*layer.geometries], dtype=object)
     of_geometry = {"GEOMETRY_NAME": _COLUMN, "SPATIAL_INDEX": "YES"} if placed else {"FID": "id"}
     write(
         str(path),
-        shapely.to_wkb(layer.geometries, flavor="iso") if placed else None,
-        [v.astype(object) if v.dtype.kind == "U" else v for v in layer.fields.values()],
-        np.array(list(layer.fields), dtype=object),
+        shapely.to_wkb(shapes, flavor="iso") if placed else None,
+        [v.astype(object) if v.dtype.kind == "U" else v for v in fields.values()],
+        np.array(list(fields), dtype=object),
         layer=layer.name,
         driver="GPKG",
         geometry_type=layer.geometry_type.replace("PointZ", "Point Z") if placed else None,
-        crs=crs,
+        crs=crs if placed else None,
         append=append,
-        gdal_tz_offsets={field: np.full(len(v), _ZONE_UTC) for field, v in times.items()},
+        gdal_tz_offsets={f: np.full(len(v), _ZONE_UTC) for f, v in fields.items() if v.dtype.kind == "M"},
         dataset_options=None if append else {"VERSION": _VERSION},
         layer_options={"DESCRIPTION": layer.text, **of_geometry},
         layer_metadata=dict(layer.metadata) if layer.metadata else None,
@@ -122,21 +112,4 @@ def _style_table(layers: Sequence[MapFeatures], stamp: datetime) -> MapFeatures:
         "ui": [""] * n,
         "update_time": np.full(n, np.datetime64(stamp.replace(tzinfo=None), "ms")),
     }
-    columns = {field: np.asarray(values) for field, values in fields.items()}
-    return MapFeatures(_STYLES, "How layers are shown", "None", np.array([], dtype=object), columns, None)
-
-
-@contextmanager
-def writing_geopackage(path: Path, crs: str, time_s: float | None) -> Iterator[GeoPackage]:
-    """A new GeoPackage at `path`, whole when the block ends.
-
-    time_s: seconds since 1970 UTC that stand as its time of change, so that equal data give equal bytes.
-    Raises: `OSError` if it can't be written (`ENOSPC` where the disk is full).
-    """
-    package = GeoPackage()
-    yield package
-    try:
-        package.write(path, crs, datetime.fromtimestamp(time_s or 0.0, UTC))
-    except RuntimeError as error:
-        full = shutil.disk_usage(path.parent).free < _LITTLE_BYTES
-        raise OSError(errno.ENOSPC if full else errno.EIO, " ".join(str(error).split())) from error
+    return MapFeatures(_STYLES, "How layers are shown", "None", [], fields)

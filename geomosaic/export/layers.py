@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.export import looks
 from geomosaic.export.ellipses import error_ellipses, exaggeration
-from geomosaic.export.geopackage import GeoPackage, MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.export.residual_layers import ResidualLayers
@@ -55,27 +55,27 @@ def write_layers(path: Path, solved: SolvedSurvey, stated: Mapping[str, str] | N
     survey, adjusted = solved.survey, solved.adjusted
     adjusted_orientation = orientations(survey, solved.placement.poses, adjusted)
     times = [f.time_s for f in survey.frames if f.time_s is not None]
-    with writing_geopackage(path, survey.map_crs, max(times, default=None)) as package:
-        layers = _Layers(package, solved, adjusted_orientation)
-        layers.frames()
-        package.describe("frames", stated or {})
-        layers.footprints()
-        layers.nadir_points()
-        layers.moves()
-        layers.error_ellipses()
-        residuals = ResidualLayers(package, survey, adjusted, adjusted_orientation.map_m)
-        residuals.tie_points(solved.ties, layers.gsd_m)
-        residuals.image_residuals()
-        residuals.control()
-        layers.seamlines()
-        layers.trimmed()
+    layers = _Layers(solved, adjusted_orientation)
+    residuals = ResidualLayers(survey, adjusted, adjusted_orientation.map_m)
+    made = (
+        replace(layers.frames(), metadata=stated),
+        layers.footprints(),
+        layers.nadir_points(),
+        layers.moves(),
+        layers.error_ellipses(),
+        *residuals.tie_points(solved.ties, layers.gsd_m),
+        residuals.image_residuals(),
+        *residuals.control(),
+        layers.seamlines(),
+        layers.trimmed(),
+    )
+    write_geopackage(path, survey.map_crs, max(times, default=None), made)
 
 
 class _Layers:
-    def __init__(self, package: GeoPackage, solved: SolvedSurvey, orientation: Orientations) -> None:
-        self.package, self.orientation = package, orientation
+    def __init__(self, solved: SolvedSurvey, orientation: Orientations) -> None:
         survey, adjusted = solved.survey, solved.adjusted
-        self.survey, self.placement = survey, solved.placement
+        self.survey, self.placement, self.orientation = survey, solved.placement, orientation
         self.adjusted, self.mosaic = adjusted, solved.mosaic
         self.ellipses = error_ellipses(orientation.covariance_m2[:, :2, :2])
         self.names = np.array([f.name for f in survey.frames])
@@ -87,27 +87,25 @@ class _Layers:
             ]
         )
 
-    def frames(self) -> None:
+    def frames(self) -> MapFeatures:
         o = self.orientation
         points = shapely.points(np.column_stack([o.map_m, o.lon_lat_height[:, 2]]))
-        self.package.add_layer(
-            MapFeatures(
-                "frames", "Adjusted projection centres", "PointZ", points, self._orientation(), looks.frames()
-            )
+        return MapFeatures(
+            "frames", "Adjusted projection centres", "PointZ", points, self._orientation(), looks.frames()
         )
 
-    def footprints(self) -> None:
+    def footprints(self) -> MapFeatures:
         outlines = []
         for i, camera in enumerate(self.adjusted.cameras):
             ground = footprint(self.adjusted.poses[i], camera, self.adjusted.ground)
             ring = map_from_work(self.survey, ground[np.isfinite(ground).all(axis=1)])
             outlines.append(shapely.Polygon(ring) if len(ring) >= 3 else None)
         fields = {**self._frame_fields(), "area_m2": [np.nan if p is None else p.area for p in outlines]}
-        self.package.add_layer(
-            MapFeatures("footprints", "What each frame sees", "Polygon", outlines, fields, looks.footprints())
+        return MapFeatures(
+            "footprints", "What each frame sees", "Polygon", outlines, fields, looks.footprints()
         )
 
-    def nadir_points(self) -> None:
+    def nadir_points(self) -> MapFeatures:
         at = self.placement.poses.positions_m.copy()
         height_m = at[:, 2] - self.adjusted.ground.up_at(at[:, 0], at[:, 1])
         at[:, 2] -= height_m
@@ -120,11 +118,9 @@ class _Layers:
         }
         points = shapely.points(map_from_work(self.survey, at))
         text = "Ground below the POS positions"
-        self.package.add_layer(
-            MapFeatures("nadir_points", text, "Point", points, fields, looks.nadir_points())
-        )
+        return MapFeatures("nadir_points", text, "Point", points, fields, looks.nadir_points())
 
-    def moves(self) -> None:
+    def moves(self) -> MapFeatures:
         """Of frames whose position was given."""
         o, prior = self.orientation, self.placement.poses.positions_m
         known = np.isfinite(o.moved_m)
@@ -141,18 +137,16 @@ class _Layers:
             "turned_deg": o.turned_deg,
         }
         style = looks.moves(exaggeration(np.linalg.norm(moved[known], axis=1), o.map_m))
-        self.package.add_layer(
-            MapFeatures(
-                "moves",
-                "From where the POS put each frame to where the adjustment did, true to scale",
-                "LineString",
-                np.asarray(shapely.linestrings(np.stack([given, o.map_m], axis=1)[known])),
-                {name: values[known] for name, values in fields.items()},
-                style,
-            )
+        return MapFeatures(
+            "moves",
+            "From where the POS put each frame to where the adjustment did, true to scale",
+            "LineString",
+            np.asarray(shapely.linestrings(np.stack([given, o.map_m], axis=1)[known])),
+            {name: values[known] for name, values in fields.items()},
+            style,
         )
 
-    def error_ellipses(self) -> None:
+    def error_ellipses(self) -> MapFeatures:
         """Of the frames' horizontal positions; a factor says how much larger than life they are drawn."""
         o, ellipses = self.orientation, self.ellipses
         factor = exaggeration(ellipses.semi_major_m, o.map_m)
@@ -161,18 +155,16 @@ class _Layers:
         fields = {**self._ellipse(), "sd_u_m": o.sd_m[:, 2], "scale": np.full(len(known), factor)}
         fields = {"frame": self.names, "status": self.status, **fields}
         larger = f"drawn {factor:,.0f} times larger"
-        self.package.add_layer(
-            MapFeatures(
-                "error_ellipses",
-                f"Standard error ellipses (1 sigma) of the frames' positions, {larger}",
-                "Polygon",
-                np.asarray(shapely.polygons(outlines[known])),
-                {name: np.asarray(values)[known] for name, values in fields.items()},
-                looks.error_ellipses(factor),
-            )
+        return MapFeatures(
+            "error_ellipses",
+            f"Standard error ellipses (1 sigma) of the frames' positions, {larger}",
+            "Polygon",
+            np.asarray(shapely.polygons(outlines[known])),
+            {name: np.asarray(values)[known] for name, values in fields.items()},
+            looks.error_ellipses(factor),
         )
 
-    def seamlines(self) -> None:
+    def seamlines(self) -> MapFeatures:
         lines = self.mosaic.seamlines
         frames = np.array([s.frame for s in lines], dtype=int)
         shapes = [shapely.MultiPolygon([(p[0], list(p[1:])) for p in s.polygons]) for s in lines]
@@ -181,18 +173,16 @@ class _Layers:
             "source_index": frames + 1,
             "area_m2": np.array([s.area for s in shapes], dtype=float),
         }
-        self.package.add_layer(
-            MapFeatures(
-                "seamlines",
-                "Where each frame gives the mosaic",
-                "MultiPolygon",
-                shapes,
-                fields,
-                looks.seamlines(),
-            )
+        return MapFeatures(
+            "seamlines",
+            "Where each frame gives the mosaic",
+            "MultiPolygon",
+            shapes,
+            fields,
+            looks.seamlines(),
         )
 
-    def trimmed(self) -> None:
+    def trimmed(self) -> MapFeatures:
         """What the mosaic leaves out, and why."""
         trimmed = self.mosaic.trimmed
         parts = [] if trimmed is None else [p for p in trimmed.parts if p.polygons]
@@ -202,7 +192,7 @@ class _Layers:
             "area_m2": np.array([p.area_m2 for p in parts], dtype=float),
         }
         text = "What frames see and the mosaic leaves out"
-        self.package.add_layer(MapFeatures("trimmed", text, "MultiPolygon", shapes, fields, looks.trimmed()))
+        return MapFeatures("trimmed", text, "MultiPolygon", shapes, fields, looks.trimmed())
 
     def _frame_fields(self) -> dict[str, Any]:
         frames = self.survey.frames

@@ -12,7 +12,7 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.arrays import Floats
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
-from geomosaic.export.geopackage import GeoPackage, MapFeatures
+from geomosaic.export.geopackage import MapFeatures
 from geomosaic.export.on_map import grid_from_work, map_from_work
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.tracks import frame_by_frame
@@ -33,13 +33,13 @@ class ResidualLayers:
     frames_m (n, 2): where each frame is on the map.
     """
 
-    def __init__(self, package: GeoPackage, survey: Survey, adjusted: Adjusted, frames_m: Floats) -> None:
-        self.package, self.survey, self.adjusted, self.frames_m = package, survey, adjusted, frames_m
+    def __init__(self, survey: Survey, adjusted: Adjusted, frames_m: Floats) -> None:
+        self.survey, self.adjusted, self.frames_m = survey, adjusted, frames_m
         self.names = np.array([f.name for f in survey.frames])
         self.most = min(MOST_POINTS, MOST_A_FRAME * len(self.names))
 
-    def tie_points(self, ties: TiePoints, gsd_m: Floats) -> None:
-        """gsd_m (n,): each frame's ground sampling distance."""
+    def tie_points(self, ties: TiePoints, gsd_m: Floats) -> tuple[MapFeatures, MapFeatures]:
+        """The points, and their residuals as arrows. gsd_m (n,): each frame's ground sampling distance."""
         pairs, residuals_m = TiePairs.of(ties.pairs), self.adjusted.residuals_m
         known = np.concatenate([np.zeros(0, dtype=bool), *(np.isfinite(r).all(axis=1) for r in residuals_m)])
         shown = _evenly(np.flatnonzero(known), self.most)
@@ -78,14 +78,12 @@ class ResidualLayers:
         }
         middle = shapely.points((left_map + right_map) / 2.0)
         text = "Tie points on the ground" + thinned
-        self.package.add_layer(
-            MapFeatures("tie_points", text, "Point", middle, {**fields, **place}, looks.tie_points())
-        )
+        points = MapFeatures("tie_points", text, "Point", middle, {**fields, **place}, looks.tie_points())
         style = looks.residuals(exaggeration(length, self.frames_m, _SHARE_OF_SPACING))
         text, lines = "From left to right frame's place" + thinned, _lines(left_map, right_map)
-        self.package.add_layer(MapFeatures("residuals", text, "LineString", lines, fields, style))
+        return points, MapFeatures("residuals", text, "LineString", lines, fields, style)
 
-    def image_residuals(self) -> None:
+    def image_residuals(self) -> MapFeatures:
         """At the place on the ground where the frame of each observation puts it."""
         r = self.adjusted.image_residuals
         frame = np.zeros(0, dtype=np.intp) if r is None else r.frame
@@ -108,11 +106,9 @@ class ResidualLayers:
         }
         text = "Tie points' image coordinates, measured minus computed" + thinned
         points = np.asarray(shapely.points(map_from_work(self.survey, at[hit])))
-        self.package.add_layer(
-            MapFeatures("image_residuals", text, "Point", points, fields, looks.image_residuals())
-        )
+        return MapFeatures("image_residuals", text, "Point", points, fields, looks.image_residuals())
 
-    def control(self) -> None:
+    def control(self) -> tuple[MapFeatures, MapFeatures]:
         """The surveyed places, and lines from where the images put them: the way a residual points."""
         points = self.survey.control
         found = {(c.name, c.check): c for c in self.adjusted.control}
@@ -146,18 +142,17 @@ class ResidualLayers:
         }  # fmt: skip
         at = np.asarray(shapely.points(np.column_stack([surveyed_map, place[:, 2]])))
         text = "Surveyed control and check points"
-        self.package.add_layer(MapFeatures("control", text, "PointZ", at, fields, looks.control()))
+        surveyed_points = MapFeatures("control", text, "PointZ", at, fields, looks.control())
         seen = np.isfinite(residual).all(axis=1)
-        self.package.add_layer(
-            MapFeatures(
-                "control_residuals",
-                "From where the images put control and check points to where they were surveyed",
-                "LineString",
-                _lines(found_map[seen], surveyed_map[seen]),
-                {name: values[seen] for name, values in fields.items()},
-                looks.control_residuals(exaggeration(fields["residual_m"], self.frames_m)),
-            )
+        lines = MapFeatures(
+            "control_residuals",
+            "From where the images put control and check points to where they were surveyed",
+            "LineString",
+            _lines(found_map[seen], surveyed_map[seen]),
+            {name: values[seen] for name, values in fields.items()},
+            looks.control_residuals(exaggeration(fields["residual_m"], self.frames_m)),
         )
+        return surveyed_points, lines
 
     def _ground(self, frame: NDArray[Any], image_px: Floats, which: NDArray[Any]) -> Floats:
         """Where frames (k,) put some of the image coordinates, (k,) of all, on the ground, (k, 3)."""

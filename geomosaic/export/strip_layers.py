@@ -12,7 +12,7 @@ from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import Outlines, lonlat_by_rpc
 from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.export import looks
-from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.quality.strip_figures import SEGMENT_LINES
 from geomosaic.quality.strips import StripQuality
 from geomosaic.survey.strips import StripGeometry
@@ -38,53 +38,32 @@ def write_strip_layers(path: Path, geometry: StripGeometry, scene: SceneOnMap, q
     Raises: `OSError` if the file can't be written.
     """
     mosaic, rings, rpc = scene.mosaic, scene.rings, scene.rpc
-    with writing_geopackage(path, _CRS, None) as package:
-        outline = [shapely.Polygon(rings.scene)] if len(rings.scene) else []
-        size = {"width_px": [mosaic.width_px], "height_px": [mosaic.height_px]}
-        package.add_layer(
-            MapFeatures(
-                "scene",
-                "The scene's outline",
-                "Polygon",
-                outline,
-                {k: v[: len(outline)] for k, v in size.items()},
-                looks.scene(),
-            )
-        )
-        ccds = list(rings.ccds)
-        package.add_layer(
-            MapFeatures(
-                "ccd_strips",
-                "What each CCD saw",
-                "Polygon",
-                [shapely.Polygon(rings.ccds[k]) for k in ccds],
-                {
-                    "ccd": np.array(ccds, dtype=np.int64) + 1,
-                    "strip": np.array([_name(geometry, k) for k in ccds], dtype=str),
-                    "row": np.array([geometry.ccds[k].row for k in ccds], dtype=np.int64),
-                    "lines": np.array([geometry.lines[k] for k in ccds], dtype=np.int64),
-                },
-                looks.ccd_strips(),
-            )
-        )
-        pairs, firsts, misplaced = _segments(quality)
-        if rpc is None:
-            pairs, firsts, misplaced = pairs[:0], firsts[:0], misplaced[:0]
-        package.add_layer(
-            MapFeatures(
-                "seam_segments",
-                "Misplacement of each seam, by segments",
-                "LineString",
-                [] if rpc is None else _lines(geometry, mosaic, rpc, pairs, firsts),
-                {
-                    "pair": pairs,
-                    "first_line": firsts,
-                    "misplacement_px": misplaced,
-                    "above_1px": (misplaced > 1.0).astype(np.int64),
-                },
-                looks.seam_segments(),
-            )
-        )
+    outline = [shapely.Polygon(rings.scene)] if len(rings.scene) else []
+    size = {"width_px": [mosaic.width_px], "height_px": [mosaic.height_px]}
+    size = {name: values[: len(outline)] for name, values in size.items()}
+    ccds = list(rings.ccds)
+    of_ccds = {
+        "ccd": np.array(ccds, dtype=np.int64) + 1,
+        "strip": np.array([_name(geometry, k) for k in ccds], dtype=str),
+        "row": np.array([geometry.ccds[k].row for k in ccds], dtype=np.int64),
+        "lines": np.array([geometry.lines[k] for k in ccds], dtype=np.int64),
+    }
+    seen = [shapely.Polygon(rings.ccds[k]) for k in ccds]
+    pairs, firsts, misplaced = (of[: 0 if rpc is None else None] for of in _segments(quality))
+    of_segments = {
+        "pair": pairs,
+        "first_line": firsts,
+        "misplacement_px": misplaced,
+        "above_1px": (misplaced > 1.0).astype(np.int64),
+    }
+    lines = [] if rpc is None else _lines(geometry, mosaic, rpc, pairs, firsts)
+    text = "Misplacement of each seam, by segments"
+    layers = (
+        MapFeatures("scene", "The scene's outline", "Polygon", outline, size, looks.scene()),
+        MapFeatures("ccd_strips", "What each CCD saw", "Polygon", seen, of_ccds, looks.ccd_strips()),
+        MapFeatures("seam_segments", text, "LineString", lines, of_segments, looks.seam_segments()),
+    )
+    write_geopackage(path, _CRS, None, layers)
 
 
 def _name(geometry: StripGeometry, ccd: int) -> str:

@@ -120,7 +120,7 @@ FULL_DISK = """
 import errno, resource, signal, sys
 from pathlib import Path
 from geomosaic.export.cog import write_cog
-from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 import numpy as np, shapely
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
@@ -130,9 +130,8 @@ for write in (
     lambda: fill(folder / "out.gpkg"),
 ):
     def fill(path):
-        with writing_geopackage(path, "EPSG:32615", None) as package:
-            points = shapely.points(np.random.rand(20000, 2))
-            package.add_layer(MapFeatures("p", "", "Point", points, {}))
+        points = shapely.points(np.random.rand(20000, 2))
+        write_geopackage(path, "EPSG:32615", None, [MapFeatures("p", "", "Point", points, {})])
     try:
         write()
         print("written")

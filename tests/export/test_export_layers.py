@@ -28,7 +28,7 @@ from geomosaic.composition.ownership import by_nearest_nadir
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.export import residual_layers
-from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.export.layers import SolvedSurvey, write_layers
 from geomosaic.export.orientation import orientations
 from geomosaic.export.positions import COLUMNS, write_positions
@@ -275,8 +275,8 @@ def many(tmp_path_factory):
     at = np.random.default_rng(3).uniform(0.0, 300.0, (20_000, 2)) + [553_000.0, 5_231_000.0]
     at[:40] = at[0]
     points = [None if i % 100 == 7 else p for i, p in enumerate(shapely.points(at))]
-    with writing_geopackage(path, CRS, None) as package:
-        package.add_layer(MapFeatures("points", "Some", "Point", points, {"number": np.arange(20_000)}))
+    layer = MapFeatures("points", "Some", "Point", points, {"number": np.arange(20_000)})
+    write_geopackage(path, CRS, None, [layer])
     at[7::100] = np.nan
     return path, at
 
@@ -348,10 +348,9 @@ def test_accuracy_stands_in_the_metadata_with_equal_bytes(tmp_path: Path) -> Non
     """As GIS show it of the file; written at another time it is the same file."""
     said = {"verdict": "good: 5 of 5 frames tied", "absolute accuracy": "horizontal RMSE 3.6 m"}
     files = [tmp_path / name for name in ("a.gpkg", "b.gpkg")]
+    layer = MapFeatures("place", "One.", "Point", [shapely.Point(1.0, 2.0)], {"x": [1]}, metadata=said)
     for path in files:
-        with writing_geopackage(path, "EPSG:32632", 1e9) as package:
-            package.add_layer(MapFeatures("place", "One.", "Point", [shapely.Point(1.0, 2.0)], {"x": [1]}))
-            package.describe("place", said)
+        write_geopackage(path, "EPSG:32632", 1e9, [layer])
     opened = gdal.OpenEx(str(files[0]), gdal.OF_VECTOR)
     kept = opened.GetLayerByName("place").GetMetadata()
     assert {name: kept[name] for name in said} == said

@@ -14,7 +14,7 @@ from osgeo import ogr
 
 from geomosaic.composition.palette import frame_colour
 from geomosaic.export import looks
-from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.export.project import write_project
 from geomosaic.export.project_layers import project_of
 
@@ -31,12 +31,10 @@ def raster(path: Path, bands: int, dtype: str, crs: str | None = CRS, **tags: st
 
 def package(path: Path) -> Path:
     points = shapely.points([[5e5, 5e6], [5e5 + 2, 5e6 - 1]])
-    with writing_geopackage(path, CRS, None) as made:
-        fields = {"frame": ["a.jpg", "b.jpg"], "status": ["tied", "placed"]}
-        made.add_layer(MapFeatures("frames", "", "Point", points, fields, looks.frames()))
-        made.add_layer(
-            MapFeatures("control", "", "Point", [], {"name": np.array([], dtype=str)}, looks.control())
-        )
+    fields = {"frame": ["a.jpg", "b.jpg"], "status": ["tied", "placed"]}
+    frames = MapFeatures("frames", "", "Point", points, fields, looks.frames())
+    control = MapFeatures("control", "", "Point", [], {"name": np.array([], dtype=str)}, looks.control())
+    write_geopackage(path, CRS, None, [frames, control])
     return path
 
 
@@ -140,12 +138,9 @@ def test_the_surface_has_a_group_of_its_own(tmp_path):
 def test_shading_and_contours_that_were_written_are_shown(tmp_path):
     for name, kind in (("mosaic", "uint8"), ("surface", "float32"), ("surface_hillshade", "uint8")):
         raster(tmp_path / f"{name}.tif", 1, kind)
-    with writing_geopackage(tmp_path / "terrain_contours.gpkg", CRS, None) as made:
-        made.add_layer(
-            MapFeatures(
-                "contours", "", "LineString", [shapely.LineString([(0, 0), (1, 1)])], {"height_m": [2.0]}
-            )
-        )
+    line = shapely.LineString([(0, 0), (1, 1)])
+    contours = MapFeatures("contours", "", "LineString", [line], {"height_m": [2.0]})
+    write_geopackage(tmp_path / "terrain_contours.gpkg", CRS, None, [contours])
     crs, extent, groups = project_of(package(tmp_path / "layers.gpkg"), tmp_path / "mosaic.tif")
     write_project(tmp_path / "project.qgz", "t", crs, extent, groups)
     root = document(tmp_path / "project.qgz")

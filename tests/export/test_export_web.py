@@ -25,7 +25,7 @@ from geomosaic.composition.model import Mosaic, OutputGrid, Seamline
 from geomosaic.errors import CancelledError
 from geomosaic.export.cog import write_cog
 from geomosaic.export.footprints import write_footprints
-from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
 from geomosaic.export.web import TileOptions, write_kmz, write_tiles, write_vrt
@@ -304,9 +304,9 @@ def test_kmz_lies_where_the_mosaic_lies(cog, tmp_path):
 def test_the_page_of_the_tiles_needs_no_network(cog, tmp_path):
     """And shows the run's layers; no name in them can end its script."""
     evil = "</script><script>alert(1)//`${1}"
-    with writing_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None) as package:
-        fields = {"frame": [evil], "status": ["tied"]}
-        package.add_layer(MapFeatures("frames", "", "Point", [shapely.Point(576_627.0, 5_188_249.0)], fields))
+    fields = {"frame": [evil], "status": ["tied"]}
+    frames = MapFeatures("frames", "", "Point", [shapely.Point(576_627.0, 5_188_249.0)], fields)
+    write_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None, [frames])
     write_tiles(
         cog, tmp_path / "tiles", TileOptions(max_zoom=20, threads=1), layers_file=tmp_path / "layers.gpkg"
     )
@@ -321,10 +321,10 @@ def test_the_page_of_the_tiles_needs_no_network(cog, tmp_path):
 
 
 def test_footprints_are_geojson_in_wgs_84(tmp_path):
-    with writing_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None) as package:
-        ring = shapely.box(576_600.0, 5_188_200.0, 576_700.0, 5_188_300.0)
-        fields = {"frame": ["a.jpg"], "time_utc": np.array(["2024-06-12T09:30:00.250"], "datetime64[ms]")}
-        package.add_layer(MapFeatures("footprints", "", "Polygon", [ring], fields))
+    ring = shapely.box(576_600.0, 5_188_200.0, 576_700.0, 5_188_300.0)
+    fields = {"frame": ["a.jpg"], "time_utc": np.array(["2024-06-12T09:30:00.250"], "datetime64[ms]")}
+    layer = MapFeatures("footprints", "", "Polygon", [ring], fields)
+    write_geopackage(tmp_path / "layers.gpkg", "EPSG:32615", None, [layer])
     write_footprints(tmp_path / "layers.gpkg", tmp_path / "f.geojson")
     (feature,) = json.loads((tmp_path / "f.geojson").read_text())["features"]
     assert feature["properties"]["frame"] == "a.jpg"

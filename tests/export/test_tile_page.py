@@ -9,7 +9,7 @@ from browser import Page, browser
 from test_export_cog import raw_raster
 
 from geomosaic.export.cog import write_cog
-from geomosaic.export.geopackage import MapFeatures, writing_geopackage
+from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.export.web import TileOptions, write_tiles
 
 TILES = "[...document.querySelectorAll('img.leaflet-tile-loaded')].filter(i => i.src.startsWith('file:'))"
@@ -24,12 +24,10 @@ def folder(tmp_path_factory):
     raw_raster(folder / "raw.tif", side=700)
     write_cog(folder / "raw.tif", folder / "mosaic.tif")
     at = np.array([[576_627.0, 5_188_249.0], [576_630.0, 5_188_247.0], [576_633.0, 5_188_248.0]])
-    with writing_geopackage(folder / "layers.gpkg", "EPSG:32615", None) as package:
-        names = {"frame": ["a <b>.jpg", "b.jpg", "c.jpg"]}
-        package.add_layer(MapFeatures("frames", "", "Point", shapely.points(at), names))
-        package.add_layer(
-            MapFeatures("footprints", "", "Polygon", shapely.buffer(shapely.points(at), 2.0), names)
-        )
+    names = {"frame": ["a <b>.jpg", "b.jpg", "c.jpg"]}
+    frames = MapFeatures("frames", "", "Point", shapely.points(at), names)
+    seen = MapFeatures("footprints", "", "Polygon", shapely.buffer(shapely.points(at), 2.0), names)
+    write_geopackage(folder / "layers.gpkg", "EPSG:32615", None, [frames, seen])
     write_tiles(
         folder / "mosaic.tif", folder / "tiles", TileOptions(threads=1), layers_file=folder / "layers.gpkg"
     )
