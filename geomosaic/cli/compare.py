@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geomosaic.cli.options import AsJson, Quiet
-from geomosaic.cli.requested import typer_parser
+from geomosaic.cli.options import AsJson, Quiet, output_option
 from geomosaic.errors import FileError
-from geomosaic.requests.option import folder_given
 
 if TYPE_CHECKING:
     from geomosaic.quality.changes import Change, Registration, SurfaceRasters
@@ -23,14 +21,7 @@ def compare(
     old: Annotated[Path, typer.Argument(help="folder of the earlier run", metavar="RUN1")],
     new: Annotated[Path, typer.Argument(help="folder of the later run", metavar="RUN2")],
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="folder to write to [next to the later run: RUN2-changes]",
-            metavar="FOLDER",
-            parser=typer_parser(folder_given),
-        ),
+        Path | None, output_option("folder to write to [next to the later run: RUN2-changes]")
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,

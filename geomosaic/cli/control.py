@@ -9,10 +9,9 @@ from typing import Annotated
 
 import typer
 
-from geomosaic.cli.options import Port, Quiet, with_options
-from geomosaic.cli.requested import typer_option, typer_parser
+from geomosaic.cli.options import Port, Quiet, output_option, with_options
+from geomosaic.cli.requested import typer_option
 from geomosaic.requests.mosaic_request import MosaicRequest
-from geomosaic.requests.option import folder_given
 
 
 @dataclass(frozen=True)
@@ -29,13 +28,7 @@ class ControlOptions:
     ] = None
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="folder of gcp.csv and gcp_list.txt [next to the frames: FRAMES_DIR-control]",
-            metavar="FOLDER",
-            parser=typer_parser(folder_given),
-        ),
+        output_option("folder of gcp.csv and gcp_list.txt [next to the frames: FRAMES_DIR-control]"),
     ] = None
     pos: Annotated[Path | None, typer_option(MosaicRequest, "pos")] = None
     pos_crs: Annotated[str | None, typer_option(MosaicRequest, "pos_crs")] = None

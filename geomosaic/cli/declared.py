@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from geomosaic.cli.requested import typed
 from geomosaic.pipeline.params import ParamDescription, describe_params
 from geomosaic.pipeline.recipe import Recipe, unwired_recipe
 from geomosaic.pipeline.stage import Stage
@@ -79,9 +80,7 @@ def command_of(
         return run(options.pop(name), **options)
 
     command.__doc__ = inspect.getdoc(stage) if stage.__doc__ else stage.display_name
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = {p.name: p.annotation for p in parameters}
-    return command
+    return typed(command, parameters)
 
 
 def recipe_of_options(stage: type[Stage], options: Mapping[str, Any], seed: int) -> Recipe:

@@ -8,20 +8,14 @@ from typing import Annotated
 
 import typer
 
-from geomosaic.cli.options import Quiet
-from geomosaic.cli.requested import typer_parser
+from geomosaic.cli.options import Quiet, output_option
 from geomosaic.errors import OutputError
-from geomosaic.requests.option import folder_given
 
 
 def frames(
     video: Annotated[Path, typer.Argument(help="video of a flight (MP4, MOV)", metavar="VIDEO")],
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", help="folder to write to [next to the video: VIDEO-frames]", metavar="FRAMES",
-            parser=typer_parser(folder_given),
-        ),
+        Path | None, output_option("folder to write to [next to the video: VIDEO-frames]", "FRAMES")
     ] = None,
     srt: Annotated[
         Path | None,

@@ -10,7 +10,8 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
-from geomosaic.cli.requested import Terminal, typer_option
+from geomosaic.cli.requested import Terminal, typed, typer_option, typer_parser
+from geomosaic.requests.option import folder_given
 from geomosaic.requests.run_request import RunRequest
 
 Options = TypeVar("Options")
@@ -22,6 +23,12 @@ AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 Port = Annotated[
     int, typer.Option(help="port on this machine; 0 is any free one", metavar="N", min=0, max=65535)
 ]
+
+
+def output_option(help: str, metavar: str = "FOLDER") -> Any:
+    """`-o`: the folder to write to."""
+    parser = typer_parser(folder_given)
+    return typer.Option("-o", "--output", help=help, metavar=metavar, parser=parser)
 
 
 def with_options(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
@@ -43,8 +50,6 @@ def with_options(options: type[Options]) -> Callable[[Callable[[Options], None]]
         def command(**given: Any) -> None:
             function(options(**given))
 
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        command.__annotations__ = {p.name: p.annotation for p in parameters}
-        return command
+        return typed(command, parameters)
 
     return decorated

@@ -35,7 +35,32 @@ def _duration(seconds: float) -> str:
     return f"{math.ceil(seconds / 60)} min" if seconds < 5400.0 else f"{math.ceil(seconds / 360) / 10:.1f} h"
 
 
-class ProgressLines:
+class _Lines:
+    """A reporter that writes lines of text."""
+
+    _name = ""
+
+    def _say(self, text: str, style: str = "") -> None:
+        raise NotImplementedError
+
+    def stage_started(self, index: int, total: int, name: str) -> None:
+        """Stage `index` (from 0) of `total` begins."""
+        self._name = f"[{index + 1}/{total}] {name}"
+
+    def warning(self, text: str) -> None:
+        """A stage's warning."""
+        self._say(f"warning: {text}", style="yellow")
+
+    def note(self, text: str) -> None:
+        """What a stage reports that is no warning."""
+        self._say(f"{self._name}: {text}")
+
+    def stage_finished(self, seconds: float, source: Source) -> None:
+        """The present stage is done."""
+        self._say(f"{self._name}: {_how(seconds, source)}")
+
+
+class ProgressLines(_Lines):
     """One line when a stage begins, ends or warns, and one every ten seconds in between.
 
     When the reader of a pipe goes away, the run goes on unheard.
@@ -43,22 +68,17 @@ class ProgressLines:
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
-        self._name = ""
         self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
         self._work: tuple[str, int] = "", 0
         self._begun = 0, 0.0
 
-    def _line(self, text: str) -> None:
+    def _say(self, text: str, style: str = "") -> None:
         if self._stream is not None:
             try:
                 print(printable(text), file=self._stream, flush=True)
             except BrokenPipeError:
                 self._stream = None
         self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
-
-    def stage_started(self, index: int, total: int, name: str) -> None:
-        """Stage `index` (from 0) of `total` begins."""
-        self._name = f"[{index + 1}/{total}] {name}"
 
     def progress(self, done: int, total: int, text: str) -> None:
         """So much of the present stage is done; the time left is that of these items."""
@@ -69,35 +89,22 @@ class ProgressLines:
             first, begun_s = self._begun
             left_s = (now_s - begun_s) * (total - done) / (done - first) if done > first else 0.0
             left = f", {_duration(left_s)} left" if left_s else ""
-            self._line(f"{self._name}: {text} {done} of {total}{left}".replace(":  ", ": "))
-
-    def warning(self, text: str) -> None:
-        """A stage's warning."""
-        self._line(f"warning: {text}")
-
-    def note(self, text: str) -> None:
-        """What a stage reports that is no warning."""
-        self._line(f"{self._name}: {text}")
-
-    def stage_finished(self, seconds: float, source: Source) -> None:
-        """The present stage is done."""
-        self._line(f"{self._name}: {_how(seconds, source)}")
+            self._say(f"{self._name}: {text} {done} of {total}{left}".replace(":  ", ": "))
 
 
-class Bar:
+class Bar(_Lines):
     """A bar for the present stage, and a line for each finished one."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._task: TaskID | None = None
-        self._name = ""
 
     def _say(self, text: str, style: str = "") -> None:
         self._progress.console.print(escape(printable(text)), style=style, highlight=False)
 
     def stage_started(self, index: int, total: int, name: str) -> None:
         """Stage `index` (from 0) of `total` begins."""
-        self._name = f"[{index + 1}/{total}] {name}"
+        super().stage_started(index, total, name)
         self._begin()
 
     def _begin(self) -> TaskID:
@@ -113,20 +120,12 @@ class Bar:
         count = f"{done}/{total}, time left"
         self._progress.update(task, completed=done, total=total, count=count, text=escape(printable(text)))
 
-    def warning(self, text: str) -> None:
-        """A stage's warning."""
-        self._say(f"warning: {text}", style="yellow")
-
-    def note(self, text: str) -> None:
-        """What a stage reports that is no warning."""
-        self._say(f"{self._name}: {text}")
-
     def stage_finished(self, seconds: float, source: Source) -> None:
         """The present stage is done."""
         if self._task is not None:
             self._progress.remove_task(self._task)
             self._task = None
-        self._say(f"{self._name}: {_how(seconds, source)}")
+        super().stage_finished(seconds, source)
 
 
 @contextmanager

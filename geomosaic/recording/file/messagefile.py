@@ -42,9 +42,7 @@ class MessageFile:
         self._failure: OutputError | None = None
         self._closed = False
         with self._writing():
-            if (
-                self._path.is_file() or self._path.is_fifo()
-            ):  # another name of the same file keeps its content
+            if self._path.is_file() or self._path.is_fifo():  # another name of it keeps its content
                 self._path.unlink()
             self._file = self._path.open("wb")
             self._writer: Any = Writer(  # partly untyped
@@ -75,18 +73,14 @@ class MessageFile:
 
     def write(self, topic: str, message: Any) -> None:
         """A protobuf message; the first on a topic settles the topic's schema."""
-        with self._lock:
-            self._written(topic, message)
-
-    def _written(self, topic: str, message: Any) -> None:
-        at_ns = self._now_ns()
         fields = message.DESCRIPTOR.fields_by_name
-        if "recorded_ns" in fields:
-            message.recorded_ns = at_ns
-        if "timestamp" in fields:
-            at_ns = _nanoseconds(message.timestamp) or at_ns
-            message.timestamp.FromNanoseconds(at_ns)
-        with self._writing():
+        with self._lock, self._writing():
+            at_ns = self._now_ns()
+            if "recorded_ns" in fields:
+                message.recorded_ns = at_ns
+            if "timestamp" in fields:
+                at_ns = _nanoseconds(message.timestamp) or at_ns
+                message.timestamp.FromNanoseconds(at_ns)
             self._writer.add_message(
                 channel_id=self._channel_id(topic, type(message)),
                 log_time=at_ns,
@@ -94,7 +88,7 @@ class MessageFile:
                 sequence=self._sequence & 0xFFFFFFFF,
                 data=message.SerializeToString(deterministic=True),
             )
-        self._sequence += 1
+            self._sequence += 1
 
     def flush(self, sync: bool = True) -> None:
         """End the chunk and give everything to the system, which keeps it if this process is killed; with

@@ -232,6 +232,18 @@ class Recording:
         return not self.problem
 
     @property
+    def verdict(self) -> dict[str, Any]:
+        """What its report says of the mosaic, the evidence as a list of mappings; empty without a report."""
+        for stage in self.stages:
+            report = stage.notes.get("report")
+            verdict = report.get("verdict") if isinstance(report, dict) else None
+            if isinstance(verdict, dict):
+                evidence = verdict.get("evidence")
+                listed = evidence if isinstance(evidence, list) else ()
+                return {**verdict, "evidence": [e for e in listed if isinstance(e, dict)]}
+        return {}
+
+    @property
     def planned(self) -> int:
         """How many stages its recipe has; 0 where that can't be read."""
         try:

@@ -16,6 +16,11 @@ def single(**values: ArrayLike) -> dict[str, NDArray[np.float32]]:
     return {name: np.asarray(value, dtype=np.float32) for name, value in values.items()}
 
 
+def picked(thing: Any, *names: str) -> dict[str, Any]:
+    """Some of its attributes, by name."""
+    return {name: getattr(thing, name) for name in names}
+
+
 def json_text(value: Any) -> str:
     """JSON in the order given, numpy numbers and arrays as plain ones, paths as text; NaN refused."""
     return json.dumps(value, allow_nan=False, default=_plain, separators=(",", ":"))

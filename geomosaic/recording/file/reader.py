@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -64,6 +65,15 @@ def messages(path: Path, schema: str) -> Iterator[tuple[str, int, bytes]]:
         for item in items(path, file):
             if isinstance(item.record, Message) and item.schema == schema:
                 yield item.topic, item.record.log_time, item.record.data
+
+
+def recorded_images(path: Path, topic: str) -> Iterator[tuple[str, bytes]]:
+    """Label and JPEG of every image of a topic, without the damaged ones."""
+    for at, _, data in messages(path, CompressedImage.DESCRIPTOR.full_name):
+        if at == topic:
+            with suppress(*BROKEN):
+                message = CompressedImage.FromString(data)
+                yield message.frame_id, message.data
 
 
 def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str, str, bytes]]:

@@ -132,18 +132,11 @@ def _changes(a: Any, b: Any, name: str = "") -> dict[str, list[Any]]:
 
 def _verdict(recording: Recording) -> dict[str, Any]:
     """Grade, cause, and the evidence's values and grades by name."""
-    for stage in recording.stages:
-        report = stage.notes.get("report")
-        verdict = report.get("verdict") if isinstance(report, dict) else None
-        if isinstance(verdict, dict):
-            evidence = verdict.get("evidence")
-            figures = {
-                str(e.get("name")): {"value": e.get("value"), "grade": e.get("grade")}
-                for e in (evidence if isinstance(evidence, list) else ())
-                if isinstance(e, dict)
-            }
-            return {k: verdict.get(k) for k in ("grade", "cause")} | {"evidence": figures}
-    return {}
+    verdict = recording.verdict
+    if not verdict:
+        return {}
+    figures = {str(e.get("name")): {k: e.get(k) for k in ("value", "grade")} for e in verdict["evidence"]}
+    return {k: verdict.get(k) for k in ("grade", "cause")} | {"evidence": figures}
 
 
 def _figures(a: Recording, b: Recording) -> dict[str, list[Any]]:

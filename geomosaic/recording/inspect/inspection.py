@@ -9,6 +9,7 @@ import numpy as np
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.file.model import LogLine, Recording, StageRecord
+from geomosaic.recording.file.plain import picked
 from geomosaic.recording.inspect.solved import Solved, frame_figures, known, pair_figures, status_counts
 from geomosaic.recording.inspect.table_figures import table_frames, table_pairs
 from geomosaic.recording.inspect.worst import faults, worst_frames, worst_pairs
@@ -87,12 +88,7 @@ class Inspection:
         return {
             "index": record.index,
             "id": record.stage_id,
-            "version": record.version,
-            "finished": record.finished,
-            "cached": record.cached,
-            "seconds": record.seconds,
-            "params": record.params,
-            "inputs": record.inputs,
+            **picked(record, "version", "finished", "cached", "seconds", "params", "inputs"),
             "outputs": {n: {"fingerprint": f, "bytes": sizes.get(n)} for n, f in record.outputs.items()},
             "written": record.written,
             "warnings": notes.get("warnings", []),
@@ -181,4 +177,4 @@ def _ended_text(ended: dict[str, Any]) -> str:
 
 
 def _line(line: LogLine) -> dict[str, Any]:
-    return {"level": line.level, "stage": line.stage, "frame": line.frame, "text": line.text}
+    return picked(line, "level", "stage", "frame", "text")

@@ -76,11 +76,11 @@ def show_frame(frame: dict[str, Any], console: Console) -> None:
     if given:
         table = new_table("pose", "", "given", "found", "sd given", "sd found")
         for name, sd, digits in _POSE:
-            values = (_digits(given.get(name), digits), _digits(found.get(name), digits))
-            row(table, name, *values, _digits(given.get(sd), 3), _digits(found.get(sd), 3))
+            values = (number(given.get(name), digits), number(found.get(name), digits))
+            row(table, name, *values, number(given.get(sd), 3), number(found.get(sd), 3))
         console.print(table)
-    east, north, up = (_digits(v, 2) for v in frame["moved_m"])
-    turn = _digits(frame["yaw_off_deg"], 2)
+    east, north, up = (number(v, 2) for v in frame["moved_m"])
+    turn = number(frame["yaw_off_deg"], 2)
     line(console, f"found minus given: {east} m east, {north} m north, {up} m up; yaw {turn} degrees")
     if frame["image_turned_deg"]:
         line(console, f"its image was turned by {frame['image_turned_deg']} degrees; this is corrected")
@@ -98,7 +98,7 @@ def show_pair(pair: dict[str, Any], console: Console) -> None:
     """A pair: whether it is tied, by what, and what is left; or why not."""
     _show_pairs("pair", [pair], console)
     if pair["tied"]:
-        east, north = (_digits(v, 3) for v in pair["mean_m"])
+        east, north = (number(v, 3) for v in pair["mean_m"])
         line(console, f"misalignment, right minus left: {east} m east, {north} m north")
         spread = ", ".join(
             f"{what} {number(pair.get(name))} m"
@@ -156,9 +156,9 @@ _POSE = (
 def _frame_cells(f: dict[str, Any]) -> list[Any]:
     if "moved_m" not in f:
         return [f["frame"], f["status"], *[""] * 5]
-    moved = ", ".join(_digits(v, 1) for v in f["moved_m"])
+    moved = ", ".join(number(v, 1) for v in f["moved_m"])
     cells = [
-        _digits(f["yaw_off_deg"], 1),
+        number(f["yaw_off_deg"], 1),
         f["tie_points"],
         number(f["rms_px"]),
         share(f["share_down_weighted"]),
@@ -193,7 +193,3 @@ def _flat(name: str, value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, dict) and value:
         return [pair for k, v in value.items() for pair in _flat(f"{name}.{k}" if name else str(k), v)]
     return [(name, value)]
-
-
-def _digits(value: float | None, digits: int) -> str:
-    return "unknown" if value is None else f"{value:.{digits}f}"

@@ -9,16 +9,16 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from geomosaic.arrays import Floats
 from geomosaic.errors import InputError
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
+from geomosaic.recording.file.frame_kinds import THUMBNAILS
 from geomosaic.recording.file.mcapfile import BROKEN
 from geomosaic.recording.file.model import Recording
 from geomosaic.recording.file.pair_kinds import ChipTies
-from geomosaic.recording.file.reader import messages
+from geomosaic.recording.file.reader import messages, recorded_images
 from geomosaic.recording.file.thumbnail import decoded
 from geomosaic.recording.inspect.canvas import GOOD, INK, PAPER, RED, Canvas, png_of, write
 from geomosaic.recording.inspect.compare_frames import places_m
@@ -132,12 +132,9 @@ def pair_png(recording: Recording, solved: Solved, left: str, right: str) -> byt
 def _chip(recording: Recording, left: str, right: str) -> Image | None:
     """What a pair's frames show at full resolution where their tie points miss most, with these in it."""
     image: Image | None = None
-    for topic, _, data in messages(recording.path, "foxglove.CompressedImage"):
-        if topic == "/chips":
-            with suppress(*BROKEN):
-                message = CompressedImage.FromString(data)
-                if message.frame_id == f"{left} - {right}":
-                    image = decoded(message.data)
+    for label, jpeg in recorded_images(recording.path, "/chips"):
+        if label == f"{left} - {right}":
+            image = decoded(jpeg)
     if image is None:
         return None
     for _, _, data in messages(recording.path, "geomosaic.ChipTies"):
@@ -164,24 +161,10 @@ def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Image, Floats]
     wide = max(frame.width_px, frame.height_px, 1)
     size = [max(round(_SIDE_PX * v / wide), 1) for v in (frame.width_px, frame.height_px)]
     image = np.full((size[1], size[0], 3), 200, dtype=np.uint8)
-    for topic, _, data in messages(recording.path, "foxglove.CompressedImage"):
-        if topic != "/frames":
-            continue
-        try:
-            message = CompressedImage.FromString(data)
-            if message.frame_id == frame.name:
-                image = _enlarged(message.data, (size[0], size[1]), image)
-        except BROKEN:
-            continue
+    for label, jpeg in recorded_images(recording.path, THUMBNAILS):
+        if label == frame.name and (small := decoded(jpeg)) is not None:
+            image = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
     return image, np.array(size) / [max(frame.width_px, 1), max(frame.height_px, 1)]
-
-
-def _enlarged(jpeg: bytes, size: tuple[int, int], otherwise: Image) -> Image:
-    """A small JPEG in another size; `otherwise` for what is none."""
-    small = decoded(jpeg)
-    if small is None:
-        return otherwise
-    return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 def _dots(image: Image, at: Floats, weight: Floats) -> None:

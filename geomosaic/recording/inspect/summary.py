@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from geomosaic.recording.file.fingerprints import altered_artefacts
 from geomosaic.recording.file.model import Jitter, Recording, RoundOffsets, StripCurve, StripResidual
+from geomosaic.recording.file.plain import picked
 
 _PEAKS = 3
+_OF_STAGES = ("version", "params", "inputs", "outputs", "seconds", "cached", "finished")
 
 
 def summary(recording: Recording) -> dict[str, Any]:
@@ -22,25 +24,10 @@ def summary(recording: Recording) -> dict[str, Any]:
     ids = {stage.index: stage.stage_id for stage in recording.stages}
     return {
         "path": str(recording.path),
-        "whole": recording.whole,
-        "problem": recording.problem,
+        **picked(recording, "whole", "problem"),
         "recipe": recording.recipe_yaml,
-        "environment": recording.environment,
-        "manifest": recording.manifest,
-        "stages": [
-            {
-                "index": stage.index,
-                "id": stage.stage_id,
-                "version": stage.version,
-                "params": stage.params,
-                "inputs": stage.inputs,
-                "outputs": stage.outputs,
-                "seconds": stage.seconds,
-                "cached": stage.cached,
-                "finished": stage.finished,
-            }
-            for stage in recording.stages
-        ],
+        **picked(recording, "environment", "manifest"),
+        "stages": [{"index": s.index, "id": s.stage_id, **picked(s, *_OF_STAGES)} for s in recording.stages],
         "rounds": [
             {
                 "stage": offsets.stage,
@@ -58,9 +45,7 @@ def summary(recording: Recording) -> dict[str, Any]:
             {"stage": ids.get(r.stage_index, ""), **_residual(r)} for r in recording.strip_residuals
         ],
         "jitter": [{"stage": ids.get(j.stage_index, ""), **_jitter(j)} for j in recording.jitter],
-        "warnings": [
-            {"level": w.level, "stage": w.stage, "frame": w.frame, "text": w.text} for w in recording.warnings
-        ],
+        "warnings": [picked(w, "level", "stage", "frame", "text") for w in recording.warnings],
         "altered": [{"stage": stage, "artefact": name} for stage, name in altered_artefacts(recording)],
         "artefacts": [
             {
@@ -84,9 +69,7 @@ def _curve(curve: StripCurve) -> dict[str, Any]:
     known = curve.offset_px[np.isfinite(curve.offset_px).all(axis=1)]
     sd = curve.sd_px[np.isfinite(curve.sd_px)]
     return {
-        "pair": curve.pair,
-        "left": curve.left,
-        "right": curve.right,
+        **picked(curve, "pair", "left", "right"),
         "lines": len(curve.line),
         "dcol_px": [float(known[:, 0].min()), float(known[:, 0].max())] if len(known) else None,
         "dline_px": [float(known[:, 1].min()), float(known[:, 1].max())] if len(known) else None,
@@ -100,9 +83,7 @@ def _curve(curve: StripCurve) -> dict[str, Any]:
 def _residual(left: StripResidual) -> dict[str, Any]:
     """The RMS counts every block that was measured alike, however many of its lines were."""
     return {
-        "pair": left.pair,
-        "left": left.left,
-        "right": left.right,
+        **picked(left, "pair", "left", "right"),
         "blocks": len(left.line),
         "blocks_measured": int(np.isfinite(left.residual_px).all(axis=1).sum()),
         "rms_px": rms_length(left.residual_px),

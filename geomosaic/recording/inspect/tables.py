@@ -131,9 +131,9 @@ def shortened(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:40]}...{text[-17:]}"
 
 
-def number(value: float | None) -> str:
-    """To three decimals."""
-    return "unknown" if value is None else f"{value:.3f}"
+def number(value: float | None, digits: int = 3) -> str:
+    """To so many decimals."""
+    return "unknown" if value is None else f"{value:.{digits}f}"
 
 
 def share(value: float | None) -> str:
@@ -149,10 +149,6 @@ def bytes_of(count: int | None) -> str:
     """A size."""
     if count is None:
         return "not recorded"
-    return (
-        f"{count} bytes"
-        if count < 10_000
-        else f"{count / 1e3:.0f} kB"
-        if count < 10_000_000
-        else f"{count / 1e6:.0f} MB"
-    )
+    if count < 10_000:
+        return f"{count} bytes"
+    return f"{count / 1e3:.0f} kB" if count < 10_000_000 else f"{count / 1e6:.0f} MB"

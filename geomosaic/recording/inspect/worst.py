@@ -128,18 +128,14 @@ def _of_run(recording: Recording) -> Iterator[Fault]:
 
 def _of_verdict(recording: Recording) -> Iterator[Fault]:
     """What the run's own verdict holds against its mosaic."""
-    for stage in recording.stages:
-        report = stage.notes.get("report")
-        verdict = report.get("verdict") if isinstance(report, dict) else None
-        evidence = verdict.get("evidence") if isinstance(verdict, dict) else None
-        for e in evidence if isinstance(evidence, list) else ():
-            if isinstance(e, dict) and e.get("grade") in ("doubtful", "bad"):
-                name, cause = (str(e.get(key, "")) for key in ("name", "cause"))
-                fix = str(e.get("fix", e.get("mend", "")))
-                figure = _figure(e.get("value"), str(e.get("unit", "")))
-                text = f"{cause} ({name} {figure})" if figure else cause
-                weight = 90.0 if e["grade"] == "bad" else 50.0
-                yield Fault(name.replace(" ", "-"), (), text, f"the mosaic is {e['grade']}", fix, weight)
+    for e in recording.verdict.get("evidence", ()):
+        if e.get("grade") in ("doubtful", "bad"):
+            name, cause = (str(e.get(key, "")) for key in ("name", "cause"))
+            fix = str(e.get("fix", e.get("mend", "")))
+            figure = _figure(e.get("value"), str(e.get("unit", "")))
+            text = f"{cause} ({name} {figure})" if figure else cause
+            weight = 90.0 if e["grade"] == "bad" else 50.0
+            yield Fault(name.replace(" ", "-"), (), text, f"the mosaic is {e['grade']}", fix, weight)
 
 
 def _figure(value: Any, unit: str) -> str:

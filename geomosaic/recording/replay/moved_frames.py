@@ -12,7 +12,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError, InputError
@@ -20,9 +19,9 @@ from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.recipe import Recipe, RecipeStep
 from geomosaic.pipeline.replayed_stage import ReplayedStage, files_of
 from geomosaic.placement.model import Placement
-from geomosaic.recording.file.mcapfile import BROKEN
+from geomosaic.recording.file.frame_kinds import THUMBNAILS
 from geomosaic.recording.file.model import Recording
-from geomosaic.recording.file.reader import messages
+from geomosaic.recording.file.reader import recorded_images
 from geomosaic.recording.file.thumbnail import decoded
 from geomosaic.survey.model import Frame, Survey
 
@@ -109,7 +108,7 @@ def with_thumbnails(
     of them is needed, or a frame has no thumbnail.
     """
     gone = frames_gone(given)
-    thumbnails = _thumbnails(recording)
+    thumbnails = dict(recorded_images(recording.path, THUMBNAILS))
     lacking = [f.name for f in gone if f.name not in thumbnails]
     fix = "put the frames back there, or name their folder with --frames"
     if not gone:
@@ -155,22 +154,10 @@ def thumbnail_pixel_m(recording: Recording, given: Mapping[int, ReplayedStage]) 
     values = [v for g in given.values() for v in g.outputs.values()]
     placed = [v for v in values if isinstance(v, Placement)]
     widths = {f.name: f.width_px for v in values if isinstance(v, Survey) for f in v.frames}
-    small = {n: decoded(jpeg) for n, jpeg in _thumbnails(recording).items() if n in widths}
+    thumbnails = recorded_images(recording.path, THUMBNAILS)
+    small = {name: decoded(jpeg) for name, jpeg in thumbnails if name in widths}
     times = [widths[n] / s.shape[1] for n, s in small.items() if s is not None]
     return float(f"{placed[-1].ground_pixel_m * np.median(times):.2g}") if placed and times else math.nan
-
-
-def _thumbnails(recording: Recording) -> dict[str, bytes]:
-    """JPEG by frame."""
-    out = {}
-    for topic, _, data in messages(recording.path, "foxglove.CompressedImage"):
-        if topic == "/frames":
-            try:
-                message = CompressedImage.FromString(data)
-            except BROKEN:
-                continue
-            out[message.frame_id] = message.data
-    return out
 
 
 def _standing_in(given: ReplayedStage, thumbnails: Mapping[str, bytes], folder: Path) -> ReplayedStage:

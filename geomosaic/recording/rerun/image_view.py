@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.file.frame_kinds import THUMBNAILS
-from geomosaic.recording.file.mcapfile import BROKEN
 from geomosaic.recording.file.model import Recording
-from geomosaic.recording.file.reader import messages, printable
+from geomosaic.recording.file.reader import printable, recorded_images
 from geomosaic.recording.file.thumbnail import decoded, thumbnail
 from geomosaic.recording.rerun.list_view import PICK, frame_text, worst_frames
 from geomosaic.recording.rerun.plan_view import PLAN
@@ -74,17 +71,13 @@ def draw_thumbnails(recording: Recording, stream: Any) -> None:
     names = recording.table("frames.adjusted").row
     place = {names[row]: k for k, row in enumerate(worst_frames(recording))}
     bare = dict(place)
-    for topic, _, data in messages(recording.path, CompressedImage.DESCRIPTOR.full_name):
-        if topic != THUMBNAILS or not bare:
-            continue
-        with suppress(*BROKEN):
-            message = CompressedImage.FromString(data)
-            at = bare.get(message.frame_id, _MOST)
-            jpeg = _bounded(message.data, _LARGE_PX if at < _LARGE else _SMALL_PX) if at < _MOST else b""
-            if jpeg:
-                del bare[message.frame_id]
-                stream.set_time(PICK, sequence=at)
-                stream.log(FRAME, rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+    for label, whole in recorded_images(recording.path, THUMBNAILS):
+        at = bare.get(label, _MOST)
+        jpeg = _bounded(whole, _LARGE_PX if at < _LARGE else _SMALL_PX) if at < _MOST else b""
+        if jpeg:
+            del bare[label]
+            stream.set_time(PICK, sequence=at)
+            stream.log(FRAME, rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"))
     for at in bare.values():
         stream.set_time(PICK, sequence=at)
         stream.log(FRAME, rerun.Clear(recursive=False))

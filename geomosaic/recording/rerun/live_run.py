@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import sys
 import time
 from collections.abc import Callable
@@ -65,16 +64,14 @@ def _main(recording: Path, run: int) -> None:
     """What the process does: waits for the recording, opens the viewer, follows."""
     import rerun
 
-    from geomosaic.recording.rerun.viewer import started
+    from geomosaic.recording.rerun.viewer import free_port, started
 
     def alive() -> bool:
         return Path(f"/proc/{run}").exists() if Path("/proc/self").exists() else os.getppid() == run
 
     address = os.environ.get(ADDRESS, "")
     if not address:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
+        port = free_port()
         started("--port", str(port))
         address = f"rerun+http://127.0.0.1:{port}/proxy"
     deadline = time.monotonic() + _PATIENCE_S

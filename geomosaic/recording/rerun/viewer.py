@@ -32,9 +32,7 @@ def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
     """An image of an .rrd as the viewer shows it, made without a screen after `seconds` of loading."""
     from rerun.experimental import ViewerClient
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     with _viewer(file, "--headless", "--port", str(port)) as viewer:
         deadline = time.monotonic() + 60.0
         client = None
@@ -57,6 +55,13 @@ def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
                     raise GeomosaicError(_NO_SCREEN) from error
                 if not tries_left:
                     raise OutputError(f"no screenshot ({error})", file=png) from error
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 @contextmanager
