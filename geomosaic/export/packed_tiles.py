@@ -16,7 +16,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from geomosaic.constants import sourced
 from geomosaic.doors.gdal_failures import Progress
 from geomosaic.export.web import TileOptions, finest_zoom, write_tiles
 
@@ -27,7 +26,8 @@ CREATE TABLE metadata (name TEXT, value TEXT);
 CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB);
 CREATE UNIQUE INDEX tile_index ON tiles (zoom_level, tile_column, tile_row);
 """
-_FINEST_MBTILES = sourced(22, "zoom", "of MBTiles: GDAL opens no finer ones", "GDAL, mbtilesdataset.cpp")
+_FINEST_MBTILES: Final = 22
+"""GDAL opens no finer ones (mbtilesdataset.cpp)."""
 _E7: Final = 1e7
 """PMTiles' degrees: whole numbers of 1e-7."""
 

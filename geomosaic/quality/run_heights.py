@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.quality.measured import Figure
 from geomosaic.quality.run_measures import RunRasters, sampled, scale_sd_of
@@ -17,7 +16,6 @@ ASSUMED: Final = (
     "a height has the deviation of accuracy.tif; in differences of heights the errors in common cancel, the "
     "deviations of surface_confidence.tif count as independent, and the scale's deviation is added"
 )
-_VERTICAL = sourced(2, "band", "of accuracy.tif, the vertical standard deviation", "docs/outputs.md")
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,8 @@ def measure_heights(rasters: RunRasters, at_m: Floats) -> MeasuredHeights | None
         open_raster(rasters.accuracy, OWN) as accuracy,
     ):
         up_m, own_m = sampled(surface, 1, at_m), sampled(confidence, 1, at_m)
-        return MeasuredHeights(up_m, sampled(accuracy, _VERTICAL, at_m), own_m)
+        vertical_sd_m = sampled(accuracy, 2, at_m)  # the band of vertical deviations, docs/outputs.md
+        return MeasuredHeights(up_m, vertical_sd_m, own_m)
 
 
 def height_difference(rasters: RunRasters, heights: MeasuredHeights) -> Figure:

@@ -42,7 +42,6 @@ _MARGIN_LINES: Final = 2 * BLOCK_LINES
 _SEARCH_PX: Final = _PATCH_PX // 2
 _AGREE_PX: Final = 0.5 * LIMIT_PX
 """Between patches: half of the limit."""
-_LEAST_CORRELATION = tuned(0.5, "1", "of a patch: less confuses cloud and ground; more loses low contrast")
 _LEAST_AGREEING = tuned(0.75, "share", "of a block's patches: less mixes clouds in; 1 fails by one patch")
 _LEAST_PATCHES = tuned(2, "patches", "that agree in a block: one always does; more lose narrow overlaps")
 _LEAST_SD_PX = tuned(0.01, "px", "of a patch: less lets a few decide; more weighs all alike")
@@ -236,7 +235,7 @@ def _piece(
         MaskedImage(shown, shown_valid),
         MaskedImage(left, left_valid),
         corners,
-        PatchMatching(_PATCH_PX, _SEARCH_PX, _LEAST_CORRELATION),
+        PatchMatching(_PATCH_PX, _SEARCH_PX),
     )
     counts = inside & (pair.label[at] == label)
     own, sd = _of_blocks(found, corners, left_valid & counts[:, None], blocks)

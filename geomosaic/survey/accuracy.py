@@ -31,16 +31,9 @@ class AttitudeAccuracy:
 
 
 @dataclass(frozen=True)
-class FocalAccuracy:
-    """Standard deviation of a focal length as a part of itself."""
-
-    sd_relative: float
-    reason: str
-
-
-@dataclass(frozen=True)
-class DistortionAccuracy:
-    """Standard deviation of what a lens moves points at the frame's corner, as a part of its radius."""
+class LensAccuracy:
+    """Standard deviation of a focal length as a part of itself, or of what a lens moves points at the frame's
+    corner as a part of its radius."""
 
     sd_relative: float
     reason: str
@@ -66,21 +59,21 @@ ATTITUDE: Final = {
 }
 
 FOCAL_LENGTH: Final = {
-    "camera-file": FocalAccuracy(0.005, "calibrated, but maybe on another day or block"),
-    "dji-dewarp": FocalAccuracy(0.005, "the maker's calibration of this camera, in the XMP"),
-    "xmp-perspective": FocalAccuracy(0.005, "the maker's calibration of this camera, in Pix4D's tags"),
-    "xmp-fisheye": FocalAccuracy(0.005, "the same, of a fisheye lens"),
-    "dji-calibrated": FocalAccuracy(0.01, "the maker's number for the model, to the digit its design's"),
-    "focal-plane": FocalAccuracy(0.02, "nominal focal length and sensor size"),
-    "sensor-table": FocalAccuracy(0.02, "nominal focal length and sensor size"),
-    "sensor-pitch": FocalAccuracy(0.05, "published pixel pitch, exact; focal length as published or tagged"),
-    "exif-35mm": FocalAccuracy(0.02, "besides the rounding to whole millimetres, which is added"),
-    "action-camera": FocalAccuracy(0.2, "one lens, several modes: wide 0.47, medium 0.63 of the width"),
-    "assumed": FocalAccuracy(0.5, "nothing reported: cameras in use have 0.5 to 1.6 of the longer side"),
-    "contradicting": FocalAccuracy(0.5, "at least; all that are reported lie within one deviation"),
+    "camera-file": LensAccuracy(0.005, "calibrated, but maybe on another day or block"),
+    "dji-dewarp": LensAccuracy(0.005, "the maker's calibration of this camera, in the XMP"),
+    "xmp-perspective": LensAccuracy(0.005, "the maker's calibration of this camera, in Pix4D's tags"),
+    "xmp-fisheye": LensAccuracy(0.005, "the same, of a fisheye lens"),
+    "dji-calibrated": LensAccuracy(0.01, "the maker's number for the model, to the digit its design's"),
+    "focal-plane": LensAccuracy(0.02, "nominal focal length and sensor size"),
+    "sensor-table": LensAccuracy(0.02, "nominal focal length and sensor size"),
+    "sensor-pitch": LensAccuracy(0.05, "published pixel pitch, exact; focal length as published or tagged"),
+    "exif-35mm": LensAccuracy(0.02, "besides the rounding to whole millimetres, which is added"),
+    "action-camera": LensAccuracy(0.2, "one lens, several modes: wide 0.47, medium 0.63 of the width"),
+    "assumed": LensAccuracy(0.5, "nothing reported: cameras in use have 0.5 to 1.6 of the longer side"),
+    "contradicting": LensAccuracy(0.5, "at least; all that are reported lie within one deviation"),
 }
 
-MAKERS_DISTORTION: Final = DistortionAccuracy(
+MAKERS_DISTORTION: Final = LensAccuracy(
     0.002, "calibrated in the works: focus, warmth and landings since then move a corner by some pixels"
 )
 

@@ -19,8 +19,6 @@ from geomosaic.survey.header import JPEG_SUFFIXES, FrameHeader
 from geomosaic.survey.strays import camera_kind
 from geomosaic.survey.xmp import Xmp, number, numbers
 
-_S_PER_US = sourced(1e-6, "s", "in a microsecond", "definition")
-_ISO_ONE = sourced(100.0, "ISO", "of sensor gain 1", "MicaSense, Radiometric Calibration Model")
 _SUNSHINE = sourced(
     np.dtype([("time_us", "<u8"), ("count", "<u2", 2), ("gain", "<u2"), ("ms", "<u2"), ("angle", "<f4", 3)]),
     "bytes",
@@ -60,7 +58,7 @@ def temperature(header: FrameHeader) -> Quantity | None:
 
 
 def _micasense(header: FrameHeader) -> SensorModel | None:
-    """L = V a1 / g * (p - pBL) / (t_e + a2 y - a3 t_e y), p as shares of 16 bits.
+    """L = V a1 / g * (p - pBL) / (t_e + a2 y - a3 t_e y), p as shares of 16 bits, g = 1 at ISO 100.
 
     Reference: MicaSense, RedEdge Camera Radiometric Calibration Model.
     """
@@ -69,7 +67,7 @@ def _micasense(header: FrameHeader) -> SensorModel | None:
     if factors is None or not exif.exposure_s or not exif.iso:
         return None
     a1, a2, a3 = factors
-    gain = a1 / (exif.iso / _ISO_ONE * exif.exposure_s * (_FULL + 1.0))
+    gain = a1 / (exif.iso / 100.0 * exif.exposure_s * (_FULL + 1.0))
     centre = numbers(xmp, "Camera:VignettingCenter", 2)
     fall = _radial(numbers(xmp, "Camera:VignettingPolynomial", 6), centre, divides=True)
     fall = fall or _two_dimensional(xmp)
@@ -119,7 +117,7 @@ def _dji(header: FrameHeader) -> SensorModel | None:
     if not sensor_gain or not exposure_us or black is None:
         return None
     adjustment = number(xmp, "drone-dji:SensorGainAdjustment") or 1.0
-    gain = adjustment / (sensor_gain * exposure_us * _S_PER_US * _FULL)
+    gain = adjustment / (sensor_gain * exposure_us * 1e-6 * _FULL)
     col, row = (number(xmp, f"drone-dji:CalibratedOpticalCenter{axis}") for axis in "XY")
     centre = None if col is None or row is None else (col, row)
     fall = _radial(numbers(xmp, "drone-dji:VignettingData", 6), centre, divides=False)

@@ -18,12 +18,8 @@ from geomosaic.survey.plausible import lens_problem
 from geomosaic.survey.shutters import UNREPORTED_SD_S
 
 _OPENSFM_MODELS: Final = {
-    "perspective": "brown",
-    "simple_radial": "brown",
-    "radial": "brown",
-    "brown": "brown",
-    "fisheye": "fisheye",
-    "fisheye_opencv": "fisheye",
+    **dict.fromkeys(("perspective", "simple_radial", "radial", "brown"), "brown"),
+    **dict.fromkeys(("fisheye", "fisheye_opencv"), "fisheye"),
 }
 _ORTHORITY_MODELS: Final = frozenset({"pinhole", "brown", "opencv"})
 _PLAIN_KEYS: Final = (

@@ -3,70 +3,42 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 
 Tags = dict[str, str | tuple[float, ...]]
 """EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
 
-_TAGS = sourced(
-    {
-        "": {
-            0x010F: "Make",
-            0x0110: "Model",
-            0x0132: "DateTime",
-            0x8769: "Exif",
-            0x8825: "GPS",
-            0xC61A: "BlackLevel",
-        },
-        "Exif": {
-            0x829A: "ExposureTime",
-            0x829D: "FNumber",
-            0x8827: "PhotographicSensitivity",
-            0x8833: "ISOSpeed",
-            0x9003: "DateTimeOriginal",
-            0x9004: "DateTimeDigitized",
-            0x9010: "OffsetTime",
-            0x9011: "OffsetTimeOriginal",
-            0x9012: "OffsetTimeDigitized",
-            0x9290: "SubSecTime",
-            0x9291: "SubSecTimeOriginal",
-            0x9292: "SubSecTimeDigitized",
-            0x920A: "FocalLength",
-            0xA002: "PixelXDimension",
-            0xA003: "PixelYDimension",
-            0xA20E: "FocalPlaneXResolution",
-            0xA210: "FocalPlaneResolutionUnit",
-            0xA405: "FocalLengthIn35mmFilm",
-            0xA431: "BodySerialNumber",
-        },
-        "GPS": {
-            1: "GPSLatitudeRef",
-            2: "GPSLatitude",
-            3: "GPSLongitudeRef",
-            4: "GPSLongitude",
-            5: "GPSAltitudeRef",
-            6: "GPSAltitude",
-            31: "GPSHPositioningError",
-        },
+_TAGS: Final[Mapping[str, Mapping[int, str]]] = {
+    "": {
+        0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime", 0x8769: "Exif", 0x8825: "GPS",
+        0xC61A: "BlackLevel",
     },
-    "tag",
-    "names of wanted tags by directory, that of the main one empty",
-    "CIPA DC-008 (EXIF), section 4.6; Adobe DNG 1.4 for BlackLevel",
-)
-_KINDS = sourced(
-    {
-        1: ("u1",), 2: ("S1",), 3: ("u2",), 4: ("u4",), 5: ("u4", "u4"), 7: ("u1",), 8: ("i2",), 9: ("i4",),
-        10: ("i4", "i4"), 11: ("f4",), 12: ("f8",),
+    "Exif": {
+        0x829A: "ExposureTime", 0x829D: "FNumber", 0x8827: "PhotographicSensitivity", 0x8833: "ISOSpeed",
+        0x9003: "DateTimeOriginal", 0x9004: "DateTimeDigitized", 0x9010: "OffsetTime",
+        0x9011: "OffsetTimeOriginal", 0x9012: "OffsetTimeDigitized", 0x9290: "SubSecTime",
+        0x9291: "SubSecTimeOriginal", 0x9292: "SubSecTimeDigitized", 0x920A: "FocalLength",
+        0xA002: "PixelXDimension", 0xA003: "PixelYDimension", 0xA20E: "FocalPlaneXResolution",
+        0xA210: "FocalPlaneResolutionUnit", 0xA405: "FocalLengthIn35mmFilm", 0xA431: "BodySerialNumber",
     },
-    "field type",
-    "numpy's types, of a ratio both numbers'; others are skipped",
-    "TIFF 6.0 (Adobe 1992), section 2",
-)  # fmt: skip
-_XMP = sourced(700, "tag", "of the XMP packet: bytes in another would be no packet", "Adobe XMP part 3, TIFF")
+    "GPS": {
+        1: "GPSLatitudeRef", 2: "GPSLatitude", 3: "GPSLongitudeRef", 4: "GPSLongitude",
+        5: "GPSAltitudeRef", 6: "GPSAltitude", 31: "GPSHPositioningError",
+    },
+}  # fmt: skip
+"""Names of wanted tags by directory, that of the main one empty: CIPA DC-008 (EXIF), section 4.6; Adobe DNG
+1.4 for BlackLevel."""
+_KINDS: Final[Mapping[int, tuple[str, ...]]] = {
+    1: ("u1",), 2: ("S1",), 3: ("u2",), 4: ("u4",), 5: ("u4", "u4"), 7: ("u1",), 8: ("i2",), 9: ("i4",),
+    10: ("i4", "i4"), 11: ("f4",), 12: ("f8",),
+}  # fmt: skip
+"""Numpy's types by field type, of a ratio both numbers'; others are skipped: TIFF 6.0 (Adobe 1992), section
+2."""
 LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
 
 
@@ -75,8 +47,8 @@ def tags_from_block(block: bytes) -> Tags:
 
     Three directories are read, each once: no loop of pointers, no count and no length makes it long.
     """
-    order = {b"II*\x00": "<", b"MM\x00*": ">"}.get(bytes(block[:4]))
-    if order is None or len(block) < 8:
+    order = _byte_order(block)
+    if not order:
         return {}
     tags = _directory(block, struct.unpack_from(f"{order}I", block, 4)[0], order, _TAGS[""])
     for pointer in ("Exif", "GPS"):
@@ -88,27 +60,32 @@ def tags_from_block(block: bytes) -> Tags:
 
 def xmp_from_block(block: bytes, most_bytes: int) -> bytes:
     """The XMP packet of a TIFF's main directory, empty without one or where it is longer than most_bytes."""
-    order = {b"II*\x00": "<", b"MM\x00*": ">"}.get(bytes(block[:4]))
-    if order is None or len(block) < 8:
+    order = _byte_order(block)
+    if not order:
         return b""
-    at = struct.unpack_from(f"{order}I", block, 4)[0]
-    if at + 2 > len(block):
-        return b""
-    entries = min(struct.unpack_from(f"{order}H", block, at)[0], (len(block) - at - 2) // 12)
-    for entry in range(at + 2, at + 2 + 12 * entries, 12):
-        number, kind, count, start = struct.unpack_from(f"{order}HHII", block, entry)
-        if number == _XMP and kind in (1, 7) and count <= most_bytes:
+    for entry, number, kind, count in _entries(block, struct.unpack_from(f"{order}I", block, 4)[0], order):
+        if number == 700 and kind in (1, 7) and count <= most_bytes:  # Adobe XMP, part 3, TIFF
+            start = struct.unpack_from(f"{order}I", block, entry + 8)[0]
             return bytes(block[start : start + count])
     return b""
 
 
+def _byte_order(block: bytes) -> str:
+    """Of a TIFF's numbers as struct has it, '' for what is none."""
+    return {b"II*\x00": "<", b"MM\x00*": ">"}.get(bytes(block[:4]), "") if len(block) >= 8 else ""
+
+
+def _entries(block: bytes, at: int, order: str) -> Iterator[tuple[int, int, int, int]]:
+    """Place, number, type and count of each entry of the directory at a place."""
+    if at + 2 <= len(block):
+        count = min(struct.unpack_from(f"{order}H", block, at)[0], (len(block) - at - 2) // 12)
+        for entry in range(at + 2, at + 2 + 12 * count, 12):
+            yield entry, *struct.unpack_from(f"{order}HHI", block, entry)
+
+
 def _directory(block: bytes, at: int, order: str, names: Mapping[int, str]) -> Tags:
     found: Tags = {}
-    if at + 2 > len(block):
-        return found
-    entries = min(struct.unpack_from(f"{order}H", block, at)[0], (len(block) - at - 2) // 12)
-    for entry in range(at + 2, at + 2 + 12 * entries, 12):
-        number, kind, count = struct.unpack_from(f"{order}HHI", block, entry)
+    for entry, number, kind, count in _entries(block, at, order):
         if number not in names or kind not in _KINDS:
             continue
         size = count * sum(np.dtype(part).itemsize for part in _KINDS[kind])

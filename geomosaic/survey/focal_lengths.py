@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.survey.header import FrameHeader
@@ -11,30 +12,14 @@ from geomosaic.survey.header import FrameHeader
 FILM_DIAGONAL_MM = sourced(math.hypot(36.0, 24.0), "mm", "diagonal of 35 mm equivalents", "CIPA DCG-001")
 SENSOR_WIDTHS_MM = sourced(
     {
-        "fc300c": 6.17,
-        "fc300s": 6.17,
-        "fc300x": 6.17,
-        "fc330": 6.17,
-        "fc220": 6.17,
-        "fc350": 6.17,
-        "fc550": 17.3,
-        "fc6310": 13.2,
-        "fc6310r": 13.2,
-        "fc6310s": 13.2,
-        "fc6510": 13.2,
-        "fc6520": 17.3,
-        "l1d-20c": 13.2,
-        "fc3411": 13.2,
-        "l2d-20c": 17.5,
-        "m3e": 17.46,
-        "zenmusep1": 35.9,
+        **dict.fromkeys(("fc300c", "fc300s", "fc300x", "fc330", "fc220", "fc350", "dsc-wx220"), 6.17),
+        **dict.fromkeys(("fc6310", "fc6310r", "fc6310s", "fc6510", "l1d-20c", "fc3411"), 13.2),
+        **dict.fromkeys(("fc550", "fc6520", "e-p1", "e-p2", "e-pl1"), 17.3),
+        **dict.fromkeys(("zenmusep1", "ilce-7rm2"), 35.9),
         "s.o.d.a.": 13.13,
-        "dsc-wx220": 6.17,
+        "m3e": 17.46,
+        "l2d-20c": 17.5,
         "ilce-6000": 23.5,
-        "ilce-7rm2": 35.9,
-        "e-p1": 17.3,
-        "e-p2": 17.3,
-        "e-pl1": 17.3,
     },
     "mm",
     "width of the whole sensor by EXIF's model: a wrong one scales the focal length",
@@ -77,18 +62,12 @@ SENSORS = sourced(
     "Theta-Limited/DroneModels; QGroundControl; Raspberry Pi; M30T as M3T, Vue TZ20 as Boson, others Tau 2",
 )
 SAME_SHAPE = tuned(0.003, "share", "of a ratio of sides: 336 x 256 and 4:3 differ by 0.016; more takes crops")
-_ONE_LENGTH = sourced(
-    {"zr10"},
-    "model",
-    "zooms that tag the long end at any zoom: trusted, the focal length is up to 9 times too long",
-    "ArduPilot, AP_Mount_Siyi.cpp: ZR10, 5.15 to 47.38 mm",
-)
-_ACTION_MAKES = sourced(
-    {"gopro", "xiaoyi", "sjcam", "drift"},
-    "make",
-    "of action cameras, which have several fields of view and do not tag the mode",
-    "OpenSfM, opensfm/data/camera_calibration.yaml: all but sjcam",
-)
+_ONE_LENGTH: Final = {"zr10"}
+"""Models of zooms that tag the long end, up to 9 times too long, at any zoom (ArduPilot, AP_Mount_Siyi.cpp:
+ZR10, 5.15 to 47.38 mm)."""
+_ACTION_MAKES: Final = {"gopro", "xiaoyi", "sjcam", "drift"}
+"""Of action cameras, which have several fields of view and do not tag the mode (OpenSfM,
+opensfm/data/camera_calibration.yaml: all but sjcam)."""
 _WIDE_MODE_MM = sourced(16.0, "equivalent mm", "longest fisheye mode", "OpenSfM: GoPro wide 15 and 16")
 _ACTION = sourced(0.47, "focal / side", "of wide modes", "OpenSfM: 0.466 and 0.47; gyroflow: 0.444")
 ALIKE = tuned(0.15, "share", "of two sources: rounded equivalents differ by some %, a cropped image by more")

@@ -7,24 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from geomosaic.constants import sourced
 from geomosaic.errors import FileError
 
 _EXIF: Final = b"Exif\x00\x00"
 _XMP: Final = b"http://ns.adobe.com/xap/1.0/\x00"
 _EOI: Final = b"\xff\xd9"
-_FRAME_HEADERS = sourced(
-    frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}),
-    "marker",
-    "segments with the image's size; each fourth, from 0xC2 on, of one in scans",
-    "ITU-T T.81, table B.1",
-)
-_WITHOUT_LENGTH = sourced(
-    frozenset({0x01, *range(0xD0, 0xD8)}),
-    "marker",
-    "they stand alone: read as segments, they would hide what follows",
-    "ITU-T T.81, table B.1",
-)
 _TRUNCATED: Final = "copy it again from the camera, or take it out of the folder"
 
 
@@ -89,13 +76,14 @@ def parse_structure(data: bytes | mmap.mmap, path: Path, whole: bool = True) -> 
         if marker == 0xFF:  # fill byte
             at += 1
             continue
-        if marker in _WITHOUT_LENGTH:
+        if marker == 0x01 or marker in range(0xD0, 0xD8):  # they stand alone (ITU-T T.81, table B.1)
             at += 2
             continue
         body = bytes(data[at + 4 : at + 2 + int.from_bytes(head[2:4], "big")])
         if marker == 0xDA:
             break
-        if marker in _FRAME_HEADERS and len(body) >= 6:
+        # each fourth from 0xC4 on is no frame's header; each fourth from 0xC2 on is of one in scans
+        if marker in {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC} and len(body) >= 6:
             size_at, progressive, sampling = at + 5, marker % 4 == 2, body[7::3]
             size = (body[0], int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big"), body[5])
         elif marker == 0xDD and len(body) >= 2:

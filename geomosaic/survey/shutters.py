@@ -12,25 +12,14 @@ from geomosaic.survey.xmp import number
 
 READOUTS_S = sourced(
     {
-        "phantom vision fc200": 0.074,
-        "fc300c": 0.033,
-        "fc300s": 0.033,
-        "fc300x": 0.033,
-        "fc330": 0.033,
-        "fc350": 0.030,
-        "fc7203": 0.020,
-        "fc3170": 0.027,
-        "fc3411": 0.032,
-        "fc3582": 0.026,
-        "l1d-20c": 0.056,
-        "e90": 0.044,
-        "hero4 black": 0.030,
-        "hero8 black": 0.017,
+        "phantom vision fc200": 0.074, "fc300c": 0.033, "fc300s": 0.033, "fc300x": 0.033, "fc330": 0.033,
+        "fc350": 0.030, "fc7203": 0.020, "fc3170": 0.027, "fc3411": 0.032, "fc3582": 0.026,
+        "l1d-20c": 0.056, "e90": 0.044, "hero4 black": 0.030, "hero8 black": 0.017,
     },
     "s",
     "first row to last by EXIF's model: without it, lines flown to and fro shrink and stretch",
     "OpenDroneMap, opendm/rollingshutter.py, by users with a blinking light",
-)
+)  # fmt: skip
 _READOUTS_BY_SIZE = sourced(
     {"fc3582": (40.0, 60.0, 0.060), "fc7203": (10.5, 14.0, 0.025), "l1d-20c": (15.0, 17.0, 0.047)},
     "megapixels from and to, s",

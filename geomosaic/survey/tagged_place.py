@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.xmp import Xmp, number
 
-_MINUTE_DEG = sourced(1.0 / 60.0, "degrees", "coarsest EXIF position: whole minutes", "EXIF 2.32, 4.6.6")
 _WHOLE = tuned(1e-4, "seconds of arc", "off a whole one; less: rounding hides a cut; more: chance looks cut")
 _APART_M = tuned(30.0, "m", "between both sources; less: fixes taken at other moments; more: wrong ones pass")
 FINER, SIGNED, APART = "finer", "signed", "apart"
@@ -44,7 +43,8 @@ def tagged_place(exif: Exif, xmp: Xmp) -> TaggedPlace | None:
     if other is None:
         return alone
     finer = bool(_whole_seconds(own).all() and not _whole_seconds(other).any())
-    if np.any(np.abs(np.abs(own) - np.abs(other)) > (_MINUTE_DEG if finer else _MINUTE_DEG / 60.0)):
+    alike_deg = 1.0 / 60.0 if finer else 1.0 / 60.0 / 60.0  # whole minutes are the coarsest (EXIF 4.6.6)
+    if np.any(np.abs(np.abs(own) - np.abs(other)) > alike_deg):
         apart_m = float(np.linalg.norm(mid_latitude_offset_m(*own, *other)))
         return _place(own, APART if apart_m > _APART_M else "", exif.hemisphere_assumed)
     signed = np.copysign(own, other)

@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Final
 
-from geomosaic.constants import sourced
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.survey.accuracy import POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.model import Warn
@@ -23,8 +22,7 @@ from geomosaic.survey.names import FrameNames, natural_key
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Line, read_lines
 
-_FIXED = sourced(50, "code", "of an RTK solution with fixed ambiguities", "DJI, Phantom 4 RTK User Manual")
-_QUALITY: Final = {_FIXED: "rtk-fixed", 34: "rtk-float", 16: "exif"}
+_QUALITY: Final = {50: "rtk-fixed", 34: "rtk-float", 16: "exif"}
 _WORD: Final = re.compile(r"[^\s,\[\]]+")
 _FIX: Final = "give the file as the drone wrote it, or positions as a table with a header"
 
@@ -73,7 +71,7 @@ def _exposure(path: Path, line: Line) -> tuple[int, PosRow | None]:
         lat_deg, lon_deg, height_m = (float(words[words.index(name) - 1]) for name in ("Lat", "Lon", "Ellh"))
         end = words.index("Ellh") + 1
         north, east, up = (float(word) for word in words[end : end + 3])
-        fix = int(words[words.index("Q") - 1]) if "Q" in words else _FIXED
+        fix = int(words[words.index("Q") - 1]) if "Q" in words else 50
     except (ValueError, IndexError) as error:
         raise InputError(
             f"line {line.number} is no exposure of a Timestamp.MRK", file=path, fix=_FIX
