@@ -25,14 +25,6 @@ _LEANS: Final = (
 
 
 @dataclass(frozen=True)
-class _Unusable:
-    """Why no point of a file can be used, and the fix."""
-
-    problem: str
-    fix: str
-
-
-@dataclass(frozen=True)
 class _Outside:
     """The image mark of a point outside its image, and that image's size."""
 
@@ -81,7 +73,7 @@ def lonlat_of_control(points: Sequence[ControlPoint]) -> Floats:
     return np.array([[p.lon_deg, p.lat_deg] for p in points if p.images and not p.check]).reshape(-1, 2)
 
 
-def _error(file: ControlFile, reason: _Unusable) -> InputError:
+def _error(file: ControlFile, reason: InputError) -> InputError:
     fix = f"{reason.fix}, or add --gcp-optional to go on without control points"
     return InputError(reason.problem, file=file.path, fix=fix)
 
@@ -103,53 +95,54 @@ def _inside(
     return tuple(points), outside
 
 
-def _without_marks(file: ControlFile) -> _Unusable | None:
+def _without_marks(file: ControlFile) -> InputError | None:
     count = len(file.points)
     if any(p.images for p in file.points):
         return None
     if not file.absent:
-        return _Unusable(
+        return InputError(
             f"none of its {count} points has an image mark, so none can be found in the images",
-            "mark them with geomosaic control, or give image, col and row in the --gcp file",
+            fix="mark them with geomosaic control, or give image, col and row in the --gcp file",
         )
-    return _Unusable(
+    return InputError(
         f"all {len(file.absent)} image marks of its {count} points are in images that are not in the survey "
         f"({some(dict.fromkeys(image for _, image in file.absent))})",
-        "give the folder of these images, or the frames' names in the --gcp file",
+        fix="give the folder of these images, or the frames' names in the --gcp file",
     )
 
 
-def _marks_of_others(points: Sequence[ControlPoint], outside: Sequence[_Outside]) -> _Unusable | None:
+def _marks_of_others(points: Sequence[ControlPoint], outside: Sequence[_Outside]) -> InputError | None:
     """Of marks that were measured in other images than these, such as larger ones."""
     marks = len(outside) + sum(len(p.images) for p in points)
     if len(outside) <= _SLIPS * marks:
         return None
-    return _Unusable(
+    return InputError(
         f"{len(outside)} of {marks} image marks lie outside their images, the first {outside[0]}",
-        "correct or remove them in the --gcp file (pixels of the frames as they were taken, columns first)",
+        fix="correct or remove them in the --gcp file "
+        "(pixels of the frames as they were taken, columns first)",
     )
 
 
-def _unplaced(points: Sequence[ControlPoint], lonlat: Floats) -> _Unusable | None:
+def _unplaced(points: Sequence[ControlPoint], lonlat: Floats) -> InputError | None:
     """Of points far from all frames, or too few to stand in for the frames' positions."""
     used = [p for p in points if p.images]
     if not len(lonlat):
         control = len(lonlat_of_control(points))
         if control >= LEAST_POINTS:
             return None
-        return _Unusable(
+        return InputError(
             f"no frame has a position, and {control or 'no'} control point{'s'[: control != 1]} "
             f"{'is' if control == 1 else 'are'} measured in the images: they can't be put on a map",
-            f"measure at least {LEAST_POINTS} control points (3 for heights)",
+            fix=f"measure at least {LEAST_POINTS} control points (3 for heights)",
         )
     away_m, reach_m = away_from(lonlat, np.array([[p.lon_deg, p.lat_deg] for p in used]))
     i = int(np.argmin(away_m))
     if away_m[i] <= reach_m:
         return None
-    return _Unusable(
+    return InputError(
         f"all {len(used)} points with image marks lie far from the frames, the nearest, '{used[i].name}', "
         f"{away_m[i] / 1000.0:.1f} km from their middle",
-        "check the coordinate reference system and the order of the columns in the --gcp file",
+        fix="check the coordinate reference system and the order of the columns in the --gcp file",
     )
 
 
