@@ -52,9 +52,8 @@ def compare(
         surfaces = [_surface(run) for run in runs]
         offset_m = None
         if surfaces[0] is not None and surfaces[1] is not None:
-            heights = height_changes(surfaces[0], surfaces[1], on_old, comparison.gsd_m)
-            changes += heights.changes
-            offset_m = heights.offset_m
+            heights, offset_m = height_changes(surfaces[0], surfaces[1], on_old, comparison.gsd_m)
+            changes += heights
     folder = files.make_folder(output or default_folder(new, "changes"))
     with files.writing(folder / POLYGONS) as path:
         write_polygons(path, changes, comparison.crs, None)

@@ -39,7 +39,7 @@ def misplacement(
 
     scenes = [_scene(run) for run in runs]
     methods = sorted({s.method for s in scenes})
-    rates = {m: asdict(misplacement_rate([s for s in scenes if s.method == m])) for m in methods}
+    rates = {m: asdict(misplacement_rate([s.misplaced for s in scenes if s.method == m])) for m in methods}
     if as_json:
         plain = {m: {k: v if isfinite(v) else None for k, v in rate.items()} for m, rate in rates.items()}
         print(json.dumps({"scenes": [asdict(s) for s in scenes], "rates": plain}, indent=2))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from geomosaic.matching.displacement import SMOOTHING_SIGMA_PX
 from geomosaic.quality.compare import Comparison, registered
 from geomosaic.quality.compared_block import GLANCE_PX
 from geomosaic.quality.figures import Similarity, best_similarity
-from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma
+from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma, within
 
 IMAGE, HEIGHT = "image", "height"
 _TONE_PX = tuned(129, "px", "window in which tones are brought together: less hides changes as tones")
@@ -69,14 +69,6 @@ class Change:
     area_m2: float
     rise_m: float = float("nan")
     volume_m3: float = float("nan")
-
-
-@dataclass(frozen=True)
-class HeightChanges:
-    """Changes of height; offset_m: by which the new surface lies higher in common, before these count."""
-
-    changes: tuple[Change, ...]
-    offset_m: float
 
 
 def registration(comparison: Comparison) -> Registration:
@@ -122,13 +114,10 @@ def image_changes(old: Path, new: Path, on_old: Registration) -> tuple[Change, .
             margin = _TONE_PX + 2 * on_old.reach_px
             for block in blocks(b.height, b.width, GLANCE_PX):
                 outer = grown(block, margin, b.height, b.width)
-                excess = _excess(_pair(b, before, outer), noise, on_old.reach_px)
-                row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
-                here = excess[row : row + block.height, col : col + block.width]
-                there = np.s_[block.row_off : block.row_off + block.height,
-                              block.col_off : block.col_off + block.width]  # fmt: skip
+                excess = _excess(_in_one_tone(b, before, outer), on_old.reach_px)
+                here = excess[within(block, outer)]
                 deviations = np.minimum(np.round(_STRENGTH * here / noise), 255)
-                strength[there] = np.where(here > least, deviations, 0)
+                strength[block.toslices()] = np.where(here > least, deviations, 0)
         found = _outlines(strength, b.transform, _LEAST_PX, on_old.reach_px)
         return tuple(
             Change(IMAGE, outline, float(strength[at].max()) / _STRENGTH, outline.area * metres**2)
@@ -136,16 +125,8 @@ def image_changes(old: Path, new: Path, on_old: Registration) -> tuple[Change, .
         )
 
 
-@dataclass(frozen=True)
-class _InOneTone:
-    """Two images (rows, cols) in one tone, and where both are valid."""
-
-    new: Floats
-    old: Floats
-    both: Bools
-
-
-def _pair(b: Raster, on_b: WarpedVRT, window: Window) -> _InOneTone:
+def _in_one_tone(b: Raster, on_b: WarpedVRT, window: Window) -> tuple[Floats, Floats, Bools]:
+    """The new and the old image (rows, cols) in one tone, and where both are valid."""
     (new, new_valid), (old, old_valid) = read_luma(b, window), read_luma(on_b, window)
     both = new_valid & old_valid
     after, before = (
@@ -160,33 +141,33 @@ def _pair(b: Raster, on_b: WarpedVRT, window: Window) -> _InOneTone:
         left = np.abs(off - tone)
         spread = NORMAL_PER_MAD * float(np.median(left[both])) if both.any() else 0.0
         alike = both & (left <= THREE_SIGMA * max(spread, 1.0))
-    return _InOneTone(np.asarray(after - tone), before, both)
+    return np.asarray(after - tone), before, both
 
 
 def _noise(b: Raster, before: WarpedVRT) -> tuple[float, float]:
     """Deviation of grey values between both maps, and their span, by the middle of the map."""
     side = min(GLANCE_PX, b.width, b.height)
     middle = Window((b.width - side) // 2, (b.height - side) // 2, side, side)
-    pair = _pair(b, before, middle)
-    if not pair.both.any():
-        pair = _pair(b, before, Window(0, 0, b.width, b.height))
-    off = (pair.new - pair.old)[pair.both]
-    values = pair.old[pair.both]
+    new, old, both = _in_one_tone(b, before, middle)
+    if not both.any():
+        new, old, both = _in_one_tone(b, before, Window(0, 0, b.width, b.height))
+    off, values = (new - old)[both], old[both]
     if not off.size:
         raise InputError("the maps show no place in common", fix="compare runs of the same place")
     span = 255.0 if b.dtypes[0] == "uint8" else float(np.quantile(values, 0.99) - np.quantile(values, 0.01))
     return max(NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off)))), 1e-3 * span), span
 
 
-def _excess(pair: _InOneTone, noise: float, reach_px: int) -> Floats:
+def _excess(in_one_tone: tuple[Floats, Floats, Bools], reach_px: int) -> Floats:
     """By how much grey values lie beyond those of the other map within reach, seen from either."""
+    new, old, both = in_one_tone
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1,) * 2)
-    inside = cv2.erode(pair.both.astype(np.uint8), near) > 0
+    inside = cv2.erode(both.astype(np.uint8), near) > 0
 
     def beyond(one: Floats, other: Floats) -> Floats:
         return np.asarray(np.maximum(one - cv2.dilate(other, near), cv2.erode(other, near) - one))
 
-    excess = np.minimum(beyond(pair.new, pair.old), beyond(pair.old, pair.new))
+    excess = np.minimum(beyond(new, old), beyond(old, new))
     return np.where(inside, np.maximum(excess, 0.0), 0.0)
 
 
@@ -219,8 +200,9 @@ class SurfaceRasters:
 
 def height_changes(
     old: SurfaceRasters, new: SurfaceRasters, on_old: Registration, map_m: float
-) -> HeightChanges:
-    """Where the surfaces of two maps differ by more than their deviations explain.
+) -> tuple[tuple[Change, ...], float]:
+    """Where the surfaces of two maps differ by more than their deviations explain; and by how much (m) the
+    new one lies higher in common.
 
     What both have in common, an offset and a tilt, is the georeference's and does not count. A deviation is
     that of both surfaces and of the slope times what the maps lie apart. map_m: the new map's pixel.
@@ -228,7 +210,7 @@ def height_changes(
     with open_raster(new.surface, OWN) as b:
         cell_m, metres = pixel_m(b, new.surface)
         over = registered(b.transform, on_old.similarity, metres)
-        after, before = _heights(b, None), _heights_on(b, old.surface, over)
+        after, before = _heights(b), _heights_on(b, old.surface, over)
         sd = [_heights_on(b, new.confidence, b.transform), _heights_on(b, old.confidence, over)]
         transform = b.transform
     rise = after - before
@@ -240,7 +222,7 @@ def height_changes(
     z = left / np.maximum(sd_m, 1e-6)
     known = np.isfinite(z)
     if not known.any():
-        return HeightChanges((), float("nan"))
+        return (), float("nan")
     scale = max(1.0, NORMAL_PER_MAD * float(np.median(np.abs(z[known]))))
     beyond = np.where(known, np.abs(z) / scale, 0.0)
     specked = (beyond > _HEIGHT_SIGMA).astype(np.uint8)
@@ -251,14 +233,14 @@ def height_changes(
         rises = left[at][np.isfinite(left[at])]
         volume = float(rises.sum()) * cell_m**2
         sigma = float(strength[at].max()) / _STRENGTH
-        change = Change(HEIGHT, outline, sigma, outline.area * metres**2)
-        changes.append(replace(change, rise_m=float(rises.mean()), volume_m3=volume))
-    return HeightChanges(tuple(changes), float(np.nanmedian(plane)))
+        area_m2 = outline.area * metres**2
+        changes.append(Change(HEIGHT, outline, sigma, area_m2, float(rises.mean()), volume))
+    return tuple(changes), float(np.nanmedian(plane))
 
 
-def _heights(raster: Any, window: Window | None) -> Floats:
+def _heights(raster: Any) -> Floats:
     with reading(Path(raster.name)):
-        values = raster.read(1, window=window, masked=True)
+        values = raster.read(1, masked=True)
     return np.asarray(values.filled(np.nan), dtype=np.float64)
 
 
@@ -268,7 +250,7 @@ def _heights_on(b: Raster, path: Path, transform: Affine | None) -> Floats:
         other, crs=b.crs, transform=transform or b.transform, width=b.width, height=b.height,
         resampling=Resampling.bilinear, nodata=other.nodata,
     ) as there:  # fmt: skip
-        return _heights(there, None)
+        return _heights(there)
 
 
 def _plane(rise: Floats) -> Floats:

@@ -79,9 +79,8 @@ def compare(
         FileError: a file that isn't a raster, or has no georeference. InputError: no overlap.
     """
     options.check()
-    apart = InputError(
-        "does not overlap the mosaic", file=reference, fix="give a reference of the same place"
-    )
+    fix = "give a reference of the same place"
+    apart = InputError("does not overlap the mosaic", file=reference, fix=fix)
     with ExitStack() as stack:
         a = stack.enter_context(open_map(mosaic))
         b = stack.enter_context(open_map(reference))
@@ -91,11 +90,7 @@ def compare(
         side = max(step_px, GLANCE_PX // step_px * step_px)
         windows = list(blocks(a.height, a.width, side) if parts is None else parts)
         if not windows:
-            raise InputError(
-                ("no part of the reference lies in the mosaic"),
-                file=reference,
-                fix="give a reference of the same place",
-            )
+            raise InputError("no part of the reference lies in the mosaic", file=reference, fix=fix)
         glanced = [Window(0, 0, a.width, a.height)] if parts is None else windows
         tones = compared_tones(a, pair, glanced, match=options.match_tone)
         if tones is None:

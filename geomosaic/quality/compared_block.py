@@ -18,7 +18,7 @@ from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
 from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
 from geomosaic.matching.least_squares_matching import MaskedImage
-from geomosaic.quality.rasters import grown, read_luma
+from geomosaic.quality.rasters import grown, read_luma, within
 from geomosaic.quality.ssim import WINDOW_PX, SsimTerms, gain_and_offset, mean_terms, ssim_maps
 
 GLANCE_PX = tuned(1024, "px", "read at once: smaller reads margins twice; larger takes memory")
@@ -44,10 +44,8 @@ class ComparisonOptions:
         """Raises `InputError` for sides that are out of bounds."""
         if 16 <= self.patch_px <= 512 and 1 <= self.step_px <= 4096 and 1 <= self.search_px <= 4096:
             return
-        raise InputError(
-            ("a patch, step or search is out of bounds"),
-            fix="give patches of 16 to 512 px, steps and searches up to 4096 px",
-        )
+        fix = "give patches of 16 to 512 px, steps and searches up to 4096 px"
+        raise InputError("a patch, step or search is out of bounds", fix=fix)
 
 
 @dataclass(frozen=True)
@@ -82,9 +80,7 @@ def compare_block(
     """Patches that begin in the block and SSIM of its pixels, read with a margin around it."""
     outer = grown(block, max(options.search_px + options.patch_px, WINDOW_PX), mosaic.height, mosaic.width)
     image, image_valid, reference, reference_valid = _both(mosaic, pair, outer)
-    both = image_valid & reference_valid
-    row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
-    inner = np.s_[row : row + block.height, col : col + block.width]
+    both, inner = image_valid & reference_valid, within(block, outer)
     corners = _corners(block, outer, options.patch_px, options.step_px)
     found = measure_displacements(
         MaskedImage(image, image_valid),
@@ -118,11 +114,9 @@ def ssim_of(
     """SSIM of a block's pixels."""
     outer = grown(block, WINDOW_PX, mosaic.height, mosaic.width)
     image, image_valid, reference, reference_valid = _both(mosaic, pair, outer)
-    row, col = block.row_off - outer.row_off, block.col_off - outer.col_off
-    inner = np.s_[row : row + block.height, col : col + block.width]
     both = image_valid & reference_valid
-    maps = ssim_maps(image * tones.gain + tones.offset, reference, both, tones.span).cut(inner)
-    return mean_terms(maps, tones.gain, tones.offset)
+    maps = ssim_maps(image * tones.gain + tones.offset, reference, both, tones.span)
+    return mean_terms(maps.cut(within(block, outer)), tones.gain, tones.offset)
 
 
 def compared_tones(

@@ -177,10 +177,8 @@ class GroundPropagation:
         cells at the walls are off by as much as those are high."""
         if not self.ground.has_walls:
             return height_deviations(self.ground, self.adjusted.ground, east, north)
-        total, aside_m = (
-            np.zeros(len(east)),
-            (np.arange(_ACROSS) - (_ACROSS - 1) / 2.0) * self.span_m / _ACROSS,
-        )
+        total = np.zeros(len(east))
+        aside_m = (np.arange(_ACROSS) - (_ACROSS - 1) / 2.0) * self.span_m / _ACROSS
         for right_m, up_m in product(aside_m.tolist(), repeat=2):
             at = east + right_m, north + up_m
             total += height_deviations(self.ground, self.adjusted.ground, *at) ** 2

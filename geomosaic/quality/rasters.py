@@ -82,6 +82,12 @@ def blocks(height: int, width: int, side: int) -> Iterator[Window]:
             yield Window(col, row, min(side, width - col), min(side, height - row))
 
 
+def within(window: Window, outer: Window) -> tuple[slice, slice]:
+    """The rows and cols of a window in those of one around it."""
+    row, col = window.row_off - outer.row_off, window.col_off - outer.col_off
+    return slice(row, row + window.height), slice(col, col + window.width)
+
+
 def grown(window: Window, margin: int, height: int, width: int) -> Window:
     """A window with a margin around it, as far as the raster goes."""
     row, col = max(0, window.row_off - margin), max(0, window.col_off - margin)

@@ -174,10 +174,8 @@ def sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
         values = raster.read(band, window=window, masked=True)
     known = np.asarray(values.astype(np.float64).filled(np.nan))
     cols, rows = _pixels(raster, at_m)
-    col, row = (
-        np.floor(cols).astype(np.intp) - window.col_off,
-        np.floor(rows).astype(np.intp) - window.row_off,
-    )
+    col = np.floor(cols).astype(np.intp) - window.col_off
+    row = np.floor(rows).astype(np.intp) - window.row_off
     within = (col >= 0) & (col < window.width) & (row >= 0) & (row < window.height)
     out[within] = known[row[within], col[within]]
     return out

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -54,19 +53,6 @@ class SceneErrors:
     measured_worst_px: float
     coverage: tuple[float, float]
     share_of_labels: tuple[float, float, float]
-
-    @property
-    def misplaced(self) -> bool | None:
-        """Whether any segment is above the limit; None where no segment is known."""
-        return self.figures.misplaced
-
-
-class AssessedScene(Protocol):
-    """A scene that was judged: `SceneErrors` or `StripQuality`."""
-
-    @property
-    def misplaced(self) -> bool | None:
-        """Whether any segment is above the limit; None where no segment is known."""
 
 
 @dataclass(frozen=True)
@@ -151,10 +137,11 @@ def label_shares(label: np.ndarray) -> tuple[float, float, float]:
     return float(count[0]), float(count[1]), float(count[2])
 
 
-def misplacement_rate(scenes: Sequence[AssessedScene]) -> MisplacementRate:
-    """The share of misplaced scenes among those of which it is known, as in the paper's table 1."""
-    known = [s.misplaced for s in scenes if s.misplaced is not None]
-    n, k, unknown = len(known), sum(known), len(scenes) - len(known)
+def misplacement_rate(misplaced: Sequence[bool | None]) -> MisplacementRate:
+    """The share of misplaced scenes among those of which it is known (not None), as in the paper's table
+    1."""
+    known = [scene for scene in misplaced if scene is not None]
+    n, k, unknown = len(known), sum(known), len(misplaced) - len(known)
     if n == 0:
         return MisplacementRate(0, 0, np.nan, np.nan, np.nan, unknown)
     z = interval_of(0.95)

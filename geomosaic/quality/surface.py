@@ -62,9 +62,8 @@ def compare_surface(
     off = heights.at(points.east_m, points.north_m) - points.height_m
     known = np.isfinite(off)
     if not known.any():
-        raise InputError(
-            "does not overlap the surface", file=reference, fix=("give a reference of the same place")
-        )
+        fix = "give a reference of the same place"
+        raise InputError("does not overlap the surface", file=reference, fix=fix)
     off, at = off[known], heights.pixel(points.east_m[known], points.north_m[known])
     slopes, slope_names = slope_classes(heights.slope_deg()[at])
     matched = (views[at] > 0).astype(np.intp)

@@ -121,12 +121,11 @@ def test_a_heap_is_found_and_neither_offset_nor_tilt_nor_noise(seed: int, tmp_pa
     after = hills + heap + 1.7 + 0.001 * col + rng.normal(0.0, 0.05, hills.shape)
     after[100:110, 10:30] = -9999.0
     on_old = registration(compare(new / "mosaic.tif", old / "mosaic.tif", ComparisonOptions(search_px=64)))
-    heights = height_changes(before, surface(new, after, 0.05), on_old, PIXEL_M)
-    (change,) = heights.changes
+    (change,), offset_m = height_changes(before, surface(new, after, 0.05), on_old, PIXEL_M)
     assert change.rise_m == pytest.approx(0.6, abs=0.06)
     assert change.volume_m3 == pytest.approx(0.6 * 81 * 0.4**2, rel=0.1)
     assert change.outline.contains(shapely.Point(EAST + 70.5 * 0.4, NORTH - 40.5 * 0.4))
-    assert heights.offset_m == pytest.approx(1.76, abs=0.03)
+    assert offset_m == pytest.approx(1.76, abs=0.03)
 
 
 def test_the_command_writes_polygons_and_a_picture(

@@ -211,21 +211,14 @@ def test_errors_against_the_truth() -> None:
     assert found.coverage[0] == pytest.approx((3086 + 3081) / 6172)
     assert found.coverage[1] == pytest.approx((3081 + 3086) / 6172)
     assert found.share_of_labels == pytest.approx(((86 + 2200) / 6172, 0.0, (3000 + 886) / 6172))
-    assert not found.misplaced, "five lines do not make a segment's root mean square"
-    rate = misplacement_rate([found, found, found, checked_misplaced()])
+    assert not found.figures.misplaced, "five lines do not make a segment's root mean square"
+    rate = misplacement_rate([False, False, False, True])
     assert (rate.scenes, rate.misplaced, rate.rate) == (4, 1, 0.25) and rate.low < 0.05 < 0.69 < rate.high
     assert rate.unknown == 0
-    silent = StripQuality((), strip_figures([]), 512, 512, 0)
-    assert misplacement_rate([found, silent, found, found, checked_misplaced(), silent]) == replace(
-        rate, unknown=2
-    )
-    none = misplacement_rate([silent])
+    assert misplacement_rate([False, None, False, False, True, None]) == replace(rate, unknown=2)
+    none = misplacement_rate([None])
     assert np.isnan(none.rate) and (none.scenes, none.unknown) == (0, 1)
     assert np.isnan(misplacement_rate([]).rate)
-
-
-def checked_misplaced() -> StripQuality:
-    return StripQuality((), strip_figures([np.full((512, 2), 1.0)]), 512, 0, 0)
 
 
 def test_a_sine_is_read_off_the_spectrum() -> None:
@@ -265,7 +258,7 @@ def test_a_sine_left_in_the_strips_is_read_off_the_residuals(
     assert spectrum.across_px.max() < 0.03
     silent = residual_spectrum(checked(strips, offsets_of(pairs)), rate)
     assert max(silent.along_px.max(), silent.across_px.max()) < 0.02
-    assert residual_spectrum(checked_misplaced(), rate).frequency_hz.size == 0
+    assert residual_spectrum(StripQuality((), strip_figures([]), 512, 0, 0), rate).frequency_hz.size == 0
 
 
 def test_the_bins_keep_the_peaks() -> None:
