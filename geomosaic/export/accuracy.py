@@ -13,7 +13,7 @@ from osgeo import gdal
 from geomosaic.arrays import Floats
 from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.gdal_failures import close, gdal_failures
-from geomosaic.export.surface_heights import reference_of
+from geomosaic.export.surface_heights import describe_bands, reference_of
 from geomosaic.quality.accuracy_grid import AccuracyBlock
 
 BANDS: Final = (
@@ -106,9 +106,5 @@ def _created(path: Path, grid: OutputGrid) -> Any:
     dataset.SetSpatialRef(reference_of(grid.crs))
     dataset.SetGeoTransform(grid.geotransform)
     dataset.SetMetadataItem("ACCURACY", _MEANING)
-    for number, (name, unit) in enumerate(BANDS, start=1):
-        band = dataset.GetRasterBand(number)
-        band.SetNoDataValue(float("nan"))
-        band.SetDescription(name)
-        band.SetUnitType(unit)
+    describe_bands(dataset, BANDS, float("nan"))
     return dataset

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +20,7 @@ from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_raster, open_with_osgeo, reading
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.export.surface import NODATA
+from geomosaic.export.surface_heights import describe_bands
 from geomosaic.radiometry.quantity import TEMPERATURE, UNCALIBRATED, quantity_of
 
 FORMULAS: Final = {
@@ -193,13 +194,13 @@ def write_index(mosaic: Path, out: Path, index: Index, done: Callable[[int, int]
         made.SetSpatialRef(source.GetSpatialRef())
         made.SetGeoTransform(source.GetGeoTransform())
         made.SetMetadata({"FORMULA": index.formula, "VALUES": bands.values})
-        band = made.GetRasterBand(1)
-        band.SetNoDataValue(NODATA)
-        band.SetDescription(index.name)
-        band.SetUnitType(bands.unit)
-        for row, values in _rows(bands, index):
+        describe_bands(made, [(index.name, bands.unit)], NODATA)
+        for row in range(0, raster.height, _ROWS):
             done(row, raster.height)
-            band.WriteArray(np.where(np.isfinite(values), values, np.float32(NODATA)), 0, row)
+            window = Window(0, row, raster.width, min(_ROWS, raster.height - row))
+            values = index.values(bands.read(window))
+            known = np.where(np.isfinite(values), values, np.float32(NODATA))
+            made.GetRasterBand(1).WriteArray(known, 0, row)
         close(made)
         del source
         return bands.values
@@ -216,9 +217,3 @@ def index_ends(raster: Path) -> tuple[float, float]:
     known = values.compressed()
     low, high = np.percentile(known, (2.0, 98.0)).tolist() if known.size else (0.0, 1.0)
     return low, high if high > low else low + 1.0
-
-
-def _rows(bands: MosaicBands, index: Index) -> Iterator[tuple[int, Floats32]]:
-    width, height = bands.raster.width, bands.raster.height
-    for row in range(0, height, _ROWS):
-        yield row, index.values(bands.read(Window(0, row, width, min(_ROWS, height - row))))

@@ -82,9 +82,8 @@ def error_ellipses(scale: float) -> Style:
 
 def tie_points() -> Style:
     """Dots by their residuals."""
-    return Style(
-        ranges('"residual_px"', _by_residual(partial(marker, "circle", size_mm=1.2))), text="By residual"
-    )
+    symbols = _by_residual(partial(marker, "circle", size_mm=1.2))
+    return Style(ranges('"residual_px"', symbols), text="By residual")
 
 
 def residuals(scale: float) -> Style:
@@ -92,13 +91,6 @@ def residuals(scale: float) -> Style:
     text = f"From left to right frame's place, {_times(scale)}"
     symbols = _by_residual(partial(larger_arrow, width_mm=0.2, scale=scale))
     return Style(ranges('"residual_px"', symbols), text=text)
-
-
-def image_residuals() -> Style:
-    """Dots: their vectors lie along the image's axes and not the map's."""
-    return Style(
-        ranges('"residual_px"', _by_residual(partial(marker, "circle", size_mm=1.2))), text="By residual"
-    )
 
 
 def control() -> Style:

@@ -71,12 +71,13 @@ def project_of(
         )
         for title, names in _GROUPS.items()
     ]
-    groups.append(LayerGroup("Indices", tuple(index_layers(package.parent))))
-    groups.append(LayerGroup("Accuracy", tuple(accuracy_layers(package.parent))))
-    groups.append(LayerGroup("Surface", (*contour_layers(package.parent), *surface_layers(package.parent))))
-    groups.append(
-        LayerGroup("Mosaic", tuple([shown[name] for name in _ON_MOSAIC if name in shown] + rasters))
-    )
+    folder, over = package.parent, [shown[name] for name in _ON_MOSAIC if name in shown]
+    groups += [
+        LayerGroup("Indices", tuple(index_layers(folder))),
+        LayerGroup("Accuracy", tuple(accuracy_layers(folder))),
+        LayerGroup("Surface", (*contour_layers(folder), *surface_layers(folder))),
+        LayerGroup("Mosaic", (*over, *rasters)),
+    ]
     if bounds is not None:
         crs = _crs(mosaic)
     return crs, bounds or bounds_of_layers(package, list(shown)), groups

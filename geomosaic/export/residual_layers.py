@@ -84,7 +84,8 @@ class ResidualLayers:
         return points, MapFeatures("residuals", text, "LineString", lines, fields, style)
 
     def image_residuals(self) -> MapFeatures:
-        """At the place on the ground where the frame of each observation puts it."""
+        """At the place on the ground where the frame of each observation puts it: their vectors lie along the
+        image's axes and not the map's, so that they are drawn as dots."""
         r = self.adjusted.image_residuals
         frame = np.zeros(0, dtype=np.intp) if r is None else r.frame
         image_px, residual_px = (np.zeros((0, 2)),) * 2 if r is None else (r.image_px, r.residual_px)
@@ -106,7 +107,7 @@ class ResidualLayers:
         }
         text = "Tie points' image coordinates, measured minus computed" + thinned
         points = np.asarray(shapely.points(map_from_work(self.survey, at[hit])))
-        return MapFeatures("image_residuals", text, "Point", points, fields, looks.image_residuals())
+        return MapFeatures("image_residuals", text, "Point", points, fields, looks.tie_points())
 
     def control(self) -> tuple[MapFeatures, MapFeatures]:
         """The surveyed places, and lines from where the images put them: the way a residual points."""

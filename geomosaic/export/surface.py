@@ -17,7 +17,7 @@ from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_with_osgeo, reading
-from geomosaic.export.surface_heights import HeightSystem, reference_of
+from geomosaic.export.surface_heights import HeightSystem, describe_bands, reference_of
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.warp import ground_window
@@ -137,21 +137,22 @@ def _shown(mosaic: Raster, row: int, col: int, size: tuple[int, int], by: int) -
 
 @dataclass(frozen=True)
 class Bands:
-    """A raster's bands: what stands in each, and its unit."""
+    """A raster's bands. described: what stands in each, and its unit."""
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    described: tuple[tuple[str, str], ...]
     values: Callable[[SurfaceBlock], Sequence[NDArray[Any]]]
 
 
 RASTERS: Final[Mapping[str, Bands]] = {
-    "surface": Bands(("height of the surface",), ("m",), lambda b: (b.height_m,)),
+    "surface": Bands((("height of the surface", "m"),), lambda b: (b.height_m,)),
     "surface_confidence": Bands(
-        ("deviation of the height", "frames that agree, 0 where what lies around holds the height"),
-        ("m", ""),
+        (
+            ("deviation of the height", "m"),
+            ("frames that agree, 0 where what lies around holds the height", ""),
+        ),
         lambda b: (b.sd_m, b.views),
     ),
-    "terrain": Bands(("height of the ground",), ("m",), lambda b: (b.terrain_m,)),
+    "terrain": Bands((("height of the ground", "m"),), lambda b: (b.terrain_m,)),
 }
 
 
@@ -178,16 +179,12 @@ def writing_rasters(
 
 
 def _created(path: Path, grid: OutputGrid, heights: HeightSystem, bands: Bands) -> Any:
-    size = grid.width_px, grid.height_px, len(bands.names)
+    size = grid.width_px, grid.height_px, len(bands.described)
     dataset = gdal.GetDriverByName("GTiff").Create(str(path), *size, gdal.GDT_Float32, _OPTIONS)
     dataset.SetSpatialRef(reference_of(heights.crs))
     dataset.SetGeoTransform(grid.geotransform)
     dataset.SetMetadataItem("HEIGHTS", heights.text)
-    for number, (name, unit) in enumerate(zip(bands.names, bands.units, strict=True), start=1):
-        band = dataset.GetRasterBand(number)
-        band.SetNoDataValue(NODATA)
-        band.SetDescription(name)
-        band.SetUnitType(unit)
+    describe_bands(dataset, bands.described, NODATA)
     return dataset
 
 
@@ -202,10 +199,9 @@ def write_difference(path: Path, surface: Path, difference_m: Floats32) -> None:
         made = gdal.GetDriverByName("GTiff").Create(str(path), cols, rows, 1, gdal.GDT_Float32, _OPTIONS)
         made.SetSpatialRef(source.GetSpatialRef())
         made.SetGeoTransform(source.GetGeoTransform())
-        band = made.GetRasterBand(1)
-        band.SetNoDataValue(NODATA)
-        band.SetDescription("surface minus reference")
-        band.SetUnitType("m")
-        band.WriteArray(np.where(np.isfinite(difference_m), difference_m, np.float32(NODATA)))
+        describe_bands(made, [("surface minus reference", "m")], NODATA)
+        made.GetRasterBand(1).WriteArray(
+            np.where(np.isfinite(difference_m), difference_m, np.float32(NODATA))
+        )
         close(made)
         del source

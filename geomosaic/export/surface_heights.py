@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -85,6 +86,15 @@ def reference_of(crs: str) -> Any:
     reference.SetFromUserInput(crs)
     reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
     return reference
+
+
+def describe_bands(dataset: Any, bands: Iterable[tuple[str, str]], nodata: float) -> None:
+    """Writes what stands in each band of a GDAL dataset, and its unit, beside what stands for nothing."""
+    for number, (name, unit) in enumerate(bands, start=1):
+        band = dataset.GetRasterBand(number)
+        band.SetNoDataValue(nodata)
+        band.SetDescription(name)
+        band.SetUnitType(unit)
 
 
 def write_sidecar(path: Path, heights: HeightSystem) -> None:

@@ -92,11 +92,9 @@ def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, requ
     figures |= _land(seen.doubt)
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     judged = (_judged(name, value, required, seen.pixel_m) for name, value in figures.items())
+    good = GRADES[0]
     evidence = (
-        *(
-            e if e.grade == GRADES[0] else replace(e, effect=_effect(e, adjusted, seen, required))
-            for e in judged
-        ),
+        *(e if e.grade == good else replace(e, effect=_effect(e, adjusted, seen, required)) for e in judged),
         *_against(accuracy, required),
         *(Evidence(code, 1.0, "", *words) for code, words in WARNED.items() if code in warned),
     )
@@ -192,13 +190,8 @@ def _land(doubt: LandDoubt) -> dict[str, float]:
 
 def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dict[str, float]:
     """How far images, camera and control agree in the adjustment, as far as the method says."""
-    found = {}
-    if "sigma_px" in adjusted.figures:
-        found["image deviation"] = adjusted.figures["sigma_px"]
-    if "shape_sd_px" in adjusted.figures:
-        found["shape"] = adjusted.figures["shape_sd_px"]
-    if "sigma_tilt" in adjusted.figures:
-        found["tilts"] = adjusted.figures["sigma_tilt"]
+    names = {"image deviation": "sigma_px", "shape": "shape_sd_px", "tilts": "sigma_tilt"}
+    found = {name: adjusted.figures[of] for name, of in names.items() if of in adjusted.figures}
     if adjusted.shared is not None:
         found["principal point"] = _principal_point_off(adjusted)
     if patterns:
