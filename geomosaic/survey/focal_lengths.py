@@ -119,22 +119,18 @@ def _sensor(header: FrameHeader) -> Sensor | None:
     called = f"{header.exif.make} {header.exif.model}".lower()
     longer, shorter = max(header.width_px, header.height_px), min(header.width_px, header.height_px)
     for words, sensor in SENSORS.items():
-        if words in called and _shaped(longer / shorter, sensor.shapes):
+        off = [abs(longer / shorter / shape - 1.0) for shape in sensor.shapes]
+        if words in called and min(off, default=0.0) <= SAME_SHAPE:
             return sensor
     return None
-
-
-def _shaped(ratio: float, shapes: tuple[float, ...]) -> bool:
-    return not shapes or any(abs(ratio / shape - 1.0) <= SAME_SHAPE for shape in shapes)
 
 
 def agreed(focals: dict[str, float]) -> str | None:
     """The first source that another one agrees with, or the only one; None where they contradict each
     other."""
     for source, focal in focals.items():
-        if len(focals) == 1 or any(
-            other != source and abs(value / focal - 1.0) < ALIKE for other, value in focals.items()
-        ):
+        others = [value for other, value in focals.items() if other != source]
+        if not others or any(abs(value / focal - 1.0) < ALIKE for value in others):
             return source
     return None
 

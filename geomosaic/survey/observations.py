@@ -189,13 +189,11 @@ def _position(row: PosRow, own: Position | None, *, datum_stated: bool) -> Posit
     if position.height_above_ground_m is None:
         position = replace(position, height_above_ground_m=own.height_above_ground_m)
     if position.height_ellipsoidal_m is None and own.height_ellipsoidal_m is not None:
-        height, sd = own.height_ellipsoidal_m, own.sd_vertical_m
-        source = f"pos, height from {own.source}"
         return replace(
             position,
-            height_ellipsoidal_m=height,
-            sd_vertical_m=sd,
-            source=source,
+            height_ellipsoidal_m=own.height_ellipsoidal_m,
+            sd_vertical_m=own.sd_vertical_m,
+            source=f"pos, height from {own.source}",
             datum_stated=own.datum_stated,
         )
     return position
@@ -224,9 +222,8 @@ def _against_exif(
     pos: PosFile,
 ) -> list[Warn]:
     """Swapped columns, and positions far from where the frames say they were."""
-    both = [
-        (r, p, h.name) for r, p, h in zip(rows, own, headers, strict=True) if r is not None and p is not None
-    ]
+    every = zip(rows, own, headers, strict=True)
+    both = [(r, p, h.name) for r, p, h in every if r is not None and p is not None]
     if not both:
         return []
     given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])

@@ -71,13 +71,8 @@ def check_area(crs: CRS, lon_deg: float, lat_deg: float, what: str, file: Path |
     )
     if away_m > _FAR_OUTSIDE_M:
         raise InputError(problem, file=file, fix="give the coordinate reference system of the coordinates")
-    return [
-        Warn(
-            "crs-outside-area",
-            "",
-            (f"{problem}; distances on the map may be wrong; give the CRS of the place"),
-        )
-    ]
+    text = f"{problem}; distances on the map may be wrong; give the CRS of the place"
+    return [Warn("crs-outside-area", "", text)]
 
 
 def check_columns(table: ParsedTable, aliases: Aliases, item: str, what: str) -> None:
@@ -85,10 +80,9 @@ def check_columns(table: ParsedTable, aliases: Aliases, item: str, what: str) ->
     has = table.factors.keys()
     wanted = [(item, what)]
     if not ({"lon", "lat"} <= has or {"x", "y"} <= has):
-        grid = bool({"x", "y"} & has) and not {"lon", "lat"} & has
-        wanted += (
-            [("x", "easting"), ("y", "northing")] if grid else [("lon", "longitude"), ("lat", "latitude")]
-        )
+        grid = {"x", "y"} & has and not {"lon", "lat"} & has
+        axes = (("x", "easting"), ("y", "northing")) if grid else (("lon", "longitude"), ("lat", "latitude"))
+        wanted += axes
     for column, meaning in wanted:
         if column not in has:
             found = ", ".join([*has, *table.unknown_columns])
@@ -153,10 +147,8 @@ def _chosen(stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> tuple[CRS,
     for frames in (near, NOWHERE) if len(near) else (NOWHERE,):
         for swapped in (False, True):
             for group in groups:
-                fitting = _fitting(
-                    group, some[:, ::-1] if swapped else some, frames, 0.0 if swapped else _FAR_M
-                )
-                if fitting:
+                at, margin_m = (some[:, ::-1], 0.0) if swapped else (some, _FAR_M)
+                if fitting := _fitting(group, at, frames, margin_m):
                     _check_one_place(stated, fitting, fix)
                     return next(iter(fitting)), swapped
     return groups[0][0], False

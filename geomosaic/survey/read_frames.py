@@ -236,7 +236,6 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
 
 def _in_order(headers: Sequence[FrameHeader]) -> tuple[tuple[FrameHeader, ...], bool]:
     """By time and name, by name alone where a frame has no time; and whether all have one."""
-    times = {h.name: h.exif.time_s for h in headers}
-    if any(t is None for t in times.values()):
-        return tuple(sorted(headers, key=lambda h: natural_key(h.name))), False
-    return tuple(sorted(headers, key=lambda h: (times[h.name] or 0.0, natural_key(h.name)))), True
+    in_time = all(h.exif.time_s is not None for h in headers)
+    by_name = sorted(headers, key=lambda h: natural_key(h.name))
+    return tuple(sorted(by_name, key=lambda h: h.exif.time_s or 0.0) if in_time else by_name), in_time

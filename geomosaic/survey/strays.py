@@ -109,9 +109,8 @@ def other_kinds(headers: Sequence[FrameHeader], camera: str | None = None) -> li
             out.append(_out("frame-other-bands", h, text))
         elif _kind_of(h) != usual:
             its, other = (kind or "unnamed" for kind in (usual[2], camera_kind(h)))
-            out.append(
-                _out("frame-other-camera", h, f"is of the {other} camera, the mosaic of the {its} one")
-            )
+            text = f"is of the {other} camera, the mosaic of the {its} one"
+            out.append(_out("frame-other-camera", h, text))
     return out
 
 
@@ -152,10 +151,8 @@ def copies(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | Non
                 kept.append(i)
             else:
                 out[i] = of
-    return [
-        _out("frame-copy", headers[i], f"is the same image as {headers[j].name}")
-        for i, j in sorted(out.items())
-    ]
+    text = "is the same image as {}"
+    return [_out("frame-copy", headers[i], text.format(headers[j].name)) for i, j in sorted(out.items())]
 
 
 def _own_name(header: FrameHeader) -> tuple[object, ...]:
@@ -193,9 +190,8 @@ def misplaced(headers: Sequence[FrameHeader], positions: Sequence[Position]) -> 
         text = f"lies {from_middle_m[i] / 1000.0:.0f} km from the middle of the survey"
         out[i] = _out("frame-far-away", headers[i], text)
     for i, apart_m in _other_flights(lonlat, known).items():
-        out[i] = _out(
-            "frame-other-place", headers[i], f"belongs to another flight, {apart_m / 1000.0:.1f} km away"
-        )
+        text = f"belongs to another flight, {apart_m / 1000.0:.1f} km away"
+        out[i] = _out("frame-other-place", headers[i], text)
     rest = np.array([i for i in range(len(headers)) if i not in out], dtype=np.intp)
     above = _heights_above_ground_m([positions[i] for i in rest])
     for k in np.flatnonzero(_low_at_ends(above)):
@@ -227,13 +223,10 @@ def _low_at_ends(above_m: Floats) -> Bools:
     spread = NORMAL_PER_MAD * float(np.median(np.abs(known - usual)))
     if SPREADS.value * spread > usual:  # no usual height: hand-flown, or heights that drift
         return out
-    for order in (range(len(low)), range(len(low) - 1, -1, -1)):
-        run = 0
-        for i in order:
-            if not low[i]:
-                break
-            run += 1
-        out[list(order)[: run if run <= most else 0]] = True
+    for way in (1, -1):
+        run = int(np.argmin(np.append(low[::way], False)))
+        if run <= most:
+            out[::way][:run] = True
     return out
 
 
@@ -277,9 +270,8 @@ def blurred(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | No
     off = np.abs(lack - np.nanmedian(lack))
     limit = max(BLURRED.value, SPREADS.value * NORMAL_PER_MAD * float(np.nanmedian(off)))
     blurry = lack > limit
-    alone = [
-        i for i in np.flatnonzero(blurry).tolist() if 0 < i < n - 1 and not (blurry[i - 1] or blurry[i + 1])
-    ]  # fmt: skip
+    blurry[1:-1] &= ~(blurry[:-2] | blurry[2:])
+    alone = [i for i in np.flatnonzero(blurry).tolist() if 0 < i < n - 1]
     text = "has {:.0f} % of its neighbours' fine detail"
     return [_out("frame-blurred", headers[i], text.format(100.0 * np.exp(-lack[i]))) for i in alone]
 

@@ -78,9 +78,7 @@ class ParsedTable:
             if text is None:
                 values.append(math.nan)
                 continue
-            plain = (
-                text.replace(",", ".") if "," in text and text.count(",") == 1 and "." not in text else text
-            )
+            plain = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
             value = float(plain) if _NUMBER.fullmatch(plain) else math.inf
             if not math.isfinite(value):
                 raise InputError(
