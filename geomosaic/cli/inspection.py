@@ -166,9 +166,8 @@ def diff(
     of_a, of_b = (_answers(read_recording(recording_file(path))) for path in (a, b))
     difference = compare(of_a.recording, of_b.recording, of_a.solved, of_b.solved)
     if png is not None:
-        files.write_bytes(
-            png, pictures.difference_png(of_a.readable(), of_b.readable(), difference["frames"])
-        )
+        picture = pictures.difference_png(of_a.readable(), of_b.readable(), difference["frames"])
+        files.write_bytes(png, picture)
     print(json.dumps(difference, indent=2)) if as_json else show_difference(difference, new_console())
     raise typer.Exit(0 if difference["equal"] else 1)
 

@@ -44,10 +44,7 @@ def completed(incomplete: str) -> list[str]:
     from geomosaic.pipeline.recipe_names import recipe_names
 
     folder = Path(incomplete).parent if "/" in incomplete else Path()
-    files = (
-        [str(folder / p.name) + ("/" if p.is_dir() else "") for p in folder.glob("*")]
-        if folder.is_dir()
-        else []
-    )
+    there = folder.glob("*") if folder.is_dir() else ()
+    files = [str(folder / p.name) + ("/" if p.is_dir() else "") for p in there]
     known = [*recipe_names(), *(f for f in files if f.endswith((".yaml", ".yml", "/")))]
     return [name for name in known if name.startswith(incomplete)]

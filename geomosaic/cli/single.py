@@ -183,13 +183,9 @@ def _scores(files: list[Path], as_json: bool) -> None:
         print(json.dumps([asdict(run) for run in runs], indent=2))
         return
     width = max(len("run"), *(len(run.run) for run in runs))
-    print(" ".join([f"{'run':<{width}}", "viewers", *(f"{c.key:>8}" for c in CRITERIA)]))
+    print(f"{'run':<{width}}", "viewers", *(f"{c.key:>8}" for c in CRITERIA))
     for run in runs:
-        print(
-            " ".join(
-                [f"{run.run:<{width}}", f"{run.viewers:>7}", *(f"{run.mean[c.key]:>8.2f}" for c in CRITERIA)]
-            )
-        )
+        print(f"{run.run:<{width}}", f"{run.viewers:>7}", *(f"{run.mean[c.key]:>8.2f}" for c in CRITERIA))
 
 
 def _compare(target: Path, reference: Path | None, set: Sets, as_json: bool) -> None:

@@ -73,17 +73,8 @@ def _pairs(pairs: list[dict[str, Any]], console: Console) -> None:
         if "tied_only_in" in p:
             row(table, p["left"], p["right"], f"tied only in {p['tied_only_in']}", "", "")
             continue
-        left, points = (
-            " -> ".join(map(f, p.get(n, ()))) for n, f in (("rms_m", number), ("tie_points", str))
-        )
-        row(
-            table,
-            p["left"],
-            p["right"],
-            left,
-            points,
-            " -> ".join(map(share, p.get("share_down_weighted", ()))),
-        )
+        shown = (("rms_m", number), ("tie_points", str), ("share_down_weighted", share))
+        row(table, p["left"], p["right"], *(" -> ".join(map(text, p.get(name, ()))) for name, text in shown))
     console.print(table)
 
 
@@ -97,7 +88,7 @@ def _consequences(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
         yield "(figures)", name, _figure(a), _figure(b)
     for warning in difference["warnings"]:
         text = f"{warning['frame']}: {warning['text']}" if warning["frame"] else warning["text"]
-        yield warning["stage"], warning["level"], *((text, "") if warning["only_in"] == "a" else ("", text))
+        yield warning["stage"], warning["level"], *_beside(text, warning)
 
 
 def _offsets(offsets: list[dict[str, Any]]) -> Iterator[tuple[Any, ...]]:
@@ -105,8 +96,7 @@ def _offsets(offsets: list[dict[str, Any]]) -> Iterator[tuple[Any, ...]]:
         yield moved["stage"], "rounds", *moved["rounds"]
         for frame in moved["frames"][:_MOST_ROWS]:
             if "only_in" in frame:
-                there = ("moved", "") if frame["only_in"] == "a" else ("", "moved")
-                yield moved["stage"], frame["frame"], *there
+                yield moved["stage"], frame["frame"], *_beside("moved", frame)
             else:
                 words = f"{frame['d_east_m']:+.3f} m east, {frame['d_north_m']:+.3f} m north"
                 yield moved["stage"], frame["frame"], "", words
@@ -118,7 +108,7 @@ def _strips(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     for curve in difference["strips"]:
         what = f"offsets of pair {curve['pair']}"
         if "only_in" in curve:
-            yield curve["stage"], what, *(("there", "") if curve["only_in"] == "a" else ("", "there"))
+            yield curve["stage"], what, *_beside("there", curve)
             continue
         apart = f"up to {number(curve['largest_px'])} px from a's, {number(curve['rms_px'])} px RMS"
         labels = f", {share(curve['share_relabelled'])} of the lines labelled otherwise"
@@ -126,7 +116,7 @@ def _strips(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     for left in difference["strip_residuals"]:
         what = f"left in pair {left['pair']}"
         if "only_in" in left:
-            yield left["stage"], what, *(("there", "") if left["only_in"] == "a" else ("", "there"))
+            yield left["stage"], what, *_beside("there", left)
             continue
         both = zip(left["rms_px"], left["blocks_measured"], strict=True)
         of_a, of_b = (f"{number(rms)} px RMS of {blocks} blocks" for rms, blocks in both)
@@ -138,13 +128,17 @@ def _done(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
         yield "input files", name, _mark(a), _mark(b)
     for stage in difference["stages"]:
         if "only_in" in stage:
-            there = ("there", "") if stage["only_in"] == "a" else ("", "there")
-            yield stage["stage"], "stage", *there
+            yield stage["stage"], "stage", *_beside("there", stage)
         for what in ("version", "params", "finished"):
             for name, (a, b) in stage.get(what, {}).items():
                 yield stage["stage"], f"{what} {name}".strip(), shortened(a), shortened(b)
     for name, (a, b) in difference["environment"].items():
         yield "(environment)", name, shortened(a), shortened(b)
+
+
+def _beside(text: str, only: dict[str, Any]) -> tuple[str, str]:
+    """A text in the column of the run that alone has it."""
+    return (text, "") if only["only_in"] == "a" else ("", text)
 
 
 def _seconds(seconds: list[dict[str, Any]], console: Console) -> None:

@@ -30,11 +30,9 @@ class Inspection:
         self.recording, self.solved, self.unreadable = recording, solved, unreadable
         reasons = {(t.row[i], t.other[i]): t.note[i] for t in _tried(recording) for i in range(len(t.note))}
         self.pairs = table_pairs(recording) if solved is None else pair_figures(solved)
-        for pair in self.pairs:
-            if not pair["tied"]:
-                pair["why_not"] = (
-                    reasons.get((pair["left"], pair["right"])) or "tried, and no tie points agree"
-                )
+        for pair in (pair for pair in self.pairs if not pair["tied"]):
+            why = reasons.get((pair["left"], pair["right"]))
+            pair["why_not"] = why or "tried, and no tie points agree"
         if solved is None:
             self.frames = table_frames(recording, self.pairs)
         else:
@@ -126,10 +124,8 @@ class Inspection:
         weight = solved.weights[at]
         out: dict[str, Any] = {"down_weighted": int((weight < DOWN_WEIGHTED).sum())}
         if length.size:
-            quantiles = zip(
-                ("median_m", "p90_m", "p99_m"), np.quantile(length, [0.5, 0.9, 0.99]), strict=True
-            )
-            out |= {name: float(value) for name, value in quantiles}
+            shares = {"median_m": 0.5, "p90_m": 0.9, "p99_m": 0.99}
+            out |= {name: float(np.quantile(length, share)) for name, share in shares.items()}
         return out
 
     def _stage(self, id: str) -> StageRecord:

@@ -45,16 +45,11 @@ def show_worst(worst: dict[str, Any], console: Console) -> None:
     show_faults(worst, console)
     if worst["frames"]:
         counts = ", ".join(f"{n} {status}" for status, n in worst["frames_by_status"].items())
-        columns = (
-            "frame",
-            "status",
-            "moved east, north, up, m",
-            "yaw off, deg",
-            "ties",
-            "left, px",
+        table = new_table(
+            f"frames ({counts}), those moved most first",
+            *("frame", "status", "moved east, north, up, m", "yaw off, deg", "ties", "left, px"),
             "down-weighted",
         )
-        table = new_table(f"frames ({counts}), those moved most first", *columns)
         for f in worst["frames"]:
             row(table, *_frame_cells(f))
         console.print(table)
@@ -100,15 +95,8 @@ def show_pair(pair: dict[str, Any], console: Console) -> None:
     if pair["tied"]:
         east, north = (number(v, 3) for v in pair["mean_m"])
         line(console, f"misalignment, right minus left: {east} m east, {north} m north")
-        spread = ", ".join(
-            f"{what} {number(pair.get(name))} m"
-            for what, name in (
-                ("median", "median_m"),
-                ("90 %", "p90_m"),
-                ("99 %", "p99_m"),
-                ("largest", "max_m"),
-            )
-        )
+        names = {"median": "median_m", "90 %": "p90_m", "99 %": "p99_m", "largest": "max_m"}
+        spread = ", ".join(f"{what} {number(pair.get(name))} m" for what, name in names.items())
         line(console, f"residuals: {spread}")
         if pair.get("down_weighted") is not None:
             seen = f"{pair['in_solve']} of {pair['tie_points']}"
@@ -120,12 +108,8 @@ def show_stage(stage: dict[str, Any], console: Console) -> None:
     done = "from the cache" if stage["cached"] else "done" if stage["finished"] else "unfinished"
     seconds = "" if stage["seconds"] is None else f" in {stage['seconds']:.2f} s"
     line(console, f"{stage['id']}, version {stage['version']}: {done}{seconds}")
-    for title, values in (
-        ("parameters", stage["params"]),
-        ("inputs", stage["inputs"]),
-        ("files", stage["written"]),
-    ):
-        for name, value in values.items():
+    for title, kind in (("parameters", "params"), ("inputs", "inputs"), ("files", "written")):
+        for name, value in stage[kind].items():
             line(console, f"  {title}: {name} = {shortened(value)}")
     for name, output in stage["outputs"].items():
         line(console, f"  output: {name} {output['fingerprint'][:12]}, {bytes_of(output['bytes'])}")
@@ -157,13 +141,8 @@ def _frame_cells(f: dict[str, Any]) -> list[Any]:
     if "moved_m" not in f:
         return [f["frame"], f["status"], *[""] * 5]
     moved = ", ".join(number(v, 1) for v in f["moved_m"])
-    cells = [
-        number(f["yaw_off_deg"], 1),
-        f["tie_points"],
-        number(f["rms_px"]),
-        share(f["share_down_weighted"]),
-    ]
-    return [f["frame"], f["status"], moved, *cells]
+    figures = (number(f["yaw_off_deg"], 1), f["tie_points"], number(f["rms_px"]))
+    return [f["frame"], f["status"], moved, *figures, share(f["share_down_weighted"])]
 
 
 def _show_pairs(title: str, pairs: list[dict[str, Any]], console: Console) -> None:

@@ -36,29 +36,12 @@ def show_summary(short: dict[str, Any], console: Console) -> None:
         row(table, stage["id"], stage["version"], done, seconds, params, outputs)
     console.print(table)
     if short["rounds"]:
-        columns = (
-            "stage",
-            "round",
-            "pairs",
-            "largest misalignment, m",
-            "rms, m",
-            "largest move, m",
-            "worst pair",
-        )
-        table = new_table("rounds", *columns)
+        names = ("largest_misalignment_m", "rms_misalignment_m", "largest_move_m")
+        titles = ("largest misalignment, m", "rms, m", "largest move, m")
+        table = new_table("rounds", "stage", "round", "pairs", *titles, "worst pair")
         for r in _first(short["rounds"], "rounds", console):
             worst = " - ".join(r["worst_pair"] or ())
-            row(
-                table,
-                r["stage"],
-                r["round"],
-                r["pairs"],
-                *(
-                    number(r[key])
-                    for key in ("largest_misalignment_m", "rms_misalignment_m", "largest_move_m")
-                ),
-                worst,
-            )
+            row(table, r["stage"], r["round"], r["pairs"], *(number(r[name]) for name in names), worst)
         console.print(table)
     if short["strips"]:
         ends = ("dcol, px", "dline, px", "largest sd, px")

@@ -173,9 +173,8 @@ def _of_causes(
         fits = f"its heading then fits to {off}" if cause.code == TURNED else f"{off} off"
         size = cause.off / (1.0 + cause.off)
         sure = f"{how_sure(cause.probability)}; {fits}; {tied}"
-        yield Fault(
-            cause.code, (cause.frame,), text, sure, fix, weight + cause.probability * size, cause.probability
-        )
+        weight += cause.probability * size
+        yield Fault(cause.code, (cause.frame,), text, sure, fix, weight, cause.probability)
 
 
 def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterator[Fault]:
@@ -232,14 +231,11 @@ def worst_frames(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Frames in the order of `quality.ranking`; of wrong tags are those that a warning names."""
     off_deg = _figures(f.get("yaw_off_deg") for f in frames)
     given_sd_deg = _figures((f.get("given") or {}).get("sd_kappa_deg") for f in frames)
-    order = ranking.worst_frames(
-        [f["status"] != "tied" for f in frames],
-        np.array([bool(f["said"]) for f in frames], dtype=bool)
-        | ranking.wrong_headings(off_deg, given_sd_deg),
-        [np.linalg.norm(_figures(f.get("moved_m", (None,))[:2])) for f in frames],
-        off_deg,
-    )
-    return [frames[i] for i in order]
+    loose = [f["status"] != "tied" for f in frames]
+    named = np.array([bool(f["said"]) for f in frames], dtype=bool)
+    wrong = named | ranking.wrong_headings(off_deg, given_sd_deg)
+    moved_m = [np.linalg.norm(_figures(f.get("moved_m", (None,))[:2])) for f in frames]
+    return [frames[i] for i in ranking.worst_frames(loose, wrong, moved_m, off_deg)]
 
 
 def worst_pairs(pairs: list[dict[str, Any]]) -> list[dict[str, Any]]:

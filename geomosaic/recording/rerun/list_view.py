@@ -71,11 +71,8 @@ def _said(recording: Recording) -> str:
     lines = []
     if isinstance(verdict, dict):
         lines += [f"**{_cell(verdict.get('grade'))}**: {_cell(verdict.get('text'))}", ""]
-        lines += (
-            [f"{_cell(verdict.get('cause'))}; {_cell(verdict.get('fix', verdict.get('mend')))}", ""]
-            if verdict.get("cause")
-            else []
-        )
+        if verdict.get("cause"):
+            lines += [f"{_cell(verdict['cause'])}; {_cell(verdict.get('fix', verdict.get('mend')))}", ""]
     elif recording.progress is not None and recording.stages and not recording.stages[-1].finished:
         b = recording.progress
         at = f"{_cell(b.text)} {b.done} of {b.total}, {b.seconds:.0f} s in"
@@ -116,14 +113,12 @@ def _frames(recording: Recording) -> str:
     if not adjusted.row:
         return ""
     moved, off = moves_m(adjusted), headings_off_deg(placed, adjusted)
+    up, ties, pairs = (adjusted.column(name) for name in ("moved_u_m", "tie_points", "pairs"))
+    shown = ((moved, 1), (up, 1), (off, 0), (ties, 0), (pairs, 0))
     rows = [
         (
             _cell(adjusted.row[k]),
-            _figure(moved[k], 1),
-            _figure(adjusted.column("moved_u_m")[k], 1),
-            _figure(off[k], 0),
-            _figure(adjusted.column("tie_points")[k], 0),
-            _figure(adjusted.column("pairs")[k], 0),
+            *(_figure(column[k], digits) for column, digits in shown),
             adjusted.note[k] if adjusted.note else "",
         )
         for k in worst_frames(recording)[:_MOST]
