@@ -18,6 +18,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.export.styles import Style, qml
 
 _COLUMN: Final = "geom"
@@ -44,6 +45,11 @@ class MapFeatures:
     fields: Mapping[str, Any]
     style: Style | None = None
     metadata: Mapping[str, str] | None = None
+
+
+def columns(names: str, values: Floats) -> dict[str, Floats]:
+    """The columns of values (n, c) by their names, which blanks separate."""
+    return dict(zip(names.split(), values.T, strict=True))
 
 
 def write_geopackage(path: Path, crs: str, time_s: float | None, layers: Iterable[MapFeatures]) -> None:

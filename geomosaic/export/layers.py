@@ -15,7 +15,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.export import looks
 from geomosaic.export.ellipses import error_ellipses, exaggeration
-from geomosaic.export.geopackage import MapFeatures, write_geopackage
+from geomosaic.export.geopackage import MapFeatures, columns, write_geopackage
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.export.residual_layers import ResidualLayers
@@ -130,8 +130,7 @@ class _Layers:
         fields = {
             "frame": self.names,
             "status": self.status,
-            "moved_e_m": moved[:, 0],
-            "moved_n_m": moved[:, 1],
+            **columns("moved_e_m moved_n_m", moved),
             "moved_u_m": geodetic(self.adjusted.poses.positions_m)[:, 2] - geodetic(prior)[:, 2],
             "moved_m": o.moved_m,
             "turned_deg": o.turned_deg,
@@ -218,17 +217,17 @@ class _Layers:
 
     def _orientation(self) -> dict[str, Any]:
         o = self.orientation
-        groups = {
-            "lon_deg lat_deg height_ellipsoidal_m": o.lon_lat_height,
-            "yaw_deg pitch_deg roll_deg": o.yaw_pitch_roll_deg,
-            "omega_deg phi_deg kappa_deg": o.omega_phi_kappa_deg,
-            "sd_e_m sd_n_m sd_u_m": o.sd_m,
-            "sd_omega_deg sd_phi_deg sd_kappa_deg": o.sd_omega_phi_kappa_deg,
+        return {
+            **self._frame_fields(),
+            **columns("lon_deg lat_deg height_ellipsoidal_m", o.lon_lat_height),
+            **columns("yaw_deg pitch_deg roll_deg", o.yaw_pitch_roll_deg),
+            **columns("omega_deg phi_deg kappa_deg", o.omega_phi_kappa_deg),
+            **columns("sd_e_m sd_n_m sd_u_m", o.sd_m),
+            **columns("sd_omega_deg sd_phi_deg sd_kappa_deg", o.sd_omega_phi_kappa_deg),
+            **self._ellipse(),
+            "moved_m": o.moved_m,
+            "turned_deg": o.turned_deg,
         }
-        fields = self._frame_fields()
-        for names, values in groups.items():
-            fields.update(zip(names.split(), values.T, strict=True))
-        return {**fields, **self._ellipse(), "moved_m": o.moved_m, "turned_deg": o.turned_deg}
 
 
 def times_utc(times_s: Sequence[float | None]) -> NDArray[np.datetime64]:

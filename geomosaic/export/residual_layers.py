@@ -12,7 +12,7 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.arrays import Floats
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
-from geomosaic.export.geopackage import MapFeatures
+from geomosaic.export.geopackage import MapFeatures, columns
 from geomosaic.export.on_map import grid_from_work, map_from_work
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.tracks import frame_by_frame
@@ -52,12 +52,8 @@ class ResidualLayers:
             of[pairs.keypoints[:, shown]] for of in (pairs.frame, pairs.image_px)
         )
         of_pairs = np.split(shown, np.searchsorted(shown, pairs.first[1:-1]))
-        shift = np.concatenate(
-            [
-                np.zeros((0, 2)),
-                *(r[k - a] for r, k, a in zip(residuals_m, of_pairs, pairs.first, strict=False)),
-            ]
-        )
+        parts = zip(residuals_m, of_pairs, pairs.first, strict=False)
+        shift = np.concatenate([np.zeros((0, 2)), *(r[k - first] for r, k, first in parts)])
         left_map = map_from_work(self.survey, left_m)
         right_map = map_from_work(self.survey, left_m + np.pad(shift, ((0, 0), (0, 1))))
         residual = right_map - left_map
@@ -66,16 +62,10 @@ class ResidualLayers:
             "left_frame": self.names[left],
             "right_frame": self.names[right],
             "residual_m": length,
-            "residual_e_m": residual[:, 0],
-            "residual_n_m": residual[:, 1],
+            **columns("residual_e_m residual_n_m", residual),
             "residual_px": length / ((gsd_m[left] + gsd_m[right]) / 2.0),
         }
-        place = {
-            "left_col_px": left_px[:, 0],
-            "left_row_px": left_px[:, 1],
-            "right_col_px": right_px[:, 0],
-            "right_row_px": right_px[:, 1],
-        }
+        place = columns("left_col_px left_row_px right_col_px right_row_px", np.hstack([left_px, right_px]))
         middle = shapely.points((left_map + right_map) / 2.0)
         text = "Tie points on the ground" + thinned
         points = MapFeatures("tie_points", text, "Point", middle, {**fields, **place}, looks.tie_points())
@@ -98,10 +88,8 @@ class ResidualLayers:
         shown = shown[hit]
         fields = {
             "frame": self.names[frame[shown]],
-            "col_px": image_px[shown, 0],
-            "row_px": image_px[shown, 1],
-            "residual_col_px": residual_px[shown, 0],
-            "residual_row_px": residual_px[shown, 1],
+            **columns("col_px row_px", image_px[shown]),
+            **columns("residual_col_px residual_row_px", residual_px[shown]),
             "residual_px": np.linalg.norm(residual_px[shown], axis=1),
             "weight": weight[shown],
         }
@@ -114,9 +102,8 @@ class ResidualLayers:
         points = self.survey.control
         found = {(c.name, c.check): c for c in self.adjusted.control}
         residuals = [found.get((p.name, p.check)) or found.get((p.name, True)) for p in points]
-        check = np.array(
-            [p.check if r is None else r.check for p, r in zip(points, residuals, strict=True)], dtype=bool
-        )
+        both = zip(points, residuals, strict=True)
+        check = np.array([p.check if r is None else r.check for p, r in both], dtype=bool)
         place = np.array([(p.lon_deg, p.lat_deg, p.height_ellipsoidal_m) for p in points]).reshape(-1, 3)
         surveyed = self.survey.work_frame.enu_from_geodetic(*place.T)
         off = _column(residuals, "residual_m")
@@ -130,17 +117,12 @@ class ResidualLayers:
             "name": np.array([p.name for p in points], dtype=str),
             "kind": np.where(check, "check", "control"),
             "pictures": np.array([0 if r is None else r.images for r in residuals], dtype=np.int64),
-            "lon_deg": place[:, 0],
-            "lat_deg": place[:, 1],
-            "height_ellipsoidal_m": place[:, 2],
-            "residual_e_m": residual[:, 0],
-            "residual_n_m": residual[:, 1],
+            **columns("lon_deg lat_deg height_ellipsoidal_m", place),
+            **columns("residual_e_m residual_n_m", residual),
             "residual_u_m": residual_u,
             "residual_m": np.linalg.norm(residual, axis=1),
-            "sd_e_m": sd[:, 0],
-            "sd_n_m": sd[:, 1],
-            "sd_u_m": sd[:, 2],
-        }  # fmt: skip
+            **columns("sd_e_m sd_n_m sd_u_m", sd),
+        }
         at = np.asarray(shapely.points(np.column_stack([surveyed_map, place[:, 2]])))
         text = "Surveyed control and check points"
         surveyed_points = MapFeatures("control", text, "PointZ", at, fields, looks.control())

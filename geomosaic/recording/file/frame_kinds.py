@@ -42,8 +42,7 @@ FrameTime = own(
     "FrameTime",
     # Both times of a frame, in ns since 1970: of its exposure (0: unknown), and of its recording.
     "string frame",
-    "uint64 captured_ns",
-    "uint64 recorded_ns",
+    "uint64 captured_ns recorded_ns",
     "uint32 stage_index",
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,6 +25,7 @@ _WIRE = {
     "float": _Field.TYPE_FLOAT,
     "double": _Field.TYPE_DOUBLE,
 }
+_DECLARATION = re.compile(r"(?:(repeated|optional) )?(\w+) (.+)")
 Topics = Iterable[tuple[str, Any]]
 """Messages of a call of the recorder, each with its topic."""
 
@@ -75,27 +77,28 @@ class Kind:
 def own(name: str, *fields: str, **parts: tuple[str, ...]) -> Any:
     """The class of a message of package `geomosaic`, proto3.
 
-    Fields are numbered in their order; repeated numbers are packed. Parallel lists stand for tables: a list
-    of structs costs a tag and a length a row. parts: messages within it, by name.
+    A field's rule and type stand before its name; fields of one type may stand together, with blanks between
+    their names. Fields are numbered in their order; repeated numbers are packed. Parallel lists stand for
+    tables: a list of structs costs a tag and a length a row. parts: messages within it, by name.
     """
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{_PACKAGE}/{name}.proto", package=_PACKAGE, syntax="proto3"
     )
     for part, declared in {**parts, name: fields}.items():
         message = file.message_type.add(name=part)
-        for number, declaration in enumerate(declared, start=1):
-            _add_field(message, number, declaration)
+        for declaration in declared:
+            rule, kind, names = _DECLARATION.fullmatch(declaration).groups()  # type: ignore[union-attr]
+            for field in names.split():
+                _add_field(message, rule or "", kind, field)
     pool = descriptor_pool.Default()
     pool.AddSerializedFile(file.SerializeToString())
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{_PACKAGE}.{name}"))
 
 
-def _add_field(message: descriptor_pb2.DescriptorProto, number: int, declaration: str) -> None:
-    *rule, kind, name = declaration.split()
-    field = message.field.add(name=name, number=number, label=_Field.LABEL_OPTIONAL)
-    if rule == ["repeated"]:
-        field.label = _Field.LABEL_REPEATED
-    if rule == ["optional"]:  # presence in proto3 is a oneof of one member
+def _add_field(message: descriptor_pb2.DescriptorProto, rule: str, kind: str, name: str) -> None:
+    label = _Field.LABEL_REPEATED if rule == "repeated" else _Field.LABEL_OPTIONAL
+    field = message.field.add(name=name, number=len(message.field) + 1, label=label)
+    if rule == "optional":  # presence in proto3 is a oneof of one member
         field.proto3_optional = True
         field.oneof_index = len(message.oneof_decl)
         message.oneof_decl.add(name=f"_{name}")

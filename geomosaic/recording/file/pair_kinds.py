@@ -21,15 +21,11 @@ Iteration = own(
     # in cost_unit ("" for a sum of weighted squares), `sigma_px` the deviation of image coordinates,
     # `step_m` the largest move of a frame. NaN where a method has no such thing.
     "string stage",
-    "uint32 stage_index",
-    "uint32 iteration",
+    "uint32 stage_index iteration",
     "string solve",
     "double cost",
     "string cost_unit",
-    "double sigma_px",
-    "double damping",
-    "double step_m",
-    "double share_down_weighted",
+    "double sigma_px damping step_m share_down_weighted",
 )
 
 
@@ -61,16 +57,11 @@ PairOffsets = own(
     # before the moves, right minus left, NaN where unknown; (frame, move_east_m, move_north_m) the moves.
     "string stage",
     "uint32 round",
-    "repeated string left",
-    "repeated string right",
-    "repeated double east_m",
-    "repeated double north_m",
+    "repeated string left right",
+    "repeated double east_m north_m",
     "repeated string frame",
-    "repeated double move_east_m",
-    "repeated double move_north_m",
-    "double largest_misalignment_m",
-    "double rms_misalignment_m",
-    "double largest_move_m",
+    "repeated double move_east_m move_north_m",
+    "double largest_misalignment_m rms_misalignment_m largest_move_m",
     "uint32 stage_index",
 )
 
@@ -121,14 +112,8 @@ TiePoints = own(
     "TiePoints",
     # Tie points of one pair: col and row in the full frames, corner origin. Residuals, where given,
     # are on the ground: right minus left; weight: of the solve, NaN for those that took no part.
-    "string left",
-    "string right",
-    "repeated float left_col_px",
-    "repeated float left_row_px",
-    "repeated float right_col_px",
-    "repeated float right_row_px",
-    "repeated float residual_east_m",
-    "repeated float residual_north_m",
+    "string left right",
+    "repeated float left_col_px left_row_px right_col_px right_row_px residual_east_m residual_north_m",
     "uint32 stage_index",
     "repeated float weight",
 )
@@ -169,21 +154,11 @@ ChipTies = own(
     # frame; the right one's likewise, then turned by right_quarters times 90 degrees anticlockwise. Places
     # (x, y) are the image's. weight: of the solve, 1 for a good tie point, NaN if it took no part.
     "uint32 rank",
-    "string left",
-    "string right",
+    "string left right",
     "uint32 side_px",
-    "double left_col_px",
-    "double left_row_px",
-    "double right_col_px",
-    "double right_row_px",
+    "double left_col_px left_row_px right_col_px right_row_px",
     "uint32 right_quarters",
-    "repeated float left_x_px",
-    "repeated float left_y_px",
-    "repeated float right_x_px",
-    "repeated float right_y_px",
-    "repeated float residual_east_m",
-    "repeated float residual_north_m",
-    "repeated float weight",
+    "repeated float left_x_px left_y_px right_x_px right_y_px residual_east_m residual_north_m weight",
     "uint32 stage_index",
 )
 

@@ -33,20 +33,17 @@ StageEvent = own(
     # all files that it goes back to (`lineage`, sorted), both at the end (`fingerprints.py`).
     # `reads_run`: the stage reports the run itself, durations included, so its outputs differ every time.
     "string stage_id",
-    "uint32 stage_index",
-    "uint32 version",
-    "bool finished",
-    "bool cached",
+    "uint32 stage_index version",
+    "bool finished cached",
     "optional double seconds",
     "string params_json",
-    "repeated Fingerprint inputs",
-    "repeated Fingerprint outputs",
+    "repeated Fingerprint inputs outputs",
     "string notes_json",
     "bool reads_run",
     "repeated Fingerprint written",
     "repeated string lineage",
     "optional uint64 peak_memory_bytes",
-    Fingerprint=("string name", "string fingerprint"),
+    Fingerprint=("string name fingerprint",),
 )
 
 
@@ -77,8 +74,7 @@ Progress = own(
     "string stage_id",
     "uint32 stage_index",
     "string text",
-    "uint64 done",
-    "uint64 total",
+    "uint64 done total",
     "double seconds",
     "uint64 memory_bytes",
 )
@@ -94,11 +90,8 @@ Artefact = own(
     # One part of an encoded artefact; the parts' data joined in order has `total_bytes` bytes.
     "string stage_id",
     "uint32 stage_index",
-    "string name",
-    "string type_name",
-    "string fingerprint",
-    "uint32 part",
-    "uint32 parts",
+    "string name type_name fingerprint",
+    "uint32 part parts",
     "uint64 total_bytes",
     "bytes data",
 )
@@ -160,9 +153,7 @@ Table = own(
     # unknown; the columns' names end in units. `note` has a text for each row, or is empty.
     "string stage_id",
     "uint32 stage_index",
-    "repeated string row",
-    "repeated string other",
-    "repeated string column",
+    "repeated string row other column",
     "repeated double value",
     "repeated string note",
 )
@@ -221,8 +212,7 @@ Outlines = own(
     "uint32 stage_index",
     "repeated string name",
     "repeated uint32 vertices",
-    "repeated float east_m",
-    "repeated float north_m",
+    "repeated float east_m north_m",
 )
 
 

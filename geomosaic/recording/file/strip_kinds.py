@@ -16,17 +16,11 @@ StripOffsets = own(
     # Offsets of one pair of CCD strips, right against left, at some of the left strip's lines; `sd` is one
     # standard deviation, label 0 measured, 1 bridged, 2 unreliable. `pair` counts from 0.
     "uint32 pair",
-    "string left",
-    "string right",
+    "string left right",
     "repeated uint32 line",
-    "repeated float dcol_px",
-    "repeated float dline_px",
-    "repeated float sd_col_px",
-    "repeated float sd_line_px",
+    "repeated float dcol_px dline_px sd_col_px sd_line_px",
     "repeated uint32 label",
-    "double share_measured",
-    "double share_bridged",
-    "double share_unreliable",
+    "double share_measured share_bridged share_unreliable",
     "uint32 stage_index",
 )
 
@@ -72,12 +66,9 @@ StripResiduals = own(
     # residual would be right. `line` is the left strip's in the middle of a block; NaN where nothing could be
     # measured. `sd` is one standard deviation, of either axis.
     "uint32 pair",
-    "string left",
-    "string right",
+    "string left right",
     "repeated uint32 line",
-    "repeated float dcol_px",
-    "repeated float dline_px",
-    "repeated float sd_px",
+    "repeated float dcol_px dline_px sd_px",
     "uint32 stage_index",
 )
 
@@ -113,9 +104,7 @@ def _of_pair(message: Any) -> tuple[int, int, str, str]:
 JitterSpectrum = own(
     "JitterSpectrum",
     # Amplitudes of what moves line by line, dcol across and dline along; of `what` the topic names.
-    "repeated float frequency_hz",
-    "repeated float across_px",
-    "repeated float along_px",
+    "repeated float frequency_hz across_px along_px",
     "uint32 stage_index",
 )
 
