@@ -42,12 +42,10 @@ class _Listening:
         return getattr(self._shown, name)
 
     def stage_started(self, index: int, total: int, name: str) -> None:
-        """Stage `index` (from 0) of `total` begins."""
         self.notes = []
         self._shown.stage_started(index, total, name)
 
     def note(self, text: str) -> None:
-        """What a stage reports that is no warning."""
         self.notes.append(text)
 
 

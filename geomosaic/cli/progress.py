@@ -44,19 +44,15 @@ class _Lines:
         raise NotImplementedError
 
     def stage_started(self, index: int, total: int, name: str) -> None:
-        """Stage `index` (from 0) of `total` begins."""
         self._name = f"[{index + 1}/{total}] {name}"
 
     def warning(self, text: str) -> None:
-        """A stage's warning."""
         self._say(f"warning: {text}", style="yellow")
 
     def note(self, text: str) -> None:
-        """What a stage reports that is no warning."""
         self._say(f"{self._name}: {text}")
 
     def stage_finished(self, seconds: float, source: Source) -> None:
-        """The present stage is done."""
         self._say(f"{self._name}: {_how(seconds, source)}")
 
 
@@ -103,7 +99,6 @@ class Bar(_Lines):
         self._progress.console.print(escape(printable(text)), style=style, highlight=False)
 
     def stage_started(self, index: int, total: int, name: str) -> None:
-        """Stage `index` (from 0) of `total` begins."""
         super().stage_started(index, total, name)
         self._begin()
 
@@ -115,13 +110,11 @@ class Bar(_Lines):
         return self._task
 
     def progress(self, done: int, total: int, text: str) -> None:
-        """So much of the present stage is done."""
         task = self._begin() if self._task is None else self._task
         count = f"{done}/{total}, time left"
         self._progress.update(task, completed=done, total=total, count=count, text=escape(printable(text)))
 
     def stage_finished(self, seconds: float, source: Source) -> None:
-        """The present stage is done."""
         if self._task is not None:
             self._progress.remove_task(self._task)
             self._task = None

@@ -48,60 +48,50 @@ def _times(scale: float) -> str:
 
 
 def frames() -> Style:
-    """By status, with names."""
     states = {"tied": _GREEN, "placed": _AMBER, "rejected": _RED}
     symbols = {state: (state, marker("circle", color)) for state, color in states.items()}
     return Style(categories('"status"', symbols), labels(_NAME), "By status, with the frames' names")
 
 
 def contours() -> Style:
-    """Thin, with their heights along them."""
     return Style(single(line(_SAND, 0.35)), labels("round(\"height_m\", 2) || ' m'", "along"))
 
 
 def footprints() -> Style:
-    """Hollow."""
     return Style(single(outline(_CYAN, 0.2)), text="Outlines, the mosaic is seen through them")
 
 
 def nadir_points() -> Style:
-    """Crosses."""
     return Style(single(marker("cross2", _MAGENTA, 1.8)), text="Ground below the given positions")
 
 
 def moves(scale: float) -> Style:
-    """Arrows from where the POS put frames to where the adjustment did."""
     text = f"Arrows from given to adjusted positions, {_times(scale)}"
     return Style(single(larger_arrow(_MAGENTA, 0.45, scale)), text=text)
 
 
 def error_ellipses(scale: float) -> Style:
-    """As they are in the layer."""
     return Style(single(outline(_ORANGE, 0.3)), text=f"1 sigma, {_times(scale)}")
 
 
 def tie_points() -> Style:
-    """Dots by their residuals."""
     symbols = _by_residual(partial(marker, "circle", size_mm=1.2))
     return Style(ranges('"residual_px"', symbols), text="By residual")
 
 
 def residuals(scale: float) -> Style:
-    """Arrows as long as residuals, in their colours."""
     text = f"From left to right frame's place, {_times(scale)}"
     symbols = _by_residual(partial(larger_arrow, width_mm=0.2, scale=scale))
     return Style(ranges('"residual_px"', symbols), text=text)
 
 
 def control() -> Style:
-    """Control and check points with names."""
     kinds = {"control": ("triangle", _RED), "check": ("square", _BLUE)}
     symbols = {kind: (f"{kind} point", marker(shape, color, 2.8)) for kind, (shape, color) in kinds.items()}
     return Style(categories('"kind"', symbols), labels('"name"'), "Surveyed points, with names")
 
 
 def control_residuals(scale: float) -> Style:
-    """Arrows that end at the surveyed point."""
     kinds = {"control": _RED, "check": _BLUE}
     symbols = {
         kind: (f"{kind} point", larger_arrow(color, 0.45, scale, to_end=True))
@@ -112,28 +102,23 @@ def control_residuals(scale: float) -> Style:
 
 
 def seamlines() -> Style:
-    """Where the mosaic changes from frame to frame."""
     return Style(single(outline(_YELLOW, 0.4)), text="Each frame's part of the mosaic")
 
 
 def trimmed() -> Style:
-    """Where the mosaic ends though frames see more."""
     return Style(single(outline(_GREY, 0.4)), text="Trimmed")
 
 
 def scene() -> Style:
-    """Of strips: the whole."""
     return Style(single(outline(_YELLOW, 0.5)), text="The scene's outline")
 
 
 def ccd_strips() -> Style:
-    """Hollow, numbered."""
     text = "What each CCD saw, numbered from the left"
     return Style(single(outline(_CYAN, 0.35)), labels('"ccd"', "on"), text)
 
 
 def seam_segments() -> Style:
-    """By their misplacement."""
     expression = (
         "case when \"misplacement_px\" is null then 'unknown' when \"misplacement_px\" <= 0.5 then 'good' "
         "when \"misplacement_px\" <= 1 then 'fair' else 'bad' end"

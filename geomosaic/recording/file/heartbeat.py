@@ -38,7 +38,6 @@ class Heartbeat:
         self._thread: threading.Thread | None = None
 
     def begin(self, stage_id: str) -> None:
-        """A stage begins."""
         self._now = Beat(stage_id, time.monotonic())
         if self._thread is None:
             self._thread = threading.Thread(target=self._go_on, name="heartbeat", daemon=True)
@@ -51,7 +50,6 @@ class Heartbeat:
             now.text, now.done, now.total = text, done, total
 
     def rest(self) -> None:
-        """The stage is done."""
         self._now = None
 
     def end(self) -> None:

@@ -79,7 +79,6 @@ class Canvas:
             cv2.arrowedLine(self.image, a, b, colour, 2, cv2.LINE_AA, tipLength=min(0.3, _TIP_PX / length))
 
     def dot(self, at_m: Floats, colour: Colour, small: bool = False) -> None:
-        """A dot."""
         at = self._at(at_m)
         if at is not None:
             cv2.circle(self.image, at, 1 if small else 4, colour, -1, cv2.LINE_AA)
@@ -108,7 +107,6 @@ class Canvas:
 
 
 def png_of(image: Image) -> bytes:
-    """The image as PNG."""
     return bytes(cv2.imencode(".png", image)[1].tobytes())
 
 

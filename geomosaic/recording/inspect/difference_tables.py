@@ -13,7 +13,6 @@ _MOST_ROWS = 10
 
 
 def show_difference(difference: dict[str, Any], console: Console) -> None:
-    """Prints a difference."""
     if difference["equal"]:
         line(console, "the runs are equal")
     else:

@@ -16,7 +16,6 @@ _MOST_ROWS = 100
 
 
 def show_summary(short: dict[str, Any], console: Console) -> None:
-    """Prints a `summary`."""
     environment = short["environment"]
     known = [name for name in ("geomosaic", "python", "platform") if name in environment]
     line(console, ", ".join(f"{name} {environment[name]}" for name in known))
@@ -120,7 +119,6 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def share(value: float | None) -> str:
-    """In percent."""
     return "unknown" if value is None else f"{100.0 * value:.1f} %"
 
 
@@ -129,7 +127,6 @@ def _range(ends: list[float] | None) -> str:
 
 
 def bytes_of(count: int | None) -> str:
-    """A size."""
     if count is None:
         return "not recorded"
     if count < 10_000:
