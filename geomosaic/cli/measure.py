@@ -44,7 +44,7 @@ def measure(
     found: dict[str, Any] = {"run": str(run)}
     if line is not None:
         found["crs"], lines = measure_lines(rasters, read_shapes(line, LINE), line)
-        found["lines"] = [_line(number, of) for number, of in enumerate(lines, start=1)]
+        found["lines"] = [{"line": k, **_figure("length", "m", of)} for k, of in enumerate(lines, start=1)]
     if polygon is not None:
         found["crs"], polygons = measure_polygons(rasters, read_shapes(polygon, POLYGON), polygon)
         found["polygons"] = [_polygon(number, of) for number, of in enumerate(polygons, start=1)]
@@ -56,10 +56,6 @@ def measure(
         if name in found:
             _show(found[name])
     print(f"On the map ({found['crs']}), 1 sigma; {ASSUMED}.")
-
-
-def _line(number: int, of: Figure) -> dict[str, Any]:
-    return {"line": number, **_figure("length", "m", of)}
 
 
 def _polygon(number: int, of: MeasuredPolygon) -> dict[str, Any]:
@@ -84,15 +80,12 @@ def _known(value: float) -> float | None:
 
 def _show(rows: Sequence[dict[str, Any]]) -> None:
     """A table; columns without any value are left out."""
-    names = [name for name in dict.fromkeys(key for row in rows for key in row) if _any(rows, name)]
+    every = dict.fromkeys(name for row in rows for name in row)
+    names = [name for name in every if any(row.get(name) is not None for row in rows)]
     cells = [names, *([_text(row.get(name)) for name in names] for row in rows)]
     widths = [max(len(line[k]) for line in cells) for k in range(len(names))]
     for cell in cells:
         print("  ".join(text.rjust(width) for text, width in zip(cell, widths, strict=True)))
-
-
-def _any(rows: Sequence[dict[str, Any]], name: str) -> bool:
-    return any(row.get(name) is not None for row in rows)
 
 
 def _text(value: float | None) -> str:

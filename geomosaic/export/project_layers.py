@@ -61,7 +61,10 @@ def project_of(
     crs, shown = vector_layers(package)
     rasters = []
     mosaic = on_map(mosaic)
-    if (bounds := _bounds(mosaic)) is not None:
+    with open_raster(mosaic, OWN) as tiff:
+        bounds = None if tiff.crs is None else tuple(tiff.bounds)
+        crs = crs if tiff.crs is None else tiff.crs.to_wkt()
+    if bounds is not None:
         rasters = [image_layer(mosaic, "Mosaic")]
         if (sources := mosaic.with_name(_SOURCES)).is_file():
             rasters.insert(0, source_layer(sources))
@@ -78,8 +81,6 @@ def project_of(
         LayerGroup("Surface", (*contour_layers(folder), *surface_layers(folder))),
         LayerGroup("Mosaic", (*over, *rasters)),
     ]
-    if bounds is not None:
-        crs = _crs(mosaic)
     return crs, bounds or bounds_of_layers(package, list(shown)), groups
 
 
@@ -126,18 +127,6 @@ def contour_layers(folder: Path) -> list[ProjectLayer]:
             content, checked=False, labelled=True,
         )
     ]  # fmt: skip
-
-
-def _bounds(path: Path) -> tuple[float, float, float, float] | None:
-    """A raster's west, south, east and north; None without a map."""
-    with open_raster(path, OWN) as tiff:
-        west, south, east, north = tiff.bounds
-        return None if tiff.crs is None else (west, south, east, north)
-
-
-def _crs(path: Path) -> str:
-    with open_raster(path, OWN) as tiff:
-        return str(tiff.crs.to_wkt())
 
 
 def bounds_of_layers(package: Path, names: Sequence[str]) -> tuple[float, float, float, float]:

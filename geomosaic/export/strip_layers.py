@@ -86,14 +86,8 @@ def _lines(
     """The segments on the ground, at their nominal places in the scene."""
     ahead = np.array([0.5 * geometry.side(int(k)) for k in pairs]) * geometry.row_separation_lines
     col = (pairs + 1) * (geometry.width_px - geometry.overlap_px) + 0.5 * geometry.overlap_px
-    ends = [
-        lonlat_by_rpc(
-            rpc, np.stack([col, np.minimum(line, _last(geometry, pairs)) + ahead - mosaic.first_line], -1)
-        )
-        for line in (firsts, firsts + SEGMENT_LINES)
-    ]
+    last = np.array([geometry.lines[int(k)] for k in pairs])
+    lines = (np.minimum(line, last) for line in (firsts, firsts + SEGMENT_LINES))
+    at = (np.stack([col, line + ahead - mosaic.first_line], -1) for line in lines)
+    ends = [lonlat_by_rpc(rpc, place) for place in at]
     return [shapely.LineString([a, b]) for a, b in zip(*ends, strict=True)]
-
-
-def _last(geometry: StripGeometry, pairs: np.ndarray) -> np.ndarray:
-    return np.array([geometry.lines[int(k)] for k in pairs])

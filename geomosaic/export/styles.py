@@ -152,9 +152,8 @@ def labels(expression: str, place: str = "beside") -> Element:
 
 def qml(style: Style) -> str:
     """A style's own document."""
-    document = Element(
-        "qgis", version=VERSION, styleCategories="Symbology|Labeling", labelsEnabled=_yes(style.labels)
-    )
+    labelled = "0" if style.labels is None else "1"
+    document = Element("qgis", version=VERSION, styleCategories="Symbology|Labeling", labelsEnabled=labelled)
     document.extend(parts(style))
     return "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n" + tostring(document, "unicode")
 
@@ -162,7 +161,3 @@ def qml(style: Style) -> str:
 def parts(style: Style) -> list[Element]:
     """What stands in such a document, and as well in a project's layer."""
     return [style.renderer, *([] if style.labels is None else [style.labels])]
-
-
-def _yes(what: object) -> str:
-    return "0" if what is None else "1"

@@ -69,7 +69,10 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
 
     Raises: `FileError` if it can't be read or parsed, `InputError` naming what it lacks.
     """
-    content = _load(path)
+    if path.suffix.lower() == ".json":
+        content = read_json(path, TEXT_BYTES, "a camera file", _FIX)
+    else:
+        content = read_yaml(path, YAML_BYTES, "a camera file", _FIX)
     if isinstance(content, list) and content and isinstance(content[0], dict):  # reconstruction.json
         content = content[0].get("cameras")
     if isinstance(content, dict) and isinstance(content.get("cameras"), dict):
@@ -79,12 +82,6 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
     if not isinstance(content, dict) or not content or not all(isinstance(e, dict) for e in content.values()):
         raise InputError("holds no cameras", file=path, fix=_FIX)
     return tuple(_camera(_Entry(printable(str(name)), e, path)) for name, e in content.items())
-
-
-def _load(path: Path) -> Any:
-    if path.suffix.lower() == ".json":
-        return read_json(path, TEXT_BYTES, "a camera file", _FIX)
-    return read_yaml(path, YAML_BYTES, "a camera file", _FIX)
 
 
 def _camera(entry: _Entry) -> Camera:

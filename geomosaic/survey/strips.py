@@ -111,7 +111,9 @@ def read_geometry(path: Path) -> StripGeometry:
     Raises: `FileError` or `InputError` with one line that names the file and the fix.
     """
     path = Path(path)
-    entry = _load(path)
+    entry = read_yaml(path, YAML_BYTES, "a geometry file", _FIX)
+    if not isinstance(entry, dict) or "ccds" not in entry:
+        raise InputError("is no geometry of CCD strips: it has no 'ccds'", file=path, fix=_FIX)
     for key in entry:
         if key not in _KEYS:
             raise UnknownNameError("geometry key", shown(key).strip("'"), _KEYS, file=path)
@@ -149,19 +151,10 @@ def read_geometry(path: Path) -> StripGeometry:
     )
     _check(geometry, path)
     model = _check_companions(geometry, path)
-    return geometry if model is None or "altitude_m" in entry else replace(geometry, altitude_m=_above(model))
-
-
-def _above(model: Pushbroom) -> float:
-    """Height of a model's orbit above the ellipsoid, in its middle."""
-    return float(geodetic_from_ecef(model.orbit_ecef_m[len(model.orbit_ecef_m) // 2])[2])
-
-
-def _load(path: Path) -> Mapping[str, Any]:
-    entry = read_yaml(path, YAML_BYTES, "a geometry file", _FIX)
-    if not isinstance(entry, dict) or "ccds" not in entry:
-        raise InputError("is no geometry of CCD strips: it has no 'ccds'", file=path, fix=_FIX)
-    return entry
+    if model is None or "altitude_m" in entry:
+        return geometry
+    middle_m = model.orbit_ecef_m[len(model.orbit_ecef_m) // 2]
+    return replace(geometry, altitude_m=float(geodetic_from_ecef(middle_m)[2]))
 
 
 def _ccds(entry: Mapping[str, Any], path: Path) -> tuple[Ccd, ...]:

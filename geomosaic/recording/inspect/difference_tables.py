@@ -40,7 +40,9 @@ def show_difference(difference: dict[str, Any], console: Console) -> None:
         row(table, *cells)
     if table.row_count:
         console.print(table)
-    _seconds(difference["seconds"], console)
+    if seconds := difference["seconds"]:
+        words = [f"{s['stage']} {s['seconds'][0]:.1f} -> {s['seconds'][1]:.1f} s" for s in seconds[:4]]
+        line(console, f"time: {', '.join(words)}")
     if difference["fingerprints"]:
         stages = ", ".join(entry["stage"] for entry in difference["fingerprints"])
         line(console, f"fingerprints differ of {stages}; --json has them")
@@ -138,13 +140,6 @@ def _done(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
 def _beside(text: str, only: dict[str, Any]) -> tuple[str, str]:
     """A text in the column of the run that alone has it."""
     return (text, "") if only["only_in"] == "a" else ("", text)
-
-
-def _seconds(seconds: list[dict[str, Any]], console: Console) -> None:
-    if not seconds:
-        return
-    words = [f"{s['stage']} {s['seconds'][0]:.1f} -> {s['seconds'][1]:.1f} s" for s in seconds[:4]]
-    line(console, f"time: {', '.join(words)}")
 
 
 def _figure(value: Any) -> str:

@@ -21,6 +21,7 @@ from geomosaic.matching.explanations import (
 )
 from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, YAW_LIES_DEG, courses_deg
+from geomosaic.quality.ranking import headings_off_deg
 from geomosaic.recording.file.model import FigureTable, Recording
 
 TURNED: Final = "frame-turned"
@@ -89,7 +90,7 @@ def _of_headings(
                 continue
             best = 1 + int(shares[i, 1:].argmax())
         quarters = best % 4
-        off_deg = _apart_deg(given[i], found[i] + 90.0 * quarters)
+        off_deg = float(abs(headings_off_deg(found[i] + 90.0 * quarters, given[i])))
         if quarters:
             turned = float(shares[i, [quarters, WRONG + quarters]].sum())
             yield Cause(TURNED, name, turned * shares_placed[i], off_deg)
@@ -122,7 +123,3 @@ def how_sure(probability: float) -> str:
     word = "sure" if probability >= SURE else "likely" if probability >= LIKELY else "unsure"
     percent = np.floor(1000.0 * probability) / 10.0
     return f"{word}: {'over 99.9' if percent >= 99.9 else f'{percent:.1f}'} %"
-
-
-def _apart_deg(a: float, b: float) -> float:
-    return float(abs((a - b + 180.0) % 360.0 - 180.0))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from geomosaic.quality import ranking
-from geomosaic.recording.file.model import FigureTable, Recording
+from geomosaic.recording.file.model import Recording
 from geomosaic.recording.file.reader import printable
 from geomosaic.recording.inspect.plan import headings_off_deg, moves_m, wrong_headings
 
@@ -135,23 +135,19 @@ def _strips(recording: Recording) -> str:
         rows = [(_cell(n), *(_figure(c[k], 3) for c in columns)) for k, n in enumerate(greys.row)]
         parts.append(_markdown("greys", ("strip", "gain", "offset"), rows))
     if bridged.row:
+        length = bridged.column("last_line") - bridged.column("first_line")
         rows = [
             (
                 f"{_cell(bridged.row[k])} - {_cell(bridged.other[k])}",
                 " - ".join(_figure(bridged.column(c)[k], 0) for c in ("first_line", "last_line")),
                 _cell(bridged.note[k]),
             )
-            for k in _longest(bridged)[:_MOST]
+            for k in np.argsort(-length, kind="stable")[:_MOST]
         ]
         parts.append(
             _markdown(f"{len(bridged.row)} runs of lines not measured", ("seam", "lines", "why"), rows)
         )
     return "\n\n".join(parts)
-
-
-def _longest(bridged: FigureTable) -> list[int]:
-    length = bridged.column("last_line") - bridged.column("first_line")
-    return [int(k) for k in np.argsort(-length, kind="stable")]
 
 
 def _markdown(head: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
