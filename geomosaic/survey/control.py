@@ -127,11 +127,8 @@ def _one_place(
     away_m = np.fmax(np.linalg.norm(plan_m, axis=1), off_m)
     worst = int(np.argmax(away_m))
     if away_m[worst] >= RESURVEYED.value - SLIGHT:
-        problem = (
-            f"line {table.lines[rows[worst]]}: point '{name}' stands {away_m[worst]:.3g} m from its "
-            "first line"
-        )
-        raise InputError(problem, file=table.path, fix="give each point one position, or another name")
+        problem = f"point '{name}' stands {away_m[worst]:.3g} m from its first line"
+        raise table.error(rows[worst], problem, "give each point one position, or another name")
     from_first = places[:, :2] - places[0, :2]
     from_first[:, 0] = (from_first[:, 0] + 180.0) % 360.0 - 180.0 if worst else 0.0
     lon, lat = (places[0, :2] + from_first.mean(axis=0)).tolist()
@@ -189,8 +186,7 @@ def _measurements(
             continue
         for column, value in (("col", cols[i]), ("row", rows[i])):
             if math.isnan(value):
-                fix = "fill it in or remove the line"
-                raise InputError(f"line {table.lines[i]}: no {column}", file=table.path, fix=fix)
+                raise table.error(i, f"no {column}", "fill it in or remove the line")
         seen.setdefault(names[i], []).append((frame, cols[i], rows[i]))
     return seen, absent
 

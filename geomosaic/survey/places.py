@@ -197,12 +197,9 @@ def away_from(near: Floats, lonlat: Floats) -> tuple[Floats, float]:
 
 def _check_range(table: ParsedTable, lonlat: Floats) -> None:
     if not np.isfinite(lonlat).all():
-        line = table.lines[int(np.argmin(np.isfinite(lonlat).all(axis=1)))]
-        raise InputError(
-            f"line {line}: the position lies outside the area of its coordinate system",
-            file=table.path,
-            fix="check the columns and the coordinate reference system",
-        )
+        row = int(np.argmin(np.isfinite(lonlat).all(axis=1)))
+        problem = "the position lies outside the area of its coordinate system"
+        raise table.error(row, problem, "check the columns and the coordinate reference system")
     lat_bad, lon_bad = np.abs(lonlat[:, 1]) > 90.0, np.abs(lonlat[:, 0]) > 180.0
     if lat_bad.all() and (np.abs(lonlat[:, 0]) <= 90.0).all() and (np.abs(lonlat[:, 1]) <= 180.0).all():
         raise InputError(
@@ -212,20 +209,14 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
         )
     nowhere = (lonlat == 0.0).all(axis=1)
     if nowhere.any():
-        raise InputError(
-            f"line {table.lines[int(np.argmax(nowhere))]}: longitude and latitude are both 0, "
-            "as a receiver writes without satellites",
-            file=table.path,
-            fix="correct them, or take the line and its frame out",
-        )
+        problem = "longitude and latitude are both 0, as a receiver writes without satellites"
+        fix = "correct them, or take the line and its frame out"
+        raise table.error(int(np.argmax(nowhere)), problem, fix)
     for bad, axis, name, limit in ((lat_bad, 1, "latitude", 90), (lon_bad, 0, "longitude", 180)):
         if bad.any():
-            i = int(np.argmax(bad))
-            raise InputError(
-                f"line {table.lines[i]}: {name} {lonlat[i, axis]:g} is outside -{limit} to {limit}",
-                file=table.path,
-                fix="correct it (decimal degrees), or name the columns x and y and give their CRS",
-            )
+            row = int(np.argmax(bad))
+            fix = "correct it (decimal degrees), or name the columns x and y and give their CRS"
+            raise table.error(row, f"{name} {lonlat[row, axis]:g} is outside -{limit} to {limit}", fix)
 
 
 def heights_of(

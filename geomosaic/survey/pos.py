@@ -110,8 +110,7 @@ def read_pos(
     angles, source, assumed = read_angles(table, attitude_convention, places.projection, lonlat)
     names, lines = table.texts("frame"), table.lines
     if None in names:
-        line = lines[names.index(None)]
-        raise InputError(f"line {line}: no frame name", file=path, fix="fill it in or remove it")
+        raise table.error(names.index(None), "no frame name", "fill it in or remove it")
     known: dict[str, Floats] = {
         "height_ellipsoidal_m": heights,
         "height_above_ground_m": table.numbers("height_above_ground"),
@@ -192,9 +191,7 @@ def deviation(table: ParsedTable, whole: str, *parts: str) -> Floats:
     columns = parts if parts and whole not in table.factors else (whole,)
     values = np.stack([table.numbers(c) for c in columns])
     if (values < 0.0).any():
-        line = table.lines[int(np.argmax((values < 0.0).any(axis=0)))]
-        raise InputError(
-            f"line {line}: a standard deviation of {np.nanmin(values):g}", file=table.path, fix="correct it"
-        )
+        row = int(np.argmax((values < 0.0).any(axis=0)))
+        raise table.error(row, f"a standard deviation of {np.nanmin(values):g}", "correct it")
     sd = np.sqrt(np.mean(np.square(values), axis=0))
     return np.where(sd == 0.0, np.nan, sd)

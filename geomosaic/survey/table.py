@@ -81,11 +81,8 @@ class ParsedTable:
             plain = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
             value = float(plain) if _NUMBER.fullmatch(plain) else math.inf
             if not math.isfinite(value):
-                raise InputError(
-                    f"line {self.lines[i]}: {shown(text)} is no number for {column}",
-                    file=self.path,
-                    fix="write decimal numbers such as -12.5; leave the field empty where nothing is known",
-                )
+                fix = "write decimal numbers such as -12.5; leave the field empty where nothing is known"
+                raise self.error(i, f"{shown(text)} is no number for {column}", fix)
             values.append(value)
         return np.array(values) * self.factors[column]
 
@@ -99,9 +96,13 @@ class ParsedTable:
         """A column (n,) of numbers that must all be there."""
         values = self.numbers(column)
         if np.isnan(values).any():
-            line = self.lines[int(np.argmax(np.isnan(values)))]
-            raise InputError(f"line {line}: no {column}", file=self.path, fix="fill it in or remove the line")
+            row = int(np.argmax(np.isnan(values)))
+            raise self.error(row, f"no {column}", "fill it in or remove the line")
         return values
+
+    def error(self, row: int, problem: str, fix: str) -> InputError:
+        """What is wrong in a row, by its line."""
+        return InputError(f"line {self.lines[row]}: {problem}", file=self.path, fix=fix)
 
 
 @dataclass(frozen=True)
