@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation as Turn
 
 from geomosaic.arrays import Floats
 from geomosaic.recording.file.model import Recording
+from geomosaic.recording.rerun.plan_view import ui
 
 BLOCK: Final = "/block"
 _COLOURS: Final = {"ties": (230, 190, 60), "surface": (120, 150, 120)}
@@ -22,11 +23,11 @@ def draw_block(recording: Recording, stream: Any) -> None:
     import rerun
 
     for name, points in recording.clouds.items():
-        shown = rerun.Points3D(points, colors=[_COLOURS.get(name, _OTHER)], radii=rerun.Radius.ui_points(1.2))
+        shown = rerun.Points3D(points, colors=[_COLOURS.get(name, _OTHER)], radii=ui(1.2))
         stream.log(f"{BLOCK}/{name}", shown, static=True)
     lines = camera_lines(recording)
     if lines:
-        cameras = rerun.LineStrips3D(lines, colors=[_CAMERA], radii=rerun.Radius.ui_points(0.7))
+        cameras = rerun.LineStrips3D(lines, colors=[_CAMERA], radii=ui(0.7))
         stream.log(f"{BLOCK}/cameras", cameras, static=True)
 
 

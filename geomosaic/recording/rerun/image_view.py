@@ -13,7 +13,7 @@ from geomosaic.recording.file.model import Recording
 from geomosaic.recording.file.reader import printable, recorded_images
 from geomosaic.recording.file.thumbnail import decoded, thumbnail
 from geomosaic.recording.rerun.list_view import PICK, frame_text, worst_frames
-from geomosaic.recording.rerun.plan_view import PLAN
+from geomosaic.recording.rerun.plan_view import PLAN, ui
 
 CHIP: Final = "/worst_pair"
 FRAME: Final = "/picked_frame"
@@ -49,7 +49,7 @@ def draw_chips(recording: Recording, stream: Any) -> None:
             sides = [(ties.left_x_px, ties.left_y_px), (ties.right_x_px, ties.right_y_px)]
             at = np.concatenate([np.array(side, dtype=np.float64).T[which] for side in sides])
             size = 3.0 if name == "rejected" else 1.6
-            points = rerun.Points2D(at, colors=[colour], radii=_ui(size), draw_order=30.0)
+            points = rerun.Points2D(at, colors=[colour], radii=ui(size), draw_order=30.0)
             stream.log(f"{CHIP}/{name}", points)
         counts = [int(np.sum(w)) for w in (weight >= DOWN_WEIGHTED, weight < DOWN_WEIGHTED)]
         text = (
@@ -57,7 +57,7 @@ def draw_chips(recording: Recording, stream: Any) -> None:
             f"{rms_m.get((ties.left, ties.right), np.nan):.3f} m, {counts[0]} kept, {counts[1]} rejected here"
         )
         label = rerun.Points2D(
-            [[ties.side_px, -30.0]], labels=[text], show_labels=True, colors=[(230, 230, 230)], radii=_ui(0.5)
+            [[ties.side_px, -30.0]], labels=[text], show_labels=True, colors=[(230, 230, 230)], radii=ui(0.5)
         )
         stream.log(f"{CHIP}/about", label)
     stream.reset_time()
@@ -110,7 +110,7 @@ def draw_picks(recording: Recording, stream: Any) -> None:
         stream.log(FRAME_TEXT, about)
         ring = rings.get(name, np.zeros((0, 2)))
         line = [np.concatenate([ring, ring[:1]]) * [1.0, -1.0]] if len(ring) else []
-        shown = rerun.LineStrips2D(line, colors=[(255, 255, 255)], radii=_ui(1.0), draw_order=7.0)
+        shown = rerun.LineStrips2D(line, colors=[(255, 255, 255)], radii=ui(1.0), draw_order=7.0)
         stream.log(f"{PLAN}/picked", shown)
     stream.reset_time()
 
@@ -130,7 +130,7 @@ def draw_images(recording: Recording, stream: Any) -> None:
             labels=[printable(name) for name in strips][: len(places)],
             show_labels=True,
             colors=[(230, 230, 230)],
-            radii=_ui(0.5),
+            radii=ui(0.5),
         )
         stream.log(f"{STRIPS}/names", named, static=True)
 
@@ -148,9 +148,3 @@ def _stacked(jpegs: list[bytes], gap_px: int = 6) -> tuple[NDArray[np.uint8], li
         places.append(at + len(image) / 2.0)
         at += len(part)
     return np.concatenate(parts or [np.zeros((1, 1, 3), np.uint8)]), places
-
-
-def _ui(points: float) -> Any:
-    import rerun
-
-    return rerun.Radius.ui_points(points)

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from geomosaic.arrays import Floats
 from geomosaic.recording.file.model import Recording
 from geomosaic.recording.inspect.plan import LEGEND, PlanLayer, plan_layers
 
@@ -19,12 +20,19 @@ def draw_plan(recording: Recording, stream: Any) -> None:
         stream.log(f"{PLAN}/{layer.name}", _drawn(layer), static=True)
 
 
+def ui(points: float | Floats) -> Any:
+    """A radius in points of the screen."""
+    import rerun
+
+    return rerun.Radius.ui_points(points)
+
+
 def _drawn(layer: PlanLayer) -> Any:
     """As Rerun draws: down is positive."""
     import rerun
 
     parts = [np.asarray(part[:, :2] * [1.0, -1.0]) for part in layer.parts_m]
-    radii, order = rerun.Radius.ui_points(layer.wide), layer.order
+    radii, order = ui(layer.wide), layer.order
     colours = np.atleast_2d(np.asarray(layer.colours, np.uint8))
     if layer.kind == "points":
         at, labels = np.array(parts).reshape(-1, 2), list(layer.labels) or None

@@ -9,6 +9,7 @@ import numpy as np
 from geomosaic.arrays import Floats
 from geomosaic.recording.file.model import Recording
 from geomosaic.recording.file.reader import printable
+from geomosaic.recording.rerun.plan_view import ui
 
 STAGES: Final = "/stages_drawn"
 STEPS: Final = "/steps_drawn"
@@ -51,8 +52,8 @@ def draw_stages(recording: Recording, stream: Any) -> None:
         labels.append(
             f"{printable(stage.stage_id)}  {seconds:.1f} s{'' if stage.ended_ns else ', not finished'}"
         )
-    stream.log(f"{STAGES}/bars", rerun.LineStrips2D(bars, colors=colours, radii=_ui(4.0)), static=True)
-    named = rerun.Points2D(places, labels=labels, show_labels=True, colors=colours, radii=_ui(0.5))
+    stream.log(f"{STAGES}/bars", rerun.LineStrips2D(bars, colors=colours, radii=ui(4.0)), static=True)
+    named = rerun.Points2D(places, labels=labels, show_labels=True, colors=colours, radii=ui(0.5))
     stream.log(f"{STAGES}/names", named, static=True)
 
 
@@ -65,12 +66,12 @@ def draw_steps(recording: Recording, stream: Any) -> None:
         return
     cost, sigma = (np.array([s[name] for s in steps], dtype=np.float64) for name in ("cost", "sigma_px"))
     unit = steps[-1]["cost_unit"]
-    stream.log(f"{STEPS}/axes", rerun.LineStrips2D([_FRAME], colors=[_AXIS], radii=_ui(0.5)), static=True)
+    stream.log(f"{STEPS}/axes", rerun.LineStrips2D([_FRAME], colors=[_AXIS], radii=ui(0.5)), static=True)
     for k, (name, values, colour) in enumerate((("cost", cost, _COST), ("sigma_px", sigma, _SIGMA))):
         line, text = _curve(values, name if name != "cost" or not unit else f"misalignment rms, {unit}")
-        stream.log(f"{STEPS}/{name}", rerun.LineStrips2D(line, colors=[colour], radii=_ui(1.2)), static=True)
+        stream.log(f"{STEPS}/{name}", rerun.LineStrips2D(line, colors=[colour], radii=ui(1.2)), static=True)
         at = [[_WIDE / 2.0, -14.0 - 22.0 * k]]
-        label = rerun.Points2D(at, labels=[text], show_labels=bool(text), colors=[colour], radii=_ui(0.5))
+        label = rerun.Points2D(at, labels=[text], show_labels=bool(text), colors=[colour], radii=ui(0.5))
         stream.log(f"{STEPS}/{name}_name", label, static=True)
     solves = [s["solve"] for s in steps]
     starts = [k for k, name in enumerate(solves) if k == 0 or name != solves[k - 1]]
@@ -82,7 +83,7 @@ def draw_steps(recording: Recording, stream: Any) -> None:
             labels=[f"{k + 1}: {printable(solves[k])}" for k in starts],
             show_labels=True,
             colors=[_AXIS],
-            radii=_ui(1.5),
+            radii=ui(1.5),
         ),
         static=True,
     )
@@ -101,17 +102,17 @@ def draw_spectra(recording: Recording, stream: Any) -> None:
     hz = np.concatenate([s.frequency_hz for s in known.values()])
     span = np.log10([max(float(hz.min()), 1e-6), max(float(hz.max()), 2e-6)])
     top = np.log10(max(float(every.max()), 10.0 * low))
-    stream.log(f"{SPECTRUM}/axes", rerun.LineStrips2D([_FRAME], colors=[_AXIS], radii=_ui(0.5)), static=True)
+    stream.log(f"{SPECTRUM}/axes", rerun.LineStrips2D([_FRAME], colors=[_AXIS], radii=ui(0.5)), static=True)
     for i, (what, s) in enumerate(known.items()):
         x = (np.log10(np.maximum(s.frequency_hz, 1e-6)) - span[0]) / max(np.ptp(span), 1e-9) * _WIDE
         for j, (axis, values) in enumerate((("across", s.across_px), ("along", s.along_px))):
             y = (top - np.log10(np.maximum(values, low))) / (top - np.log10(low)) * _HIGH
             colour = colours.get(what, colours["found"])[j]
-            line = rerun.LineStrips2D([np.column_stack([x, y])], colors=[colour], radii=_ui(1.0))
+            line = rerun.LineStrips2D([np.column_stack([x, y])], colors=[colour], radii=ui(1.0))
             stream.log(f"{SPECTRUM}/{what}_{axis}", line, static=True)
             text = f"{what} {axis}, largest {max(values):.2g} px"
             at = [[_WIDE + 130.0, 10.0 + 26.0 * (2 * i + j)]]
-            label = rerun.Points2D(at, labels=[text], show_labels=True, colors=[colour], radii=_ui(0.5))
+            label = rerun.Points2D(at, labels=[text], show_labels=True, colors=[colour], radii=ui(0.5))
             stream.log(f"{SPECTRUM}/{what}_{axis}_name", label, static=True)
     ends = [f"{10**v:.3g} Hz" for v in span]
     label = rerun.Points2D(
@@ -138,9 +139,3 @@ def _curve(values: Floats, name: str) -> tuple[list[Floats], str]:
     points = np.column_stack([_along(len(values)), y])[good]
     first, last = values[good][0], values[good][-1]
     return [points if len(points) > 1 else np.repeat(points, 2, axis=0)], f"{name}: {first:.3g} to {last:.3g}"
-
-
-def _ui(points: float) -> Any:
-    import rerun
-
-    return rerun.Radius.ui_points(points)
