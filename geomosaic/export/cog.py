@@ -118,17 +118,12 @@ def _creation_options(source: Any, cog: CogOptions) -> list[str]:
     """GDAL's creation options. Raises `InputError` if the compression can't hold these pixels."""
     compression, overviews = cog.compression, cog.overviews
     band = source.GetRasterBand(1)
+    others = f"{', '.join(LOSSLESS)} or {LERC} with --set export.cog.compression=NAME"
     if compression in LOSSY and not (band.DataType == gdal.GDT_Byte and source.RasterCount in (1, 3)):
         kind = f"{source.RasterCount} bands of {gdal.GetDataTypeName(band.DataType)}"
-        raise InputError(
-            f"{compression} can't hold {kind}",
-            fix=f"choose {', '.join(LOSSLESS)} or {LERC} with --set export.cog.compression=NAME",
-        )
+        raise InputError(f"{compression} can't hold {kind}", fix=f"choose {others}")
     if compression == "webp" and source.RasterCount == 1:
-        raise InputError(
-            "webp can't hold one band",
-            fix=(f"choose jpeg, {', '.join(LOSSLESS)} or {LERC} with --set export.cog.compression=NAME"),
-        )
+        raise InputError("webp can't hold one band", fix=f"choose jpeg, {others}")
     options = [
         f"COMPRESS={compression.upper()}",
         f"BLOCKSIZE={_BLOCK_PX}",
@@ -160,9 +155,8 @@ def _write_statistics(source: Any) -> None:
         size = min(_BLOCK_PX, source.RasterXSize - left), min(_BLOCK_PX, source.RasterYSize - top)
         valid = source.GetRasterBand(1).GetMaskBand().ReadAsArray(left, top, *size) > 0
         if valid.any():
-            values = (
-                source.ReadAsArray(left, top, *size).reshape(-1, *valid.shape)[:, valid].astype(np.float64)
-            )
+            pixels = source.ReadAsArray(left, top, *size).reshape(-1, *valid.shape)
+            values = pixels[:, valid].astype(np.float64)
             by_band = values.sum(axis=1), (values**2).sum(axis=1)
             found.append((values.shape[1], values.min(axis=1), values.max(axis=1), *by_band))
     if not found:

@@ -60,10 +60,8 @@ def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
     vertical, none = height_datum(heights), np.zeros((_GEOID_NODES, _GEOID_NODES))
     if is_local(grid.crs):
         if vertical.is_vertical:
-            raise InputError(
-                ("a mosaic in a local frame has no heights above a geoid"),
-                fix="leave out --height-datum and --set export.surface.heights",
-            )
+            fix = "leave out --height-datum and --set export.surface.heights"
+            raise InputError("a mosaic in a local frame has no heights above a geoid", fix=fix)
         return HeightSystem(grid.crs, "", "above the local frame's origin, in its unit", none)
     share = np.linspace(0.0, 1.0, _GEOID_NODES)
     pixel = np.stack(np.meshgrid(share * grid.width_px, share * grid.height_px), axis=-1)

@@ -96,13 +96,11 @@ def check_grid(source: Raster, path: Path) -> None:
     if t.b != 0.0 or t.d != 0.0 or t.a <= 0.0 or t.e >= 0.0:
         raise FileError("the DEM is not north-up", file=path, fix="warp it with gdalwarp first")
     if np.dtype(source.dtypes[0]).kind not in "iuf":
-        raise FileError(
-            (f"the DEM's values are {source.dtypes[0]}"), file=path, fix="give a DEM of real or whole numbers"
-        )
+        problem = f"the DEM's values are {source.dtypes[0]}"
+        raise FileError(problem, file=path, fix="give a DEM of real or whole numbers")
     if (source.units[0] or "").lower() not in _METRES:
-        raise FileError(
-            f"the DEM's heights are in {source.units[0]}", file=path, fix="convert them to metres"
-        )
+        problem = f"the DEM's heights are in {source.units[0]}"
+        raise FileError(problem, file=path, fix="convert them to metres")
     if not np.isfinite([source.scales[0], source.offsets[0]]).all() or source.scales[0] == 0.0:
         problem = f"the DEM's scale is {source.scales[0]:g}, its offset {source.offsets[0]:g}"
         raise FileError(problem, file=path, fix="correct them (gdal_edit.py -scale 1 -offset 0)")
@@ -122,14 +120,11 @@ def read_heights(
         check_grid(source, path)
         wanted = _window(source, bounds, (1, 1))
         if wanted is None:
-            raise FileError(
-                ("the DEM does not cover the survey"), file=path, fix="give a DEM of the whole survey"
-            )
+            fix = "give a DEM of the whole survey"
+            raise FileError("the DEM does not cover the survey", file=path, fix=fix)
         t, sides = source.transform, (wanted.height, wanted.width)
-        steps = [
-            max(1.0, side / _MOST_PIXELS, finest / pixel)
-            for side, pixel in zip(sides, (-t.e, t.a), strict=True)
-        ]
+        pixels = zip(sides, (-t.e, t.a), strict=True)
+        steps = [max(1.0, side / _MOST_PIXELS, finest / pixel) for side, pixel in pixels]
         window = _window(source, bounds, (int(steps[0] * _AROUND), int(steps[1] * _AROUND))) or wanted
         sides = (window.height, window.width)
         shape = tuple(max(1, int(side / step)) for side, step in zip(sides, steps, strict=True))

@@ -46,11 +46,8 @@ def read_elevation(
     heights = read_heights(model, (*xy.min(axis=0), *xy.max(axis=0))).at(*xy.T)
     gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
     if len(gaps) == len(frame_names):
-        raise InputError(
-            ("the DEM has no heights under the frames"),
-            file=path,
-            fix="give a DEM with heights there, or correct its nodata value",
-        )
+        fix = "give a DEM with heights there, or correct its nodata value"
+        raise InputError("the DEM has no heights under the frames", file=path, fix=fix)
     if gaps:
         text = (
             f"{path.name}: no heights under {len(gaps)} frames, where the nearest are used "
@@ -101,9 +98,8 @@ def _with_datum(
             raise InputError(error.problem, file=path, fix=fix) from error
         return replace(model, offset_m=offset, vertical=f"{vertical.name}, offset {offset:+.2f} m"), []
     text = (
-        f"{path.name}: no vertical datum, so its heights are taken in the datum of the frames' "
-        "heights: the map may "
-        "lie too high or low; else give --dem-offset METRES"
+        f"{path.name}: no vertical datum, so its heights are taken in the datum of the frames' heights: the "
+        "map may lie too high or low; else give --dem-offset METRES"
     )
     vertical_text = "assumed to share the datum of the frames' heights"
     return replace(model, vertical=vertical_text), [Warn("dem-datum-assumed", "", text)]

@@ -12,7 +12,14 @@ from geomosaic.doors.camera_formats import CAMERA_FORMATS
 from geomosaic.doors.files import RUN_MARKER, check_name, printable
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
-from geomosaic.survey.header import JPEG_SUFFIXES, PNG_SUFFIXES, TIFF_SUFFIXES, FrameHeader, check_blocks
+from geomosaic.survey.header import (
+    JPEG_SUFFIXES,
+    PNG_SUFFIXES,
+    TIFF_SUFFIXES,
+    FrameHeader,
+    check_blocks,
+    mask_size_error,
+)
 from geomosaic.survey.names import FrameNames, frame_name, natural_key
 from geomosaic.survey.png import png_damage
 from geomosaic.survey.timestamp_mrk import matches
@@ -210,8 +217,4 @@ def _check_size(mask: Path, header: FrameHeader) -> None:
     if damage:
         raise FileError(f"the mask is damaged: {damage}", file=mask, fix="copy or make it again")
     if size != (header.width_px, header.height_px):
-        raise FileError(
-            f"the mask has {size[0]} x {size[1]} pixels, its frame {header.width_px} x {header.height_px}",
-            file=mask,
-            fix="make a mask of the frame's size",
-        )
+        raise mask_size_error(mask, size, (header.width_px, header.height_px))

@@ -172,3 +172,10 @@ def check_blocks(tiff: Raster, path: Path, fix: str) -> None:
             if tiff.compression is None and length > largest:
                 problem = f"the TIFF's header is damaged: {length:,} bytes for {largest:,} bytes of pixels"
                 raise FileError(problem, file=path, fix=fix)
+
+
+def mask_size_error(mask: Path, size_px: tuple[int, int], frame_px: tuple[int, int]) -> FileError:
+    """Of a mask whose columns and rows aren't its frame's."""
+    (wide, high), (width, height) = size_px, frame_px
+    problem = f"the mask has {wide} x {high} pixels, its frame {width} x {height}"
+    return FileError(problem, file=mask, fix="make a mask of the frame's size")

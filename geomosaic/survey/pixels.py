@@ -16,7 +16,7 @@ from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
 from geomosaic.doors.thermograms import thermogram
 from geomosaic.errors import FileError
 from geomosaic.survey.damage import decoded
-from geomosaic.survey.header import JPEG_SUFFIXES
+from geomosaic.survey.header import JPEG_SUFFIXES, mask_size_error
 from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
 from geomosaic.survey.small import HALF, REDUCTIONS, Spare, brightness, means, padded
@@ -118,11 +118,7 @@ def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
     """255 where any colour is above 0; an alpha band says nothing."""
     with open_raster(path, MASK) as mask, reading(path, MASK.problem, MASK.fix):
         if mask.shape != shape:
-            raise FileError(
-                f"the mask has {mask.width} x {mask.height} pixels, its frame {shape[1]} x {shape[0]}",
-                file=path,
-                fix="make a mask of the frame's size",
-            )
+            raise mask_size_error(path, (mask.width, mask.height), (shape[1], shape[0]))
         if mask.colorinterp[0] == ColorInterp.palette:
             colours = mask.colormap(1)
             lit = np.array([any(colours.get(i, (i,))[:3]) for i in range(256)])

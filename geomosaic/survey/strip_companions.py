@@ -49,17 +49,11 @@ def checked_model(path: Path, ccds: int, line_rate_hz: float) -> Pushbroom:
     """The model of so many CCDs at this line rate; `InputError` if it is of others."""
     model = read_model(path)
     if len(model.right_tan) != ccds:
-        raise InputError(
-            f"has looks for {len(model.right_tan)} CCDs, the geometry has {ccds}",
-            file=path,
-            fix="give one for each, dead ones too",
-        )
+        problem = f"has looks for {len(model.right_tan)} CCDs, the geometry has {ccds}"
+        raise InputError(problem, file=path, fix="give one for each, dead ones too")
     if abs(model.line_rate_hz / line_rate_hz - 1.0) > 1e-3:
-        raise InputError(
-            f"has {model.line_rate_hz:g} lines a second, the geometry {line_rate_hz:g}",
-            file=path,
-            fix="correct line_rate_hz",
-        )
+        problem = f"has {model.line_rate_hz:g} lines a second, the geometry {line_rate_hz:g}"
+        raise InputError(problem, file=path, fix="correct line_rate_hz")
     return model
 
 
