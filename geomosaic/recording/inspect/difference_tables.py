@@ -89,7 +89,7 @@ def _consequences(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
         yield "(figures)", name, _figure(a), _figure(b)
     for warning in difference["warnings"]:
         text = f"{warning['frame']}: {warning['text']}" if warning["frame"] else warning["text"]
-        yield warning["stage"], warning["level"], *_beside(text, warning)
+        yield warning["stage"], warning["level"], *_in_column(text, warning)
 
 
 def _offsets(offsets: list[dict[str, Any]]) -> Iterator[tuple[Any, ...]]:
@@ -97,7 +97,7 @@ def _offsets(offsets: list[dict[str, Any]]) -> Iterator[tuple[Any, ...]]:
         yield moved["stage"], "rounds", *moved["rounds"]
         for frame in moved["frames"][:_MOST_ROWS]:
             if "only_in" in frame:
-                yield moved["stage"], frame["frame"], *_beside("moved", frame)
+                yield moved["stage"], frame["frame"], *_in_column("moved", frame)
             else:
                 words = f"{frame['d_east_m']:+.3f} m east, {frame['d_north_m']:+.3f} m north"
                 yield moved["stage"], frame["frame"], "", words
@@ -109,7 +109,7 @@ def _strips(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     for curve in difference["strips"]:
         what = f"offsets of pair {curve['pair']}"
         if "only_in" in curve:
-            yield curve["stage"], what, *_beside("there", curve)
+            yield curve["stage"], what, *_in_column("there", curve)
             continue
         apart = f"up to {number(curve['largest_px'])} px from a's, {number(curve['rms_px'])} px RMS"
         labels = f", {share(curve['share_relabelled'])} of the lines labelled otherwise"
@@ -117,7 +117,7 @@ def _strips(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     for left in difference["strip_residuals"]:
         what = f"left in pair {left['pair']}"
         if "only_in" in left:
-            yield left["stage"], what, *_beside("there", left)
+            yield left["stage"], what, *_in_column("there", left)
             continue
         both = zip(left["rms_px"], left["blocks_measured"], strict=True)
         of_a, of_b = (f"{number(rms)} px RMS of {blocks} blocks" for rms, blocks in both)
@@ -129,7 +129,7 @@ def _done(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
         yield "input files", name, _mark(a), _mark(b)
     for stage in difference["stages"]:
         if "only_in" in stage:
-            yield stage["stage"], "stage", *_beside("there", stage)
+            yield stage["stage"], "stage", *_in_column("there", stage)
         for what in ("version", "params", "finished"):
             for name, (a, b) in stage.get(what, {}).items():
                 yield stage["stage"], f"{what} {name}".strip(), shortened(a), shortened(b)
@@ -137,7 +137,7 @@ def _done(difference: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
         yield "(environment)", name, shortened(a), shortened(b)
 
 
-def _beside(text: str, only: dict[str, Any]) -> tuple[str, str]:
+def _in_column(text: str, only: dict[str, Any]) -> tuple[str, str]:
     """A text in the column of the run that alone has it."""
     return (text, "") if only["only_in"] == "a" else ("", text)
 
