@@ -20,9 +20,10 @@ from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import OptionalCache, StoredResult
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
-from geomosaic.survey.small import FrameToDecode, Small
+from geomosaic.survey.small import FrameToDecode
 
 Floats = NDArray[np.float64]
 
@@ -109,7 +110,7 @@ def pictured(context: Context, sight: FrameReduction, frames: Sequence[Frame]) -
     """Frames, each decoded once at most for all that is done in the block, and not at all where all that is
     wanted of it is there from before. Then they go: a few MB each, and decoded again sooner than so much is
     kept; if the block fails, the next run finds them."""
-    unseen = [FrameToDecode(frame, context.optional_cache(Small, frame.path)) for frame in frames]
+    unseen = [FrameToDecode(frame, spare_of(context, frame.path)) for frame in frames]
     decoded = context.optional_caches("brightness", partial(frame_brightness, sight), unseen)
     yield [Picture(sight, one, cache) for one, cache in zip(unseen, decoded, strict=True)]
     for cache in decoded:

@@ -7,8 +7,9 @@ from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.report.given import Decoding, GivenMosaic, given_image
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Frame, Survey
-from geomosaic.survey.small import Small, Spare
+from geomosaic.survey.small import Spare
 
 
 class GivenParams(StageParams):
@@ -40,7 +41,7 @@ def mosaic_given(
         return GivenMosaic(None)
 
     def spare(frame: Frame) -> Spare:
-        return context.optional_cache(Small, frame.path)
+        return spare_of(context, frame.path)
 
     image = given_image(survey, placement, prior_ground, params.longest_px, Decoding(context.spooled, spare))
     return GivenMosaic(image)

@@ -11,8 +11,9 @@ from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.placement.model import Placement
 from geomosaic.report.given import Decoding, given_image
 from geomosaic.stages.input_groups import AdjustedSurvey
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Frame
-from geomosaic.survey.small import Small, Spare
+from geomosaic.survey.small import Spare
 
 PREVIEW: Final = "preview.html"
 _PAGE: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><meta http-equiv="refresh" content="3">
@@ -42,7 +43,7 @@ def mosaic_preview(
     """
 
     def spare(frame: Frame) -> Spare:
-        return context.optional_cache(Small, frame.path)
+        return spare_of(context, frame.path)
 
     frames = placed.survey.frames
     found = replace(placement, poses=placed.adjusted.poses)

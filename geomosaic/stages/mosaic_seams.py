@@ -38,8 +38,8 @@ from geomosaic.placement.model import Placement
 from geomosaic.stages.earlier_frames import earlier_numbers
 from geomosaic.stages.input_groups import AdjustedSurvey, BandTones
 from geomosaic.stages.reporting import reported_trimmed, trimmed_text
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Survey
-from geomosaic.survey.small import Small
 
 
 class SeamParams(StageParams):
@@ -136,7 +136,7 @@ def mosaic_seams(
         nearest_m[ownership.owner == 0] = -np.inf  # nothing is looked at there
     if params.seam == NEAREST_NADIR:
         return ownership
-    spare = partial(context.optional_cache, Small)
+    spare = partial(spare_of, context)
     jobs = glimpses(scene, ownership, nearest_m, of.survey.frames, spare)
     look = partial(glimpsed, replace(scene, views=()), ownership.cell_px, tones)
     parts = context.map("seams", look, jobs, keys=[v.frame for v in giving(scene, ownership)])

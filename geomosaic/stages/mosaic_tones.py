@@ -28,8 +28,8 @@ from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.earlier_frames import earlier_numbers
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Survey
-from geomosaic.survey.small import Small
 
 _EVEN = ("auto", "always", "never")
 _LEVELS = ("auto", "frames", "common")
@@ -124,7 +124,7 @@ def _values(survey: Survey, places: ToneSightings, bands: int, context: Context)
     its = dict(frame_by_frame(places.frame))
     seen, mine = list(its), list(its.values())
     jobs = [
-        Sampling(survey.frames[i], places.image_px[m], context.optional_cache(Small, survey.frames[i].path))
+        Sampling(survey.frames[i], places.image_px[m], spare_of(context, survey.frames[i].path))
         for i, m in zip(seen, mine, strict=True)
     ]
     found = context.map("tones", sampled, jobs, keys=seen)

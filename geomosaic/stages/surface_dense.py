@@ -21,6 +21,7 @@ from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.input_groups import AdjustedSurvey
 from geomosaic.stages.reporting import first_capture_s
+from geomosaic.stages.spares import spare_of
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.consistency_filter import RIM_CELLS, FilteredTile, MatchCounts, consistent_heights
 from geomosaic.surface.match_warnings import match_warnings
@@ -31,7 +32,7 @@ from geomosaic.surface.tile_mosaic import mosaic_tiles, with_rim
 from geomosaic.surface.tile_sgm import CensusImage, HeightSearch, TileHeights, census_image, match_tile
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
-from geomosaic.survey.small import REDUCTIONS, Small, Spare
+from geomosaic.survey.small import REDUCTIONS, Spare
 
 _SHOWN_POINTS = tuned(40_000, "points", "of the surface in a recording: fewer hide roofs; more are megabytes")
 
@@ -111,7 +112,7 @@ def surface_dense(
             int(coarse.reduction),
             int(fine.reduction),
             fine.turn_rad,
-            context.optional_cache(Small, survey.frames[i].path),
+            spare_of(context, survey.frames[i].path),
         )
         for i, coarse, fine in zip(used, *sighted, strict=True)
     ]

@@ -11,6 +11,7 @@ from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.recording.file.thumbnail import thumbnail
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.damage import Wholeness, coarsened, looked_at
 from geomosaic.survey.folder import frame_folders, project_files
@@ -19,7 +20,7 @@ from geomosaic.survey.model import Survey
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import check_survey_files, read_survey
 from geomosaic.survey.reflectance import RADIOMETRY
-from geomosaic.survey.small import Small, Spare, small_of
+from geomosaic.survey.small import Spare
 from geomosaic.survey.strays import LEAVE_OUT
 from geomosaic.survey.usable import DAMAGED
 
@@ -48,7 +49,7 @@ def seen(looking: Looking) -> FirstLook:
     wholeness, half = looked_at(looking.path)
     if half is None:
         return FirstLook(wholeness, b"")
-    looking.spare.leave(small_of(half))
+    looking.spare.leave(half)
     return FirstLook(wholeness, thumbnail(coarsened(half, 4) if min(half.shape[:2]) >= 4 else half))
 
 
@@ -152,7 +153,7 @@ def survey_read(params: SurveyParams, context: Context) -> Survey:
     looks: dict[str, StoredResult[FirstLook]] = {}
 
     def inspect(paths: list[str]) -> list[Wholeness]:
-        items = [Looking(path, context.optional_cache(Small, path)) for path in paths]
+        items = [Looking(path, spare_of(context, path, lasting=True)) for path in paths]
         looks.update(zip(paths, context.stored("looking for damage", seen, items), strict=True))
         return [looks[path].load().wholeness for path in paths]
 

@@ -57,9 +57,7 @@ def read_pixels(
         pixels, valid = means(thermogram(path)[..., None], reduction), None
     elif path.suffix.lower() in JPEG_SUFFIXES:
         bands = 1 if luma else bands
-        small = None if spare is None or reduction == 1 else spare.found()
-        grey = luma or (small is not None and bands < small.colours.shape[2])
-        kept = None if small is None else small.at(reduction, luma=grey)
+        kept = None if spare is None else spare.at(reduction, bands)
         pixels, valid = _decode_jpeg(path, frame, bands, reduction) if kept is None else kept, None
     else:
         if camera_format(path) is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from geomosaic.constants import sourced
 from geomosaic.survey.model import Frame
 
 Pixels = NDArray[np.uint8]
+Small = TypeVar("Small")
 REDUCTIONS = sourced((1, 2, 4, 8), "px a side", "of smaller decodes; others blur", "libjpeg: 8 x 8 blocks")
 HALF: Final = REDUCTIONS[1]
 """Of the shared decode: of 9 MP it takes 36 ms, at an eighth 28 ms."""
@@ -23,25 +24,56 @@ EIGHTH: Final = REDUCTIONS[-1]
 
 
 @dataclass(frozen=True)
-class Small:
-    """Pixels (rows, cols, bands) of a JPEG: its brightness at half its size, and its colours at an eighth."""
+class HalfGrey:
+    """A JPEG's brightness (rows, cols, 1) at half its size."""
 
-    grey: Pixels
-    colours: Pixels
+    pixels: Pixels
 
-    def at(self, reduction: int, *, luma: bool) -> Pixels | None:
-        """What is asked for, if it is one of them."""
-        if luma and reduction == HALF:
-            return self.grey
-        return self.colours if not luma and reduction == EIGHTH else None
+    @classmethod
+    def of(cls, half: Pixels) -> HalfGrey:
+        """Of its pixels (rows, cols, bands) at half its size."""
+        return cls(brightness(half))
 
 
-class Spare(Protocol):
-    """Where they may lie."""
+@dataclass(frozen=True)
+class EighthColours:
+    """A JPEG's pixels (rows, cols, bands) at an eighth of its size."""
+
+    pixels: Pixels
+
+    @classmethod
+    def of(cls, half: Pixels) -> EighthColours:
+        """Of its pixels (rows, cols, bands) at half its size."""
+        return cls(means(half, EIGHTH // HALF))
+
+
+class Cache(Protocol[Small]):
+    """Where one of them may lie."""
 
     def found(self) -> Small | None: ...
 
     def leave(self, result: Small) -> None: ...
+
+
+@dataclass(frozen=True)
+class Spare:
+    """Where what a frame shows small may lie."""
+
+    grey: Cache[HalfGrey]
+    colours: Cache[EighthColours]
+
+    def at(self, reduction: int, bands: int) -> Pixels | None:
+        """What is asked for, if it lies there: bands is 1 for the brightness alone."""
+        if reduction == HALF and bands == 1:
+            grey = self.grey.found()
+            return None if grey is None else grey.pixels
+        colours = self.colours.found() if reduction == EIGHTH else None
+        return None if colours is None or colours.pixels.shape[2] != bands else colours.pixels
+
+    def leave(self, half: Pixels) -> None:
+        """Leaves what a JPEG's pixels at half its size show."""
+        self.grey.leave(HalfGrey.of(half))
+        self.colours.leave(EighthColours.of(half))
 
 
 @dataclass(frozen=True)
@@ -50,11 +82,6 @@ class FrameToDecode:
 
     frame: Frame
     spare: Spare | None = None
-
-
-def small_of(half: Pixels) -> Small:
-    """Of a JPEG's pixels (rows, cols, bands) at half its size."""
-    return Small(brightness(half), means(half, EIGHTH // HALF))
 
 
 def brightness(pixels: Pixels) -> Pixels:

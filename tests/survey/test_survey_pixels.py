@@ -6,6 +6,7 @@ import re
 import zlib
 from fractions import Fraction
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ from geomosaic.survey.folder import masks
 from geomosaic.survey.header import read_header
 from geomosaic.survey.model import Attitude, Frame, Position
 from geomosaic.survey.pixels import read_pixels
-from geomosaic.survey.small import Small, small_of
+from geomosaic.survey.small import EighthColours, HalfGrey, Spare
 from geomosaic.survey.xmp import parse_xmp
 
 
@@ -275,14 +276,16 @@ def test_brightness_alone(tmp_path: Path) -> None:
     assert np.array_equal(read_pixels(tiff, luma=True)[0], pixels)
 
 
-class Lying:
-    """What was left of a frame, and how often it was found."""
+Small = TypeVar("Small")
+
+
+class Lying(Generic[Small]):
+    """What was left of a frame, or nothing."""
 
     def __init__(self, small: Small | None) -> None:
-        self.small, self.asked = small, 0
+        self.small = small
 
     def found(self) -> Small | None:
-        self.asked += 1
         return self.small
 
     def leave(self, result: Small) -> None:
@@ -301,8 +304,10 @@ def test_what_was_left_of_a_frame_is_what_decoding_it_gives(
     decodes: list[int] = []
     monkeypatch.setattr(pixels_room, "decoded", lambda *of: decodes.append(1) or decoded(*of))
     for how, wanted in zip(asked, anew, strict=True):
-        lying = Lying(small_of(half))
-        assert np.array_equal(read_pixels(frame(path), spare=lying, **how)[0], wanted)  # type: ignore[arg-type]
-        assert np.array_equal(read_pixels(frame(path), spare=Lying(None), **how)[0], wanted)  # type: ignore[arg-type]
+        for spare in (
+            Spare(Lying(HalfGrey.of(half)), Lying(EighthColours.of(half))),
+            Spare(Lying(None), Lying(None)),
+        ):
+            assert np.array_equal(read_pixels(frame(path), spare=spare, **how)[0], wanted)  # type: ignore[arg-type]
     assert len(decodes) == 6  # neither of the first two where they lie
     assert anew[0].shape == (255, 259, 1)
