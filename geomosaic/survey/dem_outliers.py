@@ -16,6 +16,7 @@ _FILL_STEPS = tuned(4.0, "99 % steps", "a fill's step over the usual: less loses
 _SPIKE_M = tuned(50.0, "m", "height of a lone wrong pixel: less does a mosaic no harm")
 _SPIKE_SPREADS = tuned(10.0, "95 % differences", "of a lone wrong pixel: less loses sharp summits")
 _LEAST_STEPS = tuned(100, "steps", "that show the usual step: of fewer one cliff decides")
+_MOST_FILLS = tuned(4, "values", "of either sign, as files mix them: each takes a pass over the raster")
 
 
 def outliers(height_m: Floats, mixed: bool = False) -> Bools:
@@ -29,7 +30,10 @@ def outliers(height_m: Floats, mixed: bool = False) -> Bools:
         bad = (height_m < _LAND_M[0]) | (height_m > _LAND_M[1])
         left = np.where(bad, np.nan, height_m).astype(np.float32)
     for lowest in (True, False):
-        while (fill := _fill(left, lowest)) is not None:
+        for _ in range(_MOST_FILLS):
+            fill = _fill(left, lowest)
+            if fill is None:
+                break
             bad |= fill
             left[fill] = np.nan
     if mixed and bad.any():

@@ -21,6 +21,7 @@ from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
 from geomosaic.survey.strip_pixels import GreyScale
 
+_MOST_CCDS = tuned(64, "CCDs", "of a focal plane: TH-1 has 8; each opens a file and takes memory")
 _MOST = tuned(1e9, "any unit", "largest number in a geometry file: products stay in 64 bits")
 EARTH_RADIUS_M = sourced(6371000.0, "m", "by which the vertical turns between rows", "GRS 80, mean radius")
 _ALTITUDE_M = tuned(500e3, "m", "where no model says it: imaging satellites fly at 400 to 800 km")
@@ -159,7 +160,7 @@ def read_geometry(path: Path) -> StripGeometry:
 
 def _ccds(entry: Mapping[str, Any], path: Path) -> tuple[Ccd, ...]:
     listed = entry["ccds"]
-    if not isinstance(listed, list) or len(listed) < 2:
+    if not isinstance(listed, list) or not 2 <= len(listed) <= _MOST_CCDS:
         raise InputError("'ccds' isn't a list of at least two CCDs, left to right", file=path, fix=_FIX)
     ccds: list[Ccd] = []
     for i, one in enumerate(listed, 1):

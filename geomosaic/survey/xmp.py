@@ -22,6 +22,7 @@ _MOST_MARKS = tuned(20_000, "tags", "cameras write 400, editors 5000; more fills
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
 _NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
+_LONGEST_NUMBER = tuned(80, "characters", "doubles have 25; thousands of digits take long to read")
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
 
@@ -64,7 +65,8 @@ def _packet(data: bytes) -> bytes | None:
 def number(xmp: Xmp, *names: str) -> float | None:
     """The first of some properties that is a finite number (`+12.5`, or a fraction `25/2`)."""
     for name in names:
-        match = _NUMBER.fullmatch(xmp.get(name, ""))
+        text = xmp.get(name, "")
+        match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST_NUMBER else None
         if match and float(match[2] or 1):
             value = float(match[1]) / float(match[2] or 1)
             if math.isfinite(value):
