@@ -22,6 +22,7 @@ _MOST_MARKS = tuned(20_000, "tags", "cameras write 400, editors 5000; more fills
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
 _NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
+_MOST_PREFIXES = tuned(100, "prefixes", "of a packet: far more than programs write; each is declared")
 _LONGEST_NUMBER = tuned(80, "characters", "doubles have 25; thousands of digits take long to read")
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
@@ -83,6 +84,8 @@ def numbers(xmp: Xmp, name: str, count: int) -> tuple[float, ...] | None:
 
 def _declared(packet: bytes) -> bytes:
     used = set(re.findall(rb"[<\s]([A-Za-z][\w.-]*):[A-Za-z][\w.-]*(?=[\s=>/])", packet))
+    if len(used) > _MOST_PREFIXES:
+        raise ValueError("too many prefixes")
     missing = used - {b"xml", b"xmlns", *re.findall(rb"xmlns:([\w.-]+)=", packet)}
     known = {b"rdf": _RDF.encode(), b"x": b"adobe:ns:meta/"}
     extra = b"".join(b' xmlns:%s="%s"' % (p, known.get(p, b"urn:" + p)) for p in sorted(missing))
