@@ -145,8 +145,11 @@ def _read_in_order(work: Work) -> Work:
         return work
     other = turned_back(work, quarters)
     poses = turned_poses(work.found.solution.poses, quarters)
-    other = other.then(block_solution(BlockTask(other.block, other.settings, other.few, other.rough), poses))
-    return other if surely_better(other.found.solution, work.found.solution) else work
+    task = BlockTask(other.block, other.settings, other.few, other.rough)
+    with suppress(NotSolvableError):
+        other = other.then(block_solution(task, poses))
+        return other if surely_better(other.found.solution, work.found.solution) else work
+    return work
 
 
 def _heights_freed(work: Work) -> Work:

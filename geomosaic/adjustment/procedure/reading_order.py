@@ -13,6 +13,8 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.problem.usable_block import as_taken
+from geomosaic.adjustment.procedure.cross_validation import BETTER
+from geomosaic.adjustment.procedure.model_selection import GOOD_PX
 from geomosaic.adjustment.procedure.outcome import Work
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
@@ -27,10 +29,6 @@ from geomosaic.survey.model import Warn
 _STEADY = tuned(0.5, "share of the velocity", "across the view, or unsteady: beyond it no way is known")
 _SURE = sourced(150.0, "times as likely", "that one order is right, not the other", "Kass and Raftery 1995")
 _MOST_BACKWARDS = tuned(0.6, "share of the frames", "more fly backwards: cameras look back; half: two lines")
-_LEAST_PX = tuned(
-    1.0, "px", "flown while a frame is read: less is like a keypoint's error, whatever the order"
-)
-_AS_SHARP = tuned(1.05, "times", "the image deviation that another order may leave: chance")
 
 
 def read_backwards(work: Work) -> tuple[int, ...]:
@@ -45,7 +43,7 @@ def read_backwards(work: Work) -> tuple[int, ...]:
     in_camera = np.einsum("fij,fi->fj", solution.poses.rotations, velocities)
     speed = np.linalg.norm(velocities, axis=1)
     focal_px = np.array([c.focal_length_px * (c.readout_s or NOMINAL_READOUT_S) for c in block.cameras])
-    if float(np.median(speed * focal_px)) < _LEAST_PX * flying_height_m(block):
+    if float(np.median(speed * focal_px)) < GOOD_PX * flying_height_m(block):
         return ()
     way = np.sign(in_camera[:, 1]) * (np.abs(in_camera[:, 1]) > _STEADY * speed) * _steady(block, speed)
     way[solution.left_out] = 0.0
@@ -60,7 +58,8 @@ def _steady(block: Block, speed: Floats) -> Bools:
 
 
 def turned_back(work: Work, quarters: tuple[int, ...]) -> Work:
-    """The same work for the images turned back, but for its solution."""
+    """The same work for the images turned back, but for its solution. Cameras stay: they are those of the
+    sensor."""
     half = np.array(quarters) == 2
     block, given = (
         replace(as_taken(replace(b, turned=quarters)), cameras=b.cameras) for b in (work.block, work.given)
@@ -83,10 +82,10 @@ def turned_back(work: Work, quarters: tuple[int, ...]) -> Work:
 def surely_better(its: Solution, now: Solution) -> bool:
     """Whether another order of reading leaves frames as sharp, and so much less of their velocities' errors
     that it is by far the likelier one."""
-    if its.components[IMAGE] > _AS_SHARP * now.components[IMAGE]:
+    if BETTER * its.components[IMAGE] > now.components[IMAGE]:
         return False
     before, after = _velocity_errors(now), _velocity_errors(its)
-    return bool(len(now.poses) * np.log(before / max(after, SLIGHT)) > np.log(_SURE))
+    return bool(len(now.poses) * np.log(max(before, SLIGHT) / max(after, SLIGHT)) > np.log(_SURE))
 
 
 def _velocity_errors(solution: Solution) -> float:
