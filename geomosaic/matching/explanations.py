@@ -8,11 +8,11 @@ quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h
     p(y, h | tag wrong, q) = g(y) f(h + 90 q)
     f(x) = (1 - a - b) N(x - e - u; w) + a N(x - e - u - 180; w) + b / 360
 
-g is uniform, and if the image was not turned half the heading of the line flown the other way. The usual
-angle u, its scatter w and the rates a and b of frames that look elsewhere are estimated from the frames
-whose tags and images agree; the rates of wrong tags and turned images from all frames. The method is
-expectation maximisation with weak priors of the rates (Laplace's rule of succession). Expected headings e
-are the course, one heading for all frames, or none; they are averaged by their likelihoods.
+g is uniform, and if the image was not turned half the heading kept from the line before, which was flown the
+other way. The usual angle u, its scatter w and the rates a and b of frames that look elsewhere are estimated
+from the frames whose tags and images agree; the rates of wrong tags and turned images from all frames. The
+method is expectation maximisation with weak priors of the rates (Laplace's rule of succession). Expected
+headings e are the course, one heading for all frames, or none; they are averaged by their likelihoods.
 
 References: Dempster, Laird and Rubin 1977 (mixtures); Kass and Raftery 1995 (averages over models, with
 Schwarz's penalty for the estimated parameters).
@@ -21,7 +21,7 @@ Schwarz's penalty for the estimated parameters).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,8 @@ _FALSE_PAIR = tuned(0.02, "share", "of tied pairs that tie wrongly: less is sure
 
 @dataclass(frozen=True)
 class HeadingEvidence:
-    """Directions of n frames in rad, clockwise from north; NaN where unknown.
+    """Directions of n frames in the order in which they were taken, in rad, clockwise from north; NaN where
+    unknown.
 
     given_rad (n,): heading tags. image_rad (n,): as the images lie. course_rad (n,): courses over ground.
     sd_rad (n,): standard deviations of the tags. possible (n, 4): quarter turns that an image can have had.
@@ -75,26 +76,40 @@ def explained(evidence: HeadingEvidence) -> Floats:
     near = np.abs(apart[:, 0])[np.abs(apart[:, 0]) < MOST_RAD]
     scatter = float(np.median(near)) / MEDIAN_ONE if len(near) else 0.0
     sd = np.maximum(evidence.sd_rad[known], scatter)[:, None]
-    wrong = np.full(apart.shape, 1.0 / math.tau)
-    opposite = normal(wrapped(apart[:, 0] - np.pi), sd[:, 0])  # half of them stay those of the line before
-    wrong[:, 0] = (wrong[:, 0] + opposite) / 2.0
-    tags = np.stack([normal(apart, sd), wrong], axis=1)
     agree = np.abs(apart[:, 0]) < THREE_SIGMA * sd[:, 0]
+    wrong = np.full(apart.shape, 1.0 / math.tau)
+    wrong[:, 0] = (wrong[:, 0] + _kept(given, image, agree, sd[:, 0])) / 2.0
+    tags = np.stack([normal(apart, sd), wrong], axis=1)
     ways = evidence.possible[known] / np.maximum(evidence.possible[known, 1:].sum(axis=1, keepdims=True), 1)
     ways[:, 0] = 1.0
     expected = (course, np.zeros(len(given)), np.full(len(given), np.nan))
-    flown = [_flown(given[agree] - e[agree]) for e in expected]
-    logs = np.array([f.log_likelihood for f in flown]) + np.log(_PRIORS)
-    weight = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
-    for e, way, share in zip(expected, flown, weight, strict=True):
+    found, logs = np.empty((len(expected), *tags.shape)), np.log(_PRIORS)
+    for k, e in enumerate(expected):
+        way, penalty = _flown(given[agree] - e[agree])
         camera = image[:, None] + quarters - e[:, None]
         fits = np.stack([np.repeat(way.density(given - e)[:, None], 4, axis=1), way.density(camera)], axis=1)
-        out[known] += share * _shares(tags * fits, ways)
+        found[k], log = _shares(tags * fits, ways)
+        logs[k] += log - penalty
+    weight = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
+    out[known] = np.tensordot(weight, found, axes=1)
     return out
 
 
-def _shares(like: Floats, ways: Floats) -> Floats:
-    """Probabilities (n, 2, 4) by likelihoods (n, 2, 4) and the rates of wrong tags and turned images.
+def _kept(given: Floats, image: Floats, agree: Bools, sd: Floats) -> Floats:
+    """Densities (n,) of tags that were kept from the line before: the last earlier frame whose tag fits its
+    image, which lies the other way. Half of them are kept to the last digit."""
+    n = len(given)
+    back = agree & (np.abs(wrapped(image - image[:, None])) > np.pi / 2.0)
+    before = np.where(np.tri(n, k=-1, dtype=bool) & back, np.arange(n), -1).max(axis=1)
+    off = np.abs(wrapped(given - given[before]))
+    digit = np.diff(np.unique(given), append=np.inf).min()
+    to_the_digit = np.where(off < digit / 2.0, 1.0 / digit, 0.0)
+    return np.where(before < 0, 1.0 / math.tau, (normal(off, sd) + to_the_digit) / 2.0)
+
+
+def _shares(like: Floats, ways: Floats) -> tuple[Floats, float]:
+    """Probabilities (n, 2, 4) by likelihoods (n, 2, 4) and the rates of wrong tags and turned images; and the
+    logarithm of the likelihood of all.
 
     Args: ways (n, 4): share of each quarter turn among turned images; 1 if not turned.
     """
@@ -103,9 +118,10 @@ def _shares(like: Floats, ways: Floats) -> Floats:
     for _ in range(MOST_ROUNDS):
         by_turn = ways * [1.0 - turned, turned, turned, turned]
         share = like * np.stack([(1.0 - wrong) * by_turn, wrong * by_turn], axis=1)
-        share /= share.sum(axis=(1, 2), keepdims=True)
+        whole = share.sum(axis=(1, 2), keepdims=True)
+        share /= whole
         wrong, turned = ((float(share[at].sum()) + 1.0) / (n + 2.0) for at in (np.s_[:, 1], np.s_[:, :, 1:]))
-    return share
+    return share, float(np.log(whole).sum())
 
 
 @dataclass(frozen=True)
@@ -117,7 +133,6 @@ class _Flown:
     width: float
     opposite: float
     stray: float
-    log_likelihood: float = 0.0
 
     def parts(self, off: Floats) -> Floats:
         """Densities (3, ...) of the camera's headings less expected ones: usual, opposite, any."""
@@ -130,12 +145,13 @@ class _Flown:
         return np.where(np.isfinite(off), self.parts(off).sum(axis=0), 1.0 / math.tau)
 
 
-def _flown(off: Floats) -> _Flown:
-    """By the differences of frames whose tags and images agree; NaN where no heading was expected."""
-    whole, off = len(off), off[np.isfinite(off)]
-    n, unknown = len(off), -float(np.log(math.tau))
+def _flown(off: Floats) -> tuple[_Flown, float]:
+    """By the differences of frames whose tags and images agree; NaN where no heading was expected. And
+    Schwarz's penalty of its four numbers."""
+    off = off[np.isfinite(off)]
+    n = len(off)
     if not n:
-        return _Flown(0.0, _FIRST_RAD, 0.0, 1.0, whole * unknown)
+        return _Flown(0.0, _FIRST_RAD, 0.0, 1.0), 0.0
     known = 1.0 + sum(_STRAYS) + n
     found = _Flown(usual_angle(off), _FIRST_RAD, _STRAYS[0] / known, _STRAYS[1] / known)
     for _ in range(MOST_ROUNDS):
@@ -147,8 +163,7 @@ def _flown(off: Floats) -> _Flown:
         width = min(float(np.sqrt(spread)), MOST_RAD)
         rates = ((float(of.sum()) + prior) / known for of, prior in zip((back, stray), _STRAYS, strict=True))
         found = _Flown(usual, width, *rates)
-    log = float(np.log(found.density(off)).sum()) + (whole - n) * unknown
-    return replace(found, log_likelihood=log - 2.0 * float(np.log(n)))
+    return found, 2.0 * float(np.log(n))
 
 
 def usual_angle(angles_rad: Floats) -> float:

@@ -16,12 +16,12 @@ from geomosaic.constants import tuned
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained, usual_angle
 from geomosaic.matching.model import TiePair
 from geomosaic.matching.relative import MOST_TIES, averaged, joints_of
-from geomosaic.placement.graph import connected_parts, flight_lines
+from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import (
     COURSE_YAW_SD_DEG,
-    courses_deg,
     heading_assumed,
     heading_limits_rad,
+    smooth_courses_deg,
 )
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
@@ -160,7 +160,7 @@ def flown_courses_rad(
         lies_m[frame] = np.median(at, axis=0)
     out, known = np.full(len(nadir_m), np.nan), ~np.isnan(lies_m[:, 0])
     if known.any():
-        out[known] = np.radians(courses_deg(lies_m[known], flight_lines(lies_m[known])))
+        out[known] = np.radians(smooth_courses_deg(lies_m[known]))
     return out
 
 

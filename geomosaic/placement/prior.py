@@ -12,6 +12,7 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.placement.graph import flight_lines
 from geomosaic.placement.heights import FrameHeights, or_nan
 from geomosaic.placement.velocity import velocities_m_per_s
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
@@ -77,9 +78,9 @@ ATTITUDES: dict[str, Callable[[Floats, Floats, Floats], Rotation]] = {
 }
 
 
-def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
-    """True course over ground at each frame (n,), from its neighbours in the same flight line; NaN where it
-    has none, or they lie where it does."""
+def courses_deg(positions_m: Floats, lines: tuple[int, ...], reach: int = 1) -> Floats:
+    """True course over ground at each frame (n,), by least squares through its neighbours in the same flight
+    line; NaN where it has none, or they lie where it does. Args: reach: how many frames before and after."""
     n = len(positions_m)
     course = np.full(n, np.nan)
     frames: dict[int, list[int]] = {}
@@ -89,9 +90,16 @@ def courses_deg(positions_m: Floats, lines: tuple[int, ...]) -> Floats:
         if len(at) < 2:
             continue
         for k, i in enumerate(at):
-            d = positions_m[at[min(k + 1, len(at) - 1)]] - positions_m[at[max(k - 1, 0)]]
-            course[i] = np.degrees(np.arctan2(d[0], d[1])) if d[:2].any() else np.nan
+            near = np.arange(max(k - reach, 0), min(k + reach + 1, len(at)))
+            d = (near - near.mean()) @ positions_m[[at[j] for j in near], :2]
+            course[i] = np.degrees(np.arctan2(d[0], d[1])) if d.any() else np.nan
     return course
+
+
+def smooth_courses_deg(positions_m: Floats) -> Floats:
+    """The same through two frames before and after, so that positions good to a twentieth of their spacing
+    leave two degrees; lines are found by the positions."""
+    return courses_deg(positions_m, flight_lines(positions_m), reach=2)
 
 
 def prior_poses(

@@ -52,7 +52,7 @@ def test_each_fault_has_its_own_explanation(mount_deg: float) -> None:
     """Turned; kept from the line before; off by 141 degrees; both."""
     tag, image = flown(1, mount_deg)
     image[3] -= 180.0
-    tag[6] += 180.0
+    tag[6] = tag[4]
     tag[11] += 141.0
     image[17] -= 180.0
     tag[17] += 100.0
@@ -69,6 +69,25 @@ def test_a_whole_line_of_wrong_headings_is_no_line_of_turned_images() -> None:
         (tag if fault == "tag" else image)[5:10] -= 180.0
         best = shares(tag, image).argmax(axis=1)
         assert best.tolist() == [0] * 5 + [WRONG if fault == "tag" else 2] * 5 + [0] * 10
+
+
+@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("seed", range(10))
+def test_a_line_turned_and_a_line_of_kept_headings_are_told_apart_by_rough_courses(
+    kept: bool, seed: int
+) -> None:
+    """Positions good to 1.5 m every 20 m: all images lie the same way, or all tags, as if nobody had turned."""
+    rng = np.random.default_rng(seed)
+    course = np.repeat([30.0, 210.0, 30.0], 8)
+    image = course + rng.normal(0.0, 2.0, 24)
+    tag = image + rng.normal(0.0, 1.0, 24)
+    line = np.s_[8:16]
+    if kept:
+        tag[line] = tag[7]
+    else:
+        image[line] -= 180.0
+    best = shares(tag, image, course + rng.normal(0.0, 6.0, 24)).argmax(axis=1)
+    assert best.tolist() == [0] * 8 + [WRONG if kept else 2] * 8 + [0] * 8
 
 
 def test_quarter_turns_are_found_where_an_image_can_have_had_them() -> None:

@@ -21,8 +21,12 @@ from geomosaic.estimation.similarity import fit_similarity
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained
 from geomosaic.matching.planes import LEAST_POINTS
 from geomosaic.matching.tracks import Tracks
-from geomosaic.placement.graph import flight_lines
-from geomosaic.placement.prior import courses_deg, heading_assumed, heading_limits_rad, position_assumed
+from geomosaic.placement.prior import (
+    heading_assumed,
+    heading_limits_rad,
+    position_assumed,
+    smooth_courses_deg,
+)
 from geomosaic.survey.model import Warn
 
 WITHIN_PX = tuned(8.0, "px", "residual of a point that agrees; rolling shutters take some")
@@ -127,7 +131,7 @@ def wrong_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
     off_deg, most_deg = headings_off_deg(block.poses, poses)
     given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (block.poses, poses))
     given, found = (np.degrees(yaw_rad) % 360.0 for yaw_rad in (given_rad, found_rad))
-    course_rad = np.radians(courses_deg(poses.positions_m, flight_lines(poses.positions_m)))
+    course_rad = np.radians(smooth_courses_deg(poses.positions_m))
     evidence = HeadingEvidence(
         np.where(heading_assumed(block.poses), np.nan, given_rad),
         found_rad,

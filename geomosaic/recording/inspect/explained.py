@@ -19,8 +19,7 @@ from geomosaic.matching.explanations import (
     usual_angle,
     wrong_positions,
 )
-from geomosaic.placement.graph import flight_lines
-from geomosaic.placement.prior import COURSE_YAW_SD_DEG, YAW_LIES_DEG, courses_deg
+from geomosaic.placement.prior import COURSE_YAW_SD_DEG, YAW_LIES_DEG, smooth_courses_deg
 from geomosaic.quality.ranking import headings_off_deg
 from geomosaic.recording.file.model import FigureTable, Recording
 
@@ -79,7 +78,7 @@ def _of_headings(
     sd_deg = np.hypot(np.maximum(YAW_LIES_DEG / 4.0, given_sd), np.nan_to_num(found_sd))
     possible = np.tile(_HALF_TURNS, (len(names), 1))
     possible[[(TURNED, name) in accused for name in names]] = True
-    course = courses_deg(place, flight_lines(place))
+    course = smooth_courses_deg(place)
     tags, images, courses, sd_rad = (np.radians(v) for v in (given, found, course, sd_deg))
     evidence = HeadingEvidence(tags, images, courses, sd_rad, possible)
     shares = explained(evidence).reshape(len(names), 8)
