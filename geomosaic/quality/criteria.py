@@ -192,6 +192,16 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "lens and shutter could not be solved for and are as given",
         "give a calibrated lens (--camera), or more overlap",
     ),
+    "positions-mirrored": (
+        "bad",
+        "the positions are a mirror image of what the frames show: exchanged columns, or a lost sign",
+        "correct longitude and latitude in --pos or in the frames' tags",
+    ),
+    "positions-contradicted": (
+        "bad",
+        "the positions contradict the images: they may belong to other frames",
+        "check the names and their order in --pos, or the frames' tags",
+    ),
     "scale-doubtful": (
         "doubtful",
         "the block's scale disagrees with the positions",

@@ -27,7 +27,8 @@ from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.problem.estimate import Estimate, Step
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
-from geomosaic.adjustment.procedure.blunder_detection import implausible_lenses, shift_and_scale
+from geomosaic.adjustment.procedure.blunder_detection import implausible_lenses
+from geomosaic.adjustment.procedure.position_checks import shift_and_scale
 from geomosaic.adjustment.solver.solve import solve
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.interior_orientation import (

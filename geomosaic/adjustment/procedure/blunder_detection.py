@@ -11,13 +11,12 @@ import numpy as np
 from geomosaic.adjustment.kernels.interior import INTERIOR
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.adjustment.solver.solution import Solution
-from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, log_turn
-from geomosaic.constants import MEDIAN_LENGTH, sourced, tuned
-from geomosaic.estimation.robust import BLUNDER, FAR
-from geomosaic.estimation.similarity import fit_similarity
+from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.robust import BLUNDER
 from geomosaic.matching.explanations import WRONG, HeadingEvidence, explained
 from geomosaic.matching.planes import LEAST_POINTS
 from geomosaic.matching.tracks import Tracks
@@ -34,7 +33,6 @@ _TRIALS = sourced(1000, "samples of five", "with 1/3 of good points", "Fischler 
 _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
 """From camera axes with z backwards to OpenCV's with z forwards."""
 _UPRIGHT_DEG = tuned(20.0, "degrees", "most tilt of a nadir view")
-_WITHIN_FLIGHT_M = tuned(1.0, "m", "agreement of a code receiver's positions in a flight, whatever is stated")
 
 
 def counted_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
@@ -160,43 +158,6 @@ def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
     """Differences of headings (n,), found minus given, and their limits (n,), in degrees."""
     turned = log_turn(found.rotations @ np.swapaxes(given.rotations, 1, 2))[:, 2]
     return np.degrees(turned), np.degrees(heading_limits_rad(given))
-
-
-def shift_and_scale(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
-    """Warnings of a common shift of all positions beyond five stated deviations (another datum of control),
-    and of a wrong scale of the block by the similarity from adjusted to given positions. Its deviation is a
-    position's over the root of the squared extent; a position's is the residual of the similarity, and at
-    least the stated one or 1 m."""
-    frames = frames[~position_assumed(block.poses)[frames]]
-    if not len(frames):
-        return []
-    stated = block.poses.positions_sd_m[frames]
-    given, found = block.poses.positions_m[frames], poses.positions_m[frames]
-    shift_m, out = np.median(given - found, axis=0), []
-    if np.any(np.abs(shift_m) > FAR * np.median(stated, axis=0)):
-        east, north, up = shift_m
-        text = (
-            f"the positions lie {east:+.1f} m east, {north:+.1f} m north and {up:+.1f} m up of where the "
-            "adjustment puts the frames; check their datum and height system, and those of control points"
-        )
-        out.append(Warn("positions-shifted", "", text))
-    given, found = given[:, :2], found[:, :2]
-    extent_m = float(np.sqrt(((found - found.mean(axis=0)) ** 2).sum()))
-    if extent_m == 0.0 or len(frames) < 3 or not np.ptp(given, axis=0).any():
-        return out
-    turn, shift = fit_similarity(found, given)
-    left = given @ [1, 1j] - turn * (found @ [1, 1j]) - shift
-    scatter_m = float(np.median(np.abs(left))) / MEDIAN_LENGTH
-    position_sd_m = max(min(float(np.median(stated[:, :2])), _WITHIN_FLIGHT_M), scatter_m)
-    off, sd = 1.0 / abs(turn) - 1.0, position_sd_m / extent_m
-    if abs(off) > FAR * sd:
-        text = (
-            f"the block is {abs(off) * 100.0:.2f} % {'larger' if off > 0.0 else 'smaller'} than its "
-            f"frames' positions say (standard deviation {sd * 100.0:.2f} %); the mosaic's scale is in "
-            "doubt: check the focal length, the flying height and the positions"
-        )
-        out.append(Warn("scale-doubtful", "", text))
-    return out
 
 
 def implausible_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:

@@ -24,7 +24,6 @@ from geomosaic.adjustment.procedure.blunder_detection import (
     contradicted_frames,
     counted_shares,
     implausible_lenses,
-    shift_and_scale,
     undetermined_unknowns,
     unsolved_frames,
     wrong_tags,
@@ -37,6 +36,7 @@ from geomosaic.adjustment.procedure.control_points import (
     spread_of_poses,
 )
 from geomosaic.adjustment.procedure.model_selection import image_residuals, model_warnings
+from geomosaic.adjustment.procedure.position_checks import OF_ANOTHER_SHAPE, shift_and_scale
 from geomosaic.adjustment.procedure.reported_corrections import height_drift
 from geomosaic.adjustment.solver.place_uncertainty import ground_places
 from geomosaic.adjustment.solver.solution import Solution
@@ -201,13 +201,16 @@ def bundle_outcome(work: Work) -> Adjusted:
         control=with_precision(block.control, components),
     )
     adjusted = outcome(as_found, solution.poses, (Round(work.misalignments_m, moves),), accuracy)
+    of_frames = wrong_tags(block, certain, rejected, components[HORIZONTAL])
+    of_positions = shift_and_scale(block, solution.poses, observed)
+    unlike = any(w.code in OF_ANOTHER_SHAPE for w in of_positions)
     return replace(
         adjusted,
         warnings=(
             *work.notes,
-            *wrong_tags(block, certain, rejected, components[HORIZONTAL]),
+            *(w for w in of_frames if w.code != "position-wrong" or not unlike),
             *rejected.values(),
-            *shift_and_scale(block, solution.poses, observed),
+            *of_positions,
             *height_drift(given, solution.poses, observed).warnings(given),
             *undetermined_unknowns(shared, given.cameras),
             *unsolved_frames(block, solution.left_out),
