@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -44,6 +45,12 @@ _PATH_TAGS: Final = frozenset({"SourceFilename", "SourceDataset"})
 _SUBCLASSES: Final = frozenset({"", "VRTWarpedDataset", "VRTSourcedRasterBand", "VRTWarpedRasterBand"})
 
 
+_COMPANION: Final = re.compile(
+    r"\.(\w{1,3}w|wld|aux|rrd|ovr|msk|hdr|prj|stx|clr|xml|csvt|cpg|dbf|shx|shp|qix|sbn|sbx|dat|map|id|ind|tab)"
+)
+"""Suffixes of what GDAL's raster and vector drivers read with a file: world files first."""
+
+
 def check_sidecars(path: Path) -> None:
     """`FileError` where a file that goes with path could lead GDAL to another place than this folder.
 
@@ -65,6 +72,13 @@ def check_sidecars(path: Path) -> None:
             _check_plain(file, (b"EHFA",))
         elif file.suffix.lower() in _TEXTS and file.stat().st_size > SHORT_BYTES:
             raise FileError(f"is over {SHORT_BYTES >> 20} MB", file=file, fix=_SIDECAR_FIX)
+
+
+def companions_of(path: Path) -> list[Path]:
+    """The files beside a file that are read with it: of the same stem, and of a kind that goes with rasters,
+    shapefiles and tables. A log or an archive of the same stem is none."""
+    near = (p for p in path.parent.iterdir() if p.name.startswith(f"{path.stem}.") and p != path)
+    return sorted(p for p in near if _COMPANION.fullmatch(p.suffix.lower()) and p.is_file())
 
 
 def sources_of(path: Path) -> list[Path]:

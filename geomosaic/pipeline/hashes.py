@@ -11,7 +11,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from geomosaic.doors.references import sources_of
+from geomosaic.doors.references import companions_of, sources_of
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
 from geomosaic.recording.file.fingerprints import fingerprint_of_json
@@ -125,17 +125,13 @@ class FileHashes:
     def manifest(self, path: Path, progress: Callable[[int, int], None] | None = None) -> dict[str, str]:
         """Names and hashes of what a file parameter stands for.
 
-        A file stands for itself, the files beside it of the same stem (`.prj`, world files, `.hdr`,
-        `.aux.xml`, `.ovr`), and the sources of a VRT by their full paths; a folder for the files directly
-        inside that aren't hidden.
+        A file stands for itself, the files that are read with it (`companions_of`), and the sources of a VRT
+        by their full paths; a folder for the files directly inside that aren't hidden.
         """
         if path.is_dir():
             found = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
         else:
-            companions = (
-                p for p in path.parent.iterdir() if p.name.startswith(f"{path.stem}.") and p.is_file()
-            )
-            found = [*sorted({path, *companions}), *sources_of(path.absolute())]
+            found = [*sorted({path, *companions_of(path)}), *sources_of(path.absolute())]
         near = path if path.is_dir() else path.parent
         hashes = {}
         for i, file in enumerate(found):

@@ -168,6 +168,11 @@ def new_sidecar(toys: Toys) -> None:
     toys.folder.joinpath("numbers.prj").write_text("EPSG:32632")
 
 
+def new_log(toys: Toys) -> None:
+    """Such as the run's own output, which changes while it reads."""
+    toys.folder.joinpath("numbers.log").write_text("read")
+
+
 @pytest.mark.parametrize(
     ("change", "redone"),
     [
@@ -182,6 +187,7 @@ def new_sidecar(toys: Toys) -> None:
         (edit_numbers, ["read", "power", "item 5", *ALL[6:]]),
         (touch_numbers, ["tell"]),
         (new_sidecar, ["read", "power", *ALL[6:]]),
+        (new_log, ["tell"]),
         (delete_total, ["write", "tell"]),
         (edit_total, ["write", "tell"]),
         (delete_raw, ["sum", "tell"]),
