@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from pyproj import CRS
@@ -23,6 +24,8 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, ParsedTable
 
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
+_RADIANS: Final = (np.pi, np.pi / 2.0)
+"""The largest longitude and latitude in radians. As degrees there is no land within."""
 _FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
 _ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")
 NOWHERE: Floats = np.column_stack([[], []])
@@ -212,6 +215,13 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
         problem = "longitude and latitude are both 0, as a receiver writes without satellites"
         fix = "correct them, or take the line and its frame out"
         raise table.error(int(np.argmax(nowhere)), problem, fix)
+    if (np.abs(lonlat) <= _RADIANS).all():
+        raise InputError(
+            f"longitude and latitude look like radians (line {table.lines[0]}: {lonlat[0, 0]:g}, "
+            f"{lonlat[0, 1]:g}): as degrees they would lie in the sea off Africa",
+            file=table.path,
+            fix="give decimal degrees, or name the columns lon_rad and lat_rad",
+        )
     for bad, axis, name, limit in ((lat_bad, 1, "latitude", 90), (lon_bad, 0, "longitude", 180)):
         if bad.any():
             row = int(np.argmax(bad))

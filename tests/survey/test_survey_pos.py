@@ -208,6 +208,7 @@ BAD = {
     "latitude 95": ("frame,lon,lat\na,9,48\nb,9.1,95\n", r"line 3: latitude 95 is outside -90 to 90"),
     "longitude 200": ("frame,lon,lat\na,200,48\n", r"line 2: longitude 200 is outside -180 to 180"),
     "swapped": ("frame,lon,lat\na,24.7,120.9\nb,24.8,121\n", r"longitude and latitude are swapped \(line 2"),
+    "radians": ("frame,lon,lat\na,0.197211,0.839502\nb,0.197214,0.839504\n", r"look like radians \(line 2: 0.197211, 0.83"),
     "a word": ("frame,lon,lat\na,9,north\n", r"line 2: 'north' is no number for lat"),
     "infinite": ("frame,lon,lat,z\na,9,48,inf\n", r"line 2: 'inf' is no number for height"),
     "huge": ("frame,lon,lat,z\na,9,48,1e999\n", r"'1e999' is no number"),
