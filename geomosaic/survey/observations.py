@@ -164,8 +164,8 @@ def _matched(
         warnings.append(Warn("pos-line-without-frame", "", f"{pos.path.name}: {text}"))
     if lacking:
         text = (
-            f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}; positions in their tags "
-            "are used"
+            f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}; they keep the "
+            "positions in their tags, if they have any"
         )
         warnings.append(Warn("pos-frame-without-line", "", f"{pos.path.name}: {text}"))
     return [rows.get(name) for name in own], warnings
