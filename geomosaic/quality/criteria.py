@@ -202,6 +202,16 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the positions contradict the images: they may belong to other frames",
         "check the names and their order in --pos, or the frames' tags",
     ),
+    "positions-elsewhere": (
+        "doubtful",
+        "the POS file and the positions in the frames' tags lie kilometres apart",
+        "check the columns of the file and its reference system (--pos-crs)",
+    ),
+    "dem-heights-off": (
+        "doubtful",
+        "the elevation model lies hundreds of metres off the ground by the frames' altitudes",
+        "check the unit of its heights and what they count from (--dem-offset)",
+    ),
     "scale-doubtful": (
         "doubtful",
         "the block's scale disagrees with the positions",

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.function_stage import stage
@@ -27,6 +28,7 @@ from geomosaic.survey.model import Survey
 
 Floats = NDArray[np.float64]
 _MOST_FLAT_REACH = 3.0
+_MOST_OFF_M = tuned(250.0, "m", "a geoid is off by up to 107 m, barometers by weather; more misses feet")
 _NODE_PX = 4.0  # ground pixels between the nodes of a surface: edges of walls are no sharper in a mosaic
 
 
@@ -43,7 +45,7 @@ class GroundParams(StageParams):
 
 
 @stage(
-    "projection.ground", "Make the ground surface", group="Projection", version=7,
+    "projection.ground", "Make the ground surface", group="Projection", version=8,
     outputs=("prior_ground", "levelled_survey"),
     formerly={"prior_ground": "ground", "levelled_survey": "survey"},
 )  # fmt: skip
@@ -108,6 +110,8 @@ def _dem(survey: Survey, enu: Floats, context: Context) -> GroundSurface:
     xy = projection.map_from_geodetic(at[:, 0], at[:, 1])
     near = read_heights(survey.elevation, (*xy.min(axis=0), *xy.max(axis=0)))
     below = near.at(xy[:, 0], xy[:, 1])
+    if np.isfinite(below).any():
+        _compare_heights(survey, float(np.nanmedian(below)), context)
     low = float(np.nanmin(near.height_ellipsoidal_m, initial=np.nanmin(below)))
     above = frame_heights_m(survey.frames, below[: len(survey.frames)]) - low
     reach = _reach_m(survey, above)
@@ -123,6 +127,20 @@ def _dem(survey: Survey, enu: Floats, context: Context) -> GroundSurface:
         context.warn(warning.code, warning.frame, warning.text)
     spacing = max(finest_m, float(raster.pixel_y * metres))
     return relief(survey.work_frame, raster, corners[0], corners[3], spacing)
+
+
+def _compare_heights(survey: Survey, dem_m: float, context: Context) -> None:
+    """Warns of a DEM that lies far from where the frames' altitudes put the ground."""
+    by_frames_m = ground_height_m(survey.frames)
+    off_m = dem_m - (dem_m if by_frames_m is None else by_frames_m)
+    if abs(off_m) > _MOST_OFF_M:
+        side = "above" if off_m > 0.0 else "below"
+        text = (
+            f"the DEM lies {abs(off_m):.0f} m {side} the ground by the frames' altitudes: its heights may "
+            "be in feet, of another place, or count from another level; convert them, or give --dem-offset "
+            "METRES"
+        )
+        context.warn("dem-heights-off", "", text)
 
 
 def _places(survey: Survey) -> Floats:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from pyproj import CRS
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import ellipsoidal_offsets_m
@@ -221,7 +222,7 @@ def _against_exif(
     rows: Sequence[PosRow | None],
     pos: PosFile,
 ) -> list[Warn]:
-    """Swapped columns, and positions far from where the frames say they were."""
+    """Swapped columns, lost signs, and positions far from where the frames say they were."""
     every = zip(rows, own, headers, strict=True)
     both = [(r, p, h.name) for r, p, h in every if r is not None and p is not None]
     if not both:
@@ -229,14 +230,14 @@ def _against_exif(
     given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])
     known = np.array([[p.lon_deg, p.lat_deg] for _, p, _ in both])
     away = distances_m(given, known)
-    swapped = distances_m(given[:, ::-1], known) if (np.abs(given[:, 0]) <= 90.0).all() else away
-    if np.median(away) > _FAR_M and np.median(swapped) < _FAR_M:
-        raise InputError(
-            f"longitude and latitude are swapped: the frames' own GPS says {known[0, 0]:.5f}, "
-            f"{known[0, 1]:.5f} for {both[0][2]}",
-            file=pos.path,
-            fix="exchange the two columns or their names",
-        )
+    if np.median(away) > _FAR_M:
+        for problem, fix, other in _mistaken(given):
+            if np.median(distances_m(other, known)) < _FAR_M:
+                said = f"the frames' own GPS says {known[0, 0]:.5f}, {known[0, 1]:.5f} for {both[0][2]}"
+                raise InputError(f"{problem}: {said}", file=pos.path, fix=fix)
+        text = f"its positions lie {np.median(away) / 1000.0:.1f} km from those in the frames' tags: "
+        text += "check columns and CRS of the file"
+        return [Warn("positions-elsewhere", "", f"{pos.path.name}: {text}")]
     i = int(np.argmax(away))
     if away[i] <= _FAR_M:
         return []
@@ -245,3 +246,12 @@ def _against_exif(
         "check columns and CRS of the file"
     )
     return [Warn("pos-far-from-exif", both[i][2], text)]
+
+
+def _mistaken(given: Floats) -> Iterator[tuple[str, str, Floats]]:
+    """What may be wrong with longitudes and latitudes (n, 2), how it is corrected, and what they are then."""
+    if (np.abs(given[:, 0]) <= 90.0).all():
+        fix = "exchange the two columns or their names"
+        yield "longitude and latitude are swapped", fix, given[:, ::-1]
+    for name, sign in (("longitudes", [-1.0, 1.0]), ("latitudes", [1.0, -1.0])):
+        yield f"the {name} have the wrong sign", "west and south are negative", given * sign

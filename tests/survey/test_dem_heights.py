@@ -239,6 +239,22 @@ def test_a_dem_with_a_hole_of_9999_gives_the_pixel_it_gave_without(
     assert "bare.vrt: its source '/gone.tif' is not there; copy it too" in capfd.readouterr().err
 
 
+def test_a_dem_whose_heights_are_in_feet_is_named(survey: SimulatedSurvey, tmp_path: Path) -> None:
+    """Its unit is not stated: the frames' altitudes show that it lies 1,200 m too high."""
+    dem, run = tmp_path / "dem.tif", tmp_path / "run"
+    with rasterio.open(survey.dem) as file:
+        values, profile = file.read(1) / 0.3048, file.profile
+    with rasterio.open(dem, "w", **profile) as file:
+        file.write(values.astype(profile["dtype"]), 1)
+    given = ["--camera", survey.camera, "--adjust", "least_squares", "--dem-offset", 0]
+    assert mosaic(survey.frames, run, *given, "--dem", survey.dem) == 0
+    assert "dem-heights-off" not in {w["code"] for w in summary(run)["warnings"]}
+    assert mosaic(survey.frames, run, *given, "--dem", dem) == 0
+    (text,) = [w["text"] for w in summary(run)["warnings"] if w["code"] == "dem-heights-off"]
+    assert "m above the ground by the frames' altitudes: its heights may be in feet" in text
+    assert summary(run)["verdict"]["grade"] == "doubtful"
+
+
 def test_a_raster_without_a_place_is_named(tmp_path: Path) -> None:
     path = tmp_path / "dem.tif"
     with pytest.warns(NotGeoreferencedWarning):

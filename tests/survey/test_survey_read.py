@@ -131,8 +131,11 @@ def test_pos_takes_the_place_of_gps_and_leaves_the_gimbal(tmp_path: Path) -> Non
     survey = read_survey(SurveyInputs(folder, pos=table))
     assert (survey.frames[0].position.source, survey.frames[0].position.sd_vertical_m) == ("pos", 3.0)
     assert (survey.frames[0].attitude.yaw_deg, survey.frames[0].attitude.sd_yaw_deg) == (5.0, 2.0)
-    assert "pos-far-from-exif" in codes(survey)
+    assert "positions-elsewhere" in codes(survey)
     assert "height-datum-unknown" not in codes(survey)
+    table.write_text("photo,lat,lon\nDJI_0001,48.765,9.123\nDJI_0002,48.7,9.1\nDJI_0003,48.765,9.123\n")
+    survey = read_survey(SurveyInputs(survey_folder(tmp_path / "g", 3), pos=table))
+    assert "pos-far-from-exif" in codes(survey) and "positions-elsewhere" not in codes(survey)
 
 
 def test_names_are_matched_with_sense(tmp_path: Path) -> None:
@@ -155,6 +158,11 @@ BAD_POS = {
     "names that match no file": (HEAD + "\nDJI_0008.JPG,9,48\nDJI_0009.JPG,9,48\n", STRANGER),
     "a duplicate": (POS + "dji_0002,9,48\n", r"frame DJI_0002\.JPG stands in line 3 and again in line 5"),
     "swapped": ("frame,lat,lon\n" + LINES, SWAPPED),
+    "west": (
+        POS.replace(",9.", ",-9."),
+        r"the longitudes have the wrong sign: .*; west and south are negative",
+    ),
+    "south": (POS.replace(",48.", ",-48."), r"the latitudes have the wrong sign: .* says 9\.1"),
     "latitude": (POS.replace("48.7654", "95", 1), r"line 2: latitude 95 is outside"),
 }
 
