@@ -197,6 +197,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the positions are a mirror image of what the frames show: exchanged columns, or a lost sign",
         "correct longitude and latitude in --pos or in the frames' tags",
     ),
+    "positions-out-of-step": (
+        "bad",
+        "the positions are one frame out of step: each frame has that of its neighbour",
+        "shift the names in --pos by one line",
+    ),
     "positions-contradicted": (
         "bad",
         "the positions contradict the images: they may belong to other frames",

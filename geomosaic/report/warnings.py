@@ -11,7 +11,7 @@ _SEVERE: Final = frozenset(
     (
         "bundle-failed", "ccd-missing", "frame-damaged", "frame-flung", "looks-past-ground",
         "mosaic-stretched", "not-placed", "pose-not-determined", "positions-all-alike",
-        "positions-contradicted", "positions-mirrored",
+        "positions-contradicted", "positions-mirrored", "positions-out-of-step",
         "scale-doubtful", "scene-misplaced", "self-calibration-failed", "separate-part",
     )
 )  # fmt: skip

@@ -38,6 +38,19 @@ def test_positions_of_other_frames_are_named() -> None:
     assert codes(given[np.random.default_rng(3).permutation(len(given))]) == ["positions-contradicted"]
 
 
+@pytest.mark.parametrize("step", [1, -1])
+def test_positions_of_the_next_frame_are_named(step: int) -> None:
+    """A log that begins one exposure early or late, of lines flown there and back; the last row is the
+    first's."""
+    poses = fly(2, position_sd_m=np.array([1.5, 1.5, 2.0])).block.poses
+    back = [*range(6), *range(11, 5, -1), *range(12, 18)]
+    truth = replace(poses, positions_m=fly(2).truth.positions_m[back])
+    given = replace(poses, positions_m=np.roll(poses.positions_m[back], step, axis=0))
+    (told,) = shift_and_scale(replace(fly(2).block, poses=given), truth, np.arange(len(poses)))
+    assert told.code == "positions-out-of-step"
+    assert f"that of the one {'before' if step > 0 else 'after'}" in told.text
+
+
 def test_positions_that_agree_turned_scaled_or_with_blunders_are_not() -> None:
     given = fly(2).block.poses.positions_m
     turned = np.column_stack([given[:, 1], -given[:, 0], given[:, 2]])

@@ -17,7 +17,7 @@ from geomosaic.survey.model import Warn
 
 _WITHIN_FLIGHT_M = tuned(1.0, "m", "agreement of a code receiver's positions in a flight, whatever is stated")
 _UNLIKE = tuned(0.5, "share", "of the flight's extent, left by the best similarity: less is a few blunders")
-OF_ANOTHER_SHAPE: Final = frozenset(("positions-mirrored", "positions-contradicted"))
+OF_ANOTHER_SHAPE: Final = frozenset(("positions-mirrored", "positions-contradicted", "positions-out-of-step"))
 """Warnings after which no single position is worth a word."""
 _FEWEST = tuned(5, "frames", "with positions: a similarity and its mirror image fit fewer alike")
 _MIRRORED = (
@@ -50,10 +50,9 @@ def shift_and_scale(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
     if extent_m == 0.0 or len(frames) < 3 or not np.ptp(given, axis=0).any():
         return out
     turn, left_m = _fit(found, given)
-    if len(frames) >= _FEWEST and left_m > max(
-        FAR * float(np.median(stated[:, :2])), _UNLIKE * _reach_m(given)
-    ):
-        return [_unlike(found, given, left_m)]
+    far = len(frames) >= _FEWEST and left_m > FAR * float(np.median(stated[:, :2]))
+    if far and (named := _of_another_shape(found, given, left_m)):
+        return [named]
     position_sd_m = max(min(float(np.median(stated[:, :2])), _WITHIN_FLIGHT_M), left_m / MEDIAN_LENGTH)
     off, sd = 1.0 / abs(turn) - 1.0, position_sd_m / extent_m
     if abs(off) > FAR * sd:
@@ -77,8 +76,19 @@ def _reach_m(given: Floats) -> float:
     return float(np.median(np.linalg.norm(given - np.median(given, axis=0), axis=1)))
 
 
-def _unlike(found: Floats, given: Floats, left_m: float) -> Warn:
-    """Of positions that no similarity takes to where the images put the frames, but to left_m of it."""
+def _of_another_shape(found: Floats, given: Floats, left_m: float) -> Warn | None:
+    """What is wrong with positions that a similarity takes to left_m of where the images put the frames, all
+    in order of capture; None where single blunders may be."""
+    shifted = {"before": (found[:-1], given[1:]), "after": (found[1:], given[:-1])}
+    for side, (places, positions) in shifted.items():
+        if _fit(places, positions)[1] < _UNLIKE**2 * left_m:
+            text = (
+                f"the positions are one frame out of step: each frame has that of the one {side}, "
+                f"{left_m:.0f} m away (median); shift the names in --pos by one line"
+            )
+            return Warn("positions-out-of-step", "", text)
+    if left_m <= _UNLIKE * _reach_m(given):
+        return None
     if _fit(found * [1.0, -1.0], given)[1] < _UNLIKE * left_m:
         return Warn("positions-mirrored", "", _MIRRORED)
     text = (
