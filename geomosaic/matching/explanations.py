@@ -40,6 +40,7 @@ _STRAYS = tuned(
     (0.1, 0.5), "frames", "counted as seen the other way, and anyhow: less is surer of the course"
 )
 _PRIORS = tuned((0.9, 0.05, 0.05), "share", "of flights along the course, under one heading, under any")
+_SAME_RAD = sourced(1e-4, "rad", "that equal tags differ by", "half of 0.01 degree; meridians of 1 km: 1e-4")
 _FALSE_PAIR = tuned(0.02, "share", "of tied pairs that tie wrongly: less is surer of frames on one pair")
 
 
@@ -102,7 +103,8 @@ def _kept(given: Floats, image: Floats, agree: Bools, sd: Floats) -> Floats:
     back = agree & (np.abs(wrapped(image - image[:, None])) > np.pi / 2.0)
     before = np.where(np.tri(n, k=-1, dtype=bool) & back, np.arange(n), -1).max(axis=1)
     off = np.abs(wrapped(given - given[before]))
-    digit = np.diff(np.unique(given), append=np.inf).min()
+    apart = np.diff(np.unique(given), append=np.inf)
+    digit = apart[apart > _SAME_RAD].min()
     to_the_digit = np.where(off < digit / 2.0, 1.0 / digit, 0.0)
     return np.where(before < 0, 1.0 / math.tau, (normal(off, sd) + to_the_digit) / 2.0)
 

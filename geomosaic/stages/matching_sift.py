@@ -59,7 +59,7 @@ class SiftParams(KeypointParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=19, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=20, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(
