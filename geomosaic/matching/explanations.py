@@ -99,9 +99,12 @@ def explained(evidence: HeadingEvidence) -> Floats:
 def _kept(given: Floats, image: Floats, agree: Bools, sd: Floats) -> Floats:
     """Densities (n,) of tags that were kept from the line before: the last earlier frame whose tag fits its
     image, which lies the other way. Half of them are kept to the last digit."""
-    n = len(given)
-    back = agree & (np.abs(wrapped(image - image[:, None])) > np.pi / 2.0)
-    before = np.where(np.tri(n, k=-1, dtype=bool) & back, np.arange(n), -1).max(axis=1)
+    n, ways = len(given), np.radians(np.arange(0.0, 360.0, 10.0))
+    aside = np.abs(wrapped(image[:, None] - ways))
+    latest = np.full((n + 1, len(ways)), -1)
+    latest[np.flatnonzero(agree) + 1, aside[agree].argmin(axis=1)] = np.flatnonzero(agree)
+    latest = np.maximum.accumulate(latest, axis=0)[:-1]
+    before = np.where(aside > np.pi / 2.0, latest, -1).max(axis=1)
     off = np.abs(wrapped(given - given[before]))
     apart = np.diff(np.unique(given), append=np.inf)
     digit = apart[apart > _SAME_RAD].min()

@@ -132,15 +132,15 @@ def _dem(survey: Survey, enu: Floats, context: Context) -> GroundSurface:
 def _compare_heights(survey: Survey, dem_m: float, context: Context) -> None:
     """Warns of a DEM that lies far from where the frames' altitudes put the ground."""
     by_frames_m = ground_height_m(survey.frames)
-    off_m = dem_m - (dem_m if by_frames_m is None else by_frames_m)
-    if abs(off_m) > _MOST_OFF_M:
-        side = "above" if off_m > 0.0 else "below"
-        text = (
-            f"the DEM lies {abs(off_m):.0f} m {side} the ground by the frames' altitudes: its heights may "
-            "be in feet, of another place, or count from another level; convert them, or give --dem-offset "
-            "METRES"
-        )
-        context.warn("dem-heights-off", "", text)
+    if by_frames_m is None or abs(dem_m - by_frames_m) <= _MOST_OFF_M:
+        return
+    side = "above" if dem_m > by_frames_m else "below"
+    text = (
+        f"the DEM lies {abs(dem_m - by_frames_m):.0f} m {side} the ground by the frames' altitudes: its "
+        "heights may be in feet, of another place, or count from another level; convert them, or give "
+        "--dem-offset METRES"
+    )
+    context.warn("dem-heights-off", "", text)
 
 
 def _places(survey: Survey) -> Floats:

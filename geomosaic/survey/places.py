@@ -23,7 +23,7 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, ParsedTable
 
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
-_RADIANS = sourced((np.pi, np.pi / 2.0), "rad", "longitude, latitude: no land, as degrees", "ISO 6709")
+_RADIANS = sourced((np.pi, np.pi / 2.0), "rad", "of both; no land within, as degrees", "definition")
 _FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
 _ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")
 NOWHERE: Floats = np.column_stack([[], []])

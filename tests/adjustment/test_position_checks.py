@@ -46,9 +46,9 @@ def test_positions_of_the_next_frame_are_named(step: int) -> None:
     back = [*range(6), *range(11, 5, -1), *range(12, 18)]
     truth = replace(poses, positions_m=fly(2).truth.positions_m[back])
     given = replace(poses, positions_m=np.roll(poses.positions_m[back], step, axis=0))
-    (told,) = shift_and_scale(replace(fly(2).block, poses=given), truth, np.arange(len(poses)))
-    assert told.code == "positions-out-of-step"
-    assert f"that of the one {'before' if step > 0 else 'after'}" in told.text
+    (named,) = shift_and_scale(replace(fly(2).block, poses=given), truth, np.arange(len(poses)))
+    assert named.code == "positions-out-of-step"
+    assert f"that of the one {'before' if step > 0 else 'after'}" in named.text
 
 
 def test_positions_that_agree_turned_scaled_or_with_blunders_are_not() -> None:

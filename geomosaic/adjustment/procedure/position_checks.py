@@ -77,8 +77,8 @@ def _reach_m(given: Floats) -> float:
 
 
 def _of_another_shape(found: Floats, given: Floats, left_m: float) -> Warn | None:
-    """What is wrong with positions that a similarity takes to left_m of where the images put the frames, all
-    in order of capture; None where single blunders may be."""
+    """What is wrong with positions that a similarity takes to left_m of where the images put the frames, in
+    the survey's order; None where single blunders may be."""
     shifted = {"before": (found[:-1], given[1:]), "after": (found[1:], given[:-1])}
     for side, (places, positions) in shifted.items():
         if _fit(places, positions)[1] < _UNLIKE**2 * left_m:
