@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
+
 Colour = tuple[float, float, float]
 _DECK_M, _DECK_HALF_WIDTH_M, _ABUTMENT_M = 30.0, 4.6, 3.0
 _DECK_TOP_M, _DECK_THICK_M = 7.0, 1.2

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats
 from geomosaic_simulate.buildings import Colour
 from geomosaic_simulate.landscape import Bounds, Landscape
 from geomosaic_simulate.noise import hashed
 from geomosaic_simulate.terrain import box_m, cover_mask, fill_polygon
 
-Floats = NDArray[np.float64]
-Pixels = NDArray[np.uint8]
 _PAINTS: tuple[Colour, ...] = ((225, 225, 228), (40, 42, 46), (150, 34, 30), (44, 66, 120), (196, 180, 60))
 _LANE_M = 1.6
 _GLITTER = 9.0
@@ -20,7 +18,7 @@ SWAY_REACH = 1.6
 
 
 def glitter(
-    window: Pixels, west_m: float, north_m: float, pixel_m: float, land: Landscape, rng: np.random.Generator
+    window: Bytes, west_m: float, north_m: float, pixel_m: float, land: Landscape, rng: np.random.Generator
 ) -> None:
     """Let the water of a window (rows, cols, 3) shine otherwise than in any other frame (in place)."""
     water = cover_mask(land, "water", west_m, north_m, pixel_m, window.shape)
@@ -68,7 +66,7 @@ def cars_at(land: Landscape, per_road: float, time_s: float, bounds_m: Bounds) -
     return np.array(found).reshape(-1, 4)
 
 
-def paint_cars(window: Pixels, cars: Floats, west_m: float, north_m: float, pixel_m: float) -> None:
+def paint_cars(window: Bytes, cars: Floats, west_m: float, north_m: float, pixel_m: float) -> None:
     """Paint cars of `cars_at` into a window (rows, cols, 3) (in place)."""
     for x, y, along, colour in cars:
         paint = _PAINTS[int(colour * len(_PAINTS))]
@@ -90,7 +88,7 @@ def changes_at(land: Landscape, count: int, side_m: float, bounds_m: Bounds) -> 
     return np.array(found).reshape(-1, 4)
 
 
-def paint_changes(window: Pixels, changes: Floats, west_m: float, north_m: float, pixel_m: float) -> None:
+def paint_changes(window: Bytes, changes: Floats, west_m: float, north_m: float, pixel_m: float) -> None:
     """Paint squares of `changes_at` into a window (rows, cols, 3) (in place): white on dark ground, black on
     bright."""
     for west, south, east, north in changes:
@@ -108,8 +106,8 @@ def gusts(trees: Floats, wind_m: float, rng: np.random.Generator) -> Floats:
 
 
 def sway(
-    window: Pixels, west_m: float, north_m: float, pixel_m: float, trees: Floats, bent_m: Floats
-) -> Pixels:
+    window: Bytes, west_m: float, north_m: float, pixel_m: float, trees: Floats, bent_m: Floats
+) -> Bytes:
     """A window (rows, cols, 3) whose crowns are moved by bent_m (n, 2): most in their middle, at
     SWAY_REACH of their radius not at all.
 

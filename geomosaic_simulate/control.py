@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
@@ -15,8 +15,6 @@ from geomosaic_simulate.landscape import Bounds, Landscape
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.readout import Readout
 from geomosaic_simulate.render import World
-
-Floats = NDArray[np.float64]
 
 SURVEYED_SD_M = (0.02, 0.03)
 """Of a point's surveyed position, on each horizontal axis and in height: an RTK rover."""
@@ -132,7 +130,7 @@ def _stored_px(
     return np.asarray([camera.width_px, camera.height_px] - px if i in plan.turned_frames() else px)
 
 
-def _in_the_open(plan: SurveyPlan, camera: Camera, en: Floats) -> NDArray[np.bool_]:
+def _in_the_open(plan: SurveyPlan, camera: Camera, en: Floats) -> Bools:
     """Not behind or under a standing building or tree for any frame, however obliquely it looks, (k,)."""
     slant = np.hypot(camera.width_px, camera.height_px) / 2.0 / camera.focal_length_px + 0.1
     margin = 60.0
@@ -157,7 +155,7 @@ def _in_the_open(plan: SurveyPlan, camera: Camera, en: Floats) -> NDArray[np.boo
     return clear
 
 
-def _far_apart(en: Floats, count: int) -> NDArray[np.intp]:
+def _far_apart(en: Floats, count: int) -> Ints:
     """Indices of `count` points, each farthest from those before it, the first from the middle."""
     chosen = [int(np.linalg.norm(en - en.mean(axis=0), axis=1).argmax())]
     distance = np.linalg.norm(en - en[chosen[0]], axis=1)

@@ -8,15 +8,13 @@ from datetime import UTC, datetime
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints64
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic_simulate.paths import course_of
 from geomosaic_simulate.plan import SurveyPlan
-
-Floats = NDArray[np.float64]
 
 START_S = datetime(2024, 6, 12, 9, 30, tzinfo=UTC).timestamp()
 _BATTERY_S = 600.0
@@ -47,10 +45,10 @@ class Flight:
     yaw_pitch_roll_deg: Floats
     poses: Poses
     time_s: Floats
-    line: NDArray[np.int64]
+    line: Ints64
     velocity_m_per_s: Floats
     role: tuple[str, ...]
-    battery: NDArray[np.int64]
+    battery: Ints64
 
 
 @dataclass(frozen=True)
@@ -66,8 +64,8 @@ class Observed:
     yaw_pitch_roll_deg: Floats
     position_errors_m: Floats
     attitude_errors_deg: Floats
-    outlier: NDArray[np.bool_]
-    yaw_wrong: NDArray[np.bool_]
+    outlier: Bools
+    yaw_wrong: Bools
     height_above_take_off_m: Floats
 
 
@@ -194,10 +192,10 @@ def _flight(
     geodetic: Floats,
     attitude_deg: Floats,
     time_s: Floats,
-    line: NDArray[np.int64],
+    line: Ints64,
     velocity_m_per_s: Floats,
     role: tuple[str, ...] = (),
-    battery: NDArray[np.int64] | None = None,
+    battery: Ints64 | None = None,
 ) -> Flight:
     n = len(geodetic)
     role, battery = role or ("survey",) * n, np.zeros(n, dtype=np.int64) if battery is None else battery

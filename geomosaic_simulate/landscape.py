@@ -13,12 +13,11 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic_simulate.buildings import Building, Colour, bridge
 from geomosaic_simulate.noise import hashed
 
-Floats = NDArray[np.float64]
 Span = tuple[float, float]
 Bounds = tuple[float, float, float, float]
 CELL_M = 80.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.sun import sun_direction
@@ -13,8 +13,6 @@ from geomosaic_simulate.noise import spline_noise
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.render import Sight
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 CLOUD_M = 150.0
 """From cloud to cloud: low, broken clouds; a small survey has several of their edges."""
 WIND_M_PER_S = 6.0

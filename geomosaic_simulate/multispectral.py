@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic_simulate.exif import (
     Tag,
@@ -28,7 +29,6 @@ from geomosaic_simulate.exif import (
     xmp_packet,
 )
 
-Floats = NDArray[np.float64]
 BANDS: Final[Mapping[str, tuple[float, Callable[[Floats], Floats]]]] = {
     "Green": (560.0, lambda rgb: 0.04 + 0.5 * rgb[..., 1]),
     "Red": (668.0, lambda rgb: 0.03 + 0.4 * rgb[..., 0]),
@@ -65,7 +65,7 @@ def panel_albedo(wavelength_nm: float) -> float:
     return 0.513 + (0.487 - 0.513) * (wavelength_nm - 400.0) / 500.0
 
 
-def reflectance(band: str, rgb: NDArray[np.uint8]) -> Floats:
+def reflectance(band: str, rgb: Bytes) -> Floats:
     """The true reflectance of a picture's pixels (rows, cols, 3) in a band."""
     return np.asarray(BANDS[band][1](rgb.astype(np.float64) / 255.0))
 
@@ -77,9 +77,7 @@ def rig_flight(frames: Path, out: Path, flight: RigFlight = RigFlight()) -> dict
     headers = [read_header(path) for path in sorted(frames.glob("*.jpg"))]
     truth: dict[str, Floats] = {}
     times = [h.exif.time_s or 0.0 for h in headers]
-    shots: list[tuple[str, FrameHeader, NDArray[np.uint8] | None]] = [
-        (h.path.stem, h, _picture(h.path)) for h in headers
-    ]
+    shots: list[tuple[str, FrameHeader, Bytes | None]] = [(h.path.stem, h, _picture(h.path)) for h in headers]
     if flight.panels:
         for name, of, time_s in (
             ("P0001", headers[0], times[0] - 60.0),
@@ -101,7 +99,7 @@ def rig_flight(frames: Path, out: Path, flight: RigFlight = RigFlight()) -> dict
     return truth
 
 
-def _picture(path: Path) -> NDArray[np.uint8]:
+def _picture(path: Path) -> Bytes:
     bgr = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
     assert bgr is not None
     return np.asarray(bgr[..., ::-1], dtype=np.uint8)

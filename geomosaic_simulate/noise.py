@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
+from geomosaic.arrays import Floats, Floats32, Ints64
 
 
 def hashed(seed: int, salt: int, i: ArrayLike, j: ArrayLike = 0) -> Floats:
@@ -57,9 +56,7 @@ def lattice_noise(
 
 
 @lru_cache(maxsize=256)
-def _cubic_weights(
-    start: int, count: int, spacing_px: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats32]:
+def _cubic_weights(start: int, count: int, spacing_px: int) -> tuple[Ints64, Ints64, Floats32]:
     """Lattice indices that pixels start ... start + count need, and each pixel's first and four weights.
 
     The cubic convolution kernel of Keys 1981 with a = -0.5, at the pixels' centres. Not as a product of

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Ints64
 from geomosaic_simulate.plan import SurveyPlan
 
-Floats = NDArray[np.float64]
 _TURN_S = 20.0
 _STEPS = 20
 _FREE_TURN_RAD = 0.9
@@ -29,7 +28,7 @@ class Course:
     at_m: Floats
     course_deg: Floats
     nose_deg: Floats
-    line: NDArray[np.int64]
+    line: Ints64
     time_s: Floats
 
 

@@ -13,6 +13,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic_simulate.buildings import Building
 from geomosaic_simulate.landscape import COVERS, Bounds, Landscape
@@ -22,7 +23,6 @@ from geomosaic_simulate.standing import heights_on_grid
 from geomosaic_simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, cover_mask
 from geomosaic_simulate.write import whole
 
-Floats = NDArray[np.float64]
 MARGIN_PX = 8
 _DEM_ROWS = 512
 
@@ -34,12 +34,12 @@ class Texture:
     pixels: (rows, cols, 3) RGB, kept on disk and sparse; west_m, north_m: its outer corner.
     """
 
-    pixels: NDArray[np.uint8]
+    pixels: Bytes
     west_m: float
     north_m: float
     pixel_m: float
 
-    def window(self, bounds_m: Bounds) -> tuple[NDArray[np.uint8], float, float]:
+    def window(self, bounds_m: Bounds) -> tuple[Bytes, float, float]:
         """The part that covers the bounds with a margin: pixels (rows, cols, 3), west, north."""
         west, south, east, north = bounds_m
         rows, cols = self.pixels.shape[:2]
@@ -138,7 +138,7 @@ def write_cover(path: Path, ortho: Path, landscape: Landscape) -> None:
         out.update_tags(1, COVERS=", ".join(f"{n} {cover}" for n, cover in enumerate(COVERS, 1)))
 
 
-def square_mean(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def square_mean(texture: Bytes) -> Bytes:
     """The mean over each pixel's square of the bicubic surface through the samples (2 x 2, as `render`)."""
     mean = cv2.sepFilter2D(texture, cv2.CV_32F, _SQUARE, _SQUARE, borderType=cv2.BORDER_REPLICATE)
     return np.asarray(np.clip(np.round(mean), 0.0, 255.0), dtype=np.uint8)
@@ -156,7 +156,7 @@ _TAPS = np.arange(-2.0, 3.0)
 _SQUARE = (_cubic(_TAPS - 0.25) + _cubic(_TAPS + 0.25)) / 2.0
 
 
-def _mask(ground: Ground, row: int, col: int, footprints_m: Sequence[Floats]) -> NDArray[np.uint8]:
+def _mask(ground: Ground, row: int, col: int, footprints_m: Sequence[Floats]) -> Bytes:
     """255 where a pixel's centre lies in a footprint."""
     mask = np.zeros((BLOCK_PX, BLOCK_PX), dtype=np.uint8)
     for outline in footprints_m:

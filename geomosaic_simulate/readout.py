@@ -7,15 +7,15 @@ import struct
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation as Turn
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic_simulate.flight import Flight
 from geomosaic_simulate.plan import SurveyPlan
 
-Floats = NDArray[np.float64]
 GYROSCOPE_FROM_CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Angular rates in the tag's axes from those about camera axes (`camera.rotation.Rotation`: x to the image's
 right, y to its top, z against the view; right-handed): forward, right and down, as a Sequoia writes them."""

@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
+from geomosaic.arrays import Floats
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.dem import dem_crs, read_heights
 from geomosaic.survey.elevation import read_elevation
 from geomosaic_simulate.noise import spline_noise
 
-Floats = NDArray[np.float64]
 _SMOOTH_PX = 20
 _MOST_NODES = 4000
 

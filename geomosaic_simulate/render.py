@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from geomosaic.arrays import Bytes, Floats, Floats32
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
@@ -20,10 +20,6 @@ from geomosaic_simulate.readout import Readout
 from geomosaic_simulate.relief import RasterRelief, Relief
 from geomosaic_simulate.trees import Tree, raise_trees
 from geomosaic_simulate.walls import Standing, hide, raise_buildings
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Pixels = NDArray[np.uint8]
 
 _STEP_PX = 16
 _STRIP_PX = 256
@@ -157,7 +153,7 @@ def render(
     pose: Pose,
     world: World,
     sight: Sight,
-    texture: Pixels,
+    texture: Bytes,
     west_m: float,
     north_m: float,
     pixel_m: float,

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats, Floats32
 from geomosaic_simulate.buildings import Building
 from geomosaic_simulate.relief import RasterRelief, Relief
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 GROUND, ROOF, CROWN = 0, 1, 2
 """What is seen from above."""
 
@@ -24,7 +22,7 @@ def heights_on_grid(
     north_m: float,
     spacing_m: float,
     shape: tuple[int, int],
-) -> tuple[Floats32, NDArray[np.uint8]]:
+) -> tuple[Floats32, Bytes]:
     """Ellipsoidal heights (rows, cols) of pixels' middles, rows from the north down, and what is there.
 
     Args: trees as `World.trees`; west_m, north_m: the outer corner, in the map CRS.

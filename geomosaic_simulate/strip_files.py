@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import rasterio
 import yaml
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rasterio.errors import NotGeoreferencedWarning
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.camera.rpc import fit_rpc
 from geomosaic.survey.strip_model import ATTITUDE_COLUMNS, ORBIT_COLUMNS
@@ -24,7 +25,6 @@ from geomosaic_simulate.relief import RasterRelief, Relief
 from geomosaic_simulate.strip_scene import PairTruth, Scene
 from geomosaic_simulate.write import whole, write_bytes, write_csv
 
-Floats = NDArray[np.float64]
 _RPC_NODES = (21, 31, 5)
 _RPC_SPAN_M = 500.0
 _SPLINE_SD = 0.137  # of spline_noise

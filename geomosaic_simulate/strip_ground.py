@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from scipy.ndimage import map_coordinates
 
+from geomosaic.arrays import Floats, Floats32, Ints64
 from geomosaic.doors.raster import REFERENCE, open_raster, reading
 from geomosaic_simulate.noise import fractal_noise, hashed, lattice_noise, spline_noise
 from geomosaic_simulate.strip_plan import StripPlan
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 CLOUD_CELL_PX = 4
 _MARGIN_PX = 4
 _STEP_PX = 16
@@ -157,7 +155,7 @@ def _fields(seed: int, col: int, row: int, shape: tuple[int, int]) -> Floats32:
     return np.asarray(tone)
 
 
-def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+def _mirrored(index: Ints64, size: int) -> Ints64:
     folded = index % (2 * size)
     return np.asarray(np.where(folded < size, folded, 2 * size - 1 - folded))
 

@@ -7,9 +7,9 @@ import io
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.errors import FileError, InputError
 from geomosaic.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
@@ -17,7 +17,6 @@ from geomosaic.geodesy.local import ecef_from_geodetic
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic_simulate.strip_plan import JITTER_HZ, StripPlan
 
-Floats = NDArray[np.float64]
 _ORBIT_STEP_S = 0.25
 _SPARE_S = 0.5
 _ACROSS = 0.6  # jitter across the track, of that along it

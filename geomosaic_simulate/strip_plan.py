@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Ints64
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import EARTH_RADIUS_M, Ccd, StripGeometry
 
@@ -136,7 +136,7 @@ class StripPlan:
         """1 leading, 2 trailing; neighbours alternate."""
         return 1 + (self.first_row - 1 + ccd) % 2
 
-    def acquired(self, ccd: int) -> NDArray[np.int64]:
+    def acquired(self, ccd: int) -> Ints64:
         """The camera line (n,) that each line of a CCD's file is; with nothing wrong 0, 1, ... lines - 1.
 
         A lost line is in no file line, a repeated one in several. Empty for a dead CCD.

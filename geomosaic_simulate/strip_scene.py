@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from geomosaic.arrays import Floats, Floats32, Ints64
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic_simulate.relief import RasterRelief, Relief, hills, raster_height_m, raster_relief
 from geomosaic_simulate.strip_ground import (
@@ -22,9 +23,6 @@ from geomosaic_simulate.strip_motion import cameras_of, scene_crs
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_seen import Heights, Rays, Seen
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Lines = NDArray[np.int64]
 _COARSE_PX = 8
 _OFFSET_ROUNDS = 8
 _MARGIN_PX = 400
@@ -98,7 +96,7 @@ class Scene:
         along = plan.lines / 2.0 + plan.row_separation_lines / 2.0 + _MARGIN_PX
         return -half_x, -along * plan.ground_pixel_m, half_x, along * plan.ground_pixel_m
 
-    def look(self, ccd: int, cols: tuple[int, int], lines: Lines) -> Look:
+    def look(self, ccd: int, cols: tuple[int, int], lines: Ints64) -> Look:
         """Where the middles of columns first to last (exclusive) look at camera lines (n,), whole numbers."""
         first, last = cols
         coarse = first + np.arange(0.0, last - first + _COARSE_PX, _COARSE_PX) + 0.5
@@ -161,7 +159,7 @@ class Scene:
             (-spare, plan.lines + spare),
         )
 
-    def _hidden(self, ccd: int, cols: tuple[int, int], lines: Lines) -> Floats:
+    def _hidden(self, ccd: int, cols: tuple[int, int], lines: Ints64) -> Floats:
         if self.clouds is None or not lines.size:
             return np.zeros(lines.size)
         cells = np.asarray(np.arange(cols[0], cols[1], CLOUD_CELL_PX) + 0.5 * CLOUD_CELL_PX)
@@ -174,7 +172,7 @@ class Scene:
         x, y = np.asarray(xy_m, dtype=np.float64) / self.plan.ground_pixel_m
         return np.stack([x, -y])
 
-    def _on_clouds(self, rays: Rays, lines: Lines) -> Floats:
+    def _on_clouds(self, rays: Rays, lines: Ints64) -> Floats:
         """World columns and rows (2, n, m) of the cloud deck's own plane, which the wind moves."""
         plan = self.plan
         there = self._world(rays.at_height(plan.ground_height_m + plan.cloud_height_m))
@@ -224,7 +222,7 @@ def _between(places: Floats, count: int) -> Floats:
     return np.asarray(before + (after - before) * weight)
 
 
-def _file_line(acquired: Lines, line: Floats) -> Floats:
+def _file_line(acquired: Ints64, line: Floats) -> Floats:
     """The line (corner origin) of a file that holds camera lines, given what camera line each of its is.
 
     Between two lines of the file straight on; beyond its ends as if it went on.

@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.geodesy.mapcrs import MapProjection
 
-Floats = NDArray[np.float64]
 Heights = Callable[[Floats, Floats], Floats]
 _NODE_LINES = 400
 _NODE_COLS = 4

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from geomosaic.arrays import Ints64
 from geomosaic.errors import OutputError
 from geomosaic_simulate.rasters import write_heights
 from geomosaic_simulate.spread import in_threads
@@ -105,7 +106,7 @@ def simulate_strips(
     return _paths(out, plan, tuple(strips.values()), scene)
 
 
-def _blocks(world: Scene, ccd: int) -> Iterator[tuple[int, NDArray[np.int64]]]:
+def _blocks(world: Scene, ccd: int) -> Iterator[tuple[int, Ints64]]:
     """First file line, and camera lines, of a CCD's blocks."""
     width = world.scene_width_px if ccd == IDEAL else world.plan.width_px
     acquired = np.arange(world.plan.lines) if ccd == IDEAL else world.plan.acquired(ccd)
@@ -114,7 +115,7 @@ def _blocks(world: Scene, ccd: int) -> Iterator[tuple[int, NDArray[np.int64]]]:
         yield first, acquired[first : first + step]
 
 
-def _strip_block(world: Scene, ccd: int, at: tuple[int, NDArray[np.int64]]) -> tuple[int, NDArray[Any]]:
+def _strip_block(world: Scene, ccd: int, at: tuple[int, Ints64]) -> tuple[int, NDArray[Any]]:
     """A block of a strip as counts; a repeated line is the same image, noise and all."""
     first, lines = at
     camera, own = np.unique(lines, return_inverse=True)
@@ -127,7 +128,7 @@ def _write_scene(path: Path, world: Scene, progress: Callable[[int], None]) -> N
     """What the ideal line sees: gain 1, no noise, same bit depth, line for camera line."""
     plan, width = world.plan, world.scene_width_px
 
-    def block(at: tuple[int, NDArray[np.int64]]) -> tuple[int, NDArray[Any]]:
+    def block(at: tuple[int, Ints64]) -> tuple[int, NDArray[Any]]:
         light = world.light(world.look(IDEAL, (0, width), at[1]))
         return at[0], as_counts(light.brightness * np.float32(Sensor.full_of(plan)), plan.bit_depth)
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import OutputError
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
@@ -49,7 +49,6 @@ from geomosaic_simulate.write import (
     write_json,
 )
 
-Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 CHANGE_COLUMNS = ("west_m", "south_m", "east_m", "north_m")
 _DEM_MARGIN_M = 60.0
@@ -209,7 +208,7 @@ def _frame(
     cars: Floats,
     changes: Floats,
     i: int,
-) -> tuple[NDArray[np.float32], float]:
+) -> tuple[Floats32, float]:
     """One frame as it is stored, values of [0, 255], and the gain that the camera's automatic chose."""
     pose = flight.poses[i]
     if plan.buildings_stand:

@@ -15,13 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats, Floats32
 from geomosaic_simulate.buildings import Building, Colour
 from geomosaic_simulate.landscape import COVERS, CROWN, Landscape
 from geomosaic_simulate.noise import fractal_noise
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Pixels = NDArray[np.uint8]
 
 BLOCK_PX = 512
 TILE_MARGIN_PX = 2
@@ -39,15 +36,15 @@ class Ground:
     landscape: Landscape
     pixel_m: float
 
-    def block(self, block_col: int, block_row: int) -> Pixels:
+    def block(self, block_col: int, block_row: int) -> Bytes:
         """One block (BLOCK_PX, BLOCK_PX, 3), RGB; its first pixel is world (BLOCK_PX * block_col, ...)."""
         return self.tile(block_col, block_row)[TILE_MARGIN_PX:-TILE_MARGIN_PX, TILE_MARGIN_PX:-TILE_MARGIN_PX]
 
-    def tile(self, block_col: int, block_row: int) -> Pixels:
+    def tile(self, block_col: int, block_row: int) -> Bytes:
         """A block with TILE_MARGIN_PX more on every side."""
         return _Painter(self, block_col * BLOCK_PX - _PAD_PX, block_row * BLOCK_PX - _PAD_PX).image()
 
-    def window(self, col: int, row: int, shape: tuple[int, int]) -> Pixels:
+    def window(self, col: int, row: int, shape: tuple[int, int]) -> Bytes:
         """Pixels (rows, cols, 3) of a window of world columns and rows."""
         out = np.empty((*shape, 3), dtype=np.uint8)
         for block_row in range(row // BLOCK_PX, (row + shape[0] - 1) // BLOCK_PX + 1):
@@ -62,7 +59,7 @@ class Ground:
 
 def cover_mask(
     land: Landscape, cover: str, west_m: float, north_m: float, pixel_m: float, shape: tuple[int, ...]
-) -> Pixels:
+) -> Bytes:
     """How much of each pixel of a window lies under a cover, 0 to 255; roads and tracks run over it.
 
     Args: west_m, north_m: the window's outer corner; shape: its rows and cols.
@@ -78,7 +75,7 @@ def cover_mask(
 
 
 def fill_polygon(
-    image: Pixels, outline_m: Floats, west_m: float, north_m: float, pixel_m: float, paint: Colour
+    image: Bytes, outline_m: Floats, west_m: float, north_m: float, pixel_m: float, paint: Colour
 ) -> None:
     """Paint a polygon (n, 2) of the map into a window of pixels, its edges smooth (in place)."""
     px = (outline_m - [west_m, north_m]) / [pixel_m, -pixel_m] - 0.5
@@ -109,7 +106,7 @@ class _Painter:
         self.fine, self.middle = noise(1, (1, 2, 4, 8)), noise(2, (16, 32, 64))
         self.coarse, self.hue = noise(3, (128, 256, 512)), noise(4, (16, 64, 256))
 
-    def image(self) -> Pixels:
+    def image(self) -> Bytes:
         image = self._land()
         image = self._shaded(image)
         image = self._cars(image)

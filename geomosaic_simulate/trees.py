@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ def raise_trees(
     east: Floats,
     north: Floats,
     top_m: Floats,
-) -> Iterator[tuple[tuple[slice, slice], NDArray[np.bool_]]]:
+) -> Iterator[tuple[tuple[slice, slice], Bools]]:
     """Move east and north to where rays meet a crown first (in place); yields each window and what it hit.
 
     A ray meets the ground in g at height h and passes g + rise (Z - h) at height Z; with Z = base + z and

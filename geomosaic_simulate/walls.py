@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats, Ints
 from geomosaic_simulate.buildings import Building
 
 if TYPE_CHECKING:
     from geomosaic_simulate.render import Sight
 
-Floats = NDArray[np.float64]
-Pixels = NDArray[np.uint8]
 _WALL = np.array([176.0, 168.0, 154.0])
 _UNDERNEATH = np.array([58, 57, 52], dtype=np.uint8)
 
@@ -31,7 +29,7 @@ class Standing:
     high_px: Floats
 
 
-Wall = tuple[tuple[slice, slice], NDArray[np.bool_], Pixels]
+Wall = tuple[tuple[slice, slice], Bools, Bytes]
 """A window of samples, which of them are painted, and their colours."""
 
 
@@ -102,7 +100,7 @@ def _cut(b: Building, from_top: Floats, step: Floats, drop: Floats) -> tuple[Flo
     return np.stack(enters), leave
 
 
-def hide(walls: list[Wall], window: tuple[slice, slice], hidden: NDArray[np.bool_]) -> None:
+def hide(walls: list[Wall], window: tuple[slice, slice], hidden: Bools) -> None:
     """Take what a nearer roof hides away from earlier walls (in place)."""
     rows, cols = window
     for (rs, cs), hit, _ in walls:
@@ -114,7 +112,7 @@ def hide(walls: list[Wall], window: tuple[slice, slice], hidden: NDArray[np.bool
             hit[mine] &= ~hidden[nearer]
 
 
-def _wall_colour(b: Building, at: Floats, below_top: Floats, face: NDArray[np.intp]) -> Pixels:
+def _wall_colour(b: Building, at: Floats, below_top: Floats, face: Ints) -> Bytes:
     """Walls: one brightness a side, a row of windows a storey; none in a bridge."""
     long_side = face >= 2
     along = np.where(long_side, at[..., 0], at[..., 1])

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.errors import OutputError
@@ -26,7 +27,6 @@ from geomosaic_simulate.flight import START_S, Flight, Observed, rotations_in
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.readout import gyroscope_tag, readout_of
 
-Floats = NDArray[np.float64]
 MAKE = "geomosaic"
 SENSOR_WIDTH_MM = Fraction(132, 10)
 _USUAL_EXPOSURE_S = Fraction(1, 800)
@@ -104,7 +104,7 @@ def frame_bytes(
     flight: Flight,
     observed: Observed,
     i: int,
-    light: NDArray[np.float32],
+    light: Floats32,
     automatic: float,
 ) -> bytes:
     """One frame encoded: `light` is (rows, cols, 3) RGB in [0, 255]; 16-bit TIFFs use the whole range.

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z, turned_by
 from geomosaic.constants import MOST_ROUNDS, tuned
 
-Floats = NDArray[np.float64]
 _CONVERGED_PX = tuned(1e-4, "px", "row step that ends the search: tie points show a hundred times as much")
 
 LEAST_RECORDED = tuned(-0.4, "share", "of the height, from the middle row: less leaves a tenth of the rows")
@@ -38,11 +38,11 @@ class Turns:
     rad: Floats
     recorded_until_s: Floats = field(default_factory=lambda: np.array(np.nan))
 
-    def __getitem__(self, i: int | NDArray[np.intp]) -> Turns:
+    def __getitem__(self, i: int | Ints) -> Turns:
         until_s = self.recorded_until_s
         return Turns(self.span_s, self.rad[i], until_s[i] if until_s.ndim else until_s)
 
-    def at(self, after_s: ArrayLike, frame: NDArray[np.intp] | None = None) -> tuple[Floats, Floats]:
+    def at(self, after_s: ArrayLike, frame: Ints | None = None) -> tuple[Floats, Floats]:
         """Turns and their rates per second (..., 3) so long after the middle row. frame: of many, whose."""
         last = self.rad.shape[-2] - 1
         step = np.nan_to_num((np.asarray(after_s, dtype=np.float64) / self.span_s + 0.5) * last)
@@ -146,7 +146,7 @@ class Poses:
         turns = None if self.turns is None else self.turns[i]
         return Pose(self.positions_m[i], Rotation(self.rotations[i]), velocity, turns)
 
-    def of(self, frames: NDArray[np.intp]) -> Poses:
+    def of(self, frames: Ints) -> Poses:
         """Those of some frames."""
         return Poses(
             self.positions_m[frames],

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.lens import LENSES, TERMS, Lens
 from geomosaic.errors import UnknownNameError
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

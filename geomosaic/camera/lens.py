@@ -22,9 +22,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import MOST_ROUNDS, sourced, tuned
 
-Floats = NDArray[np.float64]
 Array = NDArray[Any]
 
 TERMS: Final = ("k1", "k2", "k3", "p1", "p2")

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import about_x, about_y, about_z
 from geomosaic.constants import ROUNDS, tuned
 from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
 from geomosaic.geodesy.local import ecef_from_geodetic, enu_from_ecef_rotation, geodetic_from_ecef
 
-Floats = NDArray[np.float64]
 _HEIGHT_ROUNDS = tuned(2, "rounds", "of height at 8000 m: none leaves 6 mm, one 1e-9 m; one to spare")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from geomosaic.ccd.model import Floats
+from geomosaic.arrays import Floats
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
 

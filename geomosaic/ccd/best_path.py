@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.ccd.model import Floats
-
-Ints = NDArray[np.intp]
+from geomosaic.arrays import Floats, Ints
 
 
 def best_path(volumes: Floats, cost: float, jump: float = np.inf) -> Ints:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from geomosaic.ccd.model import Flags, Floats, Images
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.constants import tuned
 
 CELL_PX = tuned(8, "px", "cell of a mean grey, divides 32: smaller is noisy; larger mixes cloud and ground")
@@ -28,11 +28,11 @@ class Suspect:
     grey: float
     brighter: bool = True
 
-    def hides(self, grey: Floats) -> Flags:
+    def hides(self, grey: Floats) -> Bools:
         """Where greys (any shape) are of that part."""
         return np.asarray((grey > self.grey) == self.brighter)
 
-    def pixels(self, cells: Floats, shape: tuple[int, int]) -> Flags:
+    def pixels(self, cells: Floats, shape: tuple[int, int]) -> Bools:
         """Pixels of `shape` under cells (2, h, w), of either strip, of that part, or next to it."""
         hidden = np.asarray(self.hides(cells).any(axis=0), dtype=np.uint8)
         grown = cv2.dilate(hidden, np.ones((3, 3), np.uint8)).astype(np.bool_)
@@ -40,7 +40,7 @@ class Suspect:
         return np.asarray(grown[np.ix_(*at)])
 
 
-def grey_cells(image: Images) -> Floats:
+def grey_cells(image: Floats32) -> Floats:
     """Mean greys of cells of CELL_PX by CELL_PX pixels."""
     h, w = (max(n // CELL_PX, 1) for n in image.shape)
     return np.asarray(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), dtype=np.float64)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from geomosaic.ccd.model import Flags, Images
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.constants import tuned
 
 BOX_PX = tuned(17, "px", "three boxes make a Gaussian of 8.5 px: smaller removes detail that matching needs")
 
 
-def column_gains(image: Images, valid: Flags) -> Images:
+def column_gains(image: Floats32, valid: Bools) -> Floats32:
     """Each column's response against the columns about it (w,): the middle of the ratios over all lines.
 
     Args: image, valid (n, w). Lines that aren't valid throughout are left out; 1 where there are none.
@@ -25,7 +25,7 @@ def column_gains(image: Images, valid: Flags) -> Images:
     return np.asarray(np.clip(gains, 0.5, 2.0), dtype=np.float32)
 
 
-def flattened(image: Images, valid: Flags) -> Images:
+def flattened(image: Floats32, valid: Bools) -> Floats32:
     """Fine detail without column pattern: what a blurred image (about 8 px) leaves of it.
 
     What is bright for a while, a cloud, leaves no mark on the ground before and after it.
@@ -36,12 +36,12 @@ def flattened(image: Images, valid: Flags) -> Images:
     return np.asarray(fine_detail(even_columns(image, valid), weight) * weight)
 
 
-def even_columns(image: Images, valid: Flags) -> Images:
+def even_columns(image: Floats32, valid: Bools) -> Floats32:
     """An image (n, w) without its columns' own response."""
     return np.asarray(image / column_gains(image * valid, valid), dtype=np.float32)
 
 
-def fine_detail(image: Images, weight: Images, box_px: int = BOX_PX) -> Images:
+def fine_detail(image: Floats32, weight: Floats32, box_px: int = BOX_PX) -> Floats32:
     """What a blurred image leaves of an image (n, w); pixels of weight (n, w) 0 are not in the blur."""
     blurred = _blurred(image * weight, box_px)
     if not weight.all():
@@ -49,7 +49,7 @@ def fine_detail(image: Images, weight: Images, box_px: int = BOX_PX) -> Images:
     return np.asarray(image - blurred, dtype=np.float32)
 
 
-def _blurred(image: Images, box_px: int) -> Images:
+def _blurred(image: Floats32, box_px: int) -> Floats32:
     """Three boxes in place of a Gaussian."""
     for _ in range(3):
         image = np.asarray(cv2.blur(image, (box_px, box_px)), dtype=np.float32)

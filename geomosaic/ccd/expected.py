@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.ccd.model import Floats
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.survey.strips import StripGeometry
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
 
+from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.ccd.columns import BOX_PX, flattened
 from geomosaic.ccd.model import (
     BRIDGED,
@@ -21,8 +21,6 @@ from geomosaic.ccd.model import (
     UNKNOWN_SD_PX,
     UNRELIABLE,
     CcdSettings,
-    Flags,
-    Floats,
     Overlap,
     PairOffsets,
     Progress,
@@ -128,7 +126,7 @@ def _mean(pair: int, lines: int, found: Floats) -> PairOffsets:
     return PairOffsets(pair, dcol, dline, sd_col, sd_line, _labels(lines, found[:, 0], near))
 
 
-def _plausible(found: Floats) -> Flags:
+def _plausible(found: Floats) -> Bools:
     """Patches (p,) that correlate and lie near the middle of the seven about them."""
     good = found[:, 3] >= _LEAST_CORRELATION
     if good.any():
@@ -138,7 +136,7 @@ def _plausible(found: Floats) -> Flags:
     return np.asarray(good)
 
 
-def _labels(lines: int, centre: Floats, measured: Flags) -> NDArray[np.uint8]:
+def _labels(lines: int, centre: Floats, measured: Bools) -> Bytes:
     """Lines of patches are measured or bridged, the others unreliable."""
     label = np.full(lines, UNRELIABLE, dtype=np.uint8)
     for middle, own in zip(centre, measured, strict=True):

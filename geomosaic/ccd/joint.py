@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.ccd.expected import Expected, expected
 from geomosaic.ccd.joint_window import KnotOffsets, WindowStart, curve_of, first_offsets, solved_window
 from geomosaic.ccd.lost_lines import LineStep, lasting, steps
@@ -20,8 +20,6 @@ from geomosaic.ccd.model import (
     UNKNOWN_SD_PX,
     UNRELIABLE,
     CcdSettings,
-    Flags,
-    Floats,
     PairOffsets,
     Progress,
 )
@@ -31,7 +29,6 @@ from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
 from geomosaic.constants import tuned
 from geomosaic.survey.strips import StripGeometry
 
-Ints = NDArray[np.intp]
 _WINDOW_LINES = tuned(20000, "lines", "solved at once: more take memory; fewer teach less about the motion")
 _MARGIN_LINES = tuned(2000, "lines", "overlap of windows: fewer bridge gaps from one side; more take time")
 _LEAST_KNOTS = tuned(16, "knots", "shared by a pair: fewer leave it to the prior; more refuse short scenes")
@@ -149,7 +146,7 @@ def _of_pair(strips: Strips, k: int, whole: KnotOffsets, step: int, known_px: Fl
     return PairOffsets(pair, col, line, sd_col, sd_line, label)
 
 
-def _near(at: Floats, places: Ints, reach: Floats) -> Flags:
+def _near(at: Floats, places: Ints, reach: Floats) -> Bools:
     """Which of `at` lie within reach (m,) of places (m,)."""
     found = np.zeros(at.shape, dtype=np.bool_)
     for place, most in zip(places, reach, strict=True):
@@ -157,7 +154,7 @@ def _near(at: Floats, places: Ints, reach: Floats) -> Flags:
     return found
 
 
-def _labels(own: Flags, outside: Flags, sd_px: Floats) -> np.ndarray:
+def _labels(own: Bools, outside: Bools, sd_px: Floats) -> np.ndarray:
     label = np.where(own & (sd_px <= SURE_SD_PX), MEASURED, BRIDGED)
     label[(sd_px > RELIABLE_SD_PX) | outside] = UNRELIABLE
     return label.astype(np.uint8)

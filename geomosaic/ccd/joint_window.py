@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.least_squares_matching import (
@@ -24,7 +25,7 @@ from geomosaic.ccd.least_squares_matching import (
     measure,
     pair_images,
 )
-from geomosaic.ccd.model import SURE_SD_PX, CcdSettings, Flags, Floats
+from geomosaic.ccd.model import SURE_SD_PX, CcdSettings
 from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
@@ -79,7 +80,7 @@ class WindowStart:
 
     offset_px: Floats
     information: Floats
-    suspect: list[Flags]
+    suspect: list[Bools]
 
     def clear(self, pairs: Sequence[RowPair]) -> list[RowPair]:
         """The pairs without what may be cloud."""
@@ -112,7 +113,7 @@ def solved_window(
     cells: list[KnotOffsetsMeasured] = []
     cloudy = False
     clear = list(pairs)
-    used: Flags = np.zeros(coarse.shape[:2], dtype=np.bool_)
+    used: Bools = np.zeros(coarse.shape[:2], dtype=np.bool_)
     for scale, rounds in ((2, 2), (1, 2)):
         clear = list(pairs)
         images = each(partial(pair_images, scale=scale), pairs)
@@ -135,7 +136,7 @@ def solved_window(
     )
     variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
     sd_px = np.maximum(information, np.diag(_ANCHOR)) ** -0.5
-    own: Flags = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
+    own: Bools = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
     step = widest_step(measured_px, sd_px, own, known_px, likely)
@@ -168,7 +169,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expec
 
 
 def _off_curves(
-    ready: _PreparedPairs, now: Smoothed, suspect: Sequence[Flags], habits: Habits
+    ready: _PreparedPairs, now: Smoothed, suspect: Sequence[Bools], habits: Habits
 ) -> tuple[bool, bool]:
     """Whether the suspect part lies off the curves that the rest draws; and whether that can be decided."""
     cells, offset, measured = _measured(ready, now)
@@ -198,7 +199,7 @@ def _off_curves(
 
 def _refined(
     ready: _PreparedPairs, now: Smoothed, habits: Habits, last: bool
-) -> tuple[Smoothed, list[KnotOffsetsMeasured], Flags, Habits]:
+) -> tuple[Smoothed, list[KnotOffsetsMeasured], Bools, Habits]:
     """One round: cells measured along the curves, implausible ones set back, curves drawn anew.
 
     Returns: curves, cells, which of them (pairs, knots) had a say, habits.
@@ -230,7 +231,7 @@ def _measured(ready: _PreparedPairs, now: Smoothed) -> tuple[list[KnotOffsetsMea
         return measure(ready.images[k], curve, ready.pairs[k].known_px[: len(at)], step)
 
     cells = each(measured_cells, range(len(ready.pairs)))
-    near: Flags = np.abs(now.offsets_px - coarse).max(axis=2) < _FAR_PX
+    near: Bools = np.abs(now.offsets_px - coarse).max(axis=2) < _FAR_PX
     information = np.stack([cell.information for cell in cells]) * near[..., None, None]
     found = np.trace(information, axis1=2, axis2=3) > np.trace(_ANCHOR)
     return (
@@ -247,7 +248,7 @@ def curve_of(centres: Floats, knots_px: Floats, at: Floats) -> Floats:
     return np.asarray(curve(inside) + (at - inside)[:, None] * curve(inside, 1)).T
 
 
-def _level(offset_px: Floats, found: Flags, now: Smoothed) -> Floats:
+def _level(offset_px: Floats, found: Bools, now: Smoothed) -> Floats:
     """(pairs, 2) about where each pair's curves lie: by what was measured, or by the curves if little was."""
     return np.stack(
         [

@@ -13,7 +13,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from geomosaic.ccd.model import Floats, PairOffsets, StripOffsets
+from geomosaic.arrays import Floats
+from geomosaic.ccd.model import PairOffsets, StripOffsets
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.ccd.columns import BOX_PX, fine_detail
-from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
 from geomosaic.constants import tuned
@@ -41,9 +41,9 @@ _ALIKE_KNOTS = tuned(5, "knots", "window of that correlation, odd: fewer are noi
 class PairImages:
     """A pair made ready: smoothed, without column pattern. scale: pixels of the strips to one of these."""
 
-    lead: Images
-    trail: Images
-    valid: Flags
+    lead: Floats32
+    trail: Floats32
+    valid: Bools
     nominal_col: float
     scale: int
 
@@ -77,9 +77,9 @@ def pair_images(pair: RowPair, scale: int) -> PairImages:
     return PairImages(lead, trail, valid, pair.nominal_col / scale, scale)
 
 
-def _softened(image: Images, valid: Flags) -> Images:
+def _softened(image: Floats32, valid: Bools) -> Floats32:
     """The image blurred; what is not valid is in no other pixel's blur."""
-    soft: Images = np.asarray(cv2.GaussianBlur(image * valid, (0, 0), _SOFT_PX), dtype=np.float32)
+    soft: Floats32 = np.asarray(cv2.GaussianBlur(image * valid, (0, 0), _SOFT_PX), dtype=np.float32)
     if not valid.all():
         soft /= np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _SOFT_PX), 1e-3)
     return soft
@@ -138,7 +138,7 @@ class _Cells:
     pixels: Floats
 
 
-def _cells(lead: Images, moved: Images, seen: Images, shape: tuple[int, ...]) -> _Cells:
+def _cells(lead: Floats32, moved: Floats32, seen: Floats32, shape: tuple[int, ...]) -> _Cells:
     pixels = _sums(seen, shape)
     difference = lead - moved
     sums = _centred([*_gradients(0.5 * (lead + moved)), difference], seen, shape, pixels)
@@ -148,7 +148,7 @@ def _cells(lead: Images, moved: Images, seen: Images, shape: tuple[int, ...]) ->
     return _Cells(normal, right, sums[2, 2], mean - half, mean + half, pixels)
 
 
-def _gradients(image: Images) -> list[Images]:
+def _gradients(image: Floats32) -> list[Floats32]:
     return [
         np.asarray(cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=1, scale=0.5), dtype=np.float32)
         for i in (1, 0)
@@ -253,7 +253,7 @@ def noise_floor(rest: Floats) -> float:
     return 1.15 * float(np.quantile(rest, 0.1)) if rest.size else 1.0
 
 
-def _centred(fields: list[Images], seen: Images, shape: tuple[int, ...], facts: Floats) -> Floats:
+def _centred(fields: list[Floats32], seen: Floats32, shape: tuple[int, ...], facts: Floats) -> Floats:
     fields = [field * seen for field in fields]
     means = [_sums(field, shape) for field in fields]
     count = len(fields)
@@ -265,12 +265,12 @@ def _centred(fields: list[Images], seen: Images, shape: tuple[int, ...], facts: 
     return out
 
 
-def _sums(field: Images, shape: tuple[int, ...]) -> Floats:
+def _sums(field: Floats32, shape: tuple[int, ...]) -> Floats:
     """Sums over cells (knots, groups)."""
     return np.asarray(field.reshape(shape).sum(axis=1).sum(axis=-1, dtype=np.float64))
 
 
-def _remap(image: Images, cols: Images, lines: Images, how: int) -> Images:
+def _remap(image: Floats32, cols: Floats32, lines: Floats32, how: int) -> Floats32:
     """cv2.remap, in pieces of less than the 32,767 lines it can address."""
     out = np.empty(cols.shape, dtype=np.float32)
     piece = 8192

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.ccd.model import Floats
 from geomosaic.constants import tuned
 from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
 

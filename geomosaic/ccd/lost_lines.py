@@ -11,15 +11,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32, Ints
 from geomosaic.ccd.columns import BOX_PX
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.model import Floats, Images
 from geomosaic.ccd.rows import RowPair
 from geomosaic.constants import tuned
 
-Ints = NDArray[np.intp]
 _KNOTS_APART = tuned(10, "knots", "left out at a step: fewer include its smoothed part; more say less")
 _ENOUGH_PAIRS = tuned(3, "pairs", "for a median as motion of all: of two it has half of either's step")
 _STEEP_KNOTS = tuned(8, "knots", "of a rise, and of lines fitted beyond: fewer follow noise; more see relief")
@@ -168,7 +166,7 @@ def _misfit(pair: RowPair, u: Ints, curve_px: Floats) -> Floats:
     lead, trail = pair.detail(slice(top, max(high, int(u[-1]) + 1) + 2 * BOX_PX))
     cols = (np.arange(first, last) + shift[:, None]).astype(np.float32)
     rows = np.broadcast_to((lines - top)[:, None], cols.shape).astype(np.float32)
-    moved: Images = np.asarray(cv2.remap(trail, cols, rows, cv2.INTER_LINEAR), dtype=np.float32)
+    moved: Floats32 = np.asarray(cv2.remap(trail, cols, rows, cv2.INTER_LINEAR), dtype=np.float32)
     apart = lead[u - top, first:last] - moved
     seen = pair.valid[u, first:last]
     return np.asarray((apart**2 * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1), dtype=np.float64)

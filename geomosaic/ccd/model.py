@@ -11,14 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.constants import sourced, tuned
 
-Floats = NDArray[np.float64]
-Images = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 """Hears how much of how much is done; may raise to stop the work."""
 
@@ -45,7 +42,7 @@ class Overlap:
     left: NDArray[Any]
     right: NDArray[Any]
     side: int
-    valid: Flags
+    valid: Bools
     first_line: int = 0
     relief_px: Floats | None = None
 
@@ -62,7 +59,7 @@ class PairOffsets:
     dline_px: Floats
     sd_col_px: Floats
     sd_line_px: Floats
-    label: NDArray[np.uint8]
+    label: Bytes
 
 
 @dataclass(frozen=True)

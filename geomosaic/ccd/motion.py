@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.ccd.banded import Banded
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.model import Flags, Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse, solve
 
@@ -113,7 +113,7 @@ def smooth(
 
 
 def smooth_with_shift(
-    offset_px: Floats, information: Floats, part: Flags, level_px: Floats, habits: Habits
+    offset_px: Floats, information: Floats, part: Bools, level_px: Floats, habits: Habits
 ) -> tuple[Smoothed, Floats, Floats]:
     """The most probable curves if a part (pairs, knots) lies off them by one vector that is not known.
 
@@ -164,12 +164,12 @@ def _curves(solved: Floats, level_px: Floats, covariance: Floats | None) -> Smoo
     return Smoothed(x[:, 0] + common, own, covariance)
 
 
-def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
+def learned(solution: Smoothed, known: Bools, before: Habits) -> Habits:
     """Habits of the curves of a solution, from where they were well measured.
 
     Args: known (pairs, knots) bool.
     """
-    any_known: Flags = np.asarray(known.any(axis=0))
+    any_known: Bools = np.asarray(known.any(axis=0))
     shared = solution.motion - solution.motion[any_known].mean(axis=0) if any_known.any() else solution.motion
     mean = np.stack([_mean(own, good) for own, good in zip(solution.own, known, strict=True)])
     own = solution.own - mean[:, None]
@@ -191,11 +191,11 @@ def learned(solution: Smoothed, known: Flags, before: Habits) -> Habits:
     return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)
 
 
-def _mean(curve: Floats, known: Flags) -> Floats:
+def _mean(curve: Floats, known: Bools) -> Floats:
     return np.asarray((curve[known] if known.any() else curve).mean(axis=0))
 
 
-def _windows(curves: list[Floats], known: list[Flags], order: int, stride: int) -> tuple[Floats, Floats]:
+def _windows(curves: list[Floats], known: list[Bools], order: int, stride: int) -> tuple[Floats, Floats]:
     """Knots (m,) and the ones before them (m, order), the nearest first, where all are known."""
     past, now = [np.zeros((0, order))], [np.zeros(0)]
     for curve, good in zip(curves, known, strict=True):
@@ -210,7 +210,7 @@ def _windows(curves: list[Floats], known: list[Flags], order: int, stride: int) 
 
 
 def _fitted(
-    curves: list[Floats], known: list[Flags], order: int, stride: int, least_px: float
+    curves: list[Floats], known: list[Bools], order: int, stride: int, least_px: float
 ) -> Curve | None:
     """Least squares over all stretches known throughout; None where these are too few."""
     y, a = _windows(curves, known, order, stride)
@@ -221,7 +221,7 @@ def _fitted(
     return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
 
 
-def _spread(curves: list[Floats], known: list[Flags], least: Curve, before: Curve, wider: float) -> Curve:
+def _spread(curves: list[Floats], known: list[Bools], least: Curve, before: Curve, wider: float) -> Curve:
     """The prediction with the deviation that curves show of it, times `wider`; `before` if too little is
     known. least: the prediction and its smallest deviation."""
     y, a = _windows(curves, known, len(least.weights), least.stride)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import LinePoses, on_height
-from geomosaic.ccd.model import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import geodetic_from_ecef

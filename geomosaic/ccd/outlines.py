@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.line_poses import STEP_LINES, LinePoses
-from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.scene_rpc import SceneRpc
 from geomosaic.ccd.virtual_layout import ideal_camera

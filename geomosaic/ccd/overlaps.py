@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from geomosaic.ccd.model import Floats, Overlap
+from geomosaic.arrays import Floats
+from geomosaic.ccd.model import Overlap
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.doors.raster import READ_CACHE_BYTES
 from geomosaic.errors import FileError

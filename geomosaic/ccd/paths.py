@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from geomosaic.ccd.best_path import Ints, best_path, shifted
+from geomosaic.arrays import Floats, Ints
+from geomosaic.ccd.best_path import best_path, shifted
 from geomosaic.ccd.brightness import Suspect, bright_part
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.model import Floats
 from geomosaic.ccd.volumes import BLOCK_LINES
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 

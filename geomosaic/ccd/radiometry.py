@@ -11,18 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.ccd.columns import column_gains
-from geomosaic.ccd.model import (
-    MEASURED,
-    UNRELIABLE,
-    Flags,
-    Floats,
-    Images,
-    Overlap,
-    PairOffsets,
-    Progress,
-    StripOffsets,
-)
+from geomosaic.ccd.model import MEASURED, UNRELIABLE, Overlap, PairOffsets, Progress, StripOffsets
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import tuned
@@ -58,8 +49,8 @@ class Blocks:
 
     left: Floats
     right: Floats
-    use: Flags
-    sure: Flags
+    use: Bools
+    sure: Bools
 
 
 def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress) -> Radiometry:
@@ -144,7 +135,7 @@ def blocks(overlap: Overlap, strips: Strips, offsets: PairOffsets | None) -> Blo
     )
 
 
-def _counts(side: NDArray[Any], valid: Flags, bit_depth: int) -> tuple[Images, Images]:
+def _counts(side: NDArray[Any], valid: Bools, bit_depth: int) -> tuple[Floats32, Floats32]:
     """Counts of one side of an overlap, and 1 where they may be used, else 0."""
     image = side.astype(np.float32)
     even = np.abs(column_gains(image, valid) - 1.0) <= _ODD_COLUMN

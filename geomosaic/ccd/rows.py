@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.ccd.brightness import grey_cells
 from geomosaic.ccd.columns import even_columns, fine_detail
-from geomosaic.ccd.model import Flags, Floats, Images
 from geomosaic.ccd.overlaps import Strips
 
 
@@ -28,9 +28,9 @@ class RowPair:
     known beforehand.
     """
 
-    lead: Images
-    trail: Images
-    valid: Flags
+    lead: Floats32
+    trail: Floats32
+    valid: Bools
     grey: Floats
     nominal_col: int
     known_px: Floats
@@ -38,7 +38,7 @@ class RowPair:
     def __len__(self) -> int:
         return len(self.lead)
 
-    def detail(self, lines: slice = slice(None)) -> tuple[Images, Images]:
+    def detail(self, lines: slice = slice(None)) -> tuple[Floats32, Floats32]:
         """Fine detail of lead and trail at some lines, 0 where not valid."""
         seen = self.valid[lines].astype(np.float32)
         lead, trail = (fine_detail(image[lines], seen) * seen for image in (self.lead, self.trail))

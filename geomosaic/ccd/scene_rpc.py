@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.rpc import Rpc, fit_rpc
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.line_poses import STEP_LINES, LinePoses
-from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import SAMPLE_LINES, ObjectSpace
 from geomosaic.ccd.virtual_layout import ideal_camera
 from geomosaic.constants import tuned

@@ -12,8 +12,8 @@ from itertools import combinations
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.ccd.expected import Expected
-from geomosaic.ccd.model import Flags, Floats
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
 _SIDE_KNOTS = tuned(4, "knots", "each side of a step: fewer find stray knots; more blur a cloud's edge")
@@ -28,7 +28,7 @@ _BREAK_DEVIATIONS = tuned(6.0, "deviations", "significance of a break: less find
 _LEAST_SD_PX = tuned(0.03, "px", "of misses, as over ground: less breaks still curves; more hides far breaks")
 
 
-def widest_step(offset_px: Floats, sd_px: Floats, own: Flags, known_px: Floats, likely: Expected) -> float:
+def widest_step(offset_px: Floats, sd_px: Floats, own: Bools, known_px: Floats, likely: Expected) -> float:
     """The largest step (px) of a pair, against another or alone, that no ground makes; 0 if there is none.
 
     Args: offset_px, sd_px (pairs, knots, 2) measured at knots where own (pairs, knots), and their deviations.
@@ -48,7 +48,7 @@ def widest_step(offset_px: Floats, sd_px: Floats, own: Flags, known_px: Floats, 
     return max(steps, default=0.0)
 
 
-def _against(offset_px: Floats, sd_px: Floats, both: Flags, likely: Expected) -> float:
+def _against(offset_px: Floats, sd_px: Floats, both: Bools, likely: Expected) -> float:
     """The largest step of one pair against another (2, knots, 2), from knots before to as many after."""
     knots = np.flatnonzero(both)
     if len(knots) < 2 * _SIDE_KNOTS:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import (
     BRIDGED,
@@ -20,8 +20,6 @@ from geomosaic.ccd.model import (
     UNKNOWN_SD_PX,
     UNRELIABLE,
     CcdSettings,
-    Flags,
-    Floats,
     Overlap,
     PairOffsets,
     Progress,
@@ -61,13 +59,13 @@ class Segments:
     """
 
     pair: int
-    first: NDArray[np.intp]
-    stop: NDArray[np.intp]
+    first: Ints
+    stop: Ints
     centre_line: Floats
     offset_px: Floats
     sd_px: Floats
-    points: NDArray[np.intp]
-    kept: Flags
+    points: Ints
+    kept: Bools
 
 
 def pieces(strips: Strips, length: int) -> Iterator[tuple[int, int, int, int]]:
@@ -134,7 +132,7 @@ def matched_points(
     return Matched(a[near] + [0.0, overlap.first_line], moved[near])
 
 
-def consensus(moved_px: Floats, agree_px: float = _AGREE_PX) -> tuple[Floats, Flags]:
+def consensus(moved_px: Floats, agree_px: float = _AGREE_PX) -> tuple[Floats, Bools]:
     """The shift on which most agree, and who does: each point's is tried.
 
     Args: moved_px (m, 2). Returns: (2,) their mean, (m,).
@@ -202,7 +200,7 @@ def _segments(pair: int, rows: Floats) -> Segments:
     return Segments(pair, first, stop, rows[:, 2], rows[:, 3:5], rows[:, 5:7], points, kept)
 
 
-def steady(at: Floats, values: Floats, given: Flags) -> Flags:
+def steady(at: Floats, values: Floats, given: Bools) -> Bools:
     """Which of the values given (n, 2) are not abnormal; the platform moves slowly (Cheng et al. 2018).
 
     Abnormal is what leaves the line between its neighbours by more than 2 px; at an end, both the neighbour

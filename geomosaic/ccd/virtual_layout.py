@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.layout import Ends, StripLookup
 from geomosaic.ccd.line_poses import EVERY_LINES, SPARE_LINES, STEP_LINES, LinePoses
-from geomosaic.ccd.model import Floats
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError

@@ -6,17 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import EVERY_LINES, SPARE_LINES, LinePoses
-from geomosaic.ccd.model import (
-    BRIDGED,
-    RELIABLE_SD_PX,
-    UNRELIABLE,
-    CcdSettings,
-    Floats,
-    PairOffsets,
-    Progress,
-)
+from geomosaic.ccd.model import BRIDGED, RELIABLE_SD_PX, UNRELIABLE, CcdSettings, PairOffsets, Progress
 from geomosaic.ccd.object_space import ObjectSpace, level_ground
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.constants import NORMAL_PER_MAD, tuned

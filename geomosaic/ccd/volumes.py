@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from geomosaic.ccd.model import CcdSettings, Floats, Images
+from geomosaic.arrays import Floats, Floats32
+from geomosaic.ccd.model import CcdSettings
 from geomosaic.ccd.rows import RowPair
 from geomosaic.constants import tuned
 
@@ -13,7 +14,7 @@ BLOCK_LINES = tuned(32, "lines", "of joint evidence: fewer fail at low contrast;
 _PIXELS_PER_FACT = tuned(24.0, "px", "that are one fact: fewer saturate fair matches; more mute low contrast")
 
 
-def halved(image: Images) -> Images:
+def halved(image: Floats32) -> Floats32:
     """Means of 2 x 2 pixels (n // 2, w // 2)."""
     n, w = image.shape[0] // 2, image.shape[1] // 2
     return np.asarray(cv2.resize(image[: 2 * n, : 2 * w], (w, n), interpolation=cv2.INTER_AREA))
@@ -55,7 +56,7 @@ def volume(pair: RowPair, blocks: int, settings: CcdSettings) -> Floats:
     return out
 
 
-def _band_passed(image: Images) -> Images:
+def _band_passed(image: Floats32) -> Floats32:
     """Fine detail in units of its own local deviation: a cloud's edge weighs no more than a field."""
     fine = cv2.GaussianBlur(image, (0, 0), 0.7)
     fine = fine - cv2.GaussianBlur(image, (0, 0), 2.5)

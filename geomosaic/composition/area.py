@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from rasterio import Affine
 from rasterio.features import rasterize
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import Window
@@ -24,7 +24,6 @@ from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import is_local
 
-Bools = NDArray[np.bool_]
 _STEPS_ALONG = tuned(1000, "steps", "of edges along a survey: fewer show bends, 1000 are 0.01 mm off")
 
 
@@ -37,7 +36,7 @@ class Area:
     lies far from the frames. asked: whether it was asked for; else it is what trimming left.
     """
 
-    polygons: tuple[tuple[NDArray[np.float64], ...], ...]
+    polygons: tuple[tuple[Floats, ...], ...]
     near: float = 1.0
     asked: bool = True
 
@@ -157,7 +156,7 @@ def area_seen(outline: Outline, crs: str, views: Sequence[FrameView]) -> tuple[A
     return Area(rings_of(geometry), near), tuple(seeing)
 
 
-def rings_of(geometry: Any) -> tuple[tuple[NDArray[np.float64], ...], ...]:
+def rings_of(geometry: Any) -> tuple[tuple[Floats, ...], ...]:
     """The closed rings (n, 2) of each polygon of a geometry of shapely's, the outer one first."""
     return tuple(
         tuple(np.asarray(r.coords, dtype=np.float64) for r in (p.exterior, *p.interiors))

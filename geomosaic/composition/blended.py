@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from geomosaic.arrays import Bools, Ints32
 from geomosaic.composition.area import Area
 from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.frame_part import FramePart
@@ -73,8 +71,8 @@ class Blended:
     window: Window
     tile: PackedTile | None
     index: PackedTile | None
-    labels: NDArray[np.int32]
-    wanted: NDArray[np.bool_] | None
+    labels: Ints32
+    wanted: Bools | None
     gave: tuple[int, ...]
 
 

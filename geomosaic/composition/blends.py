@@ -21,12 +21,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.composition.plugins import BLENDS_GROUP, Named
 from geomosaic.constants import sourced, tuned
 
-Floats32 = NDArray[np.float32]
 Labels = NDArray[np.int16]
-Bytes = NDArray[np.uint8]
 _LEVELS = sourced(4, "halvings", "fewer show brightness steps; more are slow", "Burt and Adelson 1983")
 STEP_PX: Final = 1 << _LEVELS
 HALO_PX: Final = 4 * STEP_PX
@@ -125,7 +124,7 @@ def _bands(image: Floats32, mask: Floats32) -> Iterator[tuple[Floats32, Floats32
     yield image, mask
 
 
-def _reached(mine: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+def _reached(mine: Bools) -> tuple[slice, slice] | None:
     """Whole steps about the pixels of a piece, as far as its weights reach at the coarsest level."""
     found = []
     for axis, length in ((1, mine.shape[0]), (0, mine.shape[1])):
@@ -170,7 +169,7 @@ def _filled(image: Floats32, label: Labels) -> Labels:
     return whole
 
 
-def _copy(image: Floats32, where: NDArray[np.bool_], into: Floats32) -> None:
+def _copy(image: Floats32, where: Bools, into: Floats32) -> None:
     """In place, whatever OpenCV makes of empty arrays and single bands."""
     if where.size:
         cv2.copyTo(image, where.view(np.uint8), into)

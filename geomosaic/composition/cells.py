@@ -6,14 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Ints
 from geomosaic.composition.scene import CELL_PX
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 _WORTH_A_BOX = tuned(64, "cells", "saved by one more box: fewer make many boxes; more resample for nothing")
 
 

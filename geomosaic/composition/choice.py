@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.composition.occlusion import occluded
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
@@ -23,8 +23,6 @@ from geomosaic.spread import Spread
 from geomosaic.survey.model import Frame, Survey
 from geomosaic.survey.pixels import read_pixels
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 _PLACE_PX = tuned(192, "frame px", "side of a tested place: larger dilutes houses; smaller lacks context")
 _BLOCK_PX = tuned(32, "frame px", "compared square: larger is alike by land forms; smaller by chance")
 MOST_PLACES = tuned(60, "places", "tested in two frames each: the median is good to 0.01; more take time")

@@ -14,8 +14,8 @@ from enum import IntEnum, IntFlag
 from typing import IO, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Ints64
 from geomosaic.composition.pyramid import RasterLevel, RasterPyramid
 
 
@@ -57,7 +57,6 @@ class NumberKind(IntEnum):
 
 Tags = dict[int, tuple[int, int, bytes]]
 """A directory's: of each tag type, number of values and these, little endian."""
-Ints = NDArray[np.int64]
 _OWN: Final = (Tag.SUBFILE, Tag.WIDTH, Tag.HEIGHT, Tag.TILES, Tag.TILE_BYTES)
 """What an overview doesn't have from its raster, as it has how pixels are kept."""
 _STRUCT: Final = {
@@ -108,14 +107,14 @@ def write_cog_of(pyramid: RasterPyramid, like: Sequence[Tags], out: IO[bytes]) -
             out.writelines(_blocks(pyramid.tiles, places, empty))
 
 
-def _sizes(level: RasterLevel, empty: tuple[bytes, bytes]) -> Ints:
+def _sizes(level: RasterLevel, empty: tuple[bytes, bytes]) -> Ints64:
     """Bytes of each tile, and of its mask if there are any, (down, across, 1 or 2)."""
     of = level.places[..., 1:].copy()
     of[of[..., 0] == 0] = [len(part) for part in empty]
     return of[..., : 2 if empty[1] else 1]
 
 
-def _blocks(tiles: IO[bytes], places: Ints, empty: tuple[bytes, bytes]) -> Iterator[bytes]:
+def _blocks(tiles: IO[bytes], places: Ints64, empty: tuple[bytes, bytes]) -> Iterator[bytes]:
     """The bytes of a row of tiles."""
     for first, size, mask_size in places.tolist():
         parts = empty
@@ -128,7 +127,7 @@ def _blocks(tiles: IO[bytes], places: Ints, empty: tuple[bytes, bytes]) -> Itera
 
 
 def _header(
-    levels: Sequence[RasterLevel], sizes: Sequence[Ints], like: Sequence[Tags], *, big: bool
+    levels: Sequence[RasterLevel], sizes: Sequence[Ints64], like: Sequence[Tags], *, big: bool
 ) -> bytes:
     """Everything before the tiles, of which it says where each one lies."""
     places = [np.zeros_like(of) for of in sizes]
@@ -142,8 +141,8 @@ def _header(
 
 def _directories(
     levels: Sequence[RasterLevel],
-    sizes: Sequence[Ints],
-    places: Sequence[Ints],
+    sizes: Sequence[Ints64],
+    places: Sequence[Ints64],
     like: Sequence[Tags],
     big: bool,
 ) -> list[Tags]:

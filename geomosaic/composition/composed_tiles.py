@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32, Ints64
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.kept_tile import KeptTile
 from geomosaic.composition.model import OutputGrid
@@ -29,7 +29,6 @@ from geomosaic.composition.window import CompositionStep, Window
 from geomosaic.constants import tuned
 from geomosaic.projection.warp import GroundWindow, ProjectionEquations, frame_from_map, middles
 
-Floats32 = NDArray[np.float32]
 MOST_MOVED_PX = tuned(0.05, "mosaic px", "that a kept tile may be off: more shows at tiles beside it")
 MOST_GREY = tuned(0.5, "grey levels of 256", "that a kept tile may be off: more shows at tiles beside it")
 _ACROSS = 4
@@ -50,10 +49,10 @@ class ComposedTiles:
     grid: OutputGrid
     manner: str
     frames: tuple[str, ...]
-    places: NDArray[np.int64]
+    places: Ints64
     owners: tuple[str, ...]
-    first: NDArray[np.int64]
-    part: NDArray[np.int64]
+    first: Ints64
+    part: Ints64
     image_px: Floats32
     brighter: Floats32
 
@@ -228,7 +227,7 @@ class TileNotes:
         return tiles_of(self._noting.none(), self._places, self._notes)
 
 
-def _offset_px(grid: OutputGrid, was: OutputGrid) -> NDArray[np.float64]:
+def _offset_px(grid: OutputGrid, was: OutputGrid) -> Floats:
     """Cols and rows of an earlier grid before the first of the present one."""
     return np.array([grid.west_m - was.west_m, was.north_m - grid.north_m]) / grid.gsd_m
 
@@ -264,7 +263,7 @@ def _places(ground: GroundWindow, view: FrameView) -> tuple[Floats32, Floats32]:
     return cols, rows
 
 
-def _inside(image_px: Floats32, camera: Camera) -> NDArray[np.bool_]:
+def _inside(image_px: Floats32, camera: Camera) -> Bools:
     """Which places lie in a frame or near its edge."""
     size = np.array([camera.width_px, camera.height_px])
     with np.errstate(invalid="ignore"):

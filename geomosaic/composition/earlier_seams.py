@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Ints32, Ints64
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.seam_parts import SeamPart
 
@@ -19,7 +19,7 @@ _OFF = 1e-3
 
 
 def with_earlier_seams(
-    cut: Ownership, parts: Sequence[SeamPart], was: Ownership, numbers: NDArray[np.int64]
+    cut: Ownership, parts: Sequence[SeamPart], was: Ownership, numbers: Ints64
 ) -> Ownership:
     """The ownership in which a cell stays with its earlier owner, if that still may give it and the present
     owner gave cells of the earlier mosaic as well.
@@ -42,7 +42,7 @@ def with_earlier_seams(
     return replace(cut, owner=np.where(may & np.isin(cut.owner, both + 1), earlier, cut.owner))
 
 
-def _placed(cells: NDArray[np.int32], shape: tuple[int, ...], row: int, col: int) -> NDArray[np.int32]:
+def _placed(cells: Ints32, shape: tuple[int, ...], row: int, col: int) -> Ints32:
     """Cells in an array of another shape, from a row and col on that may lie outside; 0 elsewhere."""
     out = np.zeros(shape, dtype=np.int32)
     rows, cols = (

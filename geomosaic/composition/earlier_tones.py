@@ -8,15 +8,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32, Ints64
 from geomosaic.composition.composed_tiles import GREYS, MOST_GREY
-from geomosaic.composition.tones import Floats32, Tones, ToneSightings, evened
+from geomosaic.composition.tones import Tones, ToneSightings, evened
 from geomosaic.matching.tracks import frame_by_frame
 
 
 def with_earlier_tones(
-    found: Tones, places: ToneSightings, values: Floats32, was: Tones, earlier: NDArray[np.int64]
+    found: Tones, places: ToneSightings, values: Floats32, was: Tones, earlier: Ints64
 ) -> Tones:
     """The tones in which a frame keeps its earlier ones if they show it within MOST_GREY of the present ones,
     root mean square over its sightings and bands.
@@ -46,7 +46,7 @@ def with_earlier_tones(
         if float(np.sqrt(((one - other) ** 2).mean())) <= most:
             kept[frame] = earlier[frame]
 
-    def merged(now: NDArray[np.float64], before: NDArray[np.float64]) -> NDArray[np.float64]:
+    def merged(now: Floats, before: Floats) -> Floats:
         stays = (kept >= 0).reshape(-1, *[1] * (now.ndim - 1))
         return np.where(stays, before[kept], now)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frames import Decoded, decode
 from geomosaic.composition.hidden import Clear
@@ -21,8 +22,6 @@ from geomosaic.composition.window import SourcePixels, Window, as_type
 from geomosaic.constants import tuned
 from geomosaic.projection.lattice import WindowInFrame
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, resample
-
-Floats32 = NDArray[np.float32]
 
 _NODES_OFF_PX = tuned(1.0, "frame px", "tolerance past its nodes: less loses edge pixels; more takes time")
 
@@ -47,7 +46,7 @@ class Patch:
         return int(self.col + self.pixels.shape[1])
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """Which pixels the frame shows, (h, w)."""
         if self.margin_px is None:
             return np.ones(self.pixels.shape[:2], dtype=bool)

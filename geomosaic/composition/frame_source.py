@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.composition.frame_part import FramePart
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership, owner_share
@@ -15,7 +15,6 @@ from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import SourcePixels, Window
 from geomosaic.constants import tuned
 
-Floats32 = NDArray[np.float32]
 _NEARER_PER_M = tuned(np.float32(1e-7), "shares per m", "order of unseen cells by nadir: larger moves seams")
 
 

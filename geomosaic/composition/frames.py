@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 
-Floats32 = NDArray[np.float32]
 _DISTANCE_BYTES = np.dtype(np.float32).itemsize
 _FULLY_VALID = (".jpg", ".jpeg")
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.composition.limits import COARSER
 from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.tiles import TILE_PX
@@ -135,7 +135,7 @@ def _fits(views: Sequence[FrameView], gsd_m: float, max_gigapixels: float) -> bo
     return _pixels(views, gsd_m) <= min(max_gigapixels * 1e9, MOST_PIXELS_PER_FRAME_PIXEL * taken)
 
 
-def _reach_m(views: Sequence[FrameView]) -> NDArray[np.float64]:
+def _reach_m(views: Sequence[FrameView]) -> Floats:
     """How far from the survey's middle each frame sees."""
     bounds = np.array([v.bounds_m for v in views])
     middle = np.median((bounds[:, :2] + bounds[:, 2:]) / 2.0, axis=0)

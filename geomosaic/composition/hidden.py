@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats32
 from geomosaic.composition.window import Window
-
-Bools = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -25,7 +22,7 @@ class Hidden:
     col: int
     height: int
     width: int
-    packed: NDArray[np.uint8]
+    packed: Bytes
 
     @classmethod
     def of(cls, frame: int, side_px: int, row: int, col: int, flags: Bools) -> Hidden:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.windows import Window as RasterWindow
 
+from geomosaic.arrays import Ints64
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.raster import OWN, open_raster
@@ -24,7 +25,7 @@ class KeptTile:
     sources: Path
     col: int
     row: int
-    numbers: NDArray[np.int64]
+    numbers: Ints64
 
     def composed(self, window: Window) -> Composed:
         """The tile as a window of the present mosaic."""

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.projection.footprint import FEW, sightings
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 OFF_VERTICAL_DEG = sourced(60.0, "degrees", "steepest view: beyond, heights move the map 1.7 times", "tan 60")
 COARSER = tuned(4.0, "mosaic px", "coarsest view used: beyond, 15 of 16 pixels are invented")
 _FAR_INSIDE = sourced(2.0, "limits", "cap: beyond, a place is good enough", "definition")

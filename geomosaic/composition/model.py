@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from geomosaic.arrays import Floats
 from geomosaic.projection.map_grid import MapGrid
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

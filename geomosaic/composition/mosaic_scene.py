@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats
 from geomosaic.composition.alignment import read_alignment
 from geomosaic.composition.area import Area, Outline, area_seen, elsewhere, read_outline
 from geomosaic.composition.bands import with_all_bands
@@ -27,7 +27,6 @@ from geomosaic.projection.footprint import survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey, Warn
 
-Floats = NDArray[np.float64]
 TRIM: Final = "trim"
 EDGES: Final = (TRIM, "keep")
 _SEEN = 0.98  # of an area; what is less isn't cells cut at its edge

@@ -6,24 +6,21 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from geomosaic.arrays import Bools, Floats32, Ints32
 from geomosaic.composition.seam_parts import HIGH_M
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.edge_refinement import STEP_CELLS
 
-Bools = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
-Labels = NDArray[np.int32]
 _AROUND = np.ones((3, 3), np.uint8)
 _SMOOTH: Final = 5
 """Nodes of the median that takes single nodes off outlines, as in `surface.void_fill`."""
 
 
-def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Labels:
+def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Ints32:
     """The objects of a surface that stand on a terrain with the same nodes: by node (rows, cols) the number
     of its object from 1 on, 0 elsewhere.
 
@@ -40,7 +37,7 @@ def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Labels:
     return _high(_numbered(_without_steps(parts, over_m, limit_m)), over_m)
 
 
-def _nearest_part(stands: Bools, even: Bools) -> Labels:
+def _nearest_part(stands: Bools, even: Bools) -> Ints32:
     """Connected even nodes, the others of a clump with the nearest of them; all of a clump without any."""
     clumps, _ = ndimage.label(stands, _AROUND)
     seeds, seeded = ndimage.label(even)
@@ -52,7 +49,7 @@ def _nearest_part(stands: Bools, even: Bools) -> Labels:
     return np.where(stands, np.where(own, parts, seeded + clumps), 0).astype(np.int32)
 
 
-def _without_steps(parts: Labels, over_m: Floats32, limit_m: float) -> Labels:
+def _without_steps(parts: Ints32, over_m: Floats32, limit_m: float) -> Ints32:
     """Parts beside each other as one, if their heights do not leap along most of what they share."""
     number = int(parts.max(initial=0)) + 1
     pairs, leaps = [], []
@@ -70,14 +67,14 @@ def _without_steps(parts: Labels, over_m: Floats32, limit_m: float) -> Labels:
     return np.where(parts > 0, found[parts] + 1, 0).astype(np.int32)
 
 
-def _high(labels: Labels, over_m: Floats32) -> Labels:
+def _high(labels: Ints32, over_m: Floats32) -> Ints32:
     """Those whose median height is that of an object that leans: cars are left on the ground."""
     numbers = np.arange(int(labels.max(initial=0)) + 1)
     height_m = np.asarray(ndimage.median(over_m, labels, numbers))
     return _numbered(np.where((height_m > HIGH_M)[labels], labels, 0).astype(np.int32))
 
 
-def _numbered(labels: Labels) -> Labels:
+def _numbered(labels: Ints32) -> Ints32:
     """From 1 on without gaps."""
     kept = np.flatnonzero(np.bincount(labels.ravel()))
     number = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int32)

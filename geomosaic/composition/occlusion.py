@@ -10,8 +10,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats32
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.scene import CELL_PX, LEAST_CELL_PX, Scene, bounds_window, ground_of, margin_px
@@ -21,9 +21,6 @@ from geomosaic.projection.horizon import hidden_m
 from geomosaic.projection.warp import frame_from_map
 from geomosaic.spread import Spread
 
-Bools = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
 _STEP_M = tuned(1.0, "m", "depth and width of an occlusion: less is kerbs and noise; more sees through sheds")
 _EDGE_M = tuned(0.25, "m", "depth at its edge: less frays it by noise; more shows roof edges twice")
 _PER_M = tuned(10.0, "steps per m", "of depth in a byte: fewer are coarse; more saturate at once")

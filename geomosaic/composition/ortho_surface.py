@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.dtm import filled
 
-Bools = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
 _UNSURE_NODES = tuned(8.0, "node spacings", "deviation to smooth at: 6 cuts roofs; more leaves torn crowns")
 _WIDE_M = tuned(2.5, "m", "least width of a smoothed area: less smooths single crowns")
 _WIDE_NODES = tuned(12.0, "node spacings", "least width smoothed: 6 leaves 30.1 % wrong walls, not 23.9 %")

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32, Ints32
 from geomosaic.composition.area import Area
 from geomosaic.composition.blends import HALO_PX
 from geomosaic.composition.hidden import Hidden
@@ -28,8 +28,6 @@ from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 from geomosaic.projection.warp import frame_from_map
 
-Floats32 = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 _MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
 _CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
 _MOST_CELLS = tuned(16_000_000, "cells", "128 MB of owners: more take memory; fewer coarsen large mosaics")
@@ -50,7 +48,7 @@ class Ownership:
     grid: OutputGrid
     used: Bools
     cell_px: int
-    owner: NDArray[np.int32]
+    owner: Ints32
     area: Area | None = None
     hidden: tuple[Hidden, ...] = ()
     trimmed: Trimmed | None = None
@@ -64,7 +62,7 @@ class Ownership:
         cells = np.bincount(owner.ravel())[1:]
         return {int(i): float(cells[i] / cells.sum()) for i in np.flatnonzero(cells)}
 
-    def around(self, window: Window) -> tuple[int, int, NDArray[np.int32]]:
+    def around(self, window: Window) -> tuple[int, int, Ints32]:
         """The owners of all cells that a window touches, and one more on every side: row and col of the
         first, and the owners. What is outside the grid is as its edge."""
         side, (height, width) = self.cell_px, self.owner.shape

@@ -9,8 +9,8 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Ints
 from geomosaic.composition.cells import MosaicCells, window_cells
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.model import OutputGrid
@@ -20,7 +20,6 @@ from geomosaic.composition.visibility import VisibleCells
 from geomosaic.composition.window import CompositionStep, SourcePart, Window
 from geomosaic.constants import tuned
 
-Bools = NDArray[np.bool_]
 _SQUARE_PX = tuned(2048, "mosaic px", "planned together: smaller is call overhead; larger has idle frames")
 
 
@@ -211,8 +210,8 @@ def _about(some: Sequence[Window]) -> Window:
 class BoxIndex:
     """Where frames lie: numbers (n,), and first and last row and col of their cells (n, 4)."""
 
-    numbers: NDArray[np.intp]
-    boxes: NDArray[np.intp]
+    numbers: Ints
+    boxes: Ints
 
     @classmethod
     def of(cls, seen: Mapping[int, VisibleCells]) -> BoxIndex:

@@ -14,7 +14,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.composition.tiles import TILE_PX, Flags, PackedTile, TileKind
+from geomosaic.arrays import Bools, Floats, Ints64
+from geomosaic.composition.tiles import TILE_PX, PackedTile, TileKind
 from geomosaic.composition.window import Window
 
 
@@ -23,7 +24,7 @@ class _Gathered:
     """A tile in the making: pixels and valid ones, once there are any; how many pixels came."""
 
     pixels: NDArray[Any] | None = None
-    valid: Flags | None = None
+    valid: Bools | None = None
     count: int = 0
 
 
@@ -34,7 +35,7 @@ class RasterLevel:
 
     width: int
     height: int
-    places: NDArray[np.int64]
+    places: Ints64
 
 
 class RasterPyramid:
@@ -55,9 +56,9 @@ class RasterPyramid:
             width, height = -(-width // 2), -(-height // 2)
         self._lock, self._end = threading.Lock(), 0
         self._gathered: list[dict[tuple[int, int], _Gathered]] = [{} for _ in self.levels]
-        self._figures: dict[tuple[int, int], NDArray[np.float64]] = {}
+        self._figures: dict[tuple[int, int], Floats] = {}
 
-    def add(self, window: Window, pixels: NDArray[Any], valid: Flags) -> None:
+    def add(self, window: Window, pixels: NDArray[Any], valid: Bools) -> None:
         """A window's pixels (h, w, bands), 0 where not valid (h, w)."""
         some = bool(valid.any())
         self._add(0, window, pixels if some else None, valid if some else None)
@@ -78,7 +79,7 @@ class RasterPyramid:
         """Tiles, of all levels, that some of their pixels are held of."""
         return sum(tile.pixels is not None for gathered in self._gathered for tile in gathered.values())
 
-    def statistics(self) -> NDArray[np.float64] | None:
+    def statistics(self) -> Floats | None:
         """Least, most, mean and standard deviation of all valid pixels by band, (4, bands); None of none."""
         if not self._figures:
             return None
@@ -90,7 +91,7 @@ class RasterPyramid:
             [least.min(axis=0), most.max(axis=0), mean, np.sqrt(np.maximum(square - mean**2, 0.0))]
         )
 
-    def _add(self, level: int, window: Window, pixels: Any, valid: Flags | None) -> None:
+    def _add(self, level: int, window: Window, pixels: Any, valid: Bools | None) -> None:
         col, row, width, height = window.col, window.row, window.width, window.height
         for i in range(row // TILE_PX, -(-(row + height) // TILE_PX)):
             for j in range(col // TILE_PX, -(-(col + width) // TILE_PX)):
@@ -108,7 +109,7 @@ class RasterPyramid:
                 )
 
     def _part(
-        self, level: int, tile: tuple[int, int], at: tuple[slice, ...], pixels: Any, valid: Flags | None
+        self, level: int, tile: tuple[int, int], at: tuple[slice, ...], pixels: Any, valid: Bools | None
     ) -> None:
         """What came of a tile. Its last part, or the whole of it, lets it be packed."""
         of = self.levels[level]
@@ -132,7 +133,7 @@ class RasterPyramid:
             pixels, valid = found.pixels, found.valid
         self._whole(level, tile, pixels, valid)
 
-    def _whole(self, level: int, tile: tuple[int, int], pixels: Any, valid: Flags | None) -> None:
+    def _whole(self, level: int, tile: tuple[int, int], pixels: Any, valid: Bools | None) -> None:
         self.put(level, tile, None if valid is None else self.kind.tile(pixels, valid, first=level == 0))
 
     def put(self, level: int, tile: tuple[int, int], made: PackedTile | None) -> None:

@@ -12,10 +12,10 @@ from typing import Any, Final
 from uuid import uuid4
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal, gdal_array, osr
 
 from geomosaic import __version__
+from geomosaic.arrays import Floats
 from geomosaic.composition.blended import BlendedBlock
 from geomosaic.composition.cog_layout import Tags, directories, write_cog_of
 from geomosaic.composition.model import OutputGrid
@@ -168,7 +168,7 @@ def _writing(path: Path, width: int, height: int, look: RasterMetadata) -> Itera
             write_cog_of(pyramid, _directories(look, pyramid.statistics()), out)
 
 
-def _directories(look: RasterMetadata, statistics: NDArray[np.float64] | None) -> list[Tags]:
+def _directories(look: RasterMetadata, statistics: Floats | None) -> list[Tags]:
     """Those of a raster of one pixel and of its mask, as GDAL writes them."""
     name, kind = f"/vsimem/{uuid4()}.tif", look.kind
     with gdal_failures(Path(name)), gdal_options({"GDAL_TIFF_INTERNAL_MASK": "YES"}):
@@ -201,7 +201,7 @@ def _directories(look: RasterMetadata, statistics: NDArray[np.float64] | None) -
     return directories(data)
 
 
-def _describe(band: Any, look: RasterMetadata, k: int, statistics: NDArray[np.float64] | None) -> None:
+def _describe(band: Any, look: RasterMetadata, k: int, statistics: Floats | None) -> None:
     if look.colours == (gdal.GCI_PaletteIndex,):
         table = gdal.ColorTable()
         for number in range(1, 256):

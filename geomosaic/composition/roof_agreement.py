@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats32
 from geomosaic.composition.roof_views import Roof, RoofSeen
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import sourced, tuned
 from geomosaic.surface.refinement import NOISE_GREY
 
-Bools = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
 _WINDOW = tuned(7, "px", "of correlation: larger mixes a roof with its yard; smaller is chance")
 _ALIKE = sourced(0.5, "correlation", "of half a roof at least", "as much signal in both frames as noise")
 _UNLIKE = tuned(0.3, "correlation", "of a place that frames do not agree on: noise reaches 0.3")
@@ -88,7 +86,7 @@ def agreement(roof: Roof, mask: Bools, seen: Sequence[RoofSeen], views: Sequence
     )
 
 
-def _alike(one: NDArray[np.uint8], other: NDArray[np.uint8], both: Bools) -> Floats32:
+def _alike(one: Bytes, other: Bytes, both: Bools) -> Floats32:
     """Correlation in windows, NaN where one of both shows nothing."""
     a, b, side = one.astype(np.float32), other.astype(np.float32), (_WINDOW, _WINDOW)
     mean_a, mean_b, noise = cv2.blur(a, side), cv2.blur(b, side), np.float32(NOISE_GREY**2)

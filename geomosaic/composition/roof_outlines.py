@@ -7,15 +7,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32
 from geomosaic.composition.roof_views import FINER, Roof, RoofSeen
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 _MOST_GREY = tuned(30.0, "grey levels", "cap of a difference: higher lets single pixels decide")
 _RECTANGLE = tuned(
     0.8, "share", "that a rectangle and an outline have in common: less squares L-shaped houses"
@@ -60,7 +57,7 @@ def _gain(roof: Roof, mask: Bools, seen: Sequence[RoofSeen], views: Sequence[Fra
     return np.nan_to_num(np.where(np.isnan(ground_grey), usual, ground_grey) - roof_grey).astype(np.float32)
 
 
-def _difference(one: NDArray[np.uint8], other: NDArray[np.uint8], both: Bools, of: Bools) -> Floats32:
+def _difference(one: Bytes, other: Bytes, both: Bools, of: Bools) -> Floats32:
     """In grey levels, after one gain found where `of`; NaN where not both show the place."""
     a, b = one.astype(np.float32), other.astype(np.float32)
     if of.any():

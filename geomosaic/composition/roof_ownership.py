@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints32
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.occlusion import occluded_scene
 from geomosaic.composition.ownership import Ownership
@@ -19,9 +19,6 @@ from geomosaic.constants import tuned
 from geomosaic.projection.ground import WALLED, GroundSurface
 from geomosaic.spread import Spread
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
 _HIDDEN = tuned(0.25, "share", "of a cell that its owner may not see: more leaves doubled edges to chance")
 _EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
 _NEAR = np.ones((5, 5), np.uint8)
@@ -97,7 +94,7 @@ def _hidden(
     return tuple(found)
 
 
-def _nearest(scene: Scene, places: Floats, hidden: dict[int, Bools], owner: Labels) -> Labels:
+def _nearest(scene: Scene, places: Floats, hidden: dict[int, Bools], owner: Ints32) -> Ints32:
     """Of places (n, 3) the nearest frame, plus 1, of those that see them; the owner where none does."""
     found, nearest = owner.copy(), np.full(len(places), np.inf)
     for view in scene.views:

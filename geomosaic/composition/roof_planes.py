@@ -7,14 +7,11 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from geomosaic.arrays import Bools, Floats, Floats32, Ints, Ints32
 from geomosaic.constants import tuned
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 _MOST: Final = 6
 """Planes of a roof: two hipped roofs that meet have no more that matter."""
 _OFF_NODES = tuned(0.5, "node spacings", "off a plane: less loses roofs to noise; more makes crowns roofs")
@@ -36,7 +33,7 @@ class RoofPlanes:
     fits; terms (n, 3): rise by col, by row, and height at the first node, in m; share: of the nodes off the
     edge that one of them fits."""
 
-    labels: NDArray[np.int32]
+    labels: Ints32
     terms: Floats
     share: float
 
@@ -116,11 +113,11 @@ def _plane(
     return best
 
 
-def _through(at: Floats, height: Floats, some: NDArray[np.intp]) -> Floats:
+def _through(at: Floats, height: Floats, some: Ints) -> Floats:
     return np.asarray(np.linalg.lstsq(at[some], height[some], rcond=None)[0])
 
 
-def _wide_parts(row: NDArray[np.intp], col: NDArray[np.intp], shape: tuple[int, ...], least: int) -> Bools:
+def _wide_parts(row: Ints, col: Ints, shape: tuple[int, ...], least: int) -> Bools:
     """Which of some nodes lie in a connected part of so many."""
     flags = np.zeros(shape, np.uint8)
     flags[row, col] = 1

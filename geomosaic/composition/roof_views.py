@@ -8,8 +8,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints32
 from geomosaic.composition.roof_planes import roof_planes
 from geomosaic.composition.seam_parts import HIGH_M
 from geomosaic.composition.views import FrameView
@@ -20,10 +20,6 @@ from geomosaic.projection.warp import GroundWindow
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 
-Bools = NDArray[np.bool_]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 FINER: Final = 2
 """Pixels of a roof's window a node."""
 LEAST_VIEWS = sourced(3, "frames", "that see an object whole", "two frames cannot contradict each other")
@@ -99,7 +95,7 @@ class RoofSeen:
 def roof_candidate(
     surface: GroundSurface,
     ground_m: Floats32,
-    labels: NDArray[np.int32],
+    labels: Ints32,
     number: int,
     views: Sequence[FrameView],
 ) -> Roof | None:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools
 from geomosaic.composition.objects import objects_between
 from geomosaic.composition.roof_agreement import agreement
 from geomosaic.composition.roof_outlines import refined
@@ -16,8 +16,6 @@ from geomosaic.composition.views import FrameView
 from geomosaic.projection.ground import GroundSurface, RaisedObject
 from geomosaic.spread import Spread
 from geomosaic.survey.model import Frame
-
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

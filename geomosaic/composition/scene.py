@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.blends import STEP_PX
 from geomosaic.composition.model import OutputGrid
@@ -23,7 +23,6 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.lattice import MapLattice
 from geomosaic.projection.warp import GroundWindow, ground_window
 
-Floats32 = NDArray[np.float32]
 CELL_PX: Final = STEP_PX
 """Of the mosaic: by cells of this side it is planned which frames can matter where."""
 LEAST_CELL_PX = tuned(8, "mosaic px", "finest cell of an owner: smaller follows leaves and takes long")

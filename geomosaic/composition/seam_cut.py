@@ -12,14 +12,13 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.plugins import SEAMS_GROUP, Named
 from geomosaic.composition.seam_parts import SeamPart, to_8_bits
 from geomosaic.constants import tuned
 from geomosaic.spread import AtOnce, Spread
 
-Floats32 = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 _cv2: Any = cv2  # its stubs leave the stitching module out
 _ON_OBJECTS = tuned(np.float32(40.0), "grey levels", "seam cost on objects: less cuts houses; grass costs 10")
 _MANY_CELLS = tuned(16_000, "cells", "above, cut coarse to fine: less coarsens small parts; more is slow")

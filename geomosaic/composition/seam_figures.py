@@ -6,14 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32, Ints
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.seam_parts import SeamPart, to_8_bits
-
-Floats32 = NDArray[np.float32]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32, Ints
 from geomosaic.composition.ownership import Ownership, frame_cells
 from geomosaic.composition.scene import Scene, bounds_window, distances_m
 from geomosaic.composition.tones import Tones, evened
@@ -20,9 +21,6 @@ from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import Spare
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 _BAND = tuned(0.5, "share", "of a frame's part around seams: less leaves no way; more lets houses lean")
 _LEAST_BAND_CELLS = tuned(6.0, "cells", "with high overlap: narrower leaves a seam no choice")
 _EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
@@ -188,7 +186,7 @@ def to_8_bits(parts: Sequence[SeamPart]) -> np.float32:
     return np.float32(1.0 if white <= 0.0 or 1.0 < white <= most else most / white)
 
 
-def _areas(nearest: Ownership, scene: Scene) -> NDArray[np.intp]:
+def _areas(nearest: Ownership, scene: Scene) -> Ints:
     """Cells of each frame, by its owner's number."""
     most = max((view.frame + 1 for view in scene.views), default=0)
     return np.bincount(nearest.owner.ravel(), minlength=most + 1)

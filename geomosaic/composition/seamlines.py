@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import rasterio
 import shapely
-from numpy.typing import NDArray
 from rasterio.features import shapes
 
+from geomosaic.arrays import Bools, Floats, Ints32
 from geomosaic.composition.model import Hole, Holes, OutputGrid, Seamline
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
@@ -28,12 +28,12 @@ class SeamLabels:
         self.step_px = 1
         while grid.width_px * grid.height_px > _MOST_LABELS * self.step_px**2 and self.step_px < window_px:
             self.step_px *= 2
-        self._labels: NDArray[np.int32] = np.zeros(
+        self._labels: Ints32 = np.zeros(
             (-(-grid.height_px // self.step_px), -(-grid.width_px // self.step_px)), dtype=np.int32
         )
         self._wanted = np.full(self._labels.shape, not cut)
 
-    def add(self, window: Window, labels: NDArray[np.int32], wanted: NDArray[np.bool_] | None) -> None:
+    def add(self, window: Window, labels: Ints32, wanted: Bools | None) -> None:
         """Takes over a window's cells, see `Composed.cells`."""
         row, col = window.row // self.step_px, window.col // self.step_px
         at = slice(row, row + labels.shape[0]), slice(col, col + labels.shape[1])
@@ -95,5 +95,5 @@ class SeamLabels:
         return int(self._labels[row, col])
 
 
-def _rings(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], ...]:
+def _rings(polygon: shapely.Polygon) -> tuple[Floats, ...]:
     return tuple(np.asarray(r.coords, dtype=np.float64) for r in (polygon.exterior, *polygon.interiors))

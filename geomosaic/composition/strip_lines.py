@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.errors import FileError
-
-Floats32 = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +26,7 @@ class LineBlock:
 
     first: int
     pixels: Floats32
-    valid: Flags | None
+    valid: Bools | None
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ class StripLines:
         return LineBlock(first, pixels, valid)
 
 
-def _fill(pixels: Floats32, valid: Flags, radius_px: int) -> None:
+def _fill(pixels: Floats32, valid: Bools, radius_px: int) -> None:
     """Invalid pixels get the mean of the valid ones within radius_px."""
     size = (2 * radius_px + 1, 2 * radius_px + 1)
     pixels[~valid] = 0.0

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.ccd.layout import SceneLayout
 from geomosaic.composition.strip_lines import StripLines
 from geomosaic.composition.strip_window import StripBlock, part_of_strip
 from geomosaic.composition.window import CompositionStep, SourcePixels, Window
-
-Floats32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,13 +12,11 @@ from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-from geomosaic.ccd.model import Floats
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.constants import tuned
 from geomosaic.projection.resample import KERNEL_RADIUS_PX
 
-Floats32 = NDArray[np.float32]
 _STEPS = tuned(256, "steps per px", "of tabled weights, 0.002 off: fewer show; more take memory")
 
 

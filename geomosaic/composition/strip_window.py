@@ -6,15 +6,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.ccd.layout import StripLookup
-from geomosaic.ccd.model import Flags, Floats
 from geomosaic.composition.strip_lines import LineBlock
 from geomosaic.composition.strip_taps import between
 from geomosaic.constants import tuned
 
-Floats32 = NDArray[np.float32]
 _ROWS = tuned(32, "px", "resampled at once: more do not fit a processor's cache")
 _STRETCHES = tuned(64, "stretches", "in a piece, as wide as a TH-1 strip: more widen its weights")
 _STRETCH_PX = tuned(64, "px", "most columns with one shift, computed past an edge: more save little")
@@ -25,7 +23,7 @@ class StripPart:
     """Pixels and which of them are valid, (rows, cols)."""
 
     pixels: Floats32
-    valid: Flags
+    valid: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +93,7 @@ def _stretch(knots_px: Floats, off_px: Floats) -> int:
     return stretch
 
 
-def _valid(lines: LineBlock, count: int, knots_px: Floats, image_px: Floats, cols: tuple[int, int]) -> Flags:
+def _valid(lines: LineBlock, count: int, knots_px: Floats, image_px: Floats, cols: tuple[int, int]) -> Bools:
     """Where the nearest pixel is one of the strip's and valid, (rows, cols)."""
     height, width = lines.pixels.shape
     middles = np.arange(cols[0] + 0.5, cols[1])
@@ -113,7 +111,7 @@ def _valid(lines: LineBlock, count: int, knots_px: Floats, image_px: Floats, col
     return valid
 
 
-def _within(at_px: Floats, size: int, beyond_px: float = 0.0) -> Flags:
+def _within(at_px: Floats, size: int, beyond_px: float = 0.0) -> Bools:
     """What lies within 0 and a size, or as much beyond; not what isn't known."""
     return np.asarray((at_px >= -beyond_px) & (at_px <= size + beyond_px))
 

@@ -11,11 +11,11 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import sourced, tuned
 
 TILE_PX = sourced(512, "px", "of the file, blended and resampled at once; larger takes memory", "GDAL: COG")
 _EFFORT = tuned(2, "ISA-L level", "1 gains 1 % less; 3 takes a quarter longer for half a percent")
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class TileKind:
         Technical Note 3)."""
         return _deflated(_less_neighbours(_full(pixels)))
 
-    def tile(self, pixels: NDArray[Any], valid: Flags, *, first: bool = True) -> PackedTile | None:
+    def tile(self, pixels: NDArray[Any], valid: Bools, *, first: bool = True) -> PackedTile | None:
         """A whole tile's pixels (h, w, bands), 0 where not valid (h, w); None where none is. first: of the
         raster itself, not of an overview."""
         if not valid.any():
@@ -64,7 +64,7 @@ class TileKind:
         return _deflated(pixels), packed_mask(np.zeros((1, 1), bool)) if self.masked else b""
 
 
-def packed_mask(valid: Flags) -> bytes:
+def packed_mask(valid: Bools) -> bytes:
     """A tile's mask, a bit a pixel."""
     return _deflated(np.packbits(_full(valid), axis=1))
 
@@ -100,12 +100,12 @@ class PackedTile:
 
     packed: bytes
     mask: bytes
-    figures: NDArray[np.float64] | None
+    figures: Floats | None
     half: NDArray[Any] | None
-    half_valid: Flags | None
+    half_valid: Bools | None
 
 
-def _figures(pixels: NDArray[Any], valid: Flags) -> NDArray[np.float64]:
+def _figures(pixels: NDArray[Any], valid: Bools) -> Floats:
     """Count, least, most, mean and mean square of valid pixels by band, (5, bands)."""
     bands, mask = pixels.shape[2], valid.view(np.uint8)
     mean, sd = (np.asarray(of, np.float64).ravel() for of in cv2.meanStdDev(pixels, mask=mask))
@@ -114,7 +114,7 @@ def _figures(pixels: NDArray[Any], valid: Flags) -> NDArray[np.float64]:
     return np.array([count, *np.transpose(ends), mean, mean**2 + sd**2], np.float64)
 
 
-def halved(pixels: NDArray[Any], valid: Flags) -> tuple[NDArray[Any], Flags]:
+def halved(pixels: NDArray[Any], valid: Bools) -> tuple[NDArray[Any], Bools]:
     """Means of 2 x 2 pixels (h, w, bands), of the valid ones among them; what is left over at an edge stands
     for itself."""
     rows, cols = valid.shape

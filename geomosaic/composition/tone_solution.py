@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tone_deviations import GAIN_SD, Exposures, Scatter
-from geomosaic.composition.tones import ACROSS, Floats, Floats32, Tones, ToneSightings, powers
+from geomosaic.composition.tones import ACROSS, Tones, ToneSightings, powers
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import SparseFactors, least_squares
 from geomosaic.estimation.robust import cauchy_weight

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.hot_spot import directions, hot_spot
 from geomosaic.composition.views import FrameView
@@ -28,10 +29,6 @@ from geomosaic.projection.warp import frame_from_map, ground_window
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import Spare
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.intp]
 
 ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
 _LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field beside it")

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import rasterio
 import shapely
-from numpy.typing import NDArray
 from rasterio.features import shapes
 
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints32
 from geomosaic.camera.exterior import Poses
 from geomosaic.composition.area import Area, rings_of
 from geomosaic.composition.limits import Limits
@@ -29,10 +29,6 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import ground_window
 
-Bools = NDArray[np.bool_]
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 OFF_PX = tuned(3.0, "px", "shift that makes land wrong: less trims roof rims, unsure by 1 or 2")
 _MOST_PLACES = tuned(1_000_000, "places", "where angles and deviations are computed: more take time and room")
 _WIDE_CELLS = tuned(1000, "cells", "along the seen area, to measure it: fewer are coarse; more take time")
@@ -230,7 +226,7 @@ def _outer(lost: Bools, unseen: Bools) -> Bools:
 def slivers(kept: Bools, lost: Bools) -> Bools:
     """Kept cells that lost ones part from a piece a thousand times as large."""
 
-    def pieces(cells: Bools) -> NDArray[np.int32]:
+    def pieces(cells: Bools) -> Ints32:
         return np.asarray(cv2.connectedComponents(cells.view(np.uint8), connectivity=8)[1])
 
     piece, together = pieces(kept), pieces(kept | lost)

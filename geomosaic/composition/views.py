@@ -8,8 +8,8 @@ from functools import cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.hidden import Hidden
@@ -20,9 +20,6 @@ from geomosaic.projection.footprint import ground_from_image, ground_sampling_di
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 _SAMPLES_PER_SIDE = tuned(17, "places", "on a frame's edge: fewer miss its bends by more than _SPARE")
 _SPARE = tuned(0.02, "share", "added to bounds: edges bend outwards; less cuts them off")
 

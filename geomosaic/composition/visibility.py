@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32, Ints
 from geomosaic.composition.cells import MosaicCells
 from geomosaic.composition.frames import decode, may_be_masked
 from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
@@ -16,8 +16,6 @@ from geomosaic.constants import tuned
 from geomosaic.projection.warp import GroundWindow, ProjectionEquations, frame_from_map
 from geomosaic.survey.model import Frame
 
-Floats32 = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 _BLOCK = tuned(4, "cells", "tested as one far from an edge: larger leaves more edge; smaller is slow")
 
 
@@ -110,9 +108,7 @@ def _by_blocks(scene: Scene, view: FrameView, window: Window) -> tuple[Bools, Bo
     return found[0, :down, :across], found[1, :down, :across]
 
 
-def _of_cells(
-    scene: Scene, view: FrameView, blocks: GroundWindow, i: NDArray[np.intp], j: NDArray[np.intp]
-) -> Bools:
+def _of_cells(scene: Scene, view: FrameView, blocks: GroundWindow, i: Ints, j: Ints) -> Bools:
     """The same of all cells of blocks, (n, 2, cells down, cells across), by rows i and cols j of these."""
     cell_m = CELL_PX * scene.grid.gsd_m
     within = (np.arange(_BLOCK) + 0.5)[:, None] / _BLOCK

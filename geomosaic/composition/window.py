@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32, Ints32
 from geomosaic.composition.blends import STEP_PX, Blend, Piece
 
-Floats32 = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 _DEPTHS: Final = {"uint8": cv2.CV_8U, "uint16": cv2.CV_16U, "int16": cv2.CV_16S, "float32": cv2.CV_32F}
 DTYPES: Final = tuple(_DEPTHS)
 """Of pixels that can be resampled."""
@@ -153,7 +152,7 @@ class Composed:
         number = np.array([*self.numbers, -1], dtype=np.int64) + 1
         return np.asarray(np.take(number.astype(dtype), self.label[at], mode="wrap"))
 
-    def cells(self, step_px: int) -> tuple[NDArray[np.int32], Bools | None]:
+    def cells(self, step_px: int) -> tuple[Ints32, Bools | None]:
         """Of the middle of each cell of n x n pixels the source, as `source` says it, and whether it was
         asked for, None for all of them."""
         rows, cols = (

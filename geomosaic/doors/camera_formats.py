@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes
 from geomosaic.doors.at_hand import at_hand
 from geomosaic.errors import FileError, InputError
 
@@ -90,7 +91,7 @@ def camera_image(path: Path) -> CameraImage:
         return CameraImage(raw.sizes.width, raw.sizes.height, bands, "uint16")
 
 
-def decoded_camera_image(path: Path, size: tuple[int, int]) -> tuple[NDArray[Any], NDArray[np.uint8] | None]:
+def decoded_camera_image(path: Path, size: tuple[int, int]) -> tuple[NDArray[Any], Bytes | None]:
     """Pixels (rows, cols, bands), and 255 where valid if the file has an alpha band.
 
     A DNG gives linear values in 16 bits and sRGB's primaries, with the file's white balance and no other

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError, GeomosaicError
 
-Floats = NDArray[np.float64]
 SUFFIXES: Final = (".las", ".laz")
 _FIX: Final = "give a point cloud as LAS or LAZ"
 _AGAIN: Final = "copy it again"
@@ -35,7 +34,7 @@ class Points:
     and those that are nowhere left out."""
 
     xyz: Floats
-    kind: NDArray[np.uint8]
+    kind: Bytes
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.constants import tuned
 from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.files import read_bytes
@@ -48,7 +48,7 @@ def thermogram_size(path: Path) -> tuple[int, int]:
         return _size(path, stream, records)
 
 
-def thermogram(path: Path) -> NDArray[np.float32]:
+def thermogram(path: Path) -> Floats32:
     """Degrees Celsius (rows, cols) by the camera's calibration, emissivity and air. Raises: as its size."""
     from flyr.flyr import parse_thermogram
 

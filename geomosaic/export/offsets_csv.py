@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from geomosaic.ccd.model import LABELS, Floats, PairOffsets
+from geomosaic.arrays import Floats
+from geomosaic.ccd.model import LABELS, PairOffsets
 from geomosaic.doors.files import read_text
 from geomosaic.errors import FileError, InputError, OutputError
 from geomosaic.survey.strips import StripGeometry

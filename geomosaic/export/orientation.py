@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation, about_x, about_y
 from geomosaic.constants import SLIGHT
@@ -83,7 +82,7 @@ def _lon_lat_height(survey: Survey, positions_m: Floats) -> Floats:
     return out
 
 
-def _covariances(adjusted: Adjusted, prior: Poses, still: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _covariances(adjusted: Adjusted, prior: Poses, still: Bools) -> tuple[Floats, Floats]:
     """Of the positions and of the turns about the work frame's axes, (n, 3, 3) each.
 
     A method's own where it has them; else from deviations, as if independent: those of the prior for

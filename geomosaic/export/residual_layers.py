@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Ints64
 from geomosaic.export import looks
 from geomosaic.export.ellipses import exaggeration
 from geomosaic.export.geopackage import MapFeatures, columns
@@ -19,7 +19,6 @@ from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
-Ints = NDArray[np.int64]
 MOST_POINTS, MOST_A_FRAME = 200_000, 2_000
 """Of more, in all or in the mean of a frame, the layers show an even share: a map can't show them, and a GIS
 opens the file slowly (190 bytes a feature)."""
@@ -157,7 +156,7 @@ def _lines(start_m: Floats, end_m: Floats) -> NDArray[np.object_]:
     return np.asarray(shapely.linestrings(np.stack([start_m, end_m], axis=1)))
 
 
-def _evenly(indices: Ints, most: int) -> Ints:
+def _evenly(indices: Ints64, most: int) -> Ints64:
     """At most so many of them, evenly over their order, so that every part keeps its share."""
     return indices if len(indices) <= most else indices[np.arange(most) * len(indices) // most]
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import opencv_terms
 from geomosaic.constants import tuned
@@ -41,11 +40,11 @@ class SfmBlock:
     """
 
     names: tuple[str, ...]
-    frames: NDArray[np.intp]
+    frames: Ints
     rotations: Floats
     translations_m: Floats
     cameras: tuple[Camera, ...]
-    camera: NDArray[np.intp]
+    camera: Ints
     points_m: Floats
     off_px: Floats
     tracks: Tracks
@@ -77,7 +76,7 @@ def sfm_block(survey: Survey, ties: TiePoints, adjusted: Adjusted) -> SfmBlock:
     )
 
 
-def _among(tracks: Tracks, kept: NDArray[np.intp], frames: int) -> Tracks:
+def _among(tracks: Tracks, kept: Ints, frames: int) -> Tracks:
     """Observations of frames that are kept, of points that two of them see."""
     seen = np.isin(np.arange(frames), kept)[tracks.frame]
     counts = np.bincount(tracks.point[seen], minlength=tracks.points)

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes
 from geomosaic.doors.raster import OWN, open_raster
 
 _PERCENTILES: Final = (1.0, 99.0)
@@ -21,7 +22,7 @@ class ShownBands:
     bands: list[int]
     limits: tuple[tuple[float, float], ...] = ()
 
-    def eight_bits(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+    def eight_bits(self, values: NDArray[Any]) -> Bytes:
         """Values (bands, rows, cols) as they are shown."""
         if not self.limits:
             return np.asarray(values, np.uint8)

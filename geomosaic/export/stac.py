@@ -9,11 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS
 
+from geomosaic.arrays import Floats
 from geomosaic.composition.model import Mosaic
 from geomosaic.doors.raster import OWN, Raster, open_raster
 from geomosaic.geodesy.antimeridian import split_area
@@ -74,7 +73,7 @@ def coverage_of_mosaic(mosaic: Mosaic) -> Coverage:
     )
 
 
-def coverage_of_scene(ring_deg: NDArray[np.float64], gsd_m: float, height_px: int, width_px: int) -> Coverage:
+def coverage_of_scene(ring_deg: Floats, gsd_m: float, height_px: int, width_px: int) -> Coverage:
     """A scene of strips without a map, by its outline (n, 2) of longitude and latitude, if known."""
     area = shapely.Polygon(ring_deg) if len(ring_deg) else None
     return Coverage(area, gsd_m, (height_px, width_px))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from osgeo import gdal
 from rasterio.windows import Window
 
-from geomosaic.arrays import Bools, Floats, Floats32
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints
 from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, Raster, open_with_osgeo, reading
@@ -52,7 +52,7 @@ class SurfaceBlock:
     height_m: Floats32
     terrain_m: Floats32
     sd_m: Floats32
-    views: NDArray[np.uint8]
+    views: Bytes
     ground: Bools
     valid: Bools
 
@@ -112,7 +112,7 @@ def _inside(cells: Cells, east: Floats, north: Floats) -> Bools:
     return np.asarray((col >= 0.0) & (col <= cells.cols) & (row >= 0.0) & (row <= cells.rows))
 
 
-def _cell_of(cells: Cells, east: Floats, north: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _cell_of(cells: Cells, east: Floats, north: Floats) -> tuple[Ints, Ints]:
     """Row and col of the cell that a place lies in, or is nearest to."""
     col = np.floor((east - cells.west_m) / cells.cell_m).astype(np.intp)
     row = np.floor((north - cells.south_m) / cells.cell_m).astype(np.intp)

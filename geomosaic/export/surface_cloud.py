@@ -13,6 +13,7 @@ import numpy as np
 from laspy.vlrs.known import WktCoordinateSystemVlr
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.raster import SOFTWARE
 from geomosaic.doors.raster import OWN, Raster, reading
@@ -84,7 +85,7 @@ def _colours(mosaic: Raster, block: SurfaceBlock, by: int) -> NDArray[np.uint16]
     return np.asarray(np.clip(np.round(means), 0.0, 65535.0).astype(np.uint16))
 
 
-def _sums(values: NDArray[Any], size: tuple[int, int], by: int) -> NDArray[np.float32]:
+def _sums(values: NDArray[Any], size: tuple[int, int], by: int) -> Floats32:
     padded = np.zeros((size[0] * by, size[1] * by), dtype=np.float32)
     padded[: values.shape[0], : values.shape[1]] = values
     return np.asarray(padded.reshape(size[0], by, size[1], by).sum(axis=(1, 3)))

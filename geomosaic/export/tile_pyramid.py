@@ -11,11 +11,11 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
 
+from geomosaic.arrays import Bytes
 from geomosaic.doors.gdal_failures import Progress
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.shown_bands import ShownBands
@@ -31,7 +31,6 @@ FORMATS: Final[dict[str, tuple[int, ...]]] = {
 _BLOCK: Final = 8
 """Tiles a side that are resampled at once: 2048 x 2048 px."""
 
-Pixels = NDArray[np.uint8]
 Place = tuple[int, int]
 """Column and row, from the north-west of the world."""
 
@@ -60,7 +59,7 @@ class TilePyramid:
         for row in range(max(top, 0), min(bottom, last) + 1):
             yield from ((col % (last + 1), row) for col in range(left, min(right, left + last) + 1))
 
-    def write_block(self, block: Place) -> tuple[Place, Pixels | None]:
+    def write_block(self, block: Place) -> tuple[Place, Bytes | None]:
         """Writes its tiles of the finest zoom and of the coarser ones, up to that of which it is one tile.
 
         Returns that one's place, and half of its pixels; None if they are empty or it isn't asked for."""
@@ -79,7 +78,7 @@ class TilePyramid:
             tiles, zoom, col, row = tiles // 2, zoom - 1, col // 2, row // 2
         return block, pixels
 
-    def write_tile(self, zoom: int, place: Place, tile: Pixels) -> None:
+    def write_tile(self, zoom: int, place: Place, tile: Bytes) -> None:
         """Unless it is empty."""
         if tile[..., 3].any():
             path = self.folder / f"{zoom}" / f"{place[0]}" / f"{place[1]}.{self.tile_format}"
@@ -87,7 +86,7 @@ class TilePyramid:
             _, data = cv2.imencode(f".{self.tile_format}", tile, FORMATS[self.tile_format])
             path.write_bytes(data.tobytes())
 
-    def _resampled(self, block: Place) -> Pixels | None:
+    def _resampled(self, block: Place) -> Bytes | None:
         """Blue, green, red and opacity; None where nothing is seen."""
         side_m, size = EQUATOR_M / 2.0 ** self.zooms[1] / TILE_PX, _BLOCK * TILE_PX
         west, north = block[0] * size * side_m - EQUATOR_M / 2.0, EQUATOR_M / 2.0 - block[1] * size * side_m
@@ -113,7 +112,7 @@ class TilePyramid:
 def write_pyramid(pyramid: TilePyramid, threads: int, progress: Progress | None) -> None:
     """Writes all tiles that show anything. Raises: what `progress` raises; `OSError` of a tile."""
     blocks, zoom = list(pyramid.blocks()), pyramid.zooms[1]
-    tops: dict[Place, Pixels] = {}
+    tops: dict[Place, Bytes] = {}
     with ThreadPoolExecutor(threads) as pool:
         try:
             running = [pool.submit(pyramid.write_block, block) for block in blocks]
@@ -140,7 +139,7 @@ def write_pyramid(pyramid: TilePyramid, threads: int, progress: Progress | None)
         tops = above
 
 
-def halved(pixels: Pixels) -> Pixels:
+def halved(pixels: Bytes) -> Bytes:
     """Means of 2 x 2 pixels (rows, cols, 4), each counted by its opacity, the last band."""
     size = pixels.shape[1] // 2, pixels.shape[0] // 2
     if pixels[..., 3].min() == 255:

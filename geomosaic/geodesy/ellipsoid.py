@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import sourced
 
 _WGS84: Final = "NGA.STND.0036_1.0.0_WGS84 (2014), table 3.1"
@@ -17,13 +18,13 @@ ECCENTRICITY_SQ: Final = FLATTENING * (2.0 - FLATTENING)
 SECOND_ECCENTRICITY_SQ: Final = ECCENTRICITY_SQ / (1.0 - ECCENTRICITY_SQ)
 
 
-def meridian_radius_m(lat_rad: ArrayLike) -> NDArray[np.float64]:
+def meridian_radius_m(lat_rad: ArrayLike) -> Floats:
     """Radius of curvature in the meridian, M = a (1 - e²) / (1 - e² sin² B)^(3/2)."""
     w_sq = 1.0 - ECCENTRICITY_SQ * np.sin(np.asarray(lat_rad, dtype=np.float64)) ** 2
     return np.asarray(SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQ) / w_sq**1.5)
 
 
-def prime_vertical_radius_m(lat_rad: ArrayLike) -> NDArray[np.float64]:
+def prime_vertical_radius_m(lat_rad: ArrayLike) -> Floats:
     """Radius of curvature in the prime vertical, N = a / sqrt(1 - e² sin² B)."""
     w_sq = 1.0 - ECCENTRICITY_SQ * np.sin(np.asarray(lat_rad, dtype=np.float64)) ** 2
     return np.asarray(SEMI_MAJOR_M / np.sqrt(w_sq))
@@ -31,7 +32,7 @@ def prime_vertical_radius_m(lat_rad: ArrayLike) -> NDArray[np.float64]:
 
 def mid_latitude_offset_m(
     lon_from_deg: ArrayLike, lat_from_deg: ArrayLike, lon_to_deg: ArrayLike, lat_to_deg: ArrayLike
-) -> NDArray[np.float64]:
+) -> Floats:
     """East and north offset between two points by the mid-latitude formula.
 
     The nadir points on the map of Yue et al. 2021 (IRLA20200529), equation 4: radii at the mean

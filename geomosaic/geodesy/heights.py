@@ -7,17 +7,16 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 from pyproj.transformer import AreaOfInterest, TransformerGroup
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import sourced
 from geomosaic.errors import InputError
 from geomosaic.geodesy.egm96 import undulation_m
 
-Floats = NDArray[np.float64]
 ELLIPSOIDAL: Final = "ellipsoidal"
 GEOIDS = sourced({"EGM96": 5773, "EGM2008": 3855}, "EPSG", "vertical CRSs by their names", "EPSG dataset")
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import Transformer
 
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
 
 
 @lru_cache(maxsize=1)

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS, Geod, Proj, Transformer
 from pyproj.exceptions import ProjError
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import required_crs
 
-Floats = NDArray[np.float64]
 LOCAL_CRS = (
     'ENGCRS["local frame in units of its own",EDATUM["nowhere on Earth"],CS[Cartesian,2],'
     'AXIS["(E)",east,ORDER[1]],AXIS["(N)",north,ORDER[2]],LENGTHUNIT["unit of its own",1]]'

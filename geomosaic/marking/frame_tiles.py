@@ -11,6 +11,7 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes
 from geomosaic.constants import tuned
 from geomosaic.export.shown_bands import ShownBands
 from geomosaic.radiometry.panel import BLACK_WHITE
@@ -28,7 +29,7 @@ class FrameTiles:
 
     def __init__(self, frames: Sequence[Frame]) -> None:
         self._frames = frames
-        self._decoded: OrderedDict[tuple[int, int], NDArray[np.uint8]] = OrderedDict()
+        self._decoded: OrderedDict[tuple[int, int], Bytes] = OrderedDict()
         self._bands: dict[int, ShownBands] = {}
         self._lock = threading.Lock()
 
@@ -48,7 +49,7 @@ class FrameTiles:
         pixels = np.ascontiguousarray(part)
         return bytes(simplejpeg.encode_jpeg(pixels, _QUALITY, colours, "444"))
 
-    def pixels(self, frame: int, reduction: int) -> NDArray[np.uint8]:
+    def pixels(self, frame: int, reduction: int) -> Bytes:
         """A frame (rows, cols, 1 or 3) in 8 bits. Raises: `FileError` where it cannot be decoded."""
         key = frame, reduction
         with self._lock:
@@ -60,7 +61,7 @@ class FrameTiles:
                 self._decoded.popitem(last=False)
             return self._decoded[key]
 
-    def _in_eight_bits(self, frame: int, values: NDArray[Any]) -> NDArray[np.uint8]:
+    def _in_eight_bits(self, frame: int, values: NDArray[Any]) -> Bytes:
         """The first three bands, or the first; all reductions of a frame are stretched alike."""
         values = values[..., : 3 if values.shape[2] >= 3 else 1]
         if values.dtype == np.uint8:

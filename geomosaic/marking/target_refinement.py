@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 
 _REACHES_PX = tuned((4, 7), "px", "half windows; smaller: noise decides; larger: the target's edges do")
@@ -43,7 +44,7 @@ def refined(grey: NDArray[Any], col: float, row: float) -> tuple[float, float] |
     return float(found[1][0] + origin[0]), float(found[1][1] + origin[1])
 
 
-def _corner(part: NDArray[Any], start: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+def _corner(part: NDArray[Any], start: Floats, reach: int) -> Floats:
     at = start.astype(np.float32).reshape(1, 1, 2)
     found = cv2.cornerSubPix(part.astype(np.float32), at, (reach, reach), (-1, -1), _ROUNDS)
     return np.asarray(found[0, 0], dtype=np.float64)

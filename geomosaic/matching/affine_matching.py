@@ -12,16 +12,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32
 from geomosaic.constants import ROUNDS, TOGETHER, tuned
 from geomosaic.estimation.linear import inverse_each
 from geomosaic.matching.least_squares_matching import LEAST_GAIN
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
-Bools = NDArray[np.bool_]
 _HALF_PX = tuned(10, "px", "half a window: 7 agrees a sixth worse; 14 takes twice as long, bends on relief")
 _BLUR_PX = tuned(0.6, "px", "smoothing of both images: 0 matches noise; 1 agrees a sixth less well")
 _CONVERGED_PX = tuned(0.03, "px", "step that ends it, a third of the accuracy: less takes rounds; more shows")

@@ -9,9 +9,8 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bytes, Floats, Floats32
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
@@ -32,7 +31,7 @@ from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import GroundWindow, ground_window
 from geomosaic.survey.model import Band, Frame, Survey
-from geomosaic.survey.pixels import Mask, read_pixels
+from geomosaic.survey.pixels import read_pixels
 
 Matches = tuple[int, Floats, Floats]
 """A frame, ground points (n, 3) and their image coordinates (n, 2) in the band."""
@@ -152,8 +151,8 @@ def _edges(
     window: GroundWindow,
     pose: Pose,
     camera: Camera,
-    image: NDArray[np.float32],
-    mask: Mask | None,
+    image: Floats32,
+    mask: Bytes | None,
 ) -> MaskedImage:
     """Gradient magnitude of an image on the window, and where it is valid."""
     on_ground, valid = seen_on(window, pose, camera, image, mask)
@@ -163,7 +162,7 @@ def _edges(
     return MaskedImage(np.where(valid, edges * 100.0, np.float32(0.0)).astype(np.float32), valid)
 
 
-def _brightness(frame: Frame, coarser: int, *, lit: bool) -> tuple[NDArray[np.float32], Mask | None]:
+def _brightness(frame: Frame, coarser: int, *, lit: bool) -> tuple[Floats32, Bytes | None]:
     """A frame's log grey values, linear where they are in a unit or show heat, and where they are valid.
 
     coarser: how many pixels a pixel of the window spans. lit: whether they show light.
@@ -176,7 +175,7 @@ def _brightness(frame: Frame, coarser: int, *, lit: bool) -> tuple[NDArray[np.fl
     return values, mask
 
 
-def _spread(values: NDArray[np.float32], mask: Mask | None) -> NDArray[np.float32]:
+def _spread(values: Floats32, mask: Bytes | None) -> Floats32:
     """Values from 0 at the first percentile to 1 at the last."""
     known = values[np.isfinite(values) if mask is None else np.isfinite(values) & (mask != 0)]
     low, high = np.percentile(known, (1.0, 99.0)) if known.size else (0.0, 0.0)

@@ -6,14 +6,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.constants import tuned
 from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.planes import LEAST_POINTS
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
-Floats = NDArray[np.float64]
 Pair = tuple[int, int]
 MOST_COMPARED = tuned(20_000, "pairs", "all of 200 frames: fewer try neighbours in time only; more are slow")
 _COARSEST = tuned(400, "keypoints", "of a frame: fewer miss small overlaps; time grows with the square")

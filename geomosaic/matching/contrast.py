@@ -9,11 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32
 from geomosaic.constants import sourced, tuned
-from geomosaic.matching.features import SIFT_CONTRAST, Bytes, away_from_invalid, shrunk
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
+from geomosaic.matching.features import SIFT_CONTRAST, away_from_invalid, shrunk
 
 _LOWE_SIGMA_PX = sourced(1.6, "px", "scale of the first layer with keypoints", "Lowe 2004, section 3.3")
 _REACHED = sourced(0.1, "share", "extrema with SIFT's contrast", "nine flights: > 0.2; faint thermal: < 0.02")
@@ -53,7 +51,7 @@ def raised(
     return np.asarray(np.clip(np.rint(out), 0, 255).astype(np.uint8)), float(faint.mean())
 
 
-def faint_tiles(image: Bytes, valid: Bytes | None, levels: float) -> NDArray[np.bool_]:
+def faint_tiles(image: Bytes, valid: Bytes | None, levels: float) -> Bools:
     """Which tiles (_TILES, _TILES) of an image are faint: hardly one of their local extremes reaches SIFT's
     contrast.
 
@@ -85,7 +83,7 @@ def _least_noise_sd(image: Bytes, valid: Bytes | None) -> float:
     return _NOISE_PER_MEAN * float((_tile_sums(size)[count > 0] / count[count > 0]).min(initial=np.inf))
 
 
-def _second_differences(image: Bytes, valid: Bytes | None) -> tuple[Floats32, NDArray[np.bool_]]:
+def _second_differences(image: Bytes, valid: Bytes | None) -> tuple[Floats32, Bools]:
     """Their size (rows, cols), 0 beside invalid pixels, and where it is known."""
     second = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     size = np.abs(cv2.filter2D(image.astype(np.float32), -1, second))

@@ -6,15 +6,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from geomosaic.arrays import Bools, Floats, Floats32, Ints64
 from geomosaic.constants import tuned
 from geomosaic.matching.least_squares_matching import MaskedImage, refine
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 _FINE_RADIUS_PX = tuned(3, "px", "search on finer levels: less loses patches; more finds other peaks")
 LEAST_CORRELATION = tuned(0.3, "1", "of a guiding coarse patch: less guides by chance; more loses jumps")
@@ -39,7 +35,7 @@ class Displacements:
     asked: int
 
 
-def patch_corners(shape: tuple[int, int], patch_px: int, step_px: int) -> NDArray[np.int64]:
+def patch_corners(shape: tuple[int, int], patch_px: int, step_px: int) -> Ints64:
     """First row and col of every whole patch of a regular grid, shape (n, 2)."""
     rows = np.arange(0, shape[0] - patch_px + 1, step_px)
     cols = np.arange(0, shape[1] - patch_px + 1, step_px)
@@ -63,7 +59,7 @@ class PatchMatching:
 def measure_displacements(
     image: MaskedImage,
     reference: MaskedImage,
-    corners: NDArray[np.int64],
+    corners: Ints64,
     how: PatchMatching = PatchMatching(),
 ) -> Displacements:
     """Displacement of each patch of the reference in the image.
@@ -142,7 +138,7 @@ def _halved(image: MaskedImage) -> MaskedImage:
     return MaskedImage(np.asarray(total / np.maximum(share, 1e-6), dtype=np.float32), share >= 0.5)
 
 
-def _valid_share(valid: Mask, corners: NDArray[np.int64], patch_px: int) -> Floats:
+def _valid_share(valid: Bools, corners: Ints64, patch_px: int) -> Floats:
     """Share of valid pixels in each patch; 0 where it leaves the image."""
     total = cv2.integral(valid.astype(np.uint8))
     r, c = corners[:, 0], corners[:, 1]
@@ -152,14 +148,14 @@ def _valid_share(valid: Mask, corners: NDArray[np.int64], patch_px: int) -> Floa
     return np.where(inside, s / patch_px**2, 0.0)
 
 
-def _asked(level: _MatchLevel, corners: NDArray[np.int64], shifts: NDArray[np.int64], patch_px: int) -> Mask:
+def _asked(level: _MatchLevel, corners: Ints64, shifts: Ints64, patch_px: int) -> Bools:
     """Patches that could have been measured: valid in the image where they are or where they went."""
     at_home = _valid_share(level.image.valid, corners, patch_px)
     moved = _valid_share(level.image.valid, corners + shifts, patch_px)
     return np.asarray(np.minimum(at_home, moved) >= VALID_SHARE)
 
 
-def _guesses(centres: Floats, found_at: Floats, found: Floats, scale: int) -> list[NDArray[np.int64]]:
+def _guesses(centres: Floats, found_at: Floats, found: Floats, scale: int) -> list[Ints64]:
     """For each patch the different displacements (level pixels) of the four nearest coarse patches."""
     if not len(found_at) or not len(centres):
         return [np.zeros((1, 2), dtype=np.int64)] * len(centres)
@@ -167,7 +163,7 @@ def _guesses(centres: Floats, found_at: Floats, found: Floats, scale: int) -> li
     candidates = np.rint(found[near] / scale).astype(np.int64)
     out = []
     for these in candidates:
-        kept: list[NDArray[np.int64]] = []
+        kept: list[Ints64] = []
         for guess in these:
             if all(np.abs(guess - k).max() > 1 for k in kept):
                 kept.append(guess)
@@ -177,11 +173,11 @@ def _guesses(centres: Floats, found_at: Floats, found: Floats, scale: int) -> li
 
 def _search(
     level: _MatchLevel,
-    corners: NDArray[np.int64],
-    guesses: list[NDArray[np.int64]],
+    corners: Ints64,
+    guesses: list[Ints64],
     patch_px: int,
     radius_px: int,
-) -> tuple[NDArray[np.int64], Floats]:
+) -> tuple[Ints64, Floats]:
     """Whole-pixel displacement (row, col) and correlation of each patch; -1 where nothing was found."""
     shifts = np.zeros((len(corners), 2), dtype=np.int64)
     peaks = np.full(len(corners), -1.0)
@@ -209,7 +205,7 @@ def _search(
     return shifts, peaks
 
 
-def _filled(part: Image, valid: Mask) -> Image | None:
+def _filled(part: Floats32, valid: Bools) -> Floats32 | None:
     """The part with its invalid pixels at the mean of the others; None if flat or mostly invalid."""
     mask = valid.view(np.uint8)
     seen = cv2.countNonZero(mask)

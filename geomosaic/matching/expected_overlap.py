@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
@@ -15,7 +15,6 @@ from geomosaic.matching.planes import Guess, guessed, plane_through
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
 LEAST_RADIUS_PX = sourced(300.0, "px", "coarse misplacement of two frames", "Yue et al. 2021, IRLA20200529")
 _NODES = tuned(6, "nodes", "per frame side, to fit a plane: fewer fail where a frame sees past the ground")
 

@@ -24,13 +24,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import MEDIAN_ONE, MOST_ROUNDS, sourced, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
 
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 WRONG = sourced(4, "place", "of a wrong tag on an image that was not turned", "order of `explained`")
 """Number of "wrong tag, image not turned" among a frame's eight explanations, in `explained`'s order."""
 MOST_RAD = tuned(np.radians(30.0), "rad", "of headings that agree: more takes wrong ones along")

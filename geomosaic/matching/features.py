@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats, Floats32, Ints
 from geomosaic.constants import tuned
 
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 SIFT_CONTRAST = tuned(0.01, "of full range", "least contrast: more drops soft ground; less takes noise")
 
 
@@ -24,7 +23,7 @@ class Features:
     """
 
     image_px: Floats
-    size_px: NDArray[np.float32]
+    size_px: Floats32
     descriptors: Bytes
     faint: float = 0.0
 
@@ -89,7 +88,7 @@ def away_from_invalid(valid: Bytes) -> Bytes:
     return np.asarray(cv2.erode(valid, np.ones((9, 9), np.uint8)), np.uint8)
 
 
-def coarsest(features: Features, most: int) -> NDArray[np.intp]:
+def coarsest(features: Features, most: int) -> Ints:
     """Numbers of the largest keypoints, as an image of a fraction of the size would have."""
     return np.sort(np.argsort(-features.size_px, kind="stable")[:most])
 

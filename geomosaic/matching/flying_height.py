@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -11,7 +10,6 @@ from geomosaic.estimation.linear import least_squares
 from geomosaic.matching.features import Features
 from geomosaic.matching.search import by_homography, mutual_nearest, root_sift
 
-Floats = NDArray[np.float64]
 _LEAST = tuned(20, "tie points", "of a pair: fewer fit any height by chance; more lose water and fields")
 
 

@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from scipy.fft import rfft2
 from scipy.ndimage import spline_filter
 
+from geomosaic.arrays import Bools, Floats, Floats32, Ints64
 from geomosaic.constants import ROUNDS, TOGETHER, tuned
 from geomosaic.estimation.linear import eigen_each, pseudo_inverse
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 _CONVERGED_PX = tuned(0.002, "px", "step that ends it, a tenth of the accuracy: more shows; less is slow")
 _REACH_PX = tuned(2.0, "px", "from the starting pixel: less loses offset patches; more finds other texture")
@@ -32,8 +29,8 @@ _SLOPE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
 class MaskedImage:
     """A single-band image (rows, cols), float32, and which of its pixels are valid."""
 
-    pixels: Image
-    valid: Mask
+    pixels: Floats32
+    valid: Bools
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class Match:
     shift: Floats
     sd_px: Floats
     correlation: Floats
-    converged: Mask
+    converged: Bools
 
 
 @dataclass(frozen=True)
@@ -51,26 +48,26 @@ class _Basis:
     """What patches are cut from: the image's spline coefficients, padded; the reference's two gradients and
     itself; and 1 where all pixels nearby are valid in the image and in the reference, else 0."""
 
-    coefficients: Image
-    bases: tuple[Image, Image, Image]
-    image_safe: Image
-    reference_safe: Image
+    coefficients: Floats32
+    bases: tuple[Floats32, Floats32, Floats32]
+    image_safe: Floats32
+    reference_safe: Floats32
 
 
 @dataclass(frozen=True)
 class _Regression:
     """Of n patches: design (n, 4, pixels), weight (n, pixels), inverse normal matrices (n, 4, 4)."""
 
-    design: Image
-    weight: Image
+    design: Floats32
+    weight: Floats32
     inverse: Floats
 
 
 def refine(
     image: MaskedImage,
     reference: MaskedImage,
-    corners: NDArray[np.int64],
-    shifts: NDArray[np.int64],
+    corners: Ints64,
+    shifts: Ints64,
     patch_px: int,
 ) -> Match:
     """Sub-pixel shifts from whole-pixel ones.
@@ -106,20 +103,18 @@ def refine(
     )
 
 
-def _filtered(image: Image, kernel: Image) -> Image:
+def _filtered(image: Floats32, kernel: Floats32) -> Floats32:
     return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _eroded(valid: Mask) -> Image:
+def _eroded(valid: Bools) -> Floats32:
     """1 where all pixels within 3 are valid, else 0."""
     near = np.ones((7, 7), np.uint8)
     inner = cv2.erode(valid.astype(np.uint8), near, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return np.asarray(inner, dtype=np.float32)
 
 
-def _refine_some(
-    basis: _Basis, corners: NDArray[np.int64], shifts: NDArray[np.int64], patch_px: int
-) -> Match:
+def _refine_some(basis: _Basis, corners: Ints64, shifts: Ints64, patch_px: int) -> Match:
     weight = _patches(basis.reference_safe, corners, patch_px)
     weight = weight * _patches(basis.image_safe, corners + shifts, patch_px)
     weight = weight.reshape(len(corners), -1).astype(np.float32)
@@ -160,7 +155,7 @@ def _refine_some(
     return Match(shift, sd, correlation, converged)
 
 
-def _assessed(of: _Regression, answer: Floats, warped: Image, patch_px: int) -> tuple[Floats, Floats]:
+def _assessed(of: _Regression, answer: Floats, warped: Floats32, patch_px: int) -> tuple[Floats, Floats]:
     """Deviation in pixels and correlation of each patch, by the coefficients (n, 4) that were found."""
     design, weight, inverse = of.design, of.weight, of.inverse
     count = np.maximum(weight.sum(axis=1, dtype=np.float64), 8.0)
@@ -184,7 +179,7 @@ def _assessed(of: _Regression, answer: Floats, warped: Image, patch_px: int) -> 
     return sd, correlation.astype(np.float64)
 
 
-def _patches(image: NDArray[np.generic], corners: NDArray[np.int64], size_px: int) -> NDArray[np.float32]:
+def _patches(image: NDArray[np.generic], corners: Ints64, size_px: int) -> Floats32:
     """Copies of square windows, (n, size_px, size_px), clamped to the image."""
     windows = sliding_window_view(image, (size_px, size_px))
     r = np.clip(corners[:, 0], 0, windows.shape[0] - 1)
@@ -192,7 +187,7 @@ def _patches(image: NDArray[np.generic], corners: NDArray[np.int64], size_px: in
     return windows[r, c].astype(np.float32)
 
 
-def _shifted(coefficients: Image, corners: NDArray[np.int64], shift: Floats, patch_px: int) -> Image:
+def _shifted(coefficients: Floats32, corners: Ints64, shift: Floats, patch_px: int) -> Floats32:
     """The image's patches at shifted places, by the separable cubic B-spline (padded coefficients)."""
     whole = np.floor(shift).astype(np.int64)
     wide = _patches(coefficients, corners + whole + (_MARGIN_PX - 1), patch_px + 3)
@@ -206,7 +201,7 @@ def _shifted(coefficients: Image, corners: NDArray[np.int64], shift: Floats, pat
     return np.asarray(across)
 
 
-def bspline_weights(t: Floats) -> Image:
+def bspline_weights(t: Floats) -> Floats32:
     """Cubic B-spline weights of the four nodes around a fraction t (n,) in [0, 1], shape (n, 4)."""
     u = 1.0 - t
     w = [u**3, 3 * t**3 - 6 * t**2 + 4, 3 * u**3 - 6 * u**2 + 4, t**3]

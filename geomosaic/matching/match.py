@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32, Ints, Ints32
 from geomosaic.constants import tuned
 from geomosaic.matching.features import Features, coarsest
 from geomosaic.matching.planes import Guess, plane_through, through
 from geomosaic.matching.search import CHECKS, PlacedKeypoints, root_sift, search
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 _FREE_LEAST = tuned(1.5, "least numbers", "of a free search: less ties by chance; more leaves frames loose")
 _FEW = tuned(1200, "keypoints", "coarsest, tried first: fewer miss small overlaps; more are slow")
 _TOLERANCES = tuned(12.0, "tolerances", "least search radius: less defeats the ratio test; more takes time")
@@ -45,8 +43,8 @@ class PairMatch:
     against the guess, over the whole of both frames. keypoints: of both frames. alike, agreeing: the most
     matches that a search brought, and that passed the geometric check."""
 
-    left: NDArray[np.int32]
-    right: NDArray[np.int32]
+    left: Ints32
+    right: Ints32
     free: bool
     keypoints: tuple[int, int] = (0, 0)
     alike: int = 0
@@ -71,7 +69,7 @@ class MatchKeypoints:
     `root_sift` gives them, numbers of the coarsest few."""
 
     image_px: Floats
-    root: NDArray[np.float32]
+    root: Floats32
     few: Ints
 
     @classmethod

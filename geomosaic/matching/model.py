@@ -9,10 +9,8 @@ from functools import cached_property
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Int32s = NDArray[np.int32]
+from geomosaic.arrays import Bools, Floats, Ints, Ints32
 
 
 @dataclass(frozen=True)
@@ -27,8 +25,8 @@ class TiePair:
     right: int
     left_px: Floats
     right_px: Floats
-    left_feature: NDArray[np.int32]
-    right_feature: NDArray[np.int32]
+    left_feature: Ints32
+    right_feature: Ints32
 
     def __len__(self) -> int:
         return len(self.left_px)
@@ -44,11 +42,11 @@ class TiePairs(Sequence[TiePair]):
     Raises: `ValueError` for keypoints that aren't there or not of the pair's frames.
     """
 
-    frame: Int32s
+    frame: Ints32
     image_px: Floats
-    frames: Int32s
-    counts: Int32s
-    keypoints: Int32s
+    frames: Ints32
+    counts: Ints32
+    keypoints: Ints32
 
     def __post_init__(self) -> None:
         n, pairs = len(self.frame), len(self.frames)
@@ -76,7 +74,7 @@ class TiePairs(Sequence[TiePair]):
         counts = np.array([len(t) for t in pairs], dtype=np.int32)
         keypoints = np.empty((2, int(counts.sum())), dtype=np.int32)
         bounds = np.cumsum(counts)[:-1]
-        sides: dict[int, list[tuple[Int32s, Floats, Int32s]]] = {}
+        sides: dict[int, list[tuple[Ints32, Floats, Ints32]]] = {}
         for t, into in zip(pairs, np.split(keypoints[0], bounds), strict=False):
             sides.setdefault(t.left, []).append((t.left_feature, t.left_px, into))
         for t, into in zip(pairs, np.split(keypoints[1], bounds), strict=False):
@@ -94,7 +92,7 @@ class TiePairs(Sequence[TiePair]):
         frames = np.array([(t.left, t.right) for t in pairs], dtype=np.int32).reshape(-1, 2)
         return cls(np.concatenate(frame), np.concatenate(image_px), frames, counts, keypoints)
 
-    def part(self, kept: NDArray[np.bool_], image_px: Floats) -> TiePairs:
+    def part(self, kept: Bools, image_px: Floats) -> TiePairs:
         """Some of the tie points (m,) of all pairs, with keypoints (n, 2) elsewhere, those alone that they
         need."""
         keypoints = self.keypoints[:, kept]
@@ -105,12 +103,12 @@ class TiePairs(Sequence[TiePair]):
         return TiePairs(self.frame[used], image_px[used], self.frames, counts, number[keypoints])
 
     @cached_property
-    def first(self) -> NDArray[np.intp]:
+    def first(self) -> Ints:
         """Of each pair the first of its tie points, and how many there are in all, (p + 1,)."""
         return np.concatenate([[0], np.cumsum(self.counts, dtype=np.intp)])
 
     @property
-    def ends(self) -> tuple[Int32s, ...]:
+    def ends(self) -> tuple[Ints32, ...]:
         """Of each pair the keypoints of its tie points, (2, k) of the n."""
         return tuple(self.keypoints[:, a:b] for a, b in itertools.pairwise(self.first.tolist()))
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse_each
 
-Floats = NDArray[np.float64]
 Size = tuple[int, int]
 Pair = tuple[int, int]
 _GRAIN_PX = tuned(16.0, "px", "rounding of predictions: less lets a new frame change other pairs")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.arrays import Bools, Bytes, Floats, Ints
 from geomosaic.constants import tuned
-from geomosaic.matching.features import Bytes, Features, sift_features
+from geomosaic.matching.features import Features, sift_features
 from geomosaic.matching.match import Matching, MatchKeypoints, match_pair
 from geomosaic.matching.planes import Guess, through
 

@@ -10,14 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.matching.model import TiePair, TiePairs
 from geomosaic.matching.planes import SeenPlanes, stretched
 from geomosaic.matching.tracks import Joined, join, references
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ class Refinement:
                 sought[b].append(SoughtIn(a, row[standing[keypoints]], keypoints, stretched(plane, middles)))
         return cls(joined, tuple(shown), tuple(map(tuple, sought)))
 
-    def applied(self, found: Mapping[int, tuple[Floats, NDArray[np.bool_]]], least: int) -> TiePairs:
+    def applied(self, found: Mapping[int, tuple[Floats, Bools]], least: int) -> TiePairs:
         """The tie points where pixels agree; a pair that would keep fewer than `least` keeps all it had,
         where they were.
 

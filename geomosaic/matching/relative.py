@@ -7,16 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
+from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, SLIGHT, tuned
 from geomosaic.estimation.linear import SparseFactors
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Ints = NDArray[np.intp]
 MOST_TIES = tuned(60, "tie points a pair", "a similarity takes two, the others outvote wrong ones")
 _LEAST_SPREAD = tuned(np.radians(0.5), "rad, log scale", "of pairs: less rejects tilted ones; more keeps bad")
 ALIKE = tuned(0.2, "rad, log scale", "of agreeing pairs: less splits by tilt; more counts wrong ones")

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints
 from geomosaic.constants import TOGETHER, tuned
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bytes = NDArray[np.uint8]
 _IN_CELL = tuned(150, "keypoints", "in a search cell: fewer starve the ratio test; more compare in vain")
 
 
-def root_sift(descriptors: Bytes) -> NDArray[np.float32]:
+def root_sift(descriptors: Bytes) -> Floats32:
     """Hellinger form of SIFT descriptors (Arandjelović and Zisserman 2012), unit length."""
     d = descriptors.astype(np.float32)
     d /= np.maximum(d.sum(axis=1, keepdims=True), np.float32(1.0))
@@ -25,8 +22,8 @@ def root_sift(descriptors: Bytes) -> NDArray[np.float32]:
 
 
 def mutual_nearest(
-    left: NDArray[np.float32],
-    right: NDArray[np.float32],
+    left: Floats32,
+    right: Floats32,
     ratio: float,
     among: Iterable[tuple[Ints, Ints]] | None = None,
 ) -> tuple[Ints, Ints]:
@@ -64,7 +61,7 @@ class PlacedKeypoints:
     """A frame's keypoints: root (n, 128) as `root_sift` gives them, and at (n, 2), their places in any system
     that two frames share; NaN where a keypoint has none."""
 
-    root: NDArray[np.float32]
+    root: Floats32
     at: Floats
 
     def of(self, some: Ints) -> PlacedKeypoints:
@@ -109,7 +106,7 @@ def _near(left: Floats, right: Floats, radius: float) -> Iterator[tuple[Ints, In
         yield here[members], there[(col >= west) & (col <= east) & (row >= north) & (row <= south)]
 
 
-def by_homography(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDArray[np.bool_]:
+def by_homography(left_px: Floats, right_px: Floats, tolerance_px: float) -> Bools:
     """Inliers of one plane seen from two places, by MAGSAC++ (Barath et al. 2020); none where OpenCV
     finds no model (it raises on some degenerate sets)."""
     if len(left_px) < 4:
@@ -123,7 +120,7 @@ def by_homography(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDA
     return np.zeros(len(left_px), np.bool_) if mask is None else mask.ravel() > 0
 
 
-def by_epipolar_line(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDArray[np.bool_]:
+def by_epipolar_line(left_px: Floats, right_px: Floats, tolerance_px: float) -> Bools:
     """Inliers of the epipolar geometry of two views of relief, by MAGSAC++."""
     if len(left_px) < 8:
         return np.zeros(len(left_px), np.bool_)
@@ -134,7 +131,7 @@ def by_epipolar_line(left_px: Floats, right_px: Floats, tolerance_px: float) -> 
     return np.zeros(len(left_px), np.bool_) if mask is None else mask.ravel() > 0
 
 
-def by_better(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDArray[np.bool_]:
+def by_better(left_px: Floats, right_px: Floats, tolerance_px: float) -> Bools:
     """The plane, unless the epipolar geometry holds clearly more: then there is relief.
 
     The plane constrains both coordinates, so that fewer wrong matches pass; over relief it would
@@ -154,7 +151,7 @@ def by_better(left_px: Floats, right_px: Floats, tolerance_px: float) -> NDArray
     return np.asarray((line & near) | plane)
 
 
-CHECKS: dict[str, Callable[[Floats, Floats, float], NDArray[np.bool_]]] = {
+CHECKS: dict[str, Callable[[Floats, Floats, float], Bools]] = {
     "auto": by_better,
     "homography": by_homography,
     "epipolar": by_epipolar_line,

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Complexes, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, about_z
@@ -26,9 +26,6 @@ from geomosaic.placement.prior import (
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Ints = NDArray[np.intp]
 _MISPLACED = tuned(4.0, "usual gaps", "beyond which it gives no course: less drops good ones; more keeps bad")
 _QUARTERS = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
 
@@ -194,7 +191,7 @@ def turn_costs_m(left_en: Floats, right_en: Floats, left_nadir: Floats, right_na
     return np.asarray(np.median(np.linalg.norm(miss, axis=-1), axis=-1))
 
 
-def possible_quarters(sizes_px: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+def possible_quarters(sizes_px: Sequence[tuple[int, int]]) -> Bools:
     """Which quarter turns (n, 4) each image can have had: by 90 degrees only if its width and height are
     those of most images the other way round, or alike."""
     usual, _ = Counter(sizes_px).most_common(1)[0]
@@ -207,7 +204,7 @@ def turned_frames(
     n: int,
     costs_m: list[tuple[int, int, Floats]],
     cap_m: float,
-    possible: NDArray[np.bool_] | None = None,
+    possible: Bools | None = None,
 ) -> dict[int, int]:
     """Quarter turns (1 to 3, counter-clockwise on the ground) of frames that need them.
 

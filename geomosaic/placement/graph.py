@@ -6,9 +6,8 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from geomosaic.arrays import Floats
 
 
 def flight_lines(positions_m: Floats, turn_deg: float = 40.0, gap: float = 4.0) -> tuple[int, ...]:

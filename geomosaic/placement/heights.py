@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import Geod
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
-Floats = NDArray[np.float64]
 ASSUMED_SD_SHARE = tuned(0.1, "share", "of an assumed height: less binds poses; more frees the scale")
 LEAST_HEIGHT_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
 _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")
@@ -66,9 +65,7 @@ def with_missing_heights(heights: FrameHeights, ground_heights_m: Floats) -> Fra
     return FrameHeights(filled, np.where(missing, wide, heights.sd_m))
 
 
-def possible_heights(
-    heights: FrameHeights, ground_heights_m: Floats
-) -> tuple[FrameHeights, NDArray[np.bool_]]:
+def possible_heights(heights: FrameHeights, ground_heights_m: Floats) -> tuple[FrameHeights, Bools]:
     """Heights that can be true, and which (n,) were replaced: those would put the frame on the ground or
     below.
 

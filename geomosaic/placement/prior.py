@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.exterior import Poses, Turns
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
@@ -18,7 +18,6 @@ from geomosaic.placement.velocity import velocities_m_per_s
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 COURSE_YAW_SD_DEG = tuned(20.0, "deg", "of a heading by course: less pulls at crosswind; more ignores it")
 YAW_LIES_DEG = tuned(8.0, "degrees", "of a wrong heading: compasses are off by as much beside motors")
 
@@ -34,12 +33,12 @@ def heading_limit_rad(sd_rad: Floats) -> Floats:
     return np.fmax(np.radians(YAW_LIES_DEG), 4.0 * sd_rad)
 
 
-def heading_assumed(poses: Poses) -> NDArray[np.bool_]:
+def heading_assumed(poses: Poses) -> Bools:
     """Frames (n,) whose heading nobody observed: taken from the course, or from nowhere."""
     return np.asarray(poses.rotations_sd_rad[:, 2] >= np.radians(COURSE_YAW_SD_DEG) - 1e-9)
 
 
-def position_assumed(poses: Poses) -> NDArray[np.bool_]:
+def position_assumed(poses: Poses) -> Bools:
     """Frames (n,) whose position nobody observed."""
     return np.asarray(poses.positions_sd_m[:, :2].min(axis=1) >= POSITION["none"].sd_horizontal_m)
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.placement.heights import LEAST_HEIGHT_M
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
 _MOST = tuned(0.5, "rad, share", "cap of a tilt's or focal deviation: more pairs in vain; less misses pairs")
 _MOST_YAW_RAD = tuned(1.0, "rad", "cap of a heading's deviation: more pairs distant frames; less misses near")
 

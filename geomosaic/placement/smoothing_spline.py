@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
 
-Floats = NDArray[np.float64]
 _STIFFNESS = tuned(10.0 ** np.linspace(-4.0, 6.0, 41), "steps^3", "from interpolation to a straight line")
 
 

@@ -6,15 +6,12 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import SLIGHT, sourced, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.placement.smoothing_spline import slopes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 _STEPS = tuned(3, "steps", "each side, for a median: fewer show clock rounding; more straighten curves")
 PAUSE = tuned(3.0, "usual intervals", "between lines: less splits at a lost frame; more crosses turns")
 _CORNER = sourced(1.35, "usual speeds", "change at a corner: less breaks jittery lines", "2 sin(85 deg / 2)")

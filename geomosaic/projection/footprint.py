@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
 FEW = tuned(0.1, "share", "of frames of another kind: less lets one decide; more ignores nadir ones")
 
 
@@ -22,7 +21,7 @@ def ground_from_image(pose: Pose, camera: Camera, ground: GroundSurface, image_p
 
 
 def ground_from_images(
-    frame: NDArray[np.intp], image_px: Floats, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
+    frame: Ints, image_px: Floats, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
 ) -> Floats:
     """Ground points (m, 3) of places in many frames: frame (m,), cols and rows (m, 2), a pose and a camera a
     frame. NaN where a ray misses."""

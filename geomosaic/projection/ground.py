@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.constants import MOST_ROUNDS, sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.walk import GridRays, first_drops
 
-Floats = NDArray[np.float64]
 Grid = NDArray[np.floating[Any]]
 MOST_NODES = tuned(4_000_000, "nodes", "of a ground, 32 MB a worker: fewer lose relief; more take memory")
 _MOST_FLAT_NODES = tuned(250_000, "nodes", "of flat ground, 2 MB: 7 mm off over 150 km; more gain nothing")
@@ -34,7 +34,7 @@ class RaisedObject:
     east_0_m: float
     north_0_m: float
     spacing_m: float
-    up_m: NDArray[np.float32]
+    up_m: Floats32
 
     def put(self, east_m: Floats, north_m: Floats, up_m: Floats) -> None:
         """Its height in place of up_m at points of one shape that lie within its outline."""

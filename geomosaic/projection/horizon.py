@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.constants import TOGETHER, tuned
 from geomosaic.projection.ground import GroundSurface
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 _MOST_SAMPLES = tuned(8_000_000, "samples", "around a camera, 32 MB: fewer thin horizon views; more are slow")
 _STEPS_PER_NODE = tuned(2, "steps", "along a line: fewer show strips beside walls; more take time")
 _POLE_M = tuned(1.0, "m", "widest object that hides nothing: more sees through walls and chimneys")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32, Ints
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import TOGETHER, tuned
@@ -23,8 +24,6 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import ProjectionEquations, bare_window
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 fails MOST_OFF_PX often")
 MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks; less computes most")
 
@@ -95,7 +94,7 @@ class MapLattice:
         return self._window.relief_on(self._ground, self._gsd_m, u, v)
 
     def _exact(
-        self, sight: ProjectionEquations, i: NDArray[np.intp], j: NDArray[np.intp], row: Floats32
+        self, sight: ProjectionEquations, i: Ints, j: Ints, row: Floats32
     ) -> tuple[Floats32, Floats32]:
         """All pixels of cells (n, 8, 8), of which row is all but known, or NaN."""
         u, v = self._u.pixels[j][:, None, :], self._v.pixels[i][:, :, None]
@@ -131,7 +130,7 @@ def _places(length_px: int) -> _Places:
     return _Places(nodes, corners, corners[:, None] + within)
 
 
-def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> NDArray[np.bool_]:
+def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> Bools:
     """Cells that lie in the image, or near it, and whose middle isn't where its four nodes say."""
     _, down, across = middle.shape
     four = np.stack([image[:, i : i + down, j : j + across] for i in (0, 1) for j in (0, 1)])
@@ -145,7 +144,7 @@ def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> NDArray[n
     return np.asarray(close)
 
 
-def _cells_of(pixels: Floats32) -> NDArray[np.float32]:
+def _cells_of(pixels: Floats32) -> Floats32:
     """(rows, cols) as (cells down, cells across, 8, 8), the same memory."""
     (height, width), (down, across) = pixels.shape, pixels.strides
     shape = height // STEP_PX, width // STEP_PX, STEP_PX, STEP_PX

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import TOGETHER, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
@@ -14,7 +14,6 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.survey.dem import HeightRaster
 
-Floats = NDArray[np.float64]
 Places = Callable[[Floats, Floats, Floats], tuple[Floats, Floats, Floats]]
 _KNOTS = tuned(17, "knots a side", "of the map projection's spline: 17 are 8e-5 m off over 300 km, 9 1e-3 m")
 _LIFT_M = tuned(100.0, "m", "for the slope with height: 1 m drowns in rounding; 10 km is 1.6e-3 m off")

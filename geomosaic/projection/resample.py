@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced
 from geomosaic.projection.warp import GroundWindow, frame_from_map
 
-Floats32 = NDArray[np.float32]
 RESAMPLING: Final = {
     "bilinear": cv2.INTER_LINEAR,
     "cubic": cv2.INTER_CUBIC,
@@ -69,7 +69,7 @@ def _before_middle(places: Floats32, size: int) -> Floats32:
 
 def seen_on(
     window: GroundWindow, pose: Pose, camera: Camera, grey: Floats32, mask: NDArray[Any] | None
-) -> tuple[Floats32, NDArray[np.bool_]]:
+) -> tuple[Floats32, Bools]:
     """One band (rows, cols) of a frame on a map window, 0 where it isn't valid; and where it is."""
     cols, rows = frame_from_map(window, pose, camera)
     height, width = grey.shape

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import SLIGHT
-
-Floats = NDArray[np.float64]
 
 
 def pyramid(up_m: NDArray[Any]) -> list[NDArray[Any]]:
@@ -95,7 +94,7 @@ def first_drops(up_m: NDArray[Any], rays: GridRays) -> Floats:
     return found
 
 
-def _highest(levels: list[NDArray[Any]], level: NDArray[np.intp], index: NDArray[np.intp]) -> Floats:
+def _highest(levels: list[NDArray[Any]], level: Ints, index: Ints) -> Floats:
     top = np.empty(level.shape)
     for k in np.unique(level).tolist():
         mine = level == k
@@ -103,7 +102,7 @@ def _highest(levels: list[NDArray[Any]], level: NDArray[np.intp], index: NDArray
     return top
 
 
-def _within(up_m: NDArray[Any], cell: NDArray[np.intp], rays: GridRays) -> Floats:
+def _within(up_m: NDArray[Any], cell: Ints, rays: GridRays) -> Floats:
     """The first drop at which each ray is at the heights between the four nodes of its cell."""
     i, j = cell.T
     low, right, upper, both = (

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.exterior import Pose, row_moved_px
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import turned_by
@@ -24,8 +25,6 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 Axes = tuple[Floats32, Floats32, Floats32]
 """x, y and z in the camera of ground points, in m."""
 _NODES = tuned(5, "nodes a side", "of the projection's polynomial, odd: 3 are 1.0 mm off over 10 km, 5 0.8")

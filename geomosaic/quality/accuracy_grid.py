@@ -9,11 +9,10 @@ from itertools import product
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.arrays import Bools, Floats, Floats32
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints
 from geomosaic.composition.area import Area, rings_of
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
@@ -28,8 +27,6 @@ from geomosaic.projection.warp import ground_window
 from geomosaic.quality.ground_accuracy import GroundPropagation, HeightSource
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.surface.cells import Cells
-
-Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,7 @@ class AccuracyCells:
             out[2, shown] = source
         return AccuracyBlock(window.row, window.col, *out)
 
-    def _owners(self, window: Window) -> NDArray[np.intp]:
+    def _owners(self, window: Window) -> Ints:
         """The frame plus 1 that gives the middle of each cell, or else any of it; 0 outside the mosaic."""
         owner, side = self.ownership.owner, self.ownership.cell_px
         found = np.zeros((window.height, window.width), dtype=np.intp)
@@ -176,7 +173,7 @@ def tied_area(adjusted: Adjusted, ties: TiePoints, work_frame: LocalFrame, crs: 
     return Area(rings_of(shapely.union_all([shapely.make_valid(hull) for hull in hulls])))
 
 
-def _tie_images(adjusted: Adjusted, ties: TiePoints) -> tuple[NDArray[np.intp], Floats]:
+def _tie_images(adjusted: Adjusted, ties: TiePoints) -> tuple[Ints, Floats]:
     """Frames (m,) and image coordinates (m, 2) of the tie points that count."""
     residuals = adjusted.image_residuals
     if residuals is not None:

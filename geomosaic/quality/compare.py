@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from rasterio.windows import Window
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.quality.compared_block import (
@@ -53,7 +52,7 @@ class Comparison:
     vectors_m: Floats
     vectors_sd_px: Floats
     ssim: SsimTerms
-    ssim_cells: NDArray[np.float32]
+    ssim_cells: Floats32
     ssim_cell_m: float
     west_m: float
     north_m: float

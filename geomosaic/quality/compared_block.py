@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Floats32, Ints64
 from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
 from geomosaic.matching.displacement import Displacements, PatchMatching, measure_displacements
@@ -65,7 +64,7 @@ class ComparedBlock:
     shared_px: int
     found: Displacements
     terms: SsimTerms
-    cells: NDArray[np.float32]
+    cells: Floats32
     row: int
     col: int
 
@@ -146,7 +145,7 @@ def compared_tones(
     return ComparedTones(span, gain, offset)
 
 
-def _corners(inner: Window, outer: Window, patch_px: int, step_px: int) -> NDArray[np.int64]:
+def _corners(inner: Window, outer: Window, patch_px: int, step_px: int) -> Ints64:
     """First row and col, in the outer window, of the grid's patches that begin in the inner one."""
     last_row = outer.row_off + outer.height - patch_px
     last_col = outer.col_off + outer.width - patch_px
@@ -156,7 +155,7 @@ def _corners(inner: Window, outer: Window, patch_px: int, step_px: int) -> NDArr
     return np.asarray(grid - [outer.row_off, outer.col_off], dtype=np.int64)
 
 
-def _cell_means(values: Floats, side: int) -> NDArray[np.float32]:
+def _cell_means(values: Floats, side: int) -> Floats32:
     """Means of square cells that are not NaN; the last row and col of cells may be smaller."""
     rows, cols = (-(-n // side) for n in values.shape)
     padded = np.full((rows * side, cols * side), np.nan)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Ints64
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def best_similarity(at_m: Floats, displacement_m: Floats) -> tuple[Similarity, F
     return similarity, np.stack([left.real, left.imag], axis=-1)
 
 
-def touching_patches(centres_px: Floats, patch_px: int, step_px: int) -> NDArray[np.int64]:
+def touching_patches(centres_px: Floats, patch_px: int, step_px: int) -> Ints64:
     """Pairs (k, 2) of indices of patches whose centres are one patch apart along a row or a col.
 
     Where the step doesn't divide the patch, the next whole number of steps that clears it.
@@ -110,9 +109,7 @@ def touching_patches(centres_px: Floats, patch_px: int, step_px: int) -> NDArray
     return both[(both >= 0).all(axis=1)]
 
 
-def figures(
-    at_m: Floats, displacement_m: Floats, touching: NDArray[np.int64], gsd_m: float, asked: int
-) -> Figures:
+def figures(at_m: Floats, displacement_m: Floats, touching: Ints64, gsd_m: float, asked: int) -> Figures:
     """All figures of n vectors.
 
     Args: at_m, displacement_m (n, 2) east and north; touching (k, 2) indices (`touching_patches`);

@@ -20,11 +20,10 @@ from itertools import product
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.ground.ground_choice import DEM_SD_M
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.arrays import Floats, Ints
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.block_errors import BlockErrors
@@ -65,7 +64,7 @@ def pose_covariances(adjusted: Adjusted) -> Floats:
     return np.asarray(np.where(np.eye(6, dtype=bool), sd[:, :, None] ** 2, 0.0))
 
 
-def moves_with_ground(adjusted: Adjusted, ground: GroundSurface) -> NDArray[np.bool_]:
+def moves_with_ground(adjusted: Adjusted, ground: GroundSurface) -> Bools:
     """Frames (f,) whose errors the ground shares, since it was estimated from them."""
     estimated = adjusted.pose_covariance is not None and ground.kind != DEM
     return np.array([estimated and status == "tied" for status in adjusted.status], dtype=bool)
@@ -185,7 +184,7 @@ class GroundPropagation:
         return np.sqrt(total / _ACROSS**2)
 
     @cached_property
-    def _moves(self) -> NDArray[np.bool_]:
+    def _moves(self) -> Bools:
         return moves_with_ground(self.adjusted, self.ground)
 
     def _above_still_ground(self, places_m: Floats, slope: Floats, frame: Ints) -> tuple[Floats, Floats]:

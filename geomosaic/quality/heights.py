@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats, Floats32
+from geomosaic.arrays import Bytes, Floats, Floats32, Ints
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
 SLOPES_DEG = tuned((5.0, 15.0, 35.0, 60.0), "degrees", "limits of level, gentle and steep; more lack points")
@@ -59,13 +59,13 @@ def by_class(
     return tuple((name, figures) for name, figures in found if figures.n)
 
 
-def slope_classes(slope_deg: Floats32) -> tuple[NDArray[np.intp], list[tuple[int, str]]]:
+def slope_classes(slope_deg: Floats32) -> tuple[Ints, list[tuple[int, str]]]:
     """The class of each slope, and the classes' names."""
     ends = ["0", *(f"{s:g}" for s in SLOPES_DEG), "90"]
     classes = enumerate(itertools.pairwise(ends))
     return np.digitize(slope_deg, SLOPES_DEG), [(k, f"{low} to {high}°") for k, (low, high) in classes]
 
 
-def kind_names(kinds: NDArray[np.uint8]) -> list[tuple[int, str]]:
+def kind_names(kinds: Bytes) -> list[tuple[int, str]]:
     """Classes of a point cloud that occur."""
     return [(int(k), _KINDS.get(int(k), f"class {k}")) for k in np.unique(kinds)]

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from geomosaic.ccd.model import Floats, StripOffsets
+from geomosaic.arrays import Floats
+from geomosaic.ccd.model import StripOffsets
 from geomosaic.constants import tuned
 from geomosaic.quality.strips import BLOCK_LINES, StripQuality
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Ints64
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.model import TiePoints
@@ -23,9 +23,9 @@ class PairMisalignments:
     rms_m and max_m: (k,) of the lengths of the pair's residuals.
     """
 
-    left: NDArray[np.int64]
-    right: NDArray[np.int64]
-    points: NDArray[np.int64]
+    left: Ints64
+    right: Ints64
+    points: Ints64
     mean_m: Floats
     rms_m: Floats
     max_m: Floats

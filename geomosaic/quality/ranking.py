@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import tuned
 from geomosaic.estimation.robust import BLUNDER, THREE_SIGMA
 from geomosaic.placement.prior import COURSE_YAW_SD_DEG, heading_limit_rad
@@ -53,7 +53,7 @@ def headings_off_deg(given_deg: Floats, found_deg: Floats) -> Floats:
     return np.asarray((found_deg - given_deg + 180.0) % 360.0 - 180.0)
 
 
-def wrong_headings(off_deg: Floats, given_sd_deg: Floats) -> NDArray[np.bool_]:
+def wrong_headings(off_deg: Floats, given_sd_deg: Floats) -> Bools:
     """Headings (n,) that are off by more than their limit; one that nobody observed isn't wrong."""
     limit_deg = np.degrees(heading_limit_rad(np.radians(given_sd_deg)))
     return np.asarray((np.abs(off_deg) > limit_deg) & ~(given_sd_deg >= COURSE_YAW_SD_DEG - 1e-9))

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.doors.raster import REFERENCE, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.projection.lattice import MOST_OFF_PX
@@ -58,7 +58,7 @@ def on_grid_of(mosaic: Raster, other: Raster, path: Path, transform: Affine | No
 
 def read_luma(
     dataset: Raster, window: Window | None, shape: tuple[int, int] | None = None
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+) -> tuple[Floats32, Bools]:
     """Luma and valid pixels of a window, at a reduced shape if one is given."""
     colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
     colours = colours[:3] if len(colours) >= 3 else colours[:1]

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.composition.tiles import TILE_PX
 from geomosaic.constants import tuned
 from geomosaic.doors.points import is_point_cloud, open_points
@@ -36,7 +35,7 @@ class ReferenceHeights:
     east_m: Floats
     north_m: Floats
     height_m: Floats
-    kind: NDArray[np.uint8]
+    kind: Bytes
     datum: str
 
 
@@ -138,9 +137,7 @@ def _of_raster(path: Path, crs: CRS, surface: Raster, there: CRS) -> tuple[Float
     return east[known], north[known], height[known]
 
 
-def _of_points(
-    cloud: Any, crs: CRS, surface: Raster, there: CRS
-) -> tuple[Floats, Floats, Floats, NDArray[np.uint8]]:
+def _of_points(cloud: Any, crs: CRS, surface: Raster, there: CRS) -> tuple[Floats, Floats, Floats, Bytes]:
     bounds, same = surface.bounds, crs.to_2d() == there.to_2d()
     found = [(np.zeros((0, 3)), np.zeros(0, dtype=np.uint8))]
     for points in cloud.some(_MOST_POINTS):

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bools, Bytes, Floats, Ints64
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.choice import MOST_PLACES
@@ -31,7 +31,7 @@ from geomosaic.projection.resample import resample
 from geomosaic.quality.ssim import luma
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Frame
-from geomosaic.survey.pixels import Mask, read_pixels
+from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import brightness
 
 WINDOW_PX = tuned(256, "mosaic px", "tested place: smaller lacks patches; larger leaves the overlap")
@@ -46,10 +46,10 @@ class SeamCheck:
     displacement_px (k, 2) where the right frame shows the ground minus where the left one does, in the
     mosaic's cols and rows, median of the patches; NaN where too few were found."""
 
-    left: NDArray[np.int64]
-    right: NDArray[np.int64]
+    left: Ints64
+    right: Ints64
     at_m: Floats
-    patches: NDArray[np.int64]
+    patches: Ints64
     displacement_px: Floats
 
     @property
@@ -106,7 +106,7 @@ class Sights:
     """How a frame shows k places: pixels (k, h, w, bands) in its own type, and where they are valid."""
 
     pixels: NDArray[Any]
-    valid: NDArray[np.bool_]
+    valid: Bools
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def seen_at(shared: SeamGround, job: Sighting) -> Sights:
     return seen_in(*read_pixels(job.frame), shared, job)
 
 
-def seen_in(pixels: NDArray[Any], mask: Mask | None, shared: SeamGround, job: Sighting) -> Sights:
+def seen_in(pixels: NDArray[Any], mask: Bytes | None, shared: SeamGround, job: Sighting) -> Sights:
     """Takes all places of a frame's pixels (rows, cols, bands) and its mask of valid ones: of a picture's
     colours one band, since there are many places."""
     height, width, bands = pixels.shape

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ImageResiduals
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
@@ -40,7 +39,7 @@ def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, 
     return tuple(out)
 
 
-def _marks(px: Floats) -> NDArray[np.complex128]:
+def _marks(px: Floats) -> Complexes:
     """One number for each observation (k, 2) of a frame, in the order of cols, then rows."""
     return np.ascontiguousarray(px, np.float64).view(np.complex128)[:, 0]
 
@@ -101,7 +100,7 @@ def pair_columns(
 
 def sampled_ties(
     ties: TiePoints, adjusted: Adjusted, most: int = SAMPLED_TIES
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, dict[str, Floats]]:
+) -> tuple[Ints, Ints, Floats, dict[str, Floats]]:
     """Left and right frame (k,) of about `most` tie points, spread evenly over all, the points (k, 3) where
     their two rays meet, and as columns where the left frame has them on the ground and their residuals."""
     count = [len(t) for t in ties.pairs]

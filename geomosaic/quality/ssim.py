@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from geomosaic.arrays import Bools, Floats
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.constants import sourced
 
 WINDOW_PX = sourced(11, "px", "side of its window; another gives other figures", "Wang et al. 2004")
@@ -48,7 +48,7 @@ class SsimTerms:
     offset: float = 0.0
 
 
-def luma(bands: ArrayLike) -> NDArray[np.float32]:
+def luma(bands: ArrayLike) -> Floats32:
     """One band of (bands, rows, cols): ITU-R BT.601 luma of the first three, or the first alone."""
     image = np.asarray(bands, dtype=np.float32)
     if len(image) < 3:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.ccd.model import LABELS, MEASURED, Flags, Floats, StripOffsets
+from geomosaic.arrays import Bools, Floats
+from geomosaic.ccd.model import LABELS, MEASURED, StripOffsets
 from geomosaic.constants import sourced, tuned
 from geomosaic.quality.figures import interval_of
 from geomosaic.survey.strips import StripGeometry
@@ -124,7 +125,7 @@ def scene_errors(offsets: StripOffsets, truth: Mapping[int, Floats], geometry: S
     )
 
 
-def common_lines(geometry: StripGeometry, pair: int, dline_px: Floats) -> Flags:
+def common_lines(geometry: StripGeometry, pair: int, dline_px: Floats) -> Bools:
     """(n,) which of the left strip's lines have their ground in the right strip too."""
     middle = np.arange(len(dline_px)) + 0.5
     there = middle + geometry.side(pair) * geometry.row_separation_lines + dline_px

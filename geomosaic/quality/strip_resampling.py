@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
-from geomosaic.ccd.model import Flags, Floats, Images
+from geomosaic.arrays import Bools, Floats, Floats32, Ints64
 from geomosaic.matching.least_squares_matching import bspline_weights
 
 
 def resampled_onto(
-    image: Images, valid: Flags, cols: Floats, lines: Floats, wider: int
-) -> tuple[Images, Flags]:
+    image: Floats32, valid: Bools, cols: Floats, lines: Floats, wider: int
+) -> tuple[Floats32, Bools]:
     """An image (n, w) resampled row by row: row i, col c is the image's row i + lines[i], col c + cols[i].
 
     By cubic B-splines; `wider` columns more on the right. Not valid within a pixel of what isn't.
@@ -45,7 +44,7 @@ def resampled_onto(
     return out, out_valid
 
 
-def _taps(at: Floats) -> tuple[NDArray[np.int64], Images]:
+def _taps(at: Floats) -> tuple[Ints64, Floats32]:
     """Whole parts (n,), and the weights (n, 4) of the nodes one before to two beyond them."""
     whole = np.floor(at).astype(np.int64)
     return whole, bspline_weights(at - whole)

@@ -6,19 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Ints64
 from geomosaic.ccd.columns import flattened
-from geomosaic.ccd.model import (
-    BRIDGED,
-    LABELS,
-    MEASURED,
-    Flags,
-    Floats,
-    PairOffsets,
-    Progress,
-    StripOffsets,
-)
+from geomosaic.ccd.model import BRIDGED, LABELS, MEASURED, PairOffsets, Progress, StripOffsets
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import tuned
@@ -242,7 +233,7 @@ def _piece(
     return own, sd, _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks)[0]
 
 
-def _corners(begin_px: Floats, end_px: int, blocks: int) -> NDArray[np.int64]:
+def _corners(begin_px: Floats, end_px: int, blocks: int) -> Ints64:
     """First row and col of the patches: two rows of them a block, in the columns that both strips have."""
     out = []
     for block in range(blocks):
@@ -256,9 +247,7 @@ def _corners(begin_px: Floats, end_px: int, blocks: int) -> NDArray[np.int64]:
     return np.array(out, dtype=np.int64).reshape(-1, 2)
 
 
-def _of_blocks(
-    found: Displacements, corners: NDArray[np.int64], asked: Flags, blocks: int
-) -> tuple[Floats, Floats]:
+def _of_blocks(found: Displacements, corners: Ints64, asked: Bools, blocks: int) -> tuple[Floats, Floats]:
     """Weighted means of the patches, in the lines asked for, that agree with their block's middle one."""
     share = np.array([asked[r : r + _PATCH_PX, c : c + _PATCH_PX].mean() for r, c in corners])
     home = corners[share >= VALID_SHARE]

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.constants import sourced, tuned
-
-Floats32 = NDArray[np.float32]
 
 REFLECTANCE_ONE = sourced(32768.0, "digital numbers", "that mean 1", "MicaSense, reflectance in 16 bits")
 _MAPS_KEPT = tuned(4, "maps", "of vignetting in memory, 20 MB each; fewer compute again band by band")

@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.constants import sourced, tuned
-
-Bytes = NDArray[np.uint8]
-Floats32 = NDArray[np.float32]
 
 _SERIAL: Final = re.compile(r"RP(\d\d)-\d{7}-\D{2}")
 _ALBEDOS: Final = re.compile(r"(\d{4})(\d{3})(\d{4})(\d{3})$")

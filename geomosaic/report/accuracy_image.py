@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
 
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.report.glance import data_uri
 from geomosaic.report.layers import MapImage
@@ -22,7 +23,7 @@ COLOURS: Final = ((65, 150, 26), (106, 217, 166), (191, 255, 255), (97, 174, 253
 """Small to large, blue, green, red: those of the QGIS project."""
 
 
-def coloured_deviations(sd_m: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
+def coloured_deviations(sd_m: NDArray[np.floating], low: float, high: float) -> Bytes:
     """Deviations (rows, cols) as blue, green, red and opacity, 0 where unknown."""
     known = np.isfinite(sd_m)
     share = np.clip((np.where(known, sd_m, low) - low) / max(high - low, 1e-9), 0.0, 1.0)
@@ -31,7 +32,7 @@ def coloured_deviations(sd_m: NDArray[np.floating], low: float, high: float) -> 
     return np.dstack([*channels, np.where(known, 255, 0)]).astype(np.uint8)
 
 
-def accuracy_image(path: Path, origin: NDArray[np.float64]) -> MapImage | None:
+def accuracy_image(path: Path, origin: Floats) -> MapImage | None:
     """The layer of a run's accuracy.tif, from the map's origin; None where nothing is known."""
     with open_raster(path, OWN) as raster, reading(path, OWN.problem, OWN.fix):
         scale = max(1.0, max(raster.shape) / _WIDEST_PX)

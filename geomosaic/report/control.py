@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.arrays import Bools, Floats
 from geomosaic.export.on_map import map_from_work
 from geomosaic.quality.accuracy import metres
 from geomosaic.quality.control import control_blunders, control_figures, known_residuals_m
 from geomosaic.report.numbers import UNKNOWN, cm, signed_cm
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _MOST: Final = 500
 """Points of a kind on the map."""
 CHECK_POINTS: Final = "Check points"
@@ -121,7 +120,7 @@ class MappedPoints:
     at_m: Floats
     residual_m: Floats
     labels: tuple[str, ...]
-    blunders: NDArray[np.bool_]
+    blunders: Bools
     number: int
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.report.control import MappedPoints
 from geomosaic.report.layers import MapLayer, arrows, flat
 from geomosaic.report.numbers import cm, whole
 
-Floats = NDArray[np.float64]
 MARKS: Final = {"control": ("triangle", "#d7191c"), "check": ("square", "#1f66d0")}
 """Symbol and colour by kind, those of the QGIS project."""
 _SHARE: Final = 0.1

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats
 from geomosaic.composition.model import Mosaic
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.on_map import map_from_work
@@ -25,7 +25,6 @@ from geomosaic.report.layers import MapLayer, arrows, flat, labels_of, outlines,
 from geomosaic.report.numbers import short, whole
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _MOST_ARROWS: Final = 2500
 _MOST_TIES: Final = 8000
 _MOST_CORNERS: Final = 40_000

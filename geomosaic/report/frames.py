@@ -12,6 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats
 from geomosaic.composition.model import Mosaic
 from geomosaic.export.orientation import orientations
 from geomosaic.geodesy.mapcrs import is_local
@@ -147,7 +148,7 @@ def render_report(report: FramesReport) -> str:
 
 
 def _images(
-    report: FramesReport, image: Glance, origin: np.ndarray[Any, Any], footprints_m: list[parts.Floats]
+    report: FramesReport, image: Glance, origin: np.ndarray[Any, Any], footprints_m: list[Floats]
 ) -> list[MapImage]:
     comparison, surface, others = report.comparison, report.surface, report.others
     box = box_of(image, origin)

@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 
+from geomosaic.arrays import Bools, Bytes
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.compose import CompositionOptions, compose
 from geomosaic.composition.grid import coarser, output_grid, without_flung
@@ -111,8 +111,8 @@ def _composed(
 class ReducedFrame:
     """A frame at reduced size, 8 bits: pixels (rows, cols, 1 or 3), and where they are valid if not all."""
 
-    pixels: NDArray[np.uint8]
-    valid: NDArray[np.bool_] | None
+    pixels: Bytes
+    valid: Bools | None
 
 
 def small_frame(reduction: int, unseen: FrameToDecode) -> ReducedFrame:

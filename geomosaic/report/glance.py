@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.vrt import WarpedVRT
 
+from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
-
-Floats = NDArray[np.float64]
 
 _LONGER_SIDE_PX = 2800
 _QUALITY = 75
@@ -73,7 +72,7 @@ def glance_of(dataset: Raster | WarpedVRT, longest_px: int, quality: int = 82) -
     )
 
 
-def stretched(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def stretched(values: NDArray[np.generic], valid: Bools) -> Bytes:
     """Values (..., rows, cols) in 8 bits: 0 at the 1st percentile of the valid ones (rows, cols), 255 at the
     99th."""
     grey = values.astype(np.float32)
@@ -86,13 +85,13 @@ def stretched(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[
     return np.nan_to_num(grey, copy=False).astype(np.uint8)
 
 
-def webp(colours: NDArray[np.uint8], valid: NDArray[np.bool_], quality: int) -> str:
+def webp(colours: Bytes, valid: Bools, quality: int) -> str:
     """A data URI of red, green, blue (rows, cols, 3), transparent where nothing is valid (rows, cols)."""
     drawn = np.dstack([colours[..., ::-1], np.where(valid, 255, 0).astype(np.uint8)])
     return data_uri("webp", drawn, [cv2.IMWRITE_WEBP_QUALITY, quality])
 
 
-def data_uri(kind: str, image: NDArray[np.uint8], settings: Sequence[int] = ()) -> str:
+def data_uri(kind: str, image: Bytes, settings: Sequence[int] = ()) -> str:
     """An encoded image (blue, green, red, opacity) that a page can hold."""
     data = cv2.imencode(f".{kind}", image, list(settings))[1]
     return f"data:image/{kind};base64," + base64.b64encode(data.tobytes()).decode("ascii")

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Ints64
 from geomosaic.report.glance import Glance
 from geomosaic.report.numbers import whole
 
-Floats = NDArray[np.float64]
 _HEAD: Final = 0.3
 """An arrow head's length, of its arrow's."""
 
@@ -111,7 +110,7 @@ def arrows(
     return [flat(line, origin) for line in lines]
 
 
-def thinned(number: int, most: int) -> NDArray[np.int64]:
+def thinned(number: int, most: int) -> Ints64:
     """Indices of so many at most, spread evenly."""
     return np.arange(0, number, max(1, -(-number // most)))
 

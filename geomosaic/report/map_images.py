@@ -9,18 +9,17 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rasterio import Affine
 from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
 
+from geomosaic.arrays import Floats
 from geomosaic.composition.grid import coarser
 from geomosaic.composition.model import OutputGrid
 from geomosaic.doors.raster import reading
 from geomosaic.quality.rasters import open_map
 from geomosaic.report.glance import Glance, data_uri, glance_of
 
-Floats = NDArray[np.float64]
 _OVERLAP_PX: Final = 500
 _COUNTS: Final = ("#d7301f", "#fc8d59", "#fee08b", "#a6d96a", "#1a9850")
 """Of ground that one, two, three, four, five and more frames show."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.camera.interior import Camera
@@ -22,8 +21,6 @@ from geomosaic.report.numbers import UNKNOWN, percent, short
 from geomosaic.report.plots import Axis, Series, histogram, line_plot
 from geomosaic.report.table import Cell, ReportTable, TableRow, count, number
 from geomosaic.survey.model import Survey
-
-Floats = NDArray[np.float64]
 
 _WORST_PAIRS = 15
 _MOST_ROWS = 3000

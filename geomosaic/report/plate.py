@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.report.control import MappedPoints
 from geomosaic.report.control_layers import MARKS, ArrowScale
 from geomosaic.report.glance import Glance
@@ -16,7 +16,6 @@ from geomosaic.report.layers import arrows
 from geomosaic.report.numbers import short, whole
 from geomosaic.report.svg import document, points, tag, text
 
-Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 IMAGE: Final = "plate-image"
 """Id of the image, which the page's script fills with the mosaic that the page has already."""

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from geomosaic.arrays import Floats
 from geomosaic.report.numbers import short
 from geomosaic.report.svg import (
     COLOURS,
@@ -25,8 +26,6 @@ from geomosaic.report.svg import (
     text,
     tick_texts,
 )
-
-Floats = NDArray[np.float64]
 
 LEFT, RIGHT, TOP, _BOTTOM = 66.0, 16.0, 34.0, 46.0
 

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, ImageResiduals, SharedUnknowns
+from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.report.numbers import by_deviation
 from geomosaic.survey.model import Survey
-
-Floats = NDArray[np.float64]
 
 STRONG = 0.7
 """Correlations beyond this are named."""

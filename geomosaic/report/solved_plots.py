@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from geomosaic.arrays import Floats
 from geomosaic.report.numbers import short
 from geomosaic.report.svg import COLOURS, document, nice_ticks, number, points, tag, text
 
-Floats = NDArray[np.float64]
 _MOST_UNKNOWNS = 40
 
 

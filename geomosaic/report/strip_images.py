@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
-from geomosaic.ccd.model import MEASURED, Floats, PairOffsets
+from geomosaic.arrays import Bools, Floats
+from geomosaic.ccd.model import MEASURED, PairOffsets
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES, common_lines
 from geomosaic.quality.strips import BLOCK_LINES, PairQuality, StripQuality
@@ -114,7 +114,7 @@ def seam_places(geometry: StripGeometry, quality: PairQuality, offsets: PairOffs
     return out
 
 
-def _longest(flags: NDArray[np.bool_]) -> tuple[int, int] | None:
+def _longest(flags: Bools) -> tuple[int, int] | None:
     """First and one beyond the last of the longest run of True."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
     if not edges.size:
@@ -145,7 +145,7 @@ def seam_crops(
     return out
 
 
-def _crop(values: Floats, valid: NDArray[np.bool_], seam_px: float, place: Place) -> str:
+def _crop(values: Floats, valid: Bools, seam_px: float, place: Place) -> str:
     uri = webp(np.dstack([stretched(values, valid)] * 3), valid, 92)
     rows, cols = values.shape
     total = rows + 2 * _TICK_PX

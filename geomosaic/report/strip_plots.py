@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.ccd.model import MEASURED, UNRELIABLE, Floats, PairOffsets
+from geomosaic.arrays import Floats, Ints64
+from geomosaic.ccd.model import MEASURED, UNRELIABLE, PairOffsets
 from geomosaic.quality.figures import interval_of
 from geomosaic.quality.jitter import Spectrum
 from geomosaic.quality.strip_figures import LIMIT_PX, SEGMENT_LINES
@@ -62,7 +62,7 @@ def _panel(x: Scale, top: float, series: Series, reach: Floats) -> list[str]:
     return [*out, frame.box()]
 
 
-def _label_bar(x: Scale, top: float, line: Floats, worst: NDArray[np.int64]) -> list[str]:
+def _label_bar(x: Scale, top: float, line: Floats, worst: Ints64) -> list[str]:
     out = []
     breaks = np.flatnonzero(np.diff(worst)) + 1
     half = (line[1] - line[0]) / 2 if len(line) > 1 else 0.5
@@ -88,7 +88,7 @@ def _label_legend(width: float) -> list[str]:
     ]
 
 
-def _thinned(pair: PairOffsets) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
+def _thinned(pair: PairOffsets) -> tuple[Floats, Floats, Floats, Ints64]:
     """At most 2000 middles of lines, offsets, half intervals (n, 2): means, largest; and the worst label."""
     n = len(pair.label)
     starts = np.arange(0, n, max(1, -(-n // _MOST_POINTS)))

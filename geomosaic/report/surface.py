@@ -10,17 +10,15 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rasterio.enums import Resampling
 
+from geomosaic.arrays import Bytes, Floats32
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.quality.heights import HeightFigures
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.report.glance import data_uri
 from geomosaic.report.numbers import percent, short, signed
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 _PICTURE_PX: Final = 900
 _PROFILE_PX: Final = 380
 _INDEX_PX: Final = 1600
@@ -117,7 +115,7 @@ def _reduced(
     return np.asarray(values.astype(np.float32).filled(np.nan)), pixel_m
 
 
-def shaded(heights: Floats32, pixel_m: float, low: float, high: float) -> NDArray[np.uint8]:
+def shaded(heights: Floats32, pixel_m: float, low: float, high: float) -> Bytes:
     """Heights (rows, cols) lit from the north-west: blue, green, red and opacity, 0 where unknown."""
     known = np.isfinite(heights)
     whole = np.where(known, heights, np.float32(low))
@@ -218,7 +216,7 @@ def reach_m(difference: Floats32) -> float:
     return max(float(np.quantile(known, 0.95)), _LEAST_STEP_M) if known.size else 1.0
 
 
-def coloured(difference: Floats32, reach_m: float) -> NDArray[np.uint8]:
+def coloured(difference: Floats32, reach_m: float) -> Bytes:
     """Differences (rows, cols) in blue, green, red, alpha: blue where the surface is lower, white alike, red
     higher, full colours from reach_m on."""
     known = np.isfinite(difference)
@@ -230,7 +228,7 @@ def coloured(difference: Floats32, reach_m: float) -> NDArray[np.uint8]:
     return np.dstack([colours, np.where(known, 255, 0)]).astype(np.uint8)
 
 
-def difference_picture(difference: Floats32) -> NDArray[np.uint8]:
+def difference_picture(difference: Floats32) -> Bytes:
     """The same as a picture of its own, with the colours' scale below. White is the median: what all of it is
     off by would cover the rest."""
     known = difference[np.isfinite(difference)]
@@ -242,7 +240,7 @@ def difference_picture(difference: Floats32) -> NDArray[np.uint8]:
     return with_legend(drawn, bar, [f"{value:+.3g} m" for value in ends])
 
 
-def with_legend(drawn: NDArray[np.uint8], bar: NDArray[np.uint8], labels: Sequence[str]) -> NDArray[np.uint8]:
+def with_legend(drawn: Bytes, bar: Bytes, labels: Sequence[str]) -> Bytes:
     """A picture (rows, cols, 4) with its colours below, (1, n, 4), and three texts below these."""
     cols = max(drawn.shape[1], _LEAST_SCALE_PX)
     drawn = np.pad(drawn, ((0, 0), (0, cols - drawn.shape[1]), (0, 0)))
@@ -256,7 +254,7 @@ def with_legend(drawn: NDArray[np.uint8], bar: NDArray[np.uint8], labels: Sequen
     return np.vstack([drawn, scale])
 
 
-def in_colours(values: Floats32, ends: tuple[float, float], colours: Sequence[str]) -> NDArray[np.uint8]:
+def in_colours(values: Floats32, ends: tuple[float, float], colours: Sequence[str]) -> Bytes:
     """Values (rows, cols) in blue, green, red, alpha, by colours such as #1a9641 evenly between two ends."""
     stops = np.array([[int(c[k : k + 2], 16) for k in (5, 3, 1)] for c in colours], dtype=np.float64)
     at = np.nan_to_num((values - ends[0]) / (ends[1] - ends[0])) * (len(stops) - 1)
@@ -264,7 +262,7 @@ def in_colours(values: Floats32, ends: tuple[float, float], colours: Sequence[st
     return np.dstack([*bgr, np.where(np.isfinite(values), 255.0, 0.0)]).astype(np.uint8)
 
 
-def index_picture(index: Path, ends: tuple[float, float], colours: Sequence[str]) -> NDArray[np.uint8]:
+def index_picture(index: Path, ends: tuple[float, float], colours: Sequence[str]) -> Bytes:
     """An index's raster in colours between two ends, as blue, green, red, alpha, with the legend below."""
     values, _ = _reduced(index, 1, _INDEX_PX)
     bar = in_colours(np.linspace(*ends, 256, dtype=np.float32)[None], ends, colours)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Bytes
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.stage import Context
@@ -36,7 +36,7 @@ class Pieces:
     there any more."""
 
     seams: Sights | None
-    pixels: tuple[NDArray[np.uint8], ...]
+    pixels: tuple[Bytes, ...]
 
 
 def cut_frame(shared: SeamGround, item: ToCut) -> Pieces:
@@ -68,7 +68,7 @@ class Chips:
             p: cuts(ties.pairs[p].left_px, ties.pairs[p].right_px, adjusted.residuals_m[p])
             for p in self._worst
         }
-        self._halves: dict[tuple[int, int], NDArray[np.uint8]] = {}
+        self._halves: dict[tuple[int, int], Bytes] = {}
 
     def look(self, shared: SeamGround, seams: Mapping[int, Sighting]) -> list[Sights]:
         """Decodes frames once for both: what seams ask of them, and what they are cut for."""

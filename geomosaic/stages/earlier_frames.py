@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Ints64
 from geomosaic.pipeline.stage import Context
 from geomosaic.survey.model import Survey
 
 
-def earlier_numbers(survey: Survey, context: Context) -> NDArray[np.int64]:
+def earlier_numbers(survey: Survey, context: Context) -> Ints64:
     """Of each frame (n,) the number that it had in the run before, -1 where it is new or another."""
     before = None if context.earlier is None else context.earlier.artefact("survey", Survey)
     if before is None or context.earlier is None:

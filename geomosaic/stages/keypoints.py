@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats, Ints64
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
 from geomosaic.matching.contrast import raised
-from geomosaic.matching.features import Bytes, Features, reduction_for, shrunk, sift_features, stretched
+from geomosaic.matching.features import Features, reduction_for, shrunk, sift_features, stretched
 from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.stage import Context, StageParams, param
@@ -24,8 +24,6 @@ from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import FrameToDecode
-
-Floats = NDArray[np.float64]
 
 
 class KeypointParams(StageParams):
@@ -172,7 +170,7 @@ class Sought:
 
     windows: StoredResult[Windows]
     reduction: int
-    rows: NDArray[np.int64]
+    rows: Ints64
     near_px: Floats
     shapes: Floats
 
@@ -190,7 +188,7 @@ class PlacesFound:
     """image_px (n, 2) where a frame shows what was sought in it, in that order; sure (n,) whether it does."""
 
     image_px: Floats
-    sure: NDArray[np.bool_]
+    sure: Bools
 
 
 def frame_places(search: Search) -> PlacesFound:

@@ -9,8 +9,8 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
@@ -32,8 +32,6 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.keypoints import FrameReduction, KeypointParams, frame_features, pictured
 from geomosaic.stages.tie_points import Pairing, record_tried, refined
 from geomosaic.survey.model import Survey
-
-Floats = NDArray[np.float64]
 
 
 class SiftParams(KeypointParams):

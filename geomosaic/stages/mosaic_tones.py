@@ -6,9 +6,9 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Ints64
 from geomosaic.composition.earlier_tones import with_earlier_tones
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
@@ -111,7 +111,7 @@ def mosaic_tones(
     return tones
 
 
-def _earlier_tones(earlier: NDArray[np.int64], context: Context) -> Tones | None:
+def _earlier_tones(earlier: Ints64, context: Context) -> Tones | None:
     """Those of the run before, if most frames are the same."""
     if context.earlier is None or 2 * int((earlier >= 0).sum()) < len(earlier):
         return None

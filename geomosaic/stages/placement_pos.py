@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.errors import InputError
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
@@ -23,8 +23,6 @@ from geomosaic.quality.solved_tables import pose_columns
 from geomosaic.stages.reporting import record_footprints, record_locations, record_origin
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import some
-
-Floats = NDArray[np.float64]
 
 
 class PlacementParams(StageParams):
@@ -134,7 +132,7 @@ def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
 
 
 def _warn_of_control_outside(
-    context: Context, survey: Survey, outlines: Sequence[NDArray[np.float64]], reach_m: float
+    context: Context, survey: Survey, outlines: Sequence[Floats], reach_m: float
 ) -> None:
     """Names the marked control points that no frame can have seen, however wrong its position is."""
     control = [p for p in survey.control if p.images]

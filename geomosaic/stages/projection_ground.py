@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -26,7 +26,6 @@ from geomosaic.projection.relief import relief
 from geomosaic.survey.dem import dem_crs, outliers_warning, read_heights
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _MOST_FLAT_REACH = 3.0
 _MOST_OFF_M = tuned(250.0, "m", "a geoid is off by up to 107 m, barometers by weather; more misses feet")
 _NODE_PX = 4.0  # ground pixels between the nodes of a surface: edges of walls are no sharper in a mosaic

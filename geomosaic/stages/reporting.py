@@ -9,10 +9,10 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.adjustment.paper.misalignment import offset_net
+from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.composition.estimate import SizeEstimate, room
 from geomosaic.composition.model import Trimmed
@@ -32,7 +32,6 @@ from geomosaic.quality.solved_tables import (
 )
 from geomosaic.survey.model import Survey
 
-Floats = NDArray[np.float64]
 _CORNERS = 3  # the fewest of an area
 
 

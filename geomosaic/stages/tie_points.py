@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.matching.features import Features
 from geomosaic.matching.match import Matching, PairMatch
 from geomosaic.matching.model import TiePairs, TiePoints
@@ -30,7 +30,6 @@ from geomosaic.stages.keypoints import (
 )
 
 Pair = tuple[int, int]
-Floats = NDArray[np.float64]
 
 
 @dataclass

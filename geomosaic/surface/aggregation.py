@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats32, Ints
 from geomosaic.constants import tuned
 from geomosaic.surface.costs import PER_BIT, UNSEEN_COST
 from geomosaic.surface.edge_refinement import AROUND_CELLS
 
-Bytes = NDArray[np.uint8]
 Costs = NDArray[np.uint16]
 Steps = NDArray[np.int16]
 _SLOPE_BITS = tuned(1.5, "bits", "cost of one step: lower, noise becomes relief; higher, slopes are stairs")
@@ -116,7 +116,7 @@ def _move(values: Bytes, to: Bytes, aslant: tuple[int, ...]) -> None:
             moved[..., :-1] = of_path[..., 1:]
 
 
-def cheapest(total: Costs, steps: Steps) -> NDArray[np.float32]:
+def cheapest(total: Costs, steps: Steps) -> Floats32:
     """The height of each cell (rows, cols) in steps, between them by a parabola."""
     heights = len(total)
     place = total.argmin(axis=0)
@@ -128,7 +128,7 @@ def cheapest(total: Costs, steps: Steps) -> NDArray[np.float32]:
     return np.asarray(step + off.clip(-0.5, 0.5), dtype=np.float32)
 
 
-def distinctness(costs: Bytes, total: Costs) -> NDArray[np.float32]:
+def distinctness(costs: Bytes, total: Costs) -> Floats32:
     """By how many bits the heights of a cell and those around cost less than the mean of all heights; those
     that cost as much as what no two frames see are no evidence."""
     chosen = np.take_along_axis(costs, total.argmin(axis=0)[None], axis=0)[0]
@@ -138,5 +138,5 @@ def distinctness(costs: Bytes, total: Costs) -> NDArray[np.float32]:
     return np.asarray(cv2.blur(less.astype(np.float32), window), dtype=np.float32)
 
 
-def _taken(values: NDArray[np.integer], place: NDArray[np.intp]) -> NDArray[np.integer]:
+def _taken(values: NDArray[np.integer], place: Ints) -> NDArray[np.integer]:
     return np.asarray(np.take_along_axis(values, place[None], axis=0)[0])

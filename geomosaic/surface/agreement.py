@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.surface.census import NOT_SEEN, Bits
 from geomosaic.surface.costs import AGREEING, CHANCE_BITS, SweepHeights, sampled
 from geomosaic.surface.plane_sweep import Block, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
-Floats = NDArray[np.float64]
 _EVERY_CELLS = tuned(4, "cells", "between cells at which frames are compared: 1 takes 16 times as long")
 _MARGIN_BITS = tuned(0.5, "bits", "by which the steepest may agree worse and be first; 3 px off cost 2 to 4")
 _LEAST_SHARE = tuned(0.5, "share", "of the best likeness, to be asked early: less lets unlike frames in")

@@ -7,8 +7,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats32
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
@@ -16,7 +16,6 @@ from geomosaic.surface.edge_refinement import AROUND_CELLS
 from geomosaic.surface.refinement import SURE, UNSEEN
 from geomosaic.surface.tile_sgm import TileHeights
 
-Floats32 = NDArray[np.float32]
 _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Correlations for which the two tables below hold; straight between."""
 _SD_CELLS = tuned((1.0, 0.3, 0.15, 0.1, 0.05), "cells", "by correlation; 68 % of simulated ones are within")
@@ -64,7 +63,7 @@ class FilteredTile:
 
     over_m: Floats32
     sd_m: Floats32
-    views: NDArray[np.uint8]
+    views: Bytes
     counted: MatchCounts
 
 

@@ -10,13 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats32
 from geomosaic.constants import sourced, tuned
 from geomosaic.surface.census import BITS, NOT_SEEN, Bits
 from geomosaic.surface.plane_sweep import SWEPT_AT_ONCE, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
-Bytes = NDArray[np.uint8]
-Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
 _MOST_BITS = tuned(14, "bits", "cap a frame: 12 differ by chance; lower, bad views count as mismatches")
 AGREEING = sourced(2, "frames", "best beside the first", "simulated towns: 1 to 3 % wrong roofs, 3: 2 to 7 %")

@@ -18,13 +18,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
 
-Bools = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
 TERRAIN: Final = "terrain"
 """The kind of ground that such a model is."""
 WIDEST_M = sourced(50.0, "m", "widest object; more cuts hilltops", "Pingel et al. 2013, 3.1: 36; halls: more")

@@ -12,14 +12,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats32
 from geomosaic.constants import sourced, tuned
-from geomosaic.surface.squares import Mask, Squares, SquareView, SweptPictures, by_first, dense
+from geomosaic.surface.squares import Squares, SquareView, SweptPictures, by_first, dense
 from geomosaic.surface.visibility import Asked, hidden_from
 
-Bytes = NDArray[np.uint8]
-Floats32 = NDArray[np.float32]
 _SIDES = tuned(0.7, "correlation", "to be offered to neighbours: 0.5 leaves 20 % wrong wall edges, not 18 %")
 _REACH_CELLS = sourced(6, "cells", "reach of offers", "wrong wall edges: 2: 26 %, 4: 22 %, 6 to 10: 18 %")
 AROUND_CELLS: Final = 2 * _REACH_CELLS + 1
@@ -104,7 +102,7 @@ def _two_most_alike(shown: Sequence[SquareView]) -> Bytes:
     return np.asarray(least + second, dtype=np.uint8)
 
 
-def _balanced(grey: Bytes, first: Bytes, sees: Mask | None) -> Bytes:
+def _balanced(grey: Bytes, first: Bytes, sees: Bools | None) -> Bytes:
     """What a frame shows, each square (n, ...) as bright as the first one's where the frame sees it."""
     found = np.empty_like(grey)
     for k in range(len(grey)):

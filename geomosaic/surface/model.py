@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats, Floats32
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 
@@ -22,16 +22,16 @@ class DenseSurface:
     deviation (m), NaN where none is known; views: number of frames that agree there, 0 in filled voids."""
 
     cells: Cells
-    up_m: NDArray[np.float32]
-    sd_m: NDArray[np.float32]
-    views: NDArray[np.uint8]
+    up_m: Floats32
+    sd_m: Floats32
+    views: Bytes
 
     def ground(self) -> GroundSurface:
         """As what rays are projected on: a node in each cell's middle."""
         east, north = self.cells.axes_m()
         return GroundSurface(DENSE, float(east[0]), float(north[0]), self.cells.cell_m, self.up_m, self.sd_m)
 
-    def sampled_m(self, most: int) -> NDArray[np.float64]:
+    def sampled_m(self, most: int) -> Floats:
         """About so many points (n, 3) in the work frame, every k-th cell of every k-th row, of cells where
         frames agree."""
         by = max(1, math.isqrt(max(self.up_m.size - 1, 0) // most) + 1)

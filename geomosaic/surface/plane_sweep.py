@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -23,8 +24,6 @@ from geomosaic.estimation.linear import inverse
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 Block = tuple[slice, slice]
 WHOLE: Final = (slice(None), slice(None))
 NODE_CELLS = tuned(8, "cells", "between exact nodes: a lens bends by < 0.03 px over them; fewer take longer")

@@ -8,8 +8,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.surface.cells import Cells, Tile
@@ -17,8 +17,6 @@ from geomosaic.surface.plane_sweep import SweepView
 from geomosaic.surface.tile_mosaic import base_heights
 from geomosaic.surface.tile_sgm import MARGIN_CELLS, HeightSearch, TileHeights
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 TILE_CELLS = tuned(304, "cells", "320 with the refined margin: smaller is mostly margin; larger takes memory")
 _BELOW = tuned(0.1, "flying heights", "search below the base: less misses ditches and land beside woods")
 _ABOVE = tuned(0.3, "flying heights", "search above the base: less cuts off what stands high")
@@ -112,9 +110,7 @@ def pyramid_levels(cells: Cells, flying_m: float) -> list[PyramidLevel]:
     ]
 
 
-def frames_seeing(
-    frames: Sequence[SweepView], base: GroundSurface, tiles: Sequence[Cells]
-) -> NDArray[np.bool_]:
+def frames_seeing(frames: Sequence[SweepView], base: GroundSurface, tiles: Sequence[Cells]) -> Bools:
     """Which frames see which of a grid of places of each tile: (tiles, frames, north, east)."""
     share = np.linspace(0.0, 1.0, _PLACES)
     west, south, east, north = (
@@ -133,7 +129,7 @@ def frames_seeing(
     return np.stack(seen, axis=1)
 
 
-def _seen_part(tile: Tile, seen: NDArray[np.bool_]) -> Tile | None:
+def _seen_part(tile: Tile, seen: Bools) -> Tile | None:
     """The part of a tile about those of its places (north, east) that are seen, as far as the next ones."""
     if not seen.any():
         return None

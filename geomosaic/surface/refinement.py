@@ -11,14 +11,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats32
 from geomosaic.constants import tuned
 from geomosaic.surface.squares import Squares, SweptPictures, by_first
 from geomosaic.surface.visibility import Asked
 
-Bytes = NDArray[np.uint8]
-Floats32 = NDArray[np.float32]
 _ROUNDS = tuned(2, "rounds", "each halves the step: one leaves a tenth of a step; a third gains a hundredth")
 _SIDE_CELLS = tuned(3, "cells", "window of comparison: smaller follows noise; larger rounds off edges")
 _RIM_CELLS: Final = _SIDE_CELLS // 2
@@ -77,7 +75,7 @@ def _views(correlations: Floats32) -> Bytes:
     return np.asarray(agreeing + (agreeing > 0), dtype=np.uint8)
 
 
-def _most_alike(correlations: Floats32) -> NDArray[np.bool_]:
+def _most_alike(correlations: Floats32) -> Bools:
     """Which frames count in each cell, as the correlations (frames, ...)."""
     better = np.zeros(correlations.shape, dtype=np.uint8)
     for k, one in enumerate(correlations):
@@ -88,7 +86,7 @@ def _most_alike(correlations: Floats32) -> NDArray[np.bool_]:
     return np.asarray(better < _AGREEING)
 
 
-def _mean_of(correlations: Floats32, which: NDArray[np.bool_]) -> Floats32:
+def _mean_of(correlations: Floats32, which: Bools) -> Floats32:
     """Of those (frames, ...) that count and see the cell."""
     seen = which & (correlations > -np.inf)
     count = seen.sum(axis=0, dtype=np.uint8)

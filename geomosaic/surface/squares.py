@@ -11,13 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes, Floats32, Ints
 from geomosaic.surface.plane_sweep import SWEPT_AT_ONCE, Block, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
-Bytes = NDArray[np.uint8]
-Floats32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-SquareView = tuple[Bytes, Mask | None]
+SquareView = tuple[Bytes, Bools | None]
 _NOBODY: Final = -1
 
 
@@ -85,7 +83,7 @@ class Squares:
             out[at] = own[rows, cols]
 
     @cached_property
-    def _frames(self) -> NDArray[np.intp]:
+    def _frames(self) -> Ints:
         """(frames, n): whom each square asks first, second and so on."""
         most = max((len(frames) for _, frames in self._asked), default=0)
         return np.array(
@@ -115,11 +113,11 @@ class Squares:
         for frames, terms in zip(self._frames, self._terms, strict=True):
             col, row = (_place(one, bent, by) for one in terms)
             grey = np.zeros(height_m.shape, dtype=np.uint8)
-            sees: Mask | None = None
+            sees: Bools | None = None
             for frame in np.unique(frames).tolist():
                 of = np.flatnonzero(frames == frame)
                 alone = len(of) == len(frames)
-                seen: Mask | bool | None = False
+                seen: Bools | bool | None = False
                 if frame != _NOBODY:
                     places = (col, row) if alone else (col[of], row[of])
                     grey[of], seen = self._shown(frame, *places)
@@ -132,13 +130,13 @@ class Squares:
             found.append((grey, sees))
         return found
 
-    def _shown(self, frame: int, col: Floats32, row: Floats32) -> tuple[Bytes, Mask | None]:
+    def _shown(self, frame: int, col: Floats32, row: Floats32) -> tuple[Bytes, Bools | None]:
         picture = self._pictures[frame]
         flat = col.reshape(-1, col.shape[-1]), row.reshape(-1, row.shape[-1])
         grey = cv2.remap(picture, *flat, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(grey, dtype=np.uint8).reshape(col.shape), _inside(col, row, picture.shape)
 
-    def _unhidden(self, low_m: Floats32, of: NDArray[np.intp], height_m: Floats32, by: int) -> Mask | None:
+    def _unhidden(self, low_m: Floats32, of: Ints, height_m: Floats32, by: int) -> Bools | None:
         low = np.stack([low_m[self._at[k]] for k in of])
         if low.max() <= height_m.min():
             return None
@@ -182,13 +180,13 @@ def _place(terms: Floats32, bent: Floats32, by: int) -> Floats32:
     return np.asarray(place)
 
 
-def _and(one: Mask | None, other: Mask | None) -> Mask | None:
+def _and(one: Bools | None, other: Bools | None) -> Bools | None:
     if one is None or other is None:
         return one if other is None else other
     return np.asarray(one & other)
 
 
-def _inside(col: Floats32, row: Floats32, shape: tuple[int, ...]) -> Mask | None:
+def _inside(col: Floats32, row: Floats32, shape: tuple[int, ...]) -> Bools | None:
     """Which places lie in a picture; None where all do."""
     down, across = shape
     if col.min() >= 0.0 and col.max() <= across - 1.0 and row.min() >= 0.0 and row.max() <= down - 1.0:

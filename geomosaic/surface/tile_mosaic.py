@@ -7,8 +7,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells, Tile
@@ -17,7 +17,6 @@ from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.tile_sgm import TileHeights, unmatched
 from geomosaic.surface.void_fill import SEARCH_CELLS, void_heights
 
-Floats32 = NDArray[np.float32]
 _BAND_ROWS: Final = 256
 """Of cells that are worked on at once; an even number."""
 _DECAY = tuned(0.6, "share", "of the height, a doubled distance: 1 runs roofs out to sea; less makes pits")

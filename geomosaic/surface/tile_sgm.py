@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats32
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.aggregation import aggregated, cheapest, distinctness, ring
@@ -23,8 +24,6 @@ from geomosaic.surface.squares import SweptPictures
 from geomosaic.surface.visibility import Asked, asked_frames, hidden_from
 from geomosaic.survey.small import means, padded
 
-Bytes = NDArray[np.uint8]
-Floats32 = NDArray[np.float32]
 Steps = NDArray[np.int16]
 MARGIN_CELLS = tuned(16, "cells", "run-in of the paths: smaller makes tile borders visible")
 _NEAR_HEIGHTS = tuned(24, "heights", "least search around the coarse height: fewer lose masts and crown rims")

@@ -7,12 +7,11 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats32
 from geomosaic.constants import tuned
 from geomosaic.surface.plane_sweep import WHOLE, Block, PlaneSweep
 
-Floats32 = NDArray[np.float32]
 Asked = Sequence[tuple[Block, Sequence[int]]]
 _REACH_CELLS = tuned(16, "cells", "along a ray: shorter sees through high houses; longer takes time")
 _NEAREST_CELLS = tuned(1.5, "cells", "start of the occlusion search: nearer, a leaning surface hides itself")

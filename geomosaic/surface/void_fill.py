@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.constants import tuned
 
-Bools = NDArray[np.bool_]
-Floats32 = NDArray[np.float32]
 _REACH_CELLS = tuned(32, "cells", "search each way: a house of 10 m hides 12 m of ground at 50 degrees")
 _ENCLOSED = tuned(6, "directions", "with a known cell that enclose a void: fewer extend houses past the rim")
 _SHARE_AROUND = tuned(0.25, "share", "known cells around: fewer, as on water, are partly chance and too low")

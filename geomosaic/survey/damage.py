@@ -15,9 +15,9 @@ from typing import Any, Final
 import cv2
 import numpy as np
 import simplejpeg
-from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from geomosaic.arrays import Bytes
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.camera_formats import camera_format, camera_image, decoded_camera_image
@@ -28,7 +28,6 @@ from geomosaic.survey.jpeg import JpegStructure, parse_structure
 from geomosaic.survey.png import png_damage
 from geomosaic.survey.small import QUARTER
 
-Pixels = NDArray[np.uint8]
 _LEAST_LOOKED_AT_PX = tuned(32, "half-size px", "of a checked image: smaller ones show no detail")
 _EOI: Final = b"\xff\xd9"
 _JFIF: Final = b"JFIF\0"
@@ -50,7 +49,7 @@ class FrameAppearance:
     """What a frame looks like: 24 x 32 grey pixels, and the logarithm of how much fine detail it has against
     its coarse one."""
 
-    small: NDArray[np.uint8]
+    small: Bytes
     detail: float
 
 
@@ -72,7 +71,7 @@ def wholeness(path: str) -> Wholeness:
     return looked_at(path)[0]
 
 
-def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
+def looked_at(path: str) -> tuple[Wholeness, Bytes | None]:
     """What is heard while a frame is decoded; and the pixels (rows, cols, bands) of a whole JPEG at half its
     size, which come with it.
 
@@ -88,7 +87,7 @@ def looked_at(path: str) -> tuple[Wholeness, Pixels | None]:
     return _of_raster(file) if camera_format(file) is None else _of_camera_image(file), None
 
 
-def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Pixels | None]:
+def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Bytes | None]:
     if data.count(b"\xff\xda", structure.data_start) > _MOST_SCANS:
         return Wholeness(f"it has more than {_MOST_SCANS} scans", 0), None
     said, pixels = _decoded_whole(data, structure.bands)
@@ -100,7 +99,7 @@ def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Pixels |
     return Wholeness("", structure.height_px, _look(pixels)), pixels
 
 
-def _look(pixels: Pixels) -> FrameAppearance | None:
+def _look(pixels: Bytes) -> FrameAppearance | None:
     """Of a JPEG, decoded at half its size."""
     if min(pixels.shape[:2]) < _LEAST_LOOKED_AT_PX:
         return None
@@ -112,14 +111,14 @@ def _look(pixels: Pixels) -> FrameAppearance | None:
     return FrameAppearance(small, 2.0 * float(np.log(fine / rough))) if min(fine, rough) > 0.0 else None
 
 
-def coarsened(pixels: Pixels, side: int) -> Pixels:
+def coarsened(pixels: Bytes, side: int) -> Bytes:
     """Means of side x side pixels; what is left over at the right and below is left away."""
     rows, cols = (n // side for n in pixels.shape[:2])
     whole = pixels[: rows * side, : cols * side]
     return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _decoded_whole(data: bytes, bands: int, reduction: int = 2) -> tuple[str, Pixels | None]:
+def _decoded_whole(data: bytes, bands: int, reduction: int = 2) -> tuple[str, Bytes | None]:
     """What libjpeg says first of a JPEG's data, nothing where they are whole; and these' pixels."""
     try:
         return "", decoded(data, bands, reduction, strict=True)
@@ -127,7 +126,7 @@ def _decoded_whole(data: bytes, bands: int, reduction: int = 2) -> tuple[str, Pi
         return " ".join(str(error).split()) or "no more than that it can't be decoded", None
 
 
-def decoded(data: bytes, bands: int, reduction: int = 1, *, strict: bool = False) -> Pixels:
+def decoded(data: bytes, bands: int, reduction: int = 1, *, strict: bool = False) -> Bytes:
     """A JPEG's pixels (rows, cols, bands), of a damaged one whatever stands in them.
 
     Args: bands: 1, or 3 for red, green, blue; reduction: 1, 2, 4 or 8.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.windows import Window
 
+from geomosaic.arrays import Bytes
 from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.camera_formats import camera_format, decoded_camera_image
 from geomosaic.doors.raster import FRAME, MASK, open_raster, reading
@@ -21,14 +22,12 @@ from geomosaic.survey.jpeg import parse_structure
 from geomosaic.survey.model import Frame
 from geomosaic.survey.small import HALF, REDUCTIONS, Spare, brightness, means, padded
 
-Mask = NDArray[np.uint8]
-
 _FIX: Final = "copy it again from the camera, or take it out of the folder"
 
 
 def read_pixels(
     frame: Frame, reduction: int = 1, *, luma: bool = False, spare: Spare | None = None
-) -> tuple[NDArray[Any], Mask | None]:
+) -> tuple[NDArray[Any], Bytes | None]:
     """A frame's pixels (rows, cols, bands) in the file's own type, and its mask of valid pixels; of a frame
     with a calibration reflectance, see `Calibration.digital`.
 
@@ -51,7 +50,7 @@ def read_pixels(
         if not Path(named).is_absolute():  # in the current folder lies what nobody named
             raise FileError("is no full path", file=named, fix="run the recipe again from its first stage")
     pixels: NDArray[Any]
-    valid: Mask | None
+    valid: Bytes | None
     bands = frame.bands
     if path.suffix.lower() in JPEG_SUFFIXES and frame.dtype == "float32":
         pixels, valid = means(thermogram(path)[..., None], reduction), None
@@ -93,7 +92,7 @@ def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArra
         raise FileError("the JPEG can't be decoded", file=path, fix=_FIX) from error
 
 
-def _read_raster(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask | None]:
+def _read_raster(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Bytes | None]:
     """By rasterio: it knows nodata, internal masks, alpha, any number of bands, and what is missing."""
     with reading(path, "the image can't be decoded whole", _FIX), open_raster(path, FRAME) as tiff:
         bands = zip(tiff.indexes, tiff.colorinterp, strict=True)
@@ -112,7 +111,7 @@ def _read_raster(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Mask
     return np.ascontiguousarray(pixels), valid
 
 
-def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
+def _read_mask(path: Path, shape: tuple[int, int]) -> Bytes:
     """255 where any colour is above 0; an alpha band says nothing."""
     with open_raster(path, MASK) as mask, reading(path, MASK.problem, MASK.fix):
         if mask.shape != shape:
@@ -128,7 +127,7 @@ def _read_mask(path: Path, shape: tuple[int, int]) -> Mask:
         return valid
 
 
-def _least(valid: Mask, reduction: int) -> Mask:
+def _least(valid: Bytes, reduction: int) -> Bytes:
     if reduction == 1:
         return valid
     whole = padded(valid, reduction)

@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geomosaic.arrays import Bools, Floats
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
@@ -167,7 +166,7 @@ def _strangers(at_m: Floats, heights_m: Floats) -> Bools:
     return np.asarray(_above(heights_m, near) & _above(heights_m, ordered))
 
 
-def _above(heights_m: Floats, groups: NDArray[np.intp]) -> Bools:
+def _above(heights_m: Floats, groups: Ints) -> Bools:
     """groups (n, k + 1): of each frame its neighbours, and (somewhere) itself."""
     n = len(heights_m)
     own = groups == np.arange(n)[:, None]

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes
 from geomosaic.constants import sourced
 from geomosaic.survey.model import Frame
 
-Pixels = NDArray[np.uint8]
 Small = TypeVar("Small")
 REDUCTIONS = sourced((1, 2, 4, 8), "px a side", "of smaller decodes; others blur", "libjpeg: 8 x 8 blocks")
 HALF: Final = REDUCTIONS[1]
@@ -27,10 +27,10 @@ EIGHTH: Final = REDUCTIONS[-1]
 class HalfGrey:
     """A JPEG's brightness (rows, cols, 1) at half its size."""
 
-    pixels: Pixels
+    pixels: Bytes
 
     @classmethod
-    def of(cls, half: Pixels) -> HalfGrey:
+    def of(cls, half: Bytes) -> HalfGrey:
         """Of its pixels (rows, cols, bands) at half its size."""
         return cls(brightness(half))
 
@@ -39,10 +39,10 @@ class HalfGrey:
 class EighthColours:
     """A JPEG's pixels (rows, cols, bands) at an eighth of its size."""
 
-    pixels: Pixels
+    pixels: Bytes
 
     @classmethod
-    def of(cls, half: Pixels) -> EighthColours:
+    def of(cls, half: Bytes) -> EighthColours:
         """Of its pixels (rows, cols, bands) at half its size."""
         return cls(means(half, EIGHTH // HALF))
 
@@ -62,7 +62,7 @@ class Spare:
     grey: Cache[HalfGrey]
     colours: Cache[EighthColours]
 
-    def at(self, reduction: int, bands: int) -> Pixels | None:
+    def at(self, reduction: int, bands: int) -> Bytes | None:
         """What is asked for, if it lies there: bands is 1 for the brightness alone."""
         if reduction == HALF and bands == 1:
             grey = self.grey.found()
@@ -70,7 +70,7 @@ class Spare:
         colours = self.colours.found() if reduction == EIGHTH else None
         return None if colours is None or colours.pixels.shape[2] != bands else colours.pixels
 
-    def leave(self, half: Pixels) -> None:
+    def leave(self, half: Bytes) -> None:
         """Leaves what a JPEG's pixels at half its size show."""
         self.grey.leave(HalfGrey.of(half))
         self.colours.leave(EighthColours.of(half))
@@ -84,7 +84,7 @@ class FrameToDecode:
     spare: Spare | None = None
 
 
-def brightness(pixels: Pixels) -> Pixels:
+def brightness(pixels: Bytes) -> Bytes:
     """One band (rows, cols, 1) of red, green, blue, or of one: by ITU-R BT.601, as JPEG itself has it."""
     if pixels.shape[2] == 1:
         return pixels

@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Floats32
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.raster import STRIP, Raster, open_raster
 from geomosaic.errors import InputError
@@ -33,7 +34,7 @@ class GreyScale:
     nodata: float | None
     highest: int
 
-    def greys(self, values: NDArray[np.float32]) -> NDArray[np.uint16]:
+    def greys(self, values: Floats32) -> NDArray[np.uint16]:
         """Values in greys from 1 to `highest`, 0 where missing."""
         with np.errstate(invalid="ignore", over="ignore"):
             scaled = np.rint((values.astype(np.float64) - self.offset) / self.scale)
@@ -57,7 +58,7 @@ def grey_scale(samples: Sequence[NDArray[Any]], nodata: float | None, bit_depth:
     return GreyScale(float(low - margin - scale), float(scale), nodata, highest)
 
 
-def measured(values: NDArray[Any], nodata: float | None) -> NDArray[np.bool_]:
+def measured(values: NDArray[Any], nodata: float | None) -> Bools:
     """Which values are measurements: finite, no flags, not the file's nodata."""
     with np.errstate(invalid="ignore"):
         found = np.asarray(np.abs(values) < _SPECIAL)

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats32
 from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
 from geomosaic.video.subtitles import VideoPosition
@@ -40,7 +40,7 @@ class _Look:
 
     number: int
     time_s: float
-    small: NDArray[np.float32]
+    small: Floats32
     sharpness: float
 
 
@@ -77,9 +77,7 @@ def _opened(video: Path) -> Any:
     return reader
 
 
-def _decoded(
-    video: Path, report: Report, wanted: Mapping[int, float]
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+def _decoded(video: Path, report: Report, wanted: Mapping[int, float]) -> Iterator[tuple[int, Bytes]]:
     """The frames of these numbers, in their order."""
     reader, last = _opened(video), max(wanted)
     for number in range(last + 1):
@@ -108,7 +106,7 @@ def _looks(video: Path, report: Report) -> Iterator[_Look]:
         number += 1
 
 
-def _look(number: int, time_s: float, image: NDArray[np.uint8]) -> _Look:
+def _look(number: int, time_s: float, image: Bytes) -> _Look:
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     scale = min(_LOOK_PX / max(grey.shape), 1.0)
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.float32)

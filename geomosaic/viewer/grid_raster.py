@@ -15,7 +15,7 @@ from rasterio.enums import ColorInterp, Resampling
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bools, Floats
 from geomosaic.doors.raster import OWN, open_raster, reading, unreferenced_is_fine
 
 TILE_PX: Final = 512
@@ -83,9 +83,7 @@ class GridRaster:
                 resampling=Resampling.bilinear, add_alpha=opaque, warp_mem_limit=64,
             )  # fmt: skip
 
-    def read(
-        self, bands: Sequence[int], window: Window, reduction: int
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    def read(self, bands: Sequence[int], window: Window, reduction: int) -> tuple[NDArray[Any], Bools]:
         """Bands (bands, rows, cols) of a window, means of reduction x reduction pixels, and which pixels are
         known (rows, cols)."""
         shape = -(-int(window.height) // reduction), -(-int(window.width) // reduction)

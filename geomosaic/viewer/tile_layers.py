@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bools, Bytes
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.index import index_ends
@@ -162,12 +163,12 @@ def _hex(colours: NDArray[Any]) -> list[str]:
     return [f"#{int(red):02x}{int(green):02x}{int(blue):02x}" for blue, green, red in colours]
 
 
-def _blue_green_red(shown: ShownBands, values: NDArray[Any]) -> NDArray[np.uint8]:
+def _blue_green_red(shown: ShownBands, values: NDArray[Any]) -> Bytes:
     colours = np.moveaxis(shown.eight_bits(values), 0, 2)
     return colours[..., ::-1] if colours.shape[2] == 3 else np.repeat(colours, 3, axis=2)
 
 
-def _webp(colours: NDArray[np.uint8], known: NDArray[np.bool_]) -> bytes:
+def _webp(colours: Bytes, known: Bools) -> bytes:
     opacity = np.where(known, 255, 0).astype(np.uint8)
     _, data = cv2.imencode(".webp", np.dstack([colours, opacity]), [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
     return bytes(data.tobytes())

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.constants import tuned
 from geomosaic.recording.file.thumbnail import thumbnail
 
@@ -72,7 +72,7 @@ def cuts(left_px: Floats, right_px: Floats, residual_m: Floats) -> tuple[Cut, Cu
     return Cut((corners[0][0], corners[0][1])), Cut((corners[1][0], corners[1][1]), quarters)
 
 
-def shown(image: NDArray[Any]) -> NDArray[np.uint8]:
+def shown(image: NDArray[Any]) -> Bytes:
     """Pixels (rows, cols, bands) as three bands of eight bits, blue first, as `thumbnail` would show them."""
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image[..., 2::-1] if image.shape[2] > 2 else image[..., [0, 0, 0]])
@@ -83,7 +83,7 @@ def shown(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def chip(
-    halves: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    halves: tuple[Bytes, Bytes],
     where: tuple[Cut, Cut],
     points_px: tuple[Floats, Floats],
     residual_m: Floats,

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Ints64
 from geomosaic.doors.plain import plain_yaml
 from geomosaic.errors import FileError
 
@@ -83,10 +82,10 @@ class StripCurve:
     pair: int
     left: str
     right: str
-    line: NDArray[np.int64]
+    line: Ints64
     offset_px: Floats
     sd_px: Floats
-    label: NDArray[np.int64]
+    label: Ints64
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ class StripResidual:
     pair: int
     left: str
     right: str
-    line: NDArray[np.int64]
+    line: Ints64
     residual_px: Floats
     sd_px: Floats
 

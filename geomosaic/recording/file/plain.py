@@ -8,10 +8,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from geomosaic.arrays import Floats32
 
 
-def single(**values: ArrayLike) -> dict[str, NDArray[np.float32]]:
+def single(**values: ArrayLike) -> dict[str, Floats32]:
     """Arrays in single precision."""
     return {name: np.asarray(value, dtype=np.float32) for name, value in values.items()}
 

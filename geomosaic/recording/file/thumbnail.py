@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.errors import FileError
 from geomosaic.survey.jpeg import parse_structure
 
@@ -47,14 +48,14 @@ def thumbnail(image: NDArray[np.generic], max_side_px: int = 512, quality: int =
     return bytes(jpeg.tobytes())
 
 
-def _stretched(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+def _stretched(values: Floats) -> Bytes:
     finite = np.isfinite(values)
     low, high = np.percentile(values[finite], [1.0, 99.0]) if finite.any() else (0.0, 1.0)
     scaled = (np.where(finite, values, low) - low) / max(high - low, 1e-12)
     return np.asarray(np.round(255.0 * np.clip(scaled, 0.0, 1.0)), dtype=np.uint8)
 
 
-def decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
+def decoded(jpeg: bytes) -> Bytes | None:
     """Pixels (rows, cols, 3), blue first as OpenCV draws, of a recorded image; nothing of what is no JPEG, or
     says that it is larger than any that is recorded."""
     import cv2

@@ -7,11 +7,9 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bytes, Floats
 
-Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 PAPER: Final[Colour] = (255, 255, 255)
 INK: Final[Colour] = (50, 50, 50)
@@ -40,7 +38,7 @@ class Canvas:
         self._px_per_m = float(min(inner / span[0], inner / span[1]))
         size = np.maximum(span * self._px_per_m, 60.0) + 2 * _MARGIN_PX
         self._low, self._height = low, float(size[1])
-        self.image: Image = np.full((int(size[1]), max(int(size[0]), 700), 3), 255, dtype=np.uint8)
+        self.image: Bytes = np.full((int(size[1]), max(int(size[0]), 700), 3), 255, dtype=np.uint8)
 
     def _at(self, m: Floats) -> tuple[int, int] | None:
         """Where a point (2,) is drawn; None for one that lies nowhere near."""
@@ -92,7 +90,7 @@ class Canvas:
             x = right if right + wide <= self.image.shape[1] else max(at[0] - 8 - wide, 0)
             write(self.image, words, (x, at[1] - 8), colour)
 
-    def finished(self, foot: Sequence[str]) -> Image:
+    def finished(self, foot: Sequence[str]) -> Bytes:
         """The drawing with a scale bar and lines of words below."""
         longest_m = 200.0 / self._px_per_m
         step = 10.0 ** np.floor(np.log10(longest_m))
@@ -106,11 +104,11 @@ class Canvas:
         return np.concatenate([self.image, band])
 
 
-def png_of(image: Image) -> bytes:
+def png_of(image: Bytes) -> bytes:
     return bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
-def write(image: Image, words: str, at: tuple[int, int], colour: Colour) -> None:
+def write(image: Bytes, words: str, at: tuple[int, int], colour: Colour) -> None:
     """Letters that the drawing knows (ASCII) on a white rim; others as question marks."""
     text = "".join(c if " " <= c <= "~" else "?" for c in words)
     for shade, thick in ((PAPER, 4), (colour, 1)):

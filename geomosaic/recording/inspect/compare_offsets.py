@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.recording.file.model import Recording
 
 
@@ -43,9 +43,9 @@ def _badness(frame: dict[str, Any]) -> tuple[bool, float]:
     return "only_in" in frame, float(np.hypot(frame.get("d_east_m", 0.0), frame.get("d_north_m", 0.0)))
 
 
-def _moves_m(recording: Recording) -> dict[str, tuple[int, dict[str, NDArray[np.float64]]]]:
+def _moves_m(recording: Recording) -> dict[str, tuple[int, dict[str, Floats]]]:
     """By stage: the number of rounds, and each frame's moves summed (east, north)."""
-    out: dict[str, tuple[int, dict[str, NDArray[np.float64]]]] = {}
+    out: dict[str, tuple[int, dict[str, Floats]]] = {}
     for offsets in recording.rounds:
         count, sums = out.get(offsets.stage, (0, {}))
         for frame, move in zip(offsets.frames, offsets.moves_m, strict=True):

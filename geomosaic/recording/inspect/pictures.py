@@ -9,9 +9,8 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bytes, Floats
 from geomosaic.errors import InputError
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.file.frame_kinds import THUMBNAILS
@@ -25,7 +24,6 @@ from geomosaic.recording.inspect.compare_frames import places_m
 from geomosaic.recording.inspect.plan import LEGEND, plan_layers
 from geomosaic.recording.inspect.solved import Solved
 
-Image = NDArray[np.uint8]
 _SIDE_PX: Final = 900
 _PLAN_PX: Final = 1500
 _LINES: Final = 300
@@ -129,9 +127,9 @@ def pair_png(recording: Recording, solved: Solved, left: str, right: str) -> byt
     return png_of(_stacked(images))
 
 
-def _chip(recording: Recording, left: str, right: str) -> Image | None:
+def _chip(recording: Recording, left: str, right: str) -> Bytes | None:
     """What a pair's frames show at full resolution where their tie points miss most, with these in it."""
-    image: Image | None = None
+    image: Bytes | None = None
     for label, jpeg in recorded_images(recording.path, "/chips"):
         if label == f"{left} - {right}":
             image = decoded(jpeg)
@@ -147,14 +145,14 @@ def _chip(recording: Recording, left: str, right: str) -> Image | None:
     return image
 
 
-def _stacked(images: Sequence[Image]) -> Image:
+def _stacked(images: Sequence[Bytes]) -> Bytes:
     """Images below each other, on white."""
     width = max(i.shape[1] for i in images)
     wide = [np.pad(i, ((0, 0), (0, width - i.shape[1]), (0, 0)), constant_values=255) for i in images]
     return np.concatenate(wide)
 
 
-def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Image, Floats]:
+def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Bytes, Floats]:
     """A frame's thumbnail enlarged to `_SIDE_PX`, or grey where there is none, and its pixels a frame's pixel
     in col and row."""
     frame = solved.survey.frames[i]
@@ -167,13 +165,13 @@ def _shown(recording: Recording, solved: Solved, i: int) -> tuple[Image, Floats]
     return image, np.array(size) / [max(frame.width_px, 1), max(frame.height_px, 1)]
 
 
-def _dots(image: Image, at: Floats, weight: Floats) -> None:
+def _dots(image: Bytes, at: Floats, weight: Floats) -> None:
     for (x, y), w in zip(at, weight, strict=True):
         if np.isfinite([x, y]).all() and abs(x) < 9999 and abs(y) < 9999:
             cv2.circle(image, (int(x), int(y)), 2, RED if w < DOWN_WEIGHTED else GOOD, -1, cv2.LINE_AA)
 
 
-def _titled(image: Image, words: str) -> Image:
+def _titled(image: Bytes, words: str) -> Bytes:
     band = np.full((26, image.shape[1], 3), PAPER, dtype=np.uint8)
     write(band, words, (6, 18), INK)
     return np.concatenate([band, image])

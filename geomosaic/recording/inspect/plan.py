@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.quality import ranking
 from geomosaic.quality.ranking import MOVE, RESIDUAL, badness, moves_sd
 from geomosaic.recording.file.model import FigureTable, Recording
 
-Colours = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 LEGEND: Final = (
     f"arrows from POS to adjusted, yellow {MOVE.good:g}, red {MOVE.bad:g} deviations; pairs and tie "
@@ -49,7 +47,7 @@ class PlanLayer:
     name: str
     kind: str
     parts_m: Sequence[Floats] | Floats
-    colours: Colours | Colour
+    colours: Bytes | Colour
     wide: float | Floats
     order: float
     labels: Sequence[str] = ()
@@ -188,7 +186,7 @@ def headings_off_deg(placed: FigureTable, adjusted: FigureTable) -> Floats:
     return np.abs(ranking.headings_off_deg(_given(placed, adjusted, "yaw_deg"), adjusted.column("yaw_deg")))
 
 
-def wrong_headings(placed: FigureTable, adjusted: FigureTable) -> NDArray[np.bool_]:
+def wrong_headings(placed: FigureTable, adjusted: FigureTable) -> Bools:
     """Of the adjusted frames, (n,), those whose heading is off by more than its limit."""
     return ranking.wrong_headings(headings_off_deg(placed, adjusted), _given(placed, adjusted, "sd_yaw_deg"))
 
@@ -199,7 +197,7 @@ def _given(placed: FigureTable, adjusted: FigureTable, column: str) -> Floats:
     return np.asarray(np.append(placed.column(column), np.nan)[rows])
 
 
-def frame_colours(placed: FigureTable, adjusted: FigureTable) -> Colours:
+def frame_colours(placed: FigureTable, adjusted: FigureTable) -> Bytes:
     """By how many deviations frames moved, light grey before they did; red for a heading that is off, and for
     what isn't tied."""
     if not adjusted.row:
@@ -212,7 +210,7 @@ def frame_colours(placed: FigureTable, adjusted: FigureTable) -> Colours:
     return colours
 
 
-def by_badness(bad: Floats) -> Colours:
+def by_badness(bad: Floats) -> Bytes:
     """(n, 3): green for 0, yellow for 0.5, red for 1; grey for unknown."""
     share = np.nan_to_num(bad)[:, None]
     green, yellow, red = (np.array(c, dtype=np.float64) for c in ((60, 200, 80), (230, 190, 60), _RED))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Floats
 from geomosaic.recording.file.fingerprints import altered_artefacts
 from geomosaic.recording.file.model import Jitter, Recording, RoundOffsets, StripCurve, StripResidual
 from geomosaic.recording.file.plain import picked
@@ -106,13 +106,13 @@ def _jitter(jitter: Jitter) -> dict[str, Any]:
     }
 
 
-def largest_length(vectors: NDArray[np.float64]) -> float | None:
+def largest_length(vectors: Floats) -> float | None:
     """The greatest length of (n, 2) vectors; None if none is known."""
     known = _known_lengths(vectors)
     return float(known.max()) if known.size else None
 
 
-def rms_length(vectors: NDArray[np.float64]) -> float | None:
+def rms_length(vectors: Floats) -> float | None:
     """The root mean square length of (n, 2) vectors; None if none is known."""
     known = _known_lengths(vectors)
     return float(np.sqrt(np.mean(known**2))) if known.size else None
@@ -124,6 +124,6 @@ def worst_pair(offsets: RoundOffsets) -> list[str] | None:
     return list(offsets.pairs[int(np.nanargmax(lengths))]) if np.isfinite(lengths).any() else None
 
 
-def _known_lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _known_lengths(vectors: Floats) -> Floats:
     lengths = np.hypot(*vectors.T)
     return np.asarray(lengths[np.isfinite(lengths)])

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from geomosaic.arrays import Bytes
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED
 from geomosaic.recording.file.frame_kinds import THUMBNAILS
 from geomosaic.recording.file.model import Recording
@@ -135,11 +135,11 @@ def draw_images(recording: Recording, stream: Any) -> None:
         stream.log(f"{STRIPS}/names", named, static=True)
 
 
-def _stacked(jpegs: list[bytes], gap_px: int = 6) -> tuple[NDArray[np.uint8], list[float]]:
+def _stacked(jpegs: list[bytes], gap_px: int = 6) -> tuple[Bytes, list[float]]:
     """Strips lying, their first lines at the left, one below the other, RGB; and the middle of each."""
     images = [np.rot90(image[..., ::-1]) for image in map(decoded, jpegs) if image is not None]
     wide = max((image.shape[1] for image in images), default=1)
-    parts: list[NDArray[np.uint8]] = []
+    parts: list[Bytes] = []
     places, at = [], 0
     for image in images:
         part = np.zeros((len(image) + gap_px, wide, 3), np.uint8)
