@@ -236,6 +236,8 @@ def trimmed_text(reported: Mapping[str, Any]) -> str:
     def area(area_m2: float) -> str:
         if not scaled:
             return f"{area_m2 / seen_m2:.1%}"
+        if area_m2 < 1e3:
+            return f"{area_m2:,.0f} m²"
         return f"{area_m2 / 1e4:,.{0 if area_m2 >= 1e5 else 2}f} ha"
 
     each = ", ".join(f"{area(area_m2)} {why}" for why, area_m2 in reported["parts"].items())

@@ -74,6 +74,9 @@ ALIASES: Final[Aliases] = {
 }  # fmt: skip
 """Columns and the names they go by; capitals, blanks and units don't matter. docs/inputs.md has it too."""
 
+_ANGLES: Final = (
+    ("yaw", "pitch", "roll"), ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"), ("omega", "phi", "kappa")
+)  # fmt: skip
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
 _GIVE_CRS: Final = "give the EPSG code of x and y with --pos-crs, such as EPSG:n"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
@@ -101,6 +104,8 @@ def read_pos(
         return read_rtklib_events(path, frames)
     notes: list[Warn] = []
     table, stated = _table(path, crs, frames, notes)
+    if attitude_convention == "auto":
+        table = _without_empty_angles(table, notes)
     if table.unknown_columns:
         unused = some(table.unknown_columns, 20)
         notes.append(Warn("pos-columns-ignored", "", f"{path.name}: columns not used: {unused}"))
@@ -156,8 +161,7 @@ def _table(
         check_columns(table, ALIASES, "frame", "frame's name")
         return table.without("status", "left_out"), file_crs
     if odm is not None:
-        table = read_table(path, lines, ALIASES, _GEO_TXT)
-        return _without_empty_angles(table, notes), odm
+        return read_table(path, lines, ALIASES, _GEO_TXT), odm
     data = [line for line in lines if not line.comment]
     count = len(split(data[0].text, data[0].text)) if data else 0
     if count not in (3, 4, 6):
@@ -177,13 +181,19 @@ def _table(
 
 
 def _without_empty_angles(table: ParsedTable, notes: list[Warn]) -> ParsedTable:
-    """geo.txt writes unknown angles as zeros."""
-    drop = ("yaw", "pitch", "roll")
-    angles = np.stack([table.numbers(column) for column in drop])
-    if np.isnan(angles).all() or (np.nan_to_num(angles) != 0.0).any():
-        return table
-    notes.append(Warn("pos-attitude-empty", "", f"{table.path.name}: all angles are 0 and taken as unknown"))
-    return replace(table, cells={c: cells for c, cells in table.cells.items() if c not in drop})
+    """Zeros in all rows stand for unknown angles, as ODM's page on geo.txt says."""
+    for group in _ANGLES:
+        angles = np.stack([table.numbers(column) for column in group])
+        if np.isnan(angles).all() or (np.nan_to_num(angles) != 0.0).any():
+            continue
+        text = f"{table.path.name}: all angles are 0 and taken as unknown ({', '.join(group)})"
+        notes.append(Warn("pos-attitude-empty", "", text))
+        table = replace(
+            table,
+            cells={c: cells for c, cells in table.cells.items() if c not in group},
+            factors={c: factor for c, factor in table.factors.items() if c not in group},
+        )
+    return table
 
 
 def deviation(table: ParsedTable, whole: str, *parts: str) -> Floats:

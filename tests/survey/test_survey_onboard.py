@@ -153,6 +153,14 @@ def test_gimbal_roll_of_180_turns_the_heading_and_not_the_camera_up() -> None:
     assert attitude.roll_deg == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_gimbal_of_zeros_was_never_filled() -> None:
+    zeros = {f"Gimbal{axis}Degree": "+0.00" for axis in ("Yaw", "Pitch", "Roll")}
+    attitude = onboard_attitude(Exif(), dji(**zeros, FlightYawDegree="+19.3", FlightPitchDegree="-2.7"))
+    assert (attitude.source, attitude.yaw_deg, attitude.pitch_deg) == ("dji-flight", 19.3, -2.7)
+    assert onboard_attitude(Exif(), dji(**zeros)).pitch_deg is None
+    assert onboard_attitude(Exif(), dji(**zeros | {"GimbalYawDegree": "0.1"})).source == "dji-gimbal"
+
+
 def test_flight_attitude_only_where_there_is_no_gimbal() -> None:
     xmp = dji(FlightYawDegree="-91", FlightPitchDegree="-8", FlightRollDegree="5")
     attitude = onboard_attitude(Exif(), xmp)
