@@ -100,7 +100,9 @@ def test_geo_txt_with_zero_angles_has_none(tmp_path: Path) -> None:
     assert "pos-attitude-empty" in codes(file)
 
 
-@pytest.mark.parametrize("angles", ["yaw,pitch,roll", "gimbal_yaw,gimbal_pitch,gimbal_roll", "omega,phi,kappa"])
+@pytest.mark.parametrize(
+    "angles", ["yaw,pitch,roll", "gimbal_yaw,gimbal_pitch,gimbal_roll", "omega,phi,kappa"]
+)
 def test_angles_of_zeros_in_all_rows_are_unknown(tmp_path: Path, angles: str) -> None:
     header = f"frame,lon,lat,{angles}\n"
     empty = pos(tmp_path, header + "a,9,48,0,0,0\nb,9.1,48,0.0,0,0\n")
