@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geomosaic.ccd.overlaps import Edge, Strips
 from geomosaic.survey.strips import StripGeometry
 from geomosaic_simulate.spread import in_threads
 from geomosaic_simulate.strip_ground import window_of
@@ -62,3 +64,13 @@ def _pair(scene: Scene, pair: int) -> SimulatedPair:
     left, right = (edge[plan.acquired(ccd)] for (ccd, _), edge in zip(sides, edges, strict=True))
     truth = scene.truth(pair)
     return SimulatedPair(left, right, truth)
+
+
+def strips_in_memory(geometry: StripGeometry, edges: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Strips:
+    """Strips of arrays: of each pair the left strip's last, the right strip's first columns (n, read_px)."""
+
+    def columns(ccd: int, edge: Edge, start: int, stop: int) -> NDArray[Any]:
+        pair, which = (ccd, 0) if edge == "right" else (ccd - 1, 1)
+        return edges[pair][which][start:stop]
+
+    return Strips(geometry, columns)

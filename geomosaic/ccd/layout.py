@@ -15,13 +15,11 @@ import numpy as np
 
 from geomosaic.arrays import Floats
 from geomosaic.ccd.model import PairOffsets, StripOffsets
-from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
 Ends = Literal["all", "common"]
 """Lines of the scene: those that any strip has, or those that all have."""
-_ROUNDS = tuned(12, "rounds", "of the fixed point: each leaves 1 %, but repeated lines converge slowly")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,18 +127,6 @@ class ImageSpaceLayout:
         image = self._edges(ccd, middles)[:, :, [0, 0, 1, 1]]
         image[0] += knots - first
         return StripLookup(knots, image)
-
-    def scene_from_strip(self, ccd: int, col: Floats, line: Floats) -> Floats:
-        """Scene col and scene line (2, n) of a strip's cols and lines (n,)."""
-        first, last = self.cols(ccd)
-        overlap = self.geometry.overlap_px
-        x, t = col + first, line - self._nominal(ccd)
-        for _ in range(_ROUNDS):
-            edges = self._edges(ccd, t)
-            share = np.clip((x - first - overlap) / (last - first - 2 * overlap), 0.0, 1.0)
-            there = edges[..., 0] + share * (edges[..., 1] - edges[..., 0])
-            x, t = col + first - there[0], t + line - there[1]
-        return np.stack([x, t])
 
     def _nominal(self, ccd: int) -> float:
         return self.geometry.row_separation_lines * (-0.5 if self.geometry.ccds[ccd].row == 1 else 0.5)

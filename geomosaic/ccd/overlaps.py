@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from threading import Lock
 from types import TracebackType
@@ -118,13 +118,3 @@ class StripFiles(Strips):
             return {edge: self._files[ccd].read(1, window=window) for edge, window in windows.items()}
         except (RasterioError, ValueError, OSError) as error:
             raise FileError(f"can't be read: {error}", file=path, fix=_FIX) from error
-
-
-def strips_in_memory(geometry: StripGeometry, edges: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Strips:
-    """Strips of arrays: of each pair the left strip's last, the right strip's first columns (n, read_px)."""
-
-    def columns(ccd: int, edge: Edge, start: int, stop: int) -> NDArray[Any]:
-        pair, which = (ccd, 0) if edge == "right" else (ccd - 1, 1)
-        return edges[pair][which][start:stop]
-
-    return Strips(geometry, columns)

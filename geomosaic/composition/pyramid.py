@@ -74,11 +74,6 @@ class RasterPyramid:
                 tile = gathered.pop(at)
                 self._whole(level, at, tile.pixels, tile.valid)
 
-    @property
-    def in_hand(self) -> int:
-        """Tiles, of all levels, that some of their pixels are held of."""
-        return sum(tile.pixels is not None for gathered in self._gathered for tile in gathered.values())
-
     def statistics(self) -> Floats | None:
         """Least, most, mean and standard deviation of all valid pixels by band, (4, bands); None of none."""
         if not self._figures:

@@ -39,34 +39,23 @@ def check_thermograms() -> None:
         )
 
 
-def thermogram_size(path: Path) -> tuple[int, int]:
-    """Width and height of the temperatures in a FLIR JPEG, without decoding them.
-
-    Raises: `FileError` where there are none, where it is damaged or too large.
-    """
-    with _records(path) as (stream, records):
-        return _size(path, stream, records)
-
-
 def thermogram(path: Path) -> Floats32:
-    """Degrees Celsius (rows, cols) by the camera's calibration, emissivity and air. Raises: as its size."""
+    """Degrees Celsius (rows, cols) by the camera's calibration, emissivity and air.
+
+    Raises: `FileError` where there are none, where they are damaged or too large.
+    """
     from flyr.flyr import parse_thermogram
 
     with _records(path) as (stream, records), warnings.catch_warnings():
         warnings.simplefilter("error")  # of an image that is too large
-        _size(path, stream, records)
+        stream.seek(records[1][2] + 2)
+        width, height = (int.from_bytes(stream.read(2), "little") for _ in range(2))
+        if not 0 < width * height <= _MOST_PX:
+            raise FileError(f"its temperatures are {width} x {height} pixels", file=path, fix=_FIX)
         values = parse_thermogram(
             stream, records, BytesIO(read_bytes(at_hand(path), _MOST_BYTES, "a frame", _FIX))
         ).celsius
         return np.asarray(values, dtype=np.float32)
-
-
-def _size(path: Path, stream: BytesIO, records: dict[int, tuple[int, int, int, int]]) -> tuple[int, int]:
-    stream.seek(records[1][2] + 2)
-    width, height = (int.from_bytes(stream.read(2), "little") for _ in range(2))
-    if not 0 < width * height <= _MOST_PX:
-        raise FileError(f"its temperatures are {width} x {height} pixels", file=path, fix=_FIX)
-    return width, height
 
 
 @contextmanager

@@ -55,11 +55,6 @@ class Recipe:
     steps: tuple[RecipeStep, ...]
     file: str | None = None
 
-    @classmethod
-    def of_stage(cls, stage: type[Stage], params: StageParams) -> Recipe:
-        """One stage by itself."""
-        return cls("", "", 0, (RecipeStep(stage, params),))
-
     def plain(self) -> dict[str, Any]:
         """The recipe with every parameter as plain values, defaults included and paths absolute."""
         stages = [{"stage": s.stage.id, "params": s.params.model_dump(mode="json")} for s in self.steps]

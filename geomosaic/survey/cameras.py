@@ -124,18 +124,6 @@ def shutter_warnings(header: FrameHeader, camera: Camera) -> list[Warn]:
     return []
 
 
-def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
-    """A frame's camera and which source reported it, the surest first whose focal length can be.
-
-    The maker's calibration in the XMP (DJI's `DewarpData`, Pix4D's `Camera:Perspective...`, DJI's
-    `CalibratedFocalLength`), then those of `reported_focal_lengths` that another one agrees with.
-    `contradicting` where none does: that nearest to most cameras', with a deviation that covers all.
-    `assumed` where none reports a focal length that can be.
-    """
-    camera, source, _ = reported_camera(header)
-    return _assumed_lens(header) if camera is None else (camera, source)
-
-
 def unreported(headers: Sequence[FrameHeader]) -> list[int]:
     """Frames that report no lens, nor does another of their make, model and size."""
     known, _ = _among_others(headers, [reported_camera(header) for header in headers])
@@ -143,7 +131,13 @@ def unreported(headers: Sequence[FrameHeader]) -> list[int]:
 
 
 def reported_camera(header: FrameHeader) -> tuple[Camera | None, str, str]:
-    """The camera that a header reports, by which source, and what it reports before that can't be."""
+    """The camera that a header reports, by which source, and what it reports before that can't be.
+
+    The surest source first whose focal length can be: the maker's calibration in the XMP (DJI's `DewarpData`,
+    Pix4D's `Camera:Perspective...`, DJI's `CalibratedFocalLength`), then those of `reported_focal_lengths`
+    that another one agrees with. `contradicting` where none does: that nearest to most cameras', with a
+    deviation that covers all.
+    """
     exif, width, height = header.exif, header.width_px, header.height_px
     reported = reported_focal_lengths(header)
     from_35mm = reported.by_source.get("exif-35mm")

@@ -11,8 +11,7 @@ from geomosaic.ccd.expected import expected
 from geomosaic.ccd.joint import far_from_nominal, joint
 from geomosaic.ccd.lost_lines import LineStep, lasting
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, CcdSettings
-from geomosaic.ccd.overlaps import strips_in_memory
-from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_overlaps import simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 
 SEPARATION = 2114

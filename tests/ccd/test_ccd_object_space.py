@@ -18,7 +18,6 @@ from geomosaic.ccd.layout import SceneLayout, image_space_layout
 from geomosaic.ccd.model import CcdSettings, StripOffsets
 from geomosaic.ccd.object_space import ObjectSpace, level_ground, read_object_space
 from geomosaic.ccd.outlines import outlines
-from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.scene_rpc import scene_rpc
 from geomosaic.ccd.virtual_layout import ideal_camera, virtual_layout
 from geomosaic.ccd.virtual_line import virtual_line
@@ -31,6 +30,7 @@ from geomosaic.survey.dem import read_heights
 from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import read_dem_heights
 from geomosaic.survey.strips import StripGeometry, read_geometry
+from geomosaic_simulate.strip_overlaps import strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_scene import Scene
 from geomosaic_simulate.strips import SimulatedStrips, simulate_strips

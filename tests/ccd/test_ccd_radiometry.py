@@ -10,9 +10,9 @@ import pytest
 
 from geomosaic.ccd.columns import column_gains
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, StripOffsets
-from geomosaic.ccd.overlaps import Strips, strips_in_memory
+from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.radiometry import Blocks, Radiometry, radiometry, straight_line
-from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps
+from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_sensor import Sensor
 

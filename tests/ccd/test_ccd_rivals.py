@@ -12,7 +12,7 @@ from rasterio.env import get_gdal_config
 from geomosaic.ccd.image_registration import image_registration, mean_offset
 from geomosaic.ccd.methods import Method
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, CcdSettings, PairOffsets, StripOffsets
-from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
+from geomosaic.ccd.overlaps import StripFiles, Strips
 from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import (
     bridging_sd,
@@ -25,7 +25,7 @@ from geomosaic.ccd.sift_chains import (
     whole_scene,
 )
 from geomosaic.survey.strips import read_geometry
-from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps
+from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strips import simulate_strips
 

@@ -12,12 +12,13 @@ import pytest
 from geomosaic.ccd.line_poses import LinePoses, on_height
 from geomosaic.ccd.model import BRIDGED, UNRELIABLE, CcdSettings
 from geomosaic.ccd.object_space import ObjectSpace, level_ground, read_object_space
-from geomosaic.ccd.overlaps import StripFiles, strips_in_memory
+from geomosaic.ccd.overlaps import StripFiles
 from geomosaic.ccd.virtual_line import relief_px, virtual_line
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import ecef_from_geodetic
 from geomosaic.survey.strips import read_geometry
 from geomosaic_simulate.strip_files import given_heights
+from geomosaic_simulate.strip_overlaps import strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_scene import Scene
 from geomosaic_simulate.strips import simulate_strips

@@ -14,6 +14,7 @@ import rasterio
 import shapely
 from mosaic_scenes import CAMERA, CRS, make_survey, truth, with_mask
 from osgeo import ogr, osr
+from pipeline_toy import recipe_of
 from pyproj import Transformer
 from rasterio import Affine
 from rasterio.errors import NotGeoreferencedWarning
@@ -35,7 +36,6 @@ from geomosaic.doors.vector import read_shapes
 from geomosaic.errors import InputError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.pipeline.context import Notes
-from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.placement.model import Placement
@@ -62,7 +62,7 @@ def given_for(folder: Path, **survey: Any) -> dict[str, Any]:
 
 def seams(folder: Path, given: dict[str, Any], **params: Any) -> tuple[Ownership, Notes]:
     inputs = {name: given[name] for name in mosaic_seams.inputs}
-    outputs, notes = run_stage(Recipe.of_stage(mosaic_seams, mosaic_seams.Params(**params)), StageInputs(RunFolder(folder / "RUN"), inputs), work_folder=folder / "work")  # fmt: skip
+    outputs, notes = run_stage(recipe_of(mosaic_seams, mosaic_seams.Params(**params)), StageInputs(RunFolder(folder / "RUN"), inputs), work_folder=folder / "work")  # fmt: skip
     return outputs["ownership"], notes
 
 
@@ -110,7 +110,7 @@ def written(
 ) -> tuple[np.ndarray, np.ndarray, OutputGrid, Any]:
     """Pixels, mask and grid of the mosaic, and its artefact."""
     own, _ = seams(folder, given, **params)
-    outputs, _ = run_stage(Recipe.of_stage(mosaic_compose, mosaic_compose.Params(blend=blend)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
+    outputs, _ = run_stage(recipe_of(mosaic_compose, mosaic_compose.Params(blend=blend)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
     with rasterio.open(folder / "RUN" / outputs["mosaic"].raster) as tiff:
         return np.moveaxis(tiff.read(), 0, -1), tiff.dataset_mask() > 0, own.grid, outputs["mosaic"]
 

@@ -12,6 +12,7 @@ import pytest
 import rasterio
 from mosaic_scenes import CRS, paint
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
+from pipeline_toy import recipe_of
 from rasterio.windows import Window, from_bounds
 from small_surveys import geomosaic, mosaic, small_survey
 from test_mosaic_grid import around, given_for, polygons, seams
@@ -20,7 +21,6 @@ from geomosaic.composition.tones import Tones
 from geomosaic.errors import CancelledError
 from geomosaic.export.orthos import ortho_names
 from geomosaic.pipeline.context import Context
-from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.stages.export_orthos import export_orthos
@@ -30,7 +30,7 @@ from geomosaic.stages.mosaic_compose import mosaic_compose
 def exported(folder: Path, given: dict[str, Any], own: Any) -> Path:
     """The mosaic, hard at its seams, and the orthos."""
     for stage, params in ((mosaic_compose, {"blend": "hard"}), (export_orthos, {})):
-        run_stage(Recipe.of_stage(stage, stage.Params(**params)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
+        run_stage(recipe_of(stage, stage.Params(**params)), StageInputs(RunFolder(folder / "RUN"), {**given, "ownership": own}), work_folder=folder / "work")  # fmt: skip
     return folder / "RUN"
 
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from pipeline_toy import recipe_of
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation as Turn
 from solved_block import ALONE, solved_block
 
-from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.stages.exports_of_block import (
@@ -36,7 +36,7 @@ def run(solved, tmp_path_factory):
     for stage in (export_colmap, export_opensfm, export_metashape, export_pix4d, export_odm):
         inputs = {name: getattr(solved, name) for name in stage.inputs}
         run_stage(
-            Recipe.of_stage(stage, stage.Params()),
+            recipe_of(stage, stage.Params()),
             StageInputs(RunFolder(folder / "RUN"), inputs),
             work_folder=folder / "work",
         )

@@ -10,13 +10,13 @@ import pytest
 import rasterio
 from mosaic_scenes import CAMERA, make_survey
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
+from pipeline_toy import recipe_of
 from pystac.errors import STACValidationError
 from stac_schema import check_schema
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.placement.model import Placement
@@ -53,7 +53,7 @@ def run(tmp_path_factory):
         taken = stage.inputs.keys() | stage.optional_inputs.keys()
         inputs = {name: given[name] for name in taken if name in given}
         outputs, notes[stage.id] = run_stage(
-            Recipe.of_stage(stage, params),
+            recipe_of(stage, params),
             StageInputs(RunFolder(folder / "RUN"), inputs),
             work_folder=folder / "work",
             workers=1,
@@ -105,7 +105,7 @@ def test_without_work_the_mosaic_is_kept_otherwise(run, tmp_path):
         params = export_cog.Params(compression=compression)
         inputs = {"raster_file": given["raster_file"]}
         run_stage(
-            Recipe.of_stage(export_cog, params),
+            recipe_of(export_cog, params),
             StageInputs(RunFolder(tmp_path / "RUN"), inputs),
             work_folder=tmp_path / "w",
         )
@@ -119,7 +119,7 @@ def test_without_work_the_mosaic_is_kept_otherwise(run, tmp_path):
     (tmp_path / "RUN" / "mosaic.tif").unlink()
     with pytest.raises(FileError, match="the file is gone"):
         run_stage(
-            Recipe.of_stage(export_cog, export_cog.Params()),
+            recipe_of(export_cog, export_cog.Params()),
             StageInputs(RunFolder(tmp_path / "RUN"), inputs),
             work_folder=tmp_path / "w",
         )

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pipeline_toy import recipe_of
 
 from geomosaic.errors import PluginError
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.params import check_params
-from geomosaic.pipeline.recipe import Recipe, load_recipe
+from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.registry import Registry, check_stage
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.run_options import RunOptions
@@ -86,7 +87,7 @@ def test_it_runs_by_itself_and_as_a_function(tmp_path: Path) -> None:
     for more, note in ({}, "2"), ({"more": Counts((4, 5))}, "11"):
         folder = RunFolder(tmp_path / "RUN", overwrite=True)
         made, _ = run_stage(
-            Recipe.of_stage(raised, params),
+            recipe_of(raised, params),
             StageInputs(folder, {"counts": Counts((1,)), **more}),
             work_folder=tmp_path,
         )
@@ -125,7 +126,7 @@ def test_a_group_takes_its_fields_as_inputs(tmp_path: Path) -> None:
     ):
         folder = RunFolder(tmp_path / "RUN", overwrite=True)
         params = check_params(step.Params, {}, stage=step.id)
-        made, _ = run_stage(Recipe.of_stage(step, params), StageInputs(folder, inputs), work_folder=tmp_path)
+        made, _ = run_stage(recipe_of(step, params), StageInputs(folder, inputs), work_folder=tmp_path)
         assert made["sum"] == Counts(numbers)
 
 
@@ -198,7 +199,7 @@ def test_a_function_that_gives_too_little_is_named(tmp_path: Path) -> None:
 
     with pytest.raises(PluginError, match=r"^stage toy.little gave \['a'\] instead of \['a', 'b'\]$"):
         run_stage(
-            Recipe.of_stage(little, little.Params()),
+            recipe_of(little, little.Params()),
             StageInputs(RunFolder(tmp_path / "RUN")),
             work_folder=tmp_path,
         )

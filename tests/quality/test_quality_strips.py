@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, StripOffsets
-from geomosaic.ccd.overlaps import Strips, strips_in_memory
+from geomosaic.ccd.overlaps import Strips
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.pipeline.context import Context
 from geomosaic.pipeline.stage_recorder import StageRecorder
@@ -20,7 +20,7 @@ from geomosaic.quality.strips import StripQuality, confirmed, misplacement, qual
 from geomosaic.recording import Recorder, read_recording
 from geomosaic.stages.quality_strips import quality_strips
 from geomosaic.survey.strips import read_geometry
-from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps
+from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strips import simulate_strips
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.errors import InputError, UnknownNameError
+from geomosaic.pipeline.recipe import Recipe, RecipeStep
 from geomosaic.pipeline.registry import Registry
 from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 
@@ -238,3 +239,8 @@ def recipe_file(folder: Path, numbers: str = "1 2 3 4") -> Path:
     folder.joinpath("numbers.txt").write_text(numbers)
     folder.joinpath("toy.yaml").write_text(RECIPE)
     return folder / "toy.yaml"
+
+
+def recipe_of(stage: type[Stage], params: StageParams) -> Recipe:
+    """One stage by itself."""
+    return Recipe("", "", 0, (RecipeStep(stage, params),))

@@ -16,11 +16,17 @@ from survey_files import dji_xmp, drone_frame, exif_block, image, write_jpeg, xm
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.camera_files import read_cameras
-from geomosaic.survey.cameras import camera_from_header, cameras_from_headers
+from geomosaic.survey.cameras import _assumed_lens, cameras_from_headers, reported_camera
 from geomosaic.survey.cameras_of_file import cameras_from_file
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic.survey.xmp import parse_xmp
+
+
+def camera_from_header(header: FrameHeader) -> tuple[Camera, str]:
+    """A frame's camera and which source reported it."""
+    camera, source, _ = reported_camera(header)
+    return _assumed_lens(header) if camera is None else (camera, source)
 
 
 def header(

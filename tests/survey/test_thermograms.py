@@ -12,7 +12,7 @@ import rasterio
 from survey_files import dji_xmp, exif_block, gps, image, segment, write_jpeg, xmp_attributes
 
 from geomosaic.doors.raster import unreferenced_is_fine
-from geomosaic.doors.thermograms import thermogram, thermogram_size
+from geomosaic.doors.thermograms import thermogram
 from geomosaic.errors import FileError, InputError
 from geomosaic.radiometry.quantity import CELSIUS
 from geomosaic.survey.inputs import SurveyInputs
@@ -94,7 +94,7 @@ def test_the_degrees_of_a_flir_jpeg_are_its_cameras(tmp_path: Path) -> None:
 def test_damaged_records_are_one_error(tmp_path: Path) -> None:
     pytest.importorskip("flyr")
     whole = flir_jpeg(tmp_path / "a.jpg", levels())
-    assert thermogram_size(whole) == SIZE
+    assert thermogram(whole).shape[::-1] == SIZE
     data = whole.read_bytes()
     with pytest.raises(FileError, match="FLIR records are damaged"):
         thermogram(flir_jpeg(tmp_path / "many.jpg", levels(), records=1 << 31))

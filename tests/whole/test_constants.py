@@ -11,8 +11,8 @@ import pytest
 import geomosaic
 from geomosaic import constants
 from geomosaic.adjustment.ground import trial_surface
-from geomosaic.adjustment.solver import steps
-from geomosaic.ccd import layout
+from geomosaic.adjustment.solver import single_points
+from geomosaic.composition import tone_solution
 from geomosaic.constants import recorded, records, varied
 from geomosaic.matching import affine_matching, least_squares_matching
 from geomosaic.survey import plausible, strays
@@ -22,9 +22,9 @@ ROOMS = (
     "adjustment",
     "camera",
     "ccd",
+    "composition",
     "geodesy",
     "matching",
-    "mosaic",
     "placement",
     "projection",
     "quality",
@@ -59,6 +59,7 @@ def says_why(value: object) -> bool:
 
 
 def without_record(room: str) -> Iterator[str]:
+    assert (HOUSE / room).is_dir(), f"there is no room {room}"
     for path in sorted((HOUSE / room).rglob("*.py")):
         name = ".".join(("geomosaic", *path.relative_to(HOUSE).with_suffix("").parts)).removesuffix(
             ".__init__"
@@ -134,9 +135,9 @@ def test_other_values_are_tried_by_name_wherever_the_constant_is_imported() -> N
 
 
 def test_a_constant_of_the_same_name_and_value_elsewhere_stays() -> None:
-    assert steps._ROUNDS is layout._ROUNDS
-    with varied("adjustment.solver.steps", _ROUNDS=3):
-        assert (steps._ROUNDS, layout._ROUNDS) == (3, 12)
+    assert single_points._ROUNDS is tone_solution._ROUNDS
+    with varied("adjustment.solver.single_points", _ROUNDS=3):
+        assert (single_points._ROUNDS, tone_solution._ROUNDS) == (3, 8)
 
 
 def test_an_unknown_or_ambiguous_constant_is_not_varied() -> None:

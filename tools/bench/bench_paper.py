@@ -39,7 +39,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePoints
-from geomosaic.pipeline.recipe import Recipe, recipe_from
+from geomosaic.pipeline.recipe import Recipe, RecipeStep, recipe_from
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.run_options import RunOptions
@@ -195,7 +195,7 @@ class Bench:
     def _stage(self, id: str, params: dict[str, Any], inputs: dict[str, Any]) -> dict[str, Any]:
         stage = installed().get(id)
         values, _ = run_stage(
-            Recipe.of_stage(stage, stage.Params(**params)),
+            Recipe("", "", 0, (RecipeStep(stage, stage.Params(**params)),)),
             StageInputs(RunFolder(self.folder / "run"), inputs),
             work_folder=self.folder / "work",
         )

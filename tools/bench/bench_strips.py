@@ -34,10 +34,9 @@ import numpy as np
 
 from geomosaic.ccd.methods import METHODS
 from geomosaic.ccd.model import CcdSettings, StripOffsets
-from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.quality.strip_figures import scene_errors
 from geomosaic.survey.strips import StripGeometry
-from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_overlaps import simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from tools.bench.strips_resampled import resampled_scene
 

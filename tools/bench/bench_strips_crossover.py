@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from geomosaic.ccd.model import CcdSettings
 from geomosaic.ccd.object_space import ObjectSpace
-from geomosaic.ccd.overlaps import strips_in_memory
 from geomosaic.ccd.virtual_line import virtual_line
 from geomosaic_simulate.strip_files import given_heights
+from geomosaic_simulate.strip_overlaps import strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_scene import PairTruth, Scene
 

@@ -24,7 +24,7 @@ import numpy as np
 from geomosaic.ccd.layout import image_space_layout
 from geomosaic.ccd.methods import METHODS
 from geomosaic.ccd.model import CcdSettings, StripOffsets
-from geomosaic.ccd.overlaps import StripFiles, Strips, strips_in_memory
+from geomosaic.ccd.overlaps import StripFiles, Strips
 from geomosaic.ccd.radiometry import radiometry
 from geomosaic.ccd.sift_chains import matched_points, segments
 from geomosaic.composition.strip_compose import PlacedStrips, StripOptions, compose_strips
@@ -32,7 +32,7 @@ from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.offsets_csv import read_true_offsets
 from geomosaic.report.plots import Axis, Series, line_plot
 from geomosaic.survey.strips import read_geometry
-from geomosaic_simulate.strip_overlaps import simulate_overlaps
+from geomosaic_simulate.strip_overlaps import simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strips import simulate_strips
 
