@@ -32,7 +32,7 @@ from geomosaic.ccd.paths import block_centres, coarse_offsets
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.second_layers import widest_step
 from geomosaic.ccd.volumes import BLOCK_LINES, volume
-from geomosaic.constants import tuned
+from geomosaic.constants import FOUR_SIGMA, tuned
 
 _COARSE_SD_PX = tuned(1.2, "px", "of the path through bins of 2 px: less follows each bin; more the prior")
 _ANCHOR = tuned(40.0**-2 * np.eye(2), "px^-2", "40 px of deviation: 0 lets knots run off; more draws to bins")
@@ -40,7 +40,6 @@ _FAR_PX = tuned(3.5, "px", "off the path, nearly two bins: less loses fast motio
 _MOSTLY = tuned(0.6, "share", "suspect pixels of a suspect knot: less lets ground in; more skips clouds")
 _HARDLY = tuned(0.1, "share", "suspect pixels of a ground knot: more lets clouds in; less leaves few")
 _MOVED_PX = tuned(0.06, "px", "offset that makes a cloud: less rejects bright ground; more keeps low clouds")
-_MOVED_DEVIATIONS = tuned(4.0, "deviations", "significance of it: less rejects bright ground by chance")
 _UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; less loses bright ground")
 _KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
 _LEAST_FIT = tuned(0.25, "share", "of cells that fit a knot, knots that decide: more loses half clouds")
@@ -193,7 +192,7 @@ def _off_curves(
         weight, factor = _plausible(residual, measured)
         weighed = measured * (weight / factor[:, None])[..., None, None]
     sd = np.sqrt(np.diagonal(covariance) * _KNOTS_PER_FACT)
-    off = np.abs(shift) > np.maximum(_MOVED_DEVIATIONS * sd, _MOVED_PX)
+    off = np.abs(shift) > np.maximum(FOUR_SIGMA * sd, _MOVED_PX)
     return bool(off.any()), bool((sd < _UNSEEN_PX).all())
 
 

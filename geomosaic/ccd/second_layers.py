@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 
 from geomosaic.arrays import Bools, Floats
 from geomosaic.ccd.expected import Expected
-from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, SIX_SIGMA, sourced, tuned
 
 _SIDE_KNOTS = tuned(4, "knots", "each side of a step: fewer find stray knots; more blur a cloud's edge")
 _MOST_APART_KNOTS = tuned(24, "knots", "between the sides' middles: fewer miss gaps; more hide motion")
@@ -24,7 +24,6 @@ _PIECE_KNOTS = tuned(3, "knots", "two give a slope, the middle one its straightn
 _STRAIGHT_PX = tuned(0.15, "px", "bend of a piece: 99 % have 0.06; more admits noisy slopes; less leaves few")
 _MOST_AHEAD_KNOTS = sourced(12, "knots", "to the next piece: a miss has grown 64-fold there", "(12 / 3)^3")
 _LEAST_BREAK_PX = tuned(0.6, "px", "of a break: ground has 0.11, 0.35 at low contrast; more passes clouds")
-_BREAK_DEVIATIONS = tuned(6.0, "deviations", "significance of a break: less finds jitter; more passes clouds")
 _LEAST_SD_PX = tuned(0.03, "px", "of misses, as over ground: less breaks still curves; more hides far breaks")
 
 
@@ -64,7 +63,7 @@ def _against(offset_px: Floats, sd_px: Floats, both: Bools, likely: Expected) ->
     relief = np.outer(apart * likely.knot_lines * likely.steepest_px_per_line, [0.0, 1.0])
     length = np.hypot(*step.T)
     sd = _middle_sd(np.hypot(*sd_px[:, knots]))
-    least_px = np.maximum(_LEAST_PX, _BREAK_DEVIATIONS * np.hypot(sd[_SIDE_KNOTS:], sd[:-_SIDE_KNOTS]))
+    least_px = np.maximum(_LEAST_PX, SIX_SIGMA * np.hypot(sd[_SIDE_KNOTS:], sd[:-_SIDE_KNOTS]))
     found = (step > least_px + relief).any(axis=1) & (apart <= _MOST_APART_KNOTS)
     found &= noise_px < _MOST_SPREAD * length
     return float(length[found].max(initial=0.0))
@@ -97,9 +96,9 @@ def _broken(offset_px: Floats, sd_px: Floats, knots: np.ndarray) -> float:
     if near.sum() < 2 * size:
         return 0.0
     sd = np.maximum(NORMAL_PER_MAD * np.median(miss[near], axis=0), _LEAST_SD_PX)
-    most = np.maximum(_LEAST_BREAK_PX, _BREAK_DEVIATIONS * sd * (apart[:, None] / size) ** 3)
+    most = np.maximum(_LEAST_BREAK_PX, SIX_SIGMA * sd * (apart[:, None] / size) ** 3)
     variance = np.lib.stride_tricks.sliding_window_view(sd_px**2, size, axis=0).mean(axis=2)
     chance = (variance[after] + variance[before]) * (1.0 / size + 0.125 * apart[:, None] ** 2)
-    most = np.maximum(most, _BREAK_DEVIATIONS * np.sqrt(chance))
+    most = np.maximum(most, SIX_SIGMA * np.sqrt(chance))
     found = asked & (miss > most).any(axis=1)
     return float(np.hypot(*miss[found].T).max(initial=0.0))

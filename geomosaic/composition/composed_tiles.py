@@ -18,12 +18,13 @@ import numpy as np
 
 from geomosaic.arrays import Bools, Floats, Floats32, Ints64
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.grid import SAME_CELL
 from geomosaic.composition.kept_tile import KeptTile
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.scene import Scene, ground_of
 from geomosaic.composition.tiles import TILE_PX
-from geomosaic.composition.tones import Tones
+from geomosaic.composition.tones import GREYS, Tones
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import CompositionStep, Window
 from geomosaic.constants import tuned
@@ -31,12 +32,8 @@ from geomosaic.projection.warp import GroundWindow, ProjectionEquations, frame_f
 
 MOST_MOVED_PX = tuned(0.05, "mosaic px", "that a kept tile may be off: more shows at tiles beside it")
 MOST_GREY = tuned(0.5, "grey levels of 256", "that a kept tile may be off: more shows at tiles beside it")
-_ACROSS = 4
-"""Places along a tile."""
-_NEAR = 0.1
-"""Share of a frame's side by which a place may lie outside and still count."""
-GREYS = 255.0
-_ON_A_PIXEL = 1e-3
+_ACROSS = tuned(4, "places", "along a tile, of a frame's place and brightness: fewer miss what moved")
+_NEAR = tuned(0.1, "of a frame's side", "outside that still counts: less loses rims; more sees nothing")
 
 
 @dataclass(frozen=True)
@@ -240,7 +237,7 @@ def _goes_with(noting: Noting, was: ComposedTiles) -> bool:
     off = _offset_px(grid, was.grid) / TILE_PX
     ground = noting.scene.ground
     standing = ground.has_walls or bool(ground.raised) or bool(noting.ownership.hidden)
-    return not standing and bool(np.abs(off - np.rint(off)).max() * TILE_PX < _ON_A_PIXEL)
+    return not standing and bool(np.abs(off - np.rint(off)).max() * TILE_PX < SAME_CELL)
 
 
 def _view_of(source: Any) -> FrameView:

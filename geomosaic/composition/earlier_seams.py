@@ -11,11 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.arrays import Ints32, Ints64
+from geomosaic.composition.grid import SAME_CELL
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.seam_parts import SeamPart
-
-_OFF = 1e-3
-"""Cells by which the corners of two grids may seem to lie apart."""
 
 
 def with_earlier_seams(
@@ -30,7 +28,7 @@ def with_earlier_seams(
     off = np.array([was.grid.west_m - cut.grid.west_m, cut.grid.north_m - was.grid.north_m]) / side_m
     col, row = np.rint(off).astype(int).tolist()
     alike = (was.cell_px, was.grid.gsd_m) == (cut.cell_px, cut.grid.gsd_m)
-    if not alike or np.abs(off - (col, row)).max() > _OFF:
+    if not alike or np.abs(off - (col, row)).max() > SAME_CELL:
         return cut
     both = np.flatnonzero(numbers >= 0)
     owner = np.zeros(max(int(was.owner.max(initial=0)), int(numbers.max(initial=-1)) + 1) + 1, dtype=np.int32)

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.arrays import Floats, Floats32, Ints64
-from geomosaic.composition.composed_tiles import GREYS, MOST_GREY
-from geomosaic.composition.tones import Tones, ToneSightings, evened
+from geomosaic.composition.composed_tiles import MOST_GREY
+from geomosaic.composition.tones import GREYS, Tones, ToneSightings, evened
 from geomosaic.matching.tracks import frame_by_frame
 
 

@@ -23,13 +23,14 @@ from geomosaic.composition.scene import Scene
 from geomosaic.composition.trim import HORIZON, Edges, ViewingGeometry, mosaic_edges
 from geomosaic.composition.untied import needless
 from geomosaic.composition.views import FrameView, PosedFrames, frame_views
+from geomosaic.constants import tuned
 from geomosaic.projection.footprint import survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey, Warn
 
 TRIM: Final = "trim"
 EDGES: Final = (TRIM, "keep")
-_SEEN = 0.98  # of an area; what is less isn't cells cut at its edge
+_SEEN = tuned(0.98, "share", "of an area; less is not only cells cut at its edge")
 _CORRECTED = (
     "polygons that cross themselves were corrected: check the mosaic's edge, or correct them in a GIS"
 )

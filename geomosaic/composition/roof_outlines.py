@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import cv2
 import numpy as np
@@ -12,18 +11,18 @@ from geomosaic.arrays import Bools, Bytes, Floats, Floats32
 from geomosaic.composition.roof_views import FINER, Roof, RoofSeen
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
+from geomosaic.surface.edge_refinement import MOST_GREY
 
-_MOST_GREY = tuned(30.0, "grey levels", "cap of a difference: higher lets single pixels decide")
 _RECTANGLE = tuned(
     0.8, "share", "that a rectangle and an outline have in common: less squares L-shaped houses"
 )
 _OFF_NODES = tuned(1.5, "nodes", "a straight line leaves an outline: less keeps what matching frayed")
 _REACH_NODES = tuned(2.0, "nodes", "a line moves: less keeps grown roofs; more runs to the next edge")
-_STEP_PX: Final = 0.5
-_SHORT_NODES: Final = 4.0
+_STEP_PX = tuned(0.5, "px", "between places of a line that are tried: more misses the edge; less takes time")
+_SHORT_NODES = tuned(4.0, "nodes", "of a line that moves: shorter ones follow noise")
 _UNSEEN = tuned(1.2, "of a roof's own difference", "where no two frames see the ground: more grows roofs")
-_ROUNDS: Final = 2
-_INNER: Final = np.ones((7, 7), np.uint8)
+_ROUNDS = tuned(2, "rounds", "of moved lines: one leaves lines where their neighbours were")
+_INNER = tuned(np.ones((7, 7), np.uint8), "px", "off an outline: less takes its frayed edge for the roof")
 
 
 def refined(roof: Roof, seen: Sequence[RoofSeen], views: Sequence[FrameView]) -> Bools:
@@ -62,7 +61,7 @@ def _difference(one: Bytes, other: Bytes, both: Bools, of: Bools) -> Floats32:
     a, b = one.astype(np.float32), other.astype(np.float32)
     if of.any():
         b *= np.clip(np.median(a[of]) / max(float(np.median(b[of])), 1.0), 0.5, 2.0)
-    off = cv2.blur(np.minimum(np.abs(a - b), np.float32(_MOST_GREY)), (3, 3))
+    off = cv2.blur(np.minimum(np.abs(a - b), np.float32(MOST_GREY)), (3, 3))
     return np.where(both, off, np.float32(np.nan)).astype(np.float32)
 
 

@@ -12,16 +12,16 @@ from geomosaic.arrays import Bools, Floats, Ints32
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.occlusion import occluded_scene
 from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.roof_views import OFF_EDGES
 from geomosaic.composition.roofs import RaisedRoof
 from geomosaic.composition.scene import Scene, ground_of
+from geomosaic.composition.seam_parts import EDGE_PX
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import WALLED, GroundSurface
 from geomosaic.spread import Spread
 
 _HIDDEN = tuned(0.25, "share", "of a cell that its owner may not see: more leaves doubled edges to chance")
-_EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
-_NEAR = np.ones((5, 5), np.uint8)
 
 
 def with_roofs(
@@ -78,7 +78,7 @@ def _hidden(
     """What frames do not see for the roofs: what is hidden and touches the cells about one of them, and a
     cell more, since walls are ramps of a node."""
     _, hidden, _ = occluded_scene(replace(scene, ground=ground), spread)
-    near, found = cv2.dilate(of_roof.view(np.uint8), _NEAR), []
+    near, found = cv2.dilate(of_roof.view(np.uint8), OFF_EDGES), []
     for one in hidden:
         flags, by = one.flags, cell_px // one.side_px
         rows, cols = (
@@ -101,7 +101,7 @@ def _nearest(scene: Scene, places: Floats, hidden: dict[int, Bools], owner: Ints
         px = view.pose.image_from_ground(view.camera, places)
         size = np.array([view.camera.width_px, view.camera.height_px])
         with np.errstate(invalid="ignore"):
-            sees = ((px > _EDGE_PX) & (px < size - _EDGE_PX)).all(axis=-1)
+            sees = ((px > EDGE_PX) & (px < size - EDGE_PX)).all(axis=-1)
         if view.frame in hidden:
             sees &= ~hidden[view.frame]
         away = np.hypot(*(places[:, :2] - view.pose.position_m[:2]).T)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -12,19 +11,15 @@ from scipy import ndimage
 from geomosaic.arrays import Bools, Floats, Floats32, Ints, Ints32
 from geomosaic.constants import tuned
 
-_MOST: Final = 6
-"""Planes of a roof: two hipped roofs that meet have no more that matter."""
+_MOST = tuned(6, "planes", "of a roof: two hipped roofs that meet have no more that matter")
 _OFF_NODES = tuned(0.5, "node spacings", "off a plane: less loses roofs to noise; more makes crowns roofs")
 _OFF_M = tuned(0.1, "m", "the same, at least: tiles and gravel are as rough")
 _STEEPEST = tuned(1.5, "m per m", "slope of a roof: steeper is a wall; less loses steep roofs")
 _LEAST_NODES = tuned(12, "nodes", "of a plane: fewer fit anything; more lose dormers")
 _LEAST_SHARE = tuned(0.04, "share", "of a roof that a plane has: less is noise; more loses hips")
 _TRIALS = tuned(60, "samples", "a plane: half the roof is found by 6 nodes in 1 of 64; more take time")
-_SAMPLE: Final = 6
-_NEAR_NODES = tuned(
-    6.0, "nodes", "about the first of a sample, and 0.15 of the roof's side: wider mixes hips"
-)
-_NEAR_SHARE: Final = 0.15
+_SAMPLE = tuned(6, "nodes", "a plane is tried by: fewer tilt by noise; more are hardly of one plane")
+_NEAR = tuned((6.0, 0.15), "nodes, of the roof's side", "about the first of a sample: wider mixes hips")
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,7 @@ def _plane(
     at: Floats, height: Floats, spacing_m: float, off_m: float, rng: np.random.Generator
 ) -> Floats | None:
     """The plane (3,) that fits most of places at (n, 3); None where no sample gives one."""
-    reach = _NEAR_NODES + _NEAR_SHARE * np.sqrt(len(at))
+    reach = _NEAR[0] + _NEAR[1] * np.sqrt(len(at))
     best, most = None, _SAMPLE
     for _ in range(_TRIALS):
         first = at[rng.integers(len(at)), :2]

@@ -23,7 +23,7 @@ from geomosaic.survey.small import Spare
 
 _BAND = tuned(0.5, "share", "of a frame's part around seams: less leaves no way; more lets houses lean")
 _LEAST_BAND_CELLS = tuned(6.0, "cells", "with high overlap: narrower leaves a seam no choice")
-_EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
+EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less uses it; more loses overlap")
 HIGH_M = tuned(2.0, "m", "least height of an object: cars lean too little; a storey is 2.5")
 _WIDEST_M = tuned(60.0, "m", "widest object: less misses halls; more takes hills for objects")
 _FINE_M = tuned(2.0, "m", "coarsest node spacing that shows houses: coarser surfaces show ridges")
@@ -138,7 +138,7 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> S
         high = standing(cells.relief_m, cell_px * scene.grid.gsd_m)
     top, left = band.row - cells.row, band.col - cells.col
     at = slice(top, top + band.own.shape[0]), slice(left, left + band.own.shape[1])
-    near = band.near & (cells.margin_px[at] > _EDGE_PX)
+    near = band.near & (cells.margin_px[at] > EDGE_PX)
     if (well := cells.seen_well) is not None:
         near &= well[at]
     may = band.own | near

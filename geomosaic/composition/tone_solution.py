@@ -13,13 +13,13 @@ from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
 from geomosaic.arrays import Floats, Floats32
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tone_deviations import GAIN_SD, Exposures, Scatter
-from geomosaic.composition.tones import ACROSS, Tones, ToneSightings, powers
+from geomosaic.composition.tones import ACROSS, GREYS, Tones, ToneSightings, powers
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import SparseFactors, least_squares
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.matching.tracks import frame_by_frame
 
-_WHITE: Final = float(np.iinfo(np.uint8).max + 1)
+_WHITE: Final = GREYS + 1.0
 """Of the tone curve of pictures: the highest grey level itself could not move."""
 MEASURED: Final = (np.inf,)
 """The response of measured values: see `Tones`."""

@@ -13,13 +13,12 @@ from rasterio import Affine
 from rasterio.enums import Resampling
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.quality.changes import HEIGHT, IMAGE, Change
 
 LAYER: Final = "changes"
-_PICTURE_PX = tuned(2000, "px", "longest side of the picture: more does not fit a screen")
+_PICTURE_PX: Final = 2000  # longest side of the picture: more does not fit a screen
 _COLOURS: Final = {IMAGE: (0, 0, 255), HEIGHT: (255, 80, 0)}
 """Blue, green, red: red for images, blue for heights."""
 

@@ -20,7 +20,7 @@ from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import REDUCTIONS
 
 TILE_PX: Final = 512
-_QUALITY = tuned(92, "JPEG quality", "less: blocks at edges of targets; more: slow over no network")
+_QUALITY: Final = 92  # of JPEG; less: blocks at edges of targets; more: slow
 _MOST_BYTES = tuned(4e8, "bytes", "of decoded frames; less: neighbours are decoded again; more: RAM")
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import FEW, sourced, tuned
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.footprint import footprint, ground_from_image
 from geomosaic.survey.extent import TOO_FAR_M
@@ -20,7 +20,6 @@ from geomosaic.survey.extent import TOO_FAR_M
 _CELLS = tuned(8, "cells", "per frame side: fewer hide a pond; more empty good ground")
 _SEEN_BY = tuned(2, "frames", "others that see the ground: fewer expect ties at single coverage")
 _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: land up to 3 %, water 75 %")
-_BARE_PART = tuned(0.1, "share", "of a frame in one piece, six cells: less reports chance")
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class BareGround:
         if self.share > _BARE or not self.parts:
             return self.share > _BARE
         cell_m2 = np.nanmedian(shapely.area(_squares(self.corners_m.reshape(-1, 4, 2))))
-        return bool(self.parts[0].area > _BARE_PART * _CELLS**2 * cell_m2)
+        return bool(self.parts[0].area > FEW * _CELLS**2 * cell_m2)
 
     def worst(self) -> list[int]:
         """Frames of which most is bare, worst first."""

@@ -17,7 +17,7 @@ from rasterio.windows import Window
 from scipy import ndimage
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, tuned
+from geomosaic.constants import FOUR_SIGMA, NORMAL_PER_MAD, ROUNDS, SIX_SIGMA, tuned
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.errors import InputError
 from geomosaic.estimation.linear import least_squares
@@ -30,10 +30,6 @@ from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel
 
 IMAGE, HEIGHT = "image", "height"
 _TONE_PX = tuned(129, "px", "window in which tones are brought together: less hides changes as tones")
-_IMAGE_SIGMA = tuned(
-    6.0, "deviations", "of grey values beyond chance: fewer find noise; more miss faint ones"
-)
-_HEIGHT_SIGMA = tuned(4.0, "deviations", "of a height beyond chance: fewer find noise; more miss low changes")
 _LEAST_SHARE = tuned(0.06, "of the span", "least grey difference: less finds shadows and haze")
 _LEAST_PX = tuned(6, "px", "of a change's core: fewer are specks")
 _STRENGTH = tuned(4.0, "steps a deviation", "of a stored strength: fewer are coarse; more end below 64")
@@ -109,7 +105,7 @@ def image_changes(old: Path, new: Path, on_old: Registration) -> tuple[Change, .
         over = registered(b.transform, on_old.similarity, metres)
         with on_grid_of(b, a, old, over) as before:
             noise, span = _noise(b, before)
-            least = max(_IMAGE_SIGMA * noise, _LEAST_SHARE * span)
+            least = max(SIX_SIGMA * noise, _LEAST_SHARE * span)
             strength = np.zeros((b.height, b.width), dtype=np.uint8)
             margin = _TONE_PX + 2 * on_old.reach_px
             for block in blocks(b.height, b.width, GLANCE_PX):
@@ -225,7 +221,7 @@ def height_changes(
         return (), float("nan")
     scale = max(1.0, NORMAL_PER_MAD * float(np.median(np.abs(z[known]))))
     beyond = np.where(known, np.abs(z) / scale, 0.0)
-    specked = (beyond > _HEIGHT_SIGMA).astype(np.uint8)
+    specked = (beyond > FOUR_SIGMA).astype(np.uint8)
     far = cv2.morphologyEx(specked, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     strength = np.where(far > 0, np.minimum(np.round(_STRENGTH * beyond), 255), 0).astype(np.uint8)
     changes = []

@@ -21,7 +21,6 @@ _GEOMETRY = sourced(
     "half a code's side, an inner square of the panel, distance of their middles, by the serial's version",
     "MicaSense, Image Processing: calibrated reflectance panels",
 )
-_PER_MILLE = sourced(1000.0, "per mille", "of an albedo in the code", "MicaSense panel serials from RP04 on")
 BLACK_WHITE = tuned((1.0, 99.0), "%", "of values that become black and white; fewer greys lose a code")
 _EVEN = tuned(0.1, "ratio", "deviation to mean on a panel: more is grass or a shadow; less is noise")
 _MIDDLE = tuned(0.1, "sides", "of the square in the middle of a frame in which a panel without a code lies")
@@ -42,7 +41,7 @@ class Panel:
             return None
         short_nm, at_short, long_nm, at_long = (float(group) for group in found.groups())
         share = (wavelength_nm - short_nm) / (long_nm - short_nm) if long_nm > short_nm else 0.0
-        return (at_short + share * (at_long - at_short)) / _PER_MILLE
+        return (at_short + share * (at_long - at_short)) / 1000.0  # per mille
 
     def value(self, values: NDArray[Any]) -> float | None:
         """The mean of a frame's values (rows, cols) on the panel; None where nothing even lies there.

@@ -10,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 
 _BROWSERS: Final = (
@@ -22,10 +21,8 @@ _BROWSERS: Final = (
     "chrome",
     "msedge",
 )
-_LONGEST_S = tuned(300.0, "s", "of printing a page: a report of thousands of frames takes a minute")
-_DRAWN_MS = tuned(
-    10_000, "ms", "of the page's own time, in which its map is drawn: less prints it half drawn"
-)
+_LONGEST_S: Final = 300.0  # of printing a page: a report of thousands of frames takes a minute
+_DRAWN_MS: Final = 10_000  # of the page's own time, in which its map is drawn: less prints it half drawn
 
 
 def browser() -> Path:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Floats32
 from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.model import DenseSurface
@@ -34,7 +35,6 @@ _SLOPES = tuned((0.5, 0.2), "m per m", "by pass: 0.2 alone cuts steep hills, 0.5
 _STEP_M = sourced(0.2, "m", "rise besides slope: less loses rough land", "Zhang et al. 2003, table 2")
 _HILLS_M = tuned(10.0, "m", "Gaussian that makes hills: narrower keeps objects; wider leaves hillsides")
 _OFF_M = tuned(0.3, "m", "least tolerance: 0.5 lets crown rims lift the ground; less loses rough land")
-_NOISES = tuned(3.0, "deviations", "height noise that is no step: 3 in a thousand cells exceed it")
 _EVENED = tuned(30, "rounds", "smoothing passes a level: fewer show coarse squares; more change nothing")
 _BEND = tuned(0.008, "1 / m", "curvature of unseen land: 68 % within 0.08 m at 5 to 8 m, 0.28 at 12 to 20")
 _CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -74,7 +74,7 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
     cell_m = surface.cells.cell_m
     matched = surface.views > 0
     sd = surface.sd_m[matched & np.isfinite(surface.sd_m)]
-    noise_m = _NOISES * float(np.median(sd)) if sd.size else 0.0
+    noise_m = THREE_SIGMA * float(np.median(sd)) if sd.size else 0.0
     squares = _Squares(surface.up_m.shape, max(1, round(_SQUARE_M / cell_m)))
     low_m, square_m = squares.low(surface.up_m), cell_m * squares.by
     hills_m = np.zeros_like(low_m)

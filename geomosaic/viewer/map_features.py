@@ -11,7 +11,6 @@ import shapely
 from pyproj import CRS, Transformer
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.vector import open_vector
 from geomosaic.viewer.grid_raster import ViewGrid
@@ -24,8 +23,8 @@ _LAYERS: Final = (
     ("control", "Control and check points", "#ff4d5a", "name"),
 )
 """Of layers.gpkg: title, colour, and the field that labels points."""
-_MOST_FEATURES = tuned(20_000, "features", "of a layer: more make the page slow; less hides layers")
-_STRAIGHT_PX = tuned(0.5, "px", "that a line is off: less sends more vertices; more moves lines from seams")
+_MOST_FEATURES: Final = 20_000  # of a layer: more make the page slow; less hides layers
+_STRAIGHT_PX: Final = 0.5  # that a line is off: less sends more vertices; more moves lines from seams
 _DECIMALS: Final = 1
 
 

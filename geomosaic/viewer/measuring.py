@@ -10,7 +10,6 @@ import shapely
 from pyproj import CRS, Transformer
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.doors.vector import Shapes
 from geomosaic.errors import InputError
@@ -19,7 +18,7 @@ from geomosaic.quality.run_heights import height_difference, measure_heights
 from geomosaic.quality.run_measures import RunRasters, measure_lines, measure_polygons
 from geomosaic.viewer.run_view import RunView
 
-_SAMPLES = tuned(600, "samples", "of a profile: fewer hide walls; more are finer than a screen")
+_SAMPLES: Final = 600  # of a profile: more are finer than a screen
 
 
 def measured(view: RunView, kind: str, points_px: Floats) -> dict[str, Any]:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Bytes
-from geomosaic.constants import tuned
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.index import index_ends
 from geomosaic.export.project_rasters import index_colours
@@ -21,7 +20,7 @@ from geomosaic.report.accuracy_image import COLOURS, ENDS, coloured_deviations
 from geomosaic.report.surface import in_colours, shaded
 from geomosaic.viewer.grid_raster import GridRaster, ViewGrid
 
-_QUALITY = tuned(90, "WebP quality", "less: blocks at edges; more: larger tiles over no network")
+_QUALITY: Final = 90  # of WebP; less: blocks at edges; more: larger tiles over no network
 _HEIGHT_ENDS: Final = (0.01, 0.99)
 """Quantiles of the heights that are drawn in the first and the last colour."""
 

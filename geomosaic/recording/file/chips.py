@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from geomosaic.arrays import Bytes, Floats
 from geomosaic.constants import tuned
 from geomosaic.recording.file.thumbnail import thumbnail
 
-SIDE_PX = tuned(400, "px", "of a chip's half: less hides what the ground is; 20 chips take 2 MB")
+SIDE_PX: Final = 400  # of a chip's half: less hides what the ground is; 20 chips take 2 MB
 _WORST = tuned(0.2, "share", "of a pair's tie points: chips are cut where most of the worst lie")
 
 
