@@ -8,7 +8,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 
 class GeomosaicError(Exception):
@@ -101,6 +104,12 @@ class PluginError(GeomosaicError, ImportError):
     """A third-party stage that can't be loaded, or that claims an id already taken."""
 
     exit_code = 2
+
+
+def origin_of(entry: EntryPoint) -> str:
+    """The plug-in of an entry point and its distribution, as messages name it."""
+    dist = entry.dist
+    return f"{entry.value} ({dist.name} {dist.version})" if dist is not None else entry.value
 
 
 class StageFaultError(GeomosaicError, RuntimeError):

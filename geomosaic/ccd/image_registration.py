@@ -18,7 +18,6 @@ from geomosaic.ccd.columns import BOX_PX, flattened
 from geomosaic.ccd.model import (
     BRIDGED,
     MEASURED,
-    UNKNOWN_SD_PX,
     UNRELIABLE,
     CcdSettings,
     Overlap,
@@ -103,7 +102,7 @@ def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
     """The standard deviation is that of a patch: what the curve smooths is not counted on."""
     good = _plausible(found)
     if good.sum() < _LEAST_PATCHES:
-        return _nothing(pair, lines)
+        return PairOffsets.unknown(pair, lines)
     at, offset, r = found[good, 0], found[good, 1:3], found[good, 3]
     t = np.arange(lines, dtype=np.float64)
     curves, deviations = [], []
@@ -118,7 +117,7 @@ def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
 def _mean(pair: int, lines: int, found: Floats) -> PairOffsets:
     good = _plausible(found)
     if good.sum() < _LEAST_PATCHES:
-        return _nothing(pair, lines)
+        return PairOffsets.unknown(pair, lines)
     offset = found[good, 1:3]
     mean, sd = offset.mean(axis=0), offset.std(axis=0, ddof=1)
     near = good & (np.hypot(*(found[:, 1:3] - mean).T) <= NEAR_PX)
@@ -143,11 +142,6 @@ def _labels(lines: int, centre: Floats, measured: Bools) -> Bytes:
         first = round(middle - (_PATCH_LINES - 1) / 2)
         label[first : first + _PATCH_LINES] = MEASURED if own else BRIDGED
     return label
-
-
-def _nothing(pair: int, lines: int) -> PairOffsets:
-    zero, far = np.zeros(lines), np.full(lines, UNKNOWN_SD_PX)
-    return PairOffsets(pair, zero, zero, far, far, np.full(lines, UNRELIABLE, dtype=np.uint8))
 
 
 def _vertex(three: Floats) -> float:

@@ -49,7 +49,7 @@ def joint(
     step = likely.knot_lines
     lines = max((shared_lines(strips, pair) for pair in strips.pairs), default=0)
     if lines < _LEAST_KNOTS * step:
-        return tuple(_nothing(pair, strips.lines(pair)) for pair in strips.pairs)
+        return tuple(PairOffsets.unknown(pair, strips.lines(pair)) for pair in strips.pairs)
     knots = lines // step + 2  # a few lines beyond: offsets move what is shared
     known = [relief_of(strips, pair, knots * step) for pair in strips.pairs]
     windows = list(_windows(knots, window_lines // step, _MARGIN_LINES // step))
@@ -158,8 +158,3 @@ def _labels(own: Bools, outside: Bools, sd_px: Floats) -> np.ndarray:
     label = np.where(own & (sd_px <= SURE_SD_PX), MEASURED, BRIDGED)
     label[(sd_px > RELIABLE_SD_PX) | outside] = UNRELIABLE
     return label.astype(np.uint8)
-
-
-def _nothing(pair: int, lines: int) -> PairOffsets:
-    zero, far = np.zeros(lines), np.full(lines, UNKNOWN_SD_PX)
-    return PairOffsets(pair, zero, zero, far, far, np.full(lines, UNRELIABLE, dtype=np.uint8))

@@ -7,7 +7,7 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final, Generic, TypeVar
 
-from geomosaic.errors import PluginError
+from geomosaic.errors import PluginError, origin_of
 
 T = TypeVar("T")
 BLENDS_GROUP: Final = "geomosaic.blends"
@@ -38,7 +38,7 @@ class Named(Mapping[str, T], Generic[T]):
         entries = self._entries.get(name, [])
         if not entries:
             return self._own[name]
-        claims = [*(["geomosaic itself"] if name in self._own else []), *map(_origin, entries)]
+        claims = [*(["geomosaic itself"] if name in self._own else []), *map(origin_of, entries)]
         if len(claims) > 1:
             both = " and by ".join(sorted(claims))
             raise PluginError(f"{self._group} '{name}' is claimed by {both}; uninstall one of them")
@@ -57,8 +57,3 @@ class Named(Mapping[str, T], Generic[T]):
 
     def __len__(self) -> int:
         return len({*self._own, *self._entries})
-
-
-def _origin(entry: EntryPoint) -> str:
-    dist = entry.dist
-    return f"{entry.value} ({dist.name} {dist.version})" if dist is not None else entry.value

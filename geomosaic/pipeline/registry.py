@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import EntryPoint
 
-from geomosaic.errors import BindingsError, PluginError, UnknownNameError
+from geomosaic.errors import BindingsError, PluginError, UnknownNameError, origin_of
 from geomosaic.pipeline.artefacts import dataclasses_in
 from geomosaic.pipeline.entry_points import announced
 from geomosaic.pipeline.params import StageParams, describe_params
@@ -61,11 +61,6 @@ def check_stage(stage: object, *, id: str | None = None) -> type[Stage]:
     return stage
 
 
-def _origin(entry: EntryPoint) -> str:
-    dist = entry.dist
-    return f"{entry.value} ({dist.name} {dist.version})" if dist is not None else entry.value
-
-
 class Registry:
     """Stages by id. A stage's module is imported when it is first asked for.
 
@@ -83,7 +78,7 @@ class Registry:
     def register(self, stage: type[Stage]) -> type[Stage]:
         """Adds a stage of this process; usable as a decorator. `PluginError` if the id is taken."""
         check_stage(stage)
-        known = [_origin(entry) for entry in self._entries.get(stage.id, ())]
+        known = [origin_of(entry) for entry in self._entries.get(stage.id, ())]
         if stage.id in self._stages:
             known.append(self._stages[stage.id].__qualname__)
         if known:
@@ -107,7 +102,7 @@ class Registry:
             raise UnknownNameError("stage", id, self.ids(), file=file)
         entries = self._entries[id]
         if len(entries) > 1:
-            both = " and by ".join(sorted(_origin(entry) for entry in entries))
+            both = " and by ".join(sorted(origin_of(entry) for entry in entries))
             raise PluginError(f"stage id '{id}' is claimed by {both}; uninstall one of them")
         try:
             stage = entries[0].load()
@@ -115,7 +110,7 @@ class Registry:
             raise
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise PluginError(f"stage {id} can't be loaded from {_origin(entries[0])}: {reason}") from error
+            raise PluginError(f"stage {id} can't be loaded from {origin_of(entries[0])}: {reason}") from error
         self._stages[id] = check_stage(stage, id=id)
         return self._stages[id]
 

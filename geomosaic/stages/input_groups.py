@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.composition.ownership import Ownership
+from geomosaic.composition.plugins import BLENDS_GROUP
 from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.composition.tones import Tones
 from geomosaic.matching.band_registration import RigPoses
@@ -72,3 +74,8 @@ class JudgedScene(ComposedStrips):
     """That scene and how good it is."""
 
     strip_quality: StripQuality
+
+
+def plugged_blend(params: Any) -> list[tuple[str, str]]:
+    """The blend of a composing stage, which may be another distribution's."""
+    return [(BLENDS_GROUP, params.blend)]

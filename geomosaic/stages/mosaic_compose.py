@@ -20,7 +20,6 @@ from geomosaic.composition.compose import (
 )
 from geomosaic.composition.composed_tiles import ComposedTiles, EarlierMosaic
 from geomosaic.composition.model import Mosaic, OutputGrid
-from geomosaic.composition.plugins import BLENDS_GROUP
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames
 from geomosaic.matching.band_registration import RigPoses
@@ -29,7 +28,7 @@ from geomosaic.pipeline.artefacts import encode
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
-from geomosaic.stages.input_groups import AdjustedSurvey, FrameShares
+from geomosaic.stages.input_groups import AdjustedSurvey, FrameShares, plugged_blend
 from geomosaic.survey.model import Survey
 
 RASTER = "work/mosaic.compose/mosaic.tif"
@@ -58,11 +57,6 @@ class ComposeParams(StageParams):
     threads: int = param(2, help="threads that write", ge=1, le=256, affects_output=False)
 
 
-def _plugged(params: ComposeParams) -> list[tuple[str, str]]:
-    """The blend may be another distribution's."""
-    return [(BLENDS_GROUP, params.blend)]
-
-
 def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What was reused of the run before."""
     its = summary["metrics"].get("reused")
@@ -79,7 +73,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 @stage(
     "mosaic.compose", "Compose the mosaic", group="Mosaic", version=19, outputs=("mosaic", "raster_file"),
-    results=(SOURCES,), plugged=_plugged, conclusions=_conclusions, goes_on=True,
+    results=(SOURCES,), plugged=plugged_blend, conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def mosaic_compose(
     of: AdjustedSurvey, shares: FrameShares, params: ComposeParams, context: Context

@@ -17,12 +17,12 @@ from geomosaic.ccd.virtual_layout import virtual_layout
 from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.estimate import FilledPixels, estimate_scene
 from geomosaic.composition.grid import MAX_GIGAPIXELS
-from geomosaic.composition.plugins import BLENDS_GROUP
 from geomosaic.composition.strip_compose import PlacedStrips, StripMosaic, StripOptions, compose_strips
 from geomosaic.errors import InputError
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
+from geomosaic.stages.input_groups import plugged_blend
 from geomosaic.survey.strips import StripGeometry
 
 RASTER = "work/mosaic.strips/raster.tif"
@@ -56,14 +56,9 @@ class StripMosaicParams(StageParams):
     threads: int = param(2, help="threads that resample", ge=1, le=64, affects_output=False)
 
 
-def _plugged(params: StripMosaicParams) -> list[tuple[str, str]]:
-    """The blend may be another distribution's."""
-    return [(BLENDS_GROUP, params.blend)]
-
-
 @stage(
     "mosaic.strips", "Compose the scene of strips", group="Mosaic", version=4, outputs=("strip_mosaic",
-    "outlines", "raster_file"), results=(RPC,), plugged=_plugged,
+    "outlines", "raster_file"), results=(RPC,), plugged=plugged_blend,
 )  # fmt: skip
 def mosaic_strips(
     strips: StripGeometry,
