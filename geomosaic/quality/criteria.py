@@ -217,6 +217,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the elevation model lies hundreds of metres off the ground by the frames' altitudes",
         "check the unit of its heights and what they count from (--dem-offset)",
     ),
+    "pixels-turned": (
+        "doubtful",
+        "the frames' pixels were turned after the flight: how the rolling shutter bends the map is unknown",
+        "give the files as the camera wrote them",
+    ),
     "scale-doubtful": (
         "doubtful",
         "the block's scale disagrees with the positions",
@@ -253,4 +258,4 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "give the lens and the readout time (--camera)",
     ),
 }
-"""Warnings of the adjustment that bear on the map as a whole: grade, cause and fix."""
+"""Warnings that bear on the map as a whole: grade, cause and fix."""

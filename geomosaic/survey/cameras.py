@@ -115,6 +115,12 @@ def shutter_warnings(header: FrameHeader, camera: Camera) -> list[Warn]:
             "estimates it"
         )
         return [Warn("readout-by-model", "", text)]
+    if source == "turned":
+        text = (
+            f"{camera.name}: its frames stand upright, so their pixels were turned after the flight, and the "
+            "order in which a rolling shutter read them is lost; give the files as the camera wrote them"
+        )
+        return [Warn("pixels-turned", "", text)]
     if source == "absurd":
         text = (
             f"{camera.name}: its LineReadoutTime is implausible (all rows take {SLOWEST.value:g} s at "

@@ -90,9 +90,10 @@ def reported_focal_lengths(header: FrameHeader) -> Reported:
     `sensor-pitch`: the lens in mm on a sensor of known pitch, before all others, since what EXIF adds there
     is of another camera of the same drone; `focal-plane`: the lens in mm with EXIF's resolution;
     `sensor-table`: with the sensor's width; `exif-35mm`: the 35 mm equivalent, which compares diagonals
-    (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from.
+    (CIPA DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from. The longer side is the
+    sensor's width: an upright frame is one whose pixels were turned.
     """
-    exif, width, height = header.exif, header.width_px, header.height_px
+    exif, height, width = header.exif, *sorted((header.width_px, header.height_px))
     if exif.model.lower().strip() in _ONE_LENGTH:
         return Reported({}, None)
     sensor = _sensor(header)
@@ -101,7 +102,8 @@ def reported_focal_lengths(header: FrameHeader) -> Reported:
         native = width if width in sensor.widths_px else sensor.widths_px[0]
         per_mm = 1000.0 / sensor.pitch_um * width / native
         return Reported({} if mm is None else {"sensor-pitch": mm * per_mm}, per_mm)
-    scale = width / exif.width_px if exif.width_px else 1.0
+    stated = max(exif.width_px or 0, exif.height_px or 0) if exif.width_px else 0
+    scale = width / stated if stated else 1.0
     per_mm_by_tag = None if exif.pixels_per_mm is None else exif.pixels_per_mm * scale
     sensor_mm = SENSOR_WIDTHS_MM.get(exif.model.lower().strip())
     per_mm_by_table = None if sensor_mm is None else width / sensor_mm

@@ -50,7 +50,8 @@ _BANDS_AT_ONCE = sourced(
 @dataclass(frozen=True)
 class Shutter:
     """readout_s, sd_s: from the first row to the last, 0 for a global shutter, and its deviation, 0 where it
-    is known; source: `tag`, `model`, `global`, `unreported`, or `absurd` for a tag that can't be."""
+    is known; source: `tag`, `model`, `global`, `unreported`, `absurd` for a tag that can't be, `turned` for
+    an upright frame: its columns were read one after the other, from an end that nothing reports."""
 
     readout_s: float
     sd_s: float
@@ -59,6 +60,12 @@ class Shutter:
 
 def shutter(header: FrameHeader) -> Shutter:
     """By `Camera:LineReadoutTime` (ns, of all rows), DJI's `ShutterType`, or the model."""
+    found = _of_sensor(header)
+    upright = header.height_px > header.width_px
+    return Shutter(0.0, 0.0, "turned") if upright and found.source in ("tag", "model") else found
+
+
+def _of_sensor(header: FrameHeader) -> Shutter:
     xmp, model = header.xmp or {}, header.exif.model.lower().strip()
     if (model, header.bands) in _BANDS_AT_ONCE:
         return Shutter(0.0, 0.0, "global")

@@ -16,7 +16,12 @@ from survey_files import dji_xmp, drone_frame, exif_block, image, write_jpeg, xm
 from geomosaic.camera.interior import Camera
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.survey.camera_files import read_cameras
-from geomosaic.survey.cameras import _assumed_lens, cameras_from_headers, reported_camera
+from geomosaic.survey.cameras import (
+    _assumed_lens,
+    cameras_from_headers,
+    reported_camera,
+    shutter_warnings,
+)
 from geomosaic.survey.cameras_of_file import cameras_from_file
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.header import FrameHeader, read_header
@@ -566,6 +571,15 @@ def test_djis_number_for_the_model() -> None:
     assert (source, camera.focal_length_px) == ("dji-calibrated", pytest.approx(916.666626))
     assert camera.focal_length_sd_px == pytest.approx(0.01 * camera.focal_length_px)
     assert (camera.principal_col_px, camera.principal_row_px) == (686.5, 453.5)
+
+
+def test_an_upright_frame_has_the_lens_of_a_lying_one() -> None:
+    exif = {"make": "DJI", "model": "FC300S", "width_px": 4000, "height_px": 2250, "focal_length_mm": 3.61}
+    lying, upright = (camera_from_header(header(*size, {}, **exif)) for size in ((2000, 1125), (1125, 2000)))
+    assert upright[1] == lying[1] == "sensor-table"
+    assert upright[0].focal_length_px == lying[0].focal_length_px == pytest.approx(3.61 * 2000 / 6.17)
+    (warning,) = shutter_warnings(header(1125, 2000, {}, **exif), upright[0])
+    assert warning.code == "pixels-turned"
 
 
 def test_a_camera_file_unlike_the_tags_is_followed_with_a_word(tmp_path: Path) -> None:

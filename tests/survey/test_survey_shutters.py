@@ -30,6 +30,8 @@ def sized(width_px: int, height_px: int, model: str) -> FrameHeader:
         (sized(5472, 3648, "L1D-20c"), Shutter(0.056, pytest.approx(0.0056), "model")),
         (sized(4032, 3024, "FC3582"), Shutter(0.026, pytest.approx(0.0026), "model")),
         (sized(8064, 6048, "FC3582"), Shutter(0.060, pytest.approx(0.0060), "model")),
+        (sized(2250, 4000, "FC300S"), Shutter(0.0, 0.0, "turned")),
+        (sized(3078, 5472, "FC6310"), Shutter(0.0, 0.0, "global")),
         (header(make="DJI", model="FC6310"), Shutter(0.0, 0.0, "global")),
         (header(make="Canon", model="Canon PowerShot S110"), Shutter(0.0, 0.0, "global")),
         (header(make="NIKON CORPORATION", model="NIKON D800"), Shutter(0.0, 0.0, "global")),
