@@ -212,6 +212,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the POS file and the positions in the frames' tags lie kilometres apart",
         "check the columns of the file and its reference system (--pos-crs)",
     ),
+    "headings-reversed": (
+        "doubtful",
+        "all headings of the POS file are off by 180 degrees: its rows may be in reverse order",
+        "check the names in --pos; of a camera mounted the other way round, give its own headings",
+    ),
     "dem-heights-off": (
         "doubtful",
         "the elevation model lies hundreds of metres off the ground by the frames' altitudes",

@@ -57,7 +57,7 @@ class SiftParams(KeypointParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=20, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=21, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(
@@ -82,7 +82,7 @@ def matching_sift(
         cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
     seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
     turns, headings = found_turned(seen, placement.poses, sizes, cap_m)
-    _report(context, [f.name for f in survey.frames], placement.poses, turns, headings)
+    _report(context, survey, placement.poses, turns, headings)
     faint = [features.look().faint for features in pairing.features]
     faint_frames = sum(map(mostly, faint))
     context.metric("matching.faint_frames", faint_frames)
@@ -165,24 +165,29 @@ def _without_positions(
 
 
 def _report(
-    context: Context,
-    names: Sequence[str],
-    poses: Poses,
-    turns: Mapping[int, int],
-    headings: Mapping[int, float],
+    context: Context, survey: Survey, poses: Poses, turns: Mapping[int, int], headings: Mapping[int, float]
 ) -> None:
-    """Names wrong headings and turned images."""
+    """Names wrong headings and turned images. Images that all contradict a file's headings by 180 degrees
+    were not turned one by one: the file is wrong, or the camera was mounted so."""
     yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
     for frame, heading in headings.items():
         context.warn(
             "yaw-wrong",
-            names[frame],
+            survey.frames[frame].name,
             f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and is about "
             f"{np.degrees(heading):.0f} by its neighbours' images; set by them",
         )
+    by_file = [i for i, f in enumerate(survey.frames) if f.attitude.source.startswith("pos-")]
+    if len(by_file) > 1 and all(turns.get(i) == 2 for i in by_file):
+        text = (
+            "all headings of the POS file point to the images' bottoms: its rows are in reverse order, which "
+            "turns the map by 180 degrees, or the camera is mounted the other way round; turned here"
+        )
+        context.warn("headings-reversed", "", text)
+        turns = {i: q for i, q in turns.items() if i not in by_file}
     for frame, quarters in turns.items():
         context.warn(
             "frame-turned",
-            names[frame],
+            survey.frames[frame].name,
             f"its pixels were turned by {quarters * 90} degrees after the flight; turned back here",
         )
