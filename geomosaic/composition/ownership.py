@@ -27,11 +27,11 @@ from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 from geomosaic.projection.warp import frame_from_map
+from geomosaic.surface.agreement import EVERY_CELLS
 from geomosaic.surface.pyramid import MOST_CELLS
 
 _MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
 _CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
-_APART = tuned(4, "cells", "between exact places: farther misses shutter turns by cells; nearer takes time")
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def _between(
 ) -> tuple[Floats32, Floats32] | None:
     """Cols and rows of part of a window's cells between those of every fourth; None where the lens ends near
     the frame's edge, which would be lost."""
-    side, wide = _APART * cell_px, _APART
+    side, wide = EVERY_CELLS * cell_px, EVERY_CELLS
     down, across = (-(-n // side) + 2 for n in (window.height, window.width))
     around = Window(window.col - side, window.row - side, across * side, down * side)
     places = frame_from_map(ground_of(scene, around, side), view.pose, view.camera)

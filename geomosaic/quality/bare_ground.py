@@ -14,11 +14,11 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import FEW, sourced, tuned
 from geomosaic.matching.model import TiePoints
+from geomosaic.matching.tracks import TWO_RAYS
 from geomosaic.projection.footprint import footprint, ground_from_image
 from geomosaic.survey.extent import TOO_FAR_M
 
 _CELLS = tuned(8, "cells", "per frame side: fewer hide a pond; more empty good ground")
-_SEEN_BY = tuned(2, "frames", "others that see the ground: fewer expect ties at single coverage")
 _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: land up to 3 %, water 75 %")
 
 
@@ -82,7 +82,7 @@ def bare_ground(adjusted: Adjusted, ties: TiePoints) -> BareGround:
         middle = at[1::2, 1::2].reshape(-1, 2)
         cell, _ = tree.query(shapely.points(np.nan_to_num(middle)), predicate="intersects")
         others = np.bincount(cell, minlength=len(middle)) - 1
-        seen[k] = np.isfinite(middle).all(axis=1) & (others >= _SEEN_BY)
+        seen[k] = np.isfinite(middle).all(axis=1) & (others >= TWO_RAYS)
         corner = at[::2, ::2]
         around = (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
         corners_m[k] = np.stack(around, axis=2).reshape(-1, 4, 2)
