@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final, Literal, Self
 
 import numpy as np
-import shapely
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Floats
@@ -22,7 +21,8 @@ from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.ownership import Ownership, within
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.trim import HORIZON, Edges, ViewingGeometry, mosaic_edges
-from geomosaic.composition.views import FrameView, PosedFrames, SeenPart, frame_views, seen_part
+from geomosaic.composition.untied import needless
+from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.constants import tuned
 from geomosaic.projection.footprint import survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
@@ -248,33 +248,3 @@ class SceneChoice:
     def _grid(self, views: Sequence[FrameView]) -> OutputGrid:
         names = [f.name for f in self.frames.survey.frames]
         return output_grid(self.pixels, views, names, self.max_gigapixels)
-
-
-def needless(
-    views: Sequence[FrameView], tied: Sequence[bool], ground: GroundSurface, limits: Limits
-) -> frozenset[int]:
-    """Frames without tie points that look beyond the limits for the most part, or of whose land, as far as
-    they see it well, tied frames show most.
-
-    A frame that overlaps others and yet matches none shows water or is spoiled, or lies elsewhere. One that
-    looks at the horizon sees its land so far off the vertical that a degree of attitude moves it by metres.
-    """
-
-    def seen(view: FrameView) -> SeenPart:
-        return seen_part(view.pose, view.camera, ground, limits)
-
-    def outline(part: SeenPart) -> shapely.Geometry:
-        return shapely.MultiPoint(part.points_m[:, :2]).convex_hull
-
-    alone = {view.frame: seen(view) for view in views if not tied[view.frame]}
-    if not alone:
-        return frozenset()
-    shown = shapely.union_all([outline(seen(view)) for view in views if tied[view.frame]])
-
-    def needed(part: SeenPart) -> bool:
-        if part.quality is not None and np.mean(part.quality >= 1.0) < 0.5:
-            return False
-        land = outline(part)
-        return not shapely.intersection(land, shown).area >= 0.5 * land.area > 0.0
-
-    return frozenset(frame for frame, part in alone.items() if not needed(part))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -20,6 +19,7 @@ from geomosaic.ccd.layout import SceneLayout
 from geomosaic.ccd.parallel import opencv_alone
 from geomosaic.ccd.radiometry import Radiometry
 from geomosaic.composition.blends import BLENDS, STEP_PX, Blend
+from geomosaic.composition.driver import composed
 from geomosaic.composition.raster import BLOCK_ROWS, Raster, SceneGreys, writing_scene
 from geomosaic.composition.strip_lines import StripGreys, StripLines
 from geomosaic.composition.strip_source import StripBlocks, StripSource
@@ -30,10 +30,6 @@ from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
 from geomosaic.spread import UNOBSERVED, Progress
 from geomosaic.survey.strip_pixels import open_strip
 from geomosaic.survey.strips import StripGeometry
-
-Made = TypeVar("Made")
-Materials = Mapping[int, Any]
-"""Of each source, by its number, what it needs to show its part of a window."""
 
 
 @dataclass(frozen=True)
@@ -235,36 +231,3 @@ def _gaps(covered: Sequence[tuple[int, int]], width: int) -> tuple[tuple[int, in
             gaps.append((at, first))
         at = max(at, last)
     return tuple(gaps)
-
-
-class Supply(Protocol):
-    """Where sources' materials come from: frames' parts, strips' lines."""
-
-    def for_step(self, step: int) -> Mapping[int, Future[Any]]:
-        """The step's materials; asked once for each step, in order."""
-
-
-def composed(
-    steps: Sequence[CompositionStep],
-    compose: Callable[[CompositionStep, Materials], Made],
-    supply: Supply,
-    pool: Executor,
-    ahead: int,
-) -> Iterator[Made]:
-    """What is made of all steps in their order, `ahead` of them begun beyond the one that is taken."""
-    running: deque[Future[Made]] = deque()
-    begun = 0
-    while begun < len(steps) or running:
-        if begun < len(steps):
-            running.append(pool.submit(_given, compose, steps[begun], supply.for_step(begun)))
-            begun += 1
-        if len(running) > ahead or begun == len(steps):
-            yield running.popleft().result()
-
-
-def _given(
-    compose: Callable[[CompositionStep, Materials], Made],
-    step: CompositionStep,
-    materials: Mapping[int, Future[Any]],
-) -> Made:
-    return compose(step, {number: material.result() for number, material in materials.items()})

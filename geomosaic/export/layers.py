@@ -5,32 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from osgeo import gdal
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
-from geomosaic.doors.gdal_failures import close, gdal_failures
-from geomosaic.doors.vector import open_vector
 from geomosaic.export import looks
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.geopackage import MapFeatures, columns, write_geopackage
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations, orientations
 from geomosaic.export.residual_layers import ResidualLayers
-from geomosaic.geodesy.mapcrs import check_on_earth
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.survey.model import Survey
-
-_LAYERS: Final = ("footprints", "ccd_strips")
-_DECIMALS: Final = 8
-"""Of degrees: a millimetre."""
 
 
 @dataclass(frozen=True)
@@ -242,26 +234,3 @@ def times_utc(times_s: Sequence[float | None]) -> NDArray[np.datetime64]:
     """Seconds since 1970 UTC as times to the millisecond, NaT where there is none."""
     known = [np.datetime64("NaT") if t is None else np.datetime64(round(1e3 * t), "ms") for t in times_s]
     return np.array(known, dtype="datetime64[ms]")
-
-
-def write_footprints(package: Path, out: Path) -> None:
-    """Writes those of a run's layers.gpkg, of frames or of CCD strips.
-
-    Raises: `InputError` in a local frame; `OSError` if it can't be written.
-    """
-    with gdal_failures(out):
-        source = open_vector(package)
-        names = [source.GetLayer(i).GetName() for i in range(source.GetLayerCount())]
-        (name,) = (name for name in _LAYERS if name in names)
-        crs = source.GetLayerByName(name).GetSpatialRef().ExportToWkt(["FORMAT=WKT2_2019"])
-        check_on_earth(crs, "footprint")
-        done = gdal.VectorTranslate(
-            str(out),
-            source,
-            format="GeoJSON",
-            layers=[name],
-            layerName=name,
-            layerCreationOptions=["RFC7946=YES", f"COORDINATE_PRECISION={_DECIMALS}", "ID_FIELD=fid"],
-        )
-        close(done)
-        close(source)

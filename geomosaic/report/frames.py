@@ -23,13 +23,14 @@ from geomosaic.quality.misalignment import pair_misalignments
 from geomosaic.quality.scores import CCIR_500_1, CRITERIA
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report import parts
+from geomosaic.report.accuracy_image import accuracy_image
 from geomosaic.report.comparison import comparison_rows, ssim_image
 from geomosaic.report.control import mapped_points, point_figures
 from geomosaic.report.control_layers import arrow_scale, control_layers
 from geomosaic.report.frame_layers import FrameLayers, map_footprints_m
 from geomosaic.report.glance import Glance, glance
 from geomosaic.report.layers import MapImage, MapView, box_of
-from geomosaic.report.map_images import accuracy_image, overlap_image
+from geomosaic.report.map_images import overlap_image
 from geomosaic.report.numbers import UNKNOWN, length, plural, short, whole
 from geomosaic.report.page import Fact, PageHead, markup, part, render
 from geomosaic.report.plate import plate

@@ -1,22 +1,19 @@
-"""The offsets of neighbouring strips, line by line, and one scale of grey for all of them."""
+"""The offsets of neighbouring strips, line by line."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 
+from geomosaic.ccd.gaps import gaps
 from geomosaic.ccd.joint import far_from_nominal
 from geomosaic.ccd.methods import METHODS
-from geomosaic.ccd.model import UNRELIABLE, CcdSettings, PairOffsets, StripOffsets, gaps
-from geomosaic.ccd.object_space import read_object_space
-from geomosaic.ccd.overlaps import StripFiles
-from geomosaic.ccd.radiometry import Radiometry, radiometry
-from geomosaic.ccd.virtual_line import relief_px
+from geomosaic.ccd.model import UNRELIABLE, CcdSettings, PairOffsets, StripOffsets
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.quality.strip_figures import common_lines
+from geomosaic.stages.strip_input import opened_strips
 from geomosaic.survey.strips import StripGeometry
 
 _SETTINGS = CcdSettings()
@@ -125,35 +122,3 @@ def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> 
         np.stack([offsets.sd_col_px, offsets.sd_line_px])[:, line],
         offsets.label[line],
     )
-
-
-@contextmanager
-def opened_strips(geometry: StripGeometry) -> Iterator[StripFiles]:
-    """The strips, with model and heights where the geometry names them."""
-    with StripFiles(geometry) as strips:
-        strips.object_space = read_object_space(geometry)
-        if strips.object_space is not None and geometry.dem is not None:
-            strips.relief_px = relief_px(geometry, strips.object_space)
-        yield strips
-
-
-class RadiometryParams(StageParams):
-    """See each parameter's help."""
-
-    balance: bool = param(True, help="bring the CCDs to one scale; off leaves every pixel's counts")
-
-
-@stage("ccd.radiometry", "Greys of the strips", group="CCD strips", version=3, outputs="radiometry")
-def ccd_radiometry(
-    strips: StripGeometry, offsets: StripOffsets, params: RadiometryParams, context: Context
-) -> Radiometry:
-    """Gain and offset of each CCD, from what neighbours see alike."""
-    found = Radiometry(np.ones(len(strips.ccds)), np.zeros(len(strips.ccds)))
-    if params.balance:
-        with opened_strips(strips) as opened:
-            found = radiometry(opened, offsets, lambda done, total: context.progress(done, total, "greys"))
-    context.metric("radiometry.gain", found.gain.round(6))
-    context.metric("radiometry.offset", found.offset.round(4))
-    names = ["" if ccd.path is None else ccd.path.name for ccd in strips.ccds]
-    context.recorder.table("strips.greys", names, {"gain": found.gain, "offset": found.offset})
-    return found

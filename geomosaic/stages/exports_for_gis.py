@@ -10,9 +10,11 @@ import cv2
 
 from geomosaic.composition.model import Mosaic
 from geomosaic.export.cog import write_cog
+from geomosaic.export.footprints import write_footprints
 from geomosaic.export.index import AUTO, FORMULAS, Index, index_ends, write_index
-from geomosaic.export.layers import SolvedSurvey, write_footprints, write_layers
-from geomosaic.export.orientation import orientations, write_positions
+from geomosaic.export.layers import SolvedSurvey, write_layers
+from geomosaic.export.orientation import orientations
+from geomosaic.export.positions import write_positions
 from geomosaic.export.project import write_project
 from geomosaic.export.project_layers import project_of
 from geomosaic.export.project_rasters import index_colours, index_style

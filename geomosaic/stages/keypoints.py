@@ -20,7 +20,7 @@ from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import OptionalCache, StoredResult
-from geomosaic.stages.earlier_frames import spare_of
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import FrameToDecode

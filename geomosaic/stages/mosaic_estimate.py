@@ -1,30 +1,23 @@
-"""How large a mosaic or a scene of strips will be, and what it will take, before any pixel is matched."""
+"""How large the mosaic will be, and what it will take, before the first pixel is matched."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import shapely
 
-from geomosaic.composition.estimate import FilledPixels, before_composing, estimate, estimate_scene
+from geomosaic.composition.estimate import FilledPixels, before_composing, estimate
 from geomosaic.composition.frames import decoded_bytes
 from geomosaic.composition.grid import output_grid, stretching
 from geomosaic.composition.mosaic_scene import CandidateFrames, extent_within, mosaic_pixels
 from geomosaic.composition.views import seen_part
-from geomosaic.errors import InputError
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.exports_of_strips import export_map
 from geomosaic.stages.mosaic_seams import mosaic_seams
-from geomosaic.stages.mosaic_strips import mosaic_strips
 from geomosaic.stages.reporting import in_recipe, params_of, report_estimate
 from geomosaic.stages.surface_dense import surface_dense
 from geomosaic.survey.model import Survey
-from geomosaic.survey.strips import StripGeometry
 
 
 @stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=2, cached=False, looks_ahead=True)
@@ -83,47 +76,4 @@ def mosaic_estimate(
             f"lies so far out that without it the mosaic would have {100.0 * share:.2g} % of its size; "
             "check its position and height",
         )
-    report_estimate(context, expected)
-
-
-def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """How many strips and seams there are."""
-    sizes = summary["metrics"]["strips"]
-    size = f"{sizes['width_px']:,} px, up to {sizes['lines']:,} lines"
-    missing = f", {sizes['missing']} missing" if sizes["missing"] else ""
-    return [("strips", f"{sizes['ccds']} of {size}, {sizes['seams']} seams{missing}")]
-
-
-@stage(
-    "mosaic.estimate_strips", "Estimate the scene", group="Mosaic", version=1, cached=False, looks_ahead=True,
-    plans=_plans,
-)  # fmt: skip
-def mosaic_estimate_strips(strips: StripGeometry, context: Context) -> None:
-    """Refuses a scene that is too large (mosaic.strips' limit), that the disk has no room for, or whose map
-    is asked for and that nothing lays there.
-
-    It runs every time: the disk's room is of today.
-    """
-    width, height = strips.scene_width_px, strips.scene_lines
-    on_map = in_recipe(context, export_map)
-    if on_map and strips.model is None and strips.rpc is None:
-        problem = "the scene can't be put on the map: the geometry file names neither a model nor an RPC"
-        raise InputError(problem, fix="give 'model' or 'rpc' there, or leave out --map")
-    sizes = {
-        "ccds": len(strips.ccds),
-        "width_px": strips.width_px,
-        "lines": max(strips.lines),
-        "seams": len(strips.pairs),
-        "missing": strips.lines.count(0),
-    }
-    context.metric("strips", sizes)
-    expected = estimate_scene(
-        (width, height),
-        FilledPixels(
-            min(1.0, sum(strips.lines) * strips.width_px / (width * height)),
-            1 if strips.bit_depth <= 8 else 2,
-        ),
-        params_of(context, mosaic_strips).max_gigapixels,
-        on_map=on_map,
-    )
     report_estimate(context, expected)

@@ -1,4 +1,4 @@
-"""Small mosaics: while frames still arrive, and by positions and attitudes alone, beside the adjusted one."""
+"""A small mosaic while frames still arrive, on a page that loads itself anew."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Final
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.placement.model import Placement
-from geomosaic.projection.ground import GroundSurface
-from geomosaic.report.given import Decoding, GivenMosaic, given_image
-from geomosaic.stages.earlier_frames import spare_of
+from geomosaic.report.given import Decoding, given_image
 from geomosaic.stages.input_groups import AdjustedSurvey
-from geomosaic.survey.model import Survey
+from geomosaic.stages.spares import spare_of
+from geomosaic.survey.model import Frame
+from geomosaic.survey.small import Spare
 
 PREVIEW: Final = "preview.html"
 _PAGE: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><meta http-equiv="refresh" content="3">
@@ -42,9 +42,12 @@ def mosaic_preview(
     Frames without a position and without tie points are not shown.
     """
 
+    def spare(frame: Frame) -> Spare:
+        return spare_of(context, frame.path)
+
     frames = placed.survey.frames
     found = replace(placement, poses=placed.adjusted.poses)
-    decoding = Decoding(context.spooled, lambda frame: spare_of(context, frame.path))
+    decoding = Decoding(context.spooled, spare)
     image = given_image(placed.survey, found, placed.ground, params.longest_px, decoding)
     what = f"{len(frames)} frames"
     shown = "<p>no picture: the frames have no positions</p>"
@@ -53,41 +56,3 @@ def mosaic_preview(
     with context.writing(PREVIEW) as path:
         path.write_text(_PAGE.format(title=escape(what), image=shown), encoding="utf-8")
     return context.run_file(PREVIEW)
-
-
-class GivenParams(StageParams):
-    """See each parameter's help."""
-
-    longest_px: int = param(
-        1000,
-        help="longer side of the image that positions and attitudes alone would give, to be swiped over "
-        "the mosaic in the report; 0: none",
-        unit="px",
-        ge=0,
-        le=4000,
-    )
-
-
-@stage(
-    "mosaic.given", "Compose by positions alone", group="Mosaic", version=3, outputs="given", concurrent=True,
-    wants_frames=True,
-)  # fmt: skip
-def mosaic_given(
-    survey: Survey, prior_ground: GroundSurface, placement: Placement, params: GivenParams, context: Context
-) -> GivenMosaic:
-    """Composes reduced frames where they were reported to be; the report lays it beside the mosaic.
-
-    Frames that matching found to be turned are turned back. It takes nothing of the adjustment, so it is made
-    while that goes on.
-    """
-    if params.longest_px == 0:
-        return GivenMosaic(None)
-
-    image = given_image(
-        survey,
-        placement,
-        prior_ground,
-        params.longest_px,
-        Decoding(context.spooled, lambda frame: spare_of(context, frame.path)),
-    )
-    return GivenMosaic(image)

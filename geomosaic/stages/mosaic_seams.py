@@ -35,9 +35,10 @@ from geomosaic.matching.band_registration import RigPoses
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.model import Placement
-from geomosaic.stages.earlier_frames import earlier_numbers, spare_of
+from geomosaic.stages.earlier_frames import earlier_numbers
 from geomosaic.stages.input_groups import AdjustedSurvey, BandTones
 from geomosaic.stages.reporting import reported_trimmed, trimmed_text
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Survey
 
 

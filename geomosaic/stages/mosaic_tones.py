@@ -27,7 +27,8 @@ from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.earlier_frames import earlier_numbers, spare_of
+from geomosaic.stages.earlier_frames import earlier_numbers
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Survey
 
 _EVEN = ("auto", "always", "never")

@@ -13,7 +13,7 @@ from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.quality.jitter import jitter_spectrum, peaks_by_bin, residual_spectrum
 from geomosaic.quality.strip_figures import scene_errors
 from geomosaic.quality.strips import StripQuality, misplacement, quality_metrics
-from geomosaic.stages.ccd_offsets import opened_strips
+from geomosaic.stages.strip_input import opened_strips
 from geomosaic.survey.strips import StripGeometry
 
 

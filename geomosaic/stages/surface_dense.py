@@ -18,12 +18,11 @@ from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
-from geomosaic.stages.earlier_frames import spare_of
 from geomosaic.stages.input_groups import AdjustedSurvey
 from geomosaic.stages.reporting import first_capture_s
+from geomosaic.stages.spares import spare_of
 from geomosaic.surface.cells import Cells, Tile
 from geomosaic.surface.consistency_filter import RIM_CELLS, FilteredTile, MatchCounts, consistent_heights
-from geomosaic.surface.dtm import WIDEST_M, TerrainModel, terrain_model
 from geomosaic.surface.match_warnings import match_warnings
 from geomosaic.surface.model import DenseSurface
 from geomosaic.surface.plane_sweep import SweepView
@@ -223,19 +222,3 @@ def _part(base: GroundSurface, cells: Cells, reach_m: tuple[float, float], near:
     tile = near.tile
     found = with_rim(tile, cells, base, ((other, kept.look()) for other, kept in near.heights))
     return consistent_heights(found, tile.around(cells, RIM_CELLS), base, reach_m)
-
-
-class TerrainParams(StageParams):
-    """See each parameter's help."""
-
-    widest_m: float = param(
-        WIDEST_M, help="width of houses and woods that are taken off", unit="m", ge=2.0, le=500.0
-    )
-
-
-@stage("surface.terrain", "Find the ground below the surface", group="Surface", version=1, outputs="terrain")
-def surface_terrain(surface: DenseSurface, params: TerrainParams, context: Context) -> TerrainModel:
-    """Takes houses and trees off the surface."""
-    terrain = terrain_model(surface, params.widest_m)
-    context.metric("surface.ground_share", terrain.share_of(surface))
-    return terrain

@@ -11,7 +11,7 @@ from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.recording.file.thumbnail import thumbnail
-from geomosaic.stages.earlier_frames import spare_of
+from geomosaic.stages.spares import spare_of
 from geomosaic.survey.attitude import CONVENTIONS
 from geomosaic.survey.damage import Wholeness, coarsened, looked_at
 from geomosaic.survey.folder import frame_folders, project_files

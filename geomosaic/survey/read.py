@@ -27,15 +27,10 @@ from geomosaic.survey.read_frames import (
     without_other_cameras,
     without_strays,
 )
-from geomosaic.survey.read_place import (
-    proposing_zone,
-    with_control,
-    with_elevation,
-    with_map_crs,
-    with_work_frame,
-)
+from geomosaic.survey.read_place import with_control, with_elevation, with_map_crs, with_work_frame
 from geomosaic.survey.reflectance import with_reflectance
 from geomosaic.survey.usable import Inspect, inspect_all
+from geomosaic.survey.zone import proposing_zone
 
 PROCEDURE: Final[tuple[Callable[[SurveyDraft], SurveyDraft], ...]] = (
     with_temperatures,

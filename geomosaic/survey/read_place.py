@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Final
 
 import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
-from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import label, required_crs
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import map_crs, utm_crs
@@ -22,18 +17,12 @@ from geomosaic.survey.control import read_control
 from geomosaic.survey.control_use import lonlat_of_control, used_control
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.elevation import read_elevation
-from geomosaic.survey.header import read_header
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import ControlPoint, Position, Warn
 from geomosaic.survey.names import FrameNames
 from geomosaic.survey.observations import observe
-from geomosaic.survey.onboard import onboard_position
 from geomosaic.survey.places import check_area
-
-_EXAMPLE: Final = re.compile(r"such as EPSG:n\b")
-_ENOUGH = tuned(9, "frames", "whose positions place a survey: fewer may be a receiver's first wrong ones")
-
-LonLat = tuple[float, float]
+from geomosaic.survey.zone import proposing_zone
 
 
 def with_control(draft: SurveyDraft) -> SurveyDraft:
@@ -122,35 +111,3 @@ def _wanted_crs(text: str, middle: tuple[float, float]) -> tuple[CRS, list[Warn]
         taken = f"--crs '{text}' is taken as {label(crs)}; give its EPSG code if it is another"
         warnings.append(Warn("crs-by-name", "", taken))
     return crs, [*warnings, *check_area(crs, *middle, "the frames")]
-
-
-@contextmanager
-def proposing_zone(frames: Collection[Path], near: Collection[LonLat] = ()) -> Iterator[None]:
-    """An error raised inside that proposes a code `such as EPSG:n` names that of the frames' UTM zone.
-
-    The zone is that of `near`, longitudes and latitudes, else of the positions in the frames' tags. The text
-    stays as it is where there are none.
-    """
-    try:
-        yield
-    except InputError as error:
-        if _EXAMPLE.search(str(error)) and (zone := zone_of(near or tagged_positions(frames))):
-            error.reword(lambda text: _EXAMPLE.sub(f"such as {zone} (UTM zone of the frames)", text))
-        raise
-
-
-def zone_of(lonlat: Collection[LonLat]) -> str:
-    """The code of the UTM zone (`EPSG:32633`) in the middle of positions, '' without any."""
-    return utm_crs(*np.median(np.array([*lonlat]), axis=0).tolist()) if lonlat else ""
-
-
-def tagged_positions(frames: Collection[Path]) -> list[LonLat]:
-    """Longitudes and latitudes that the tags of some frames hold, evenly taken from all."""
-    found = []
-    for path in [*frames][:: len(frames) // _ENOUGH + 1]:
-        with suppress(GeomosaicError):
-            header = read_header(path)
-            position = onboard_position(header.exif, header.xmp or {})
-            if position is not None and position.known:
-                found.append((position.lon_deg, position.lat_deg))
-    return found

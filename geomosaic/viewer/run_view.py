@@ -11,17 +11,16 @@ from geomosaic.export.web import on_map
 from geomosaic.pipeline.files import path_within
 from geomosaic.pipeline.run_results import read_summary
 from geomosaic.quality.run_measures import RunRasters
-from geomosaic.report.map_images import ENDS
 from geomosaic.viewer.grid_raster import ViewGrid
 from geomosaic.viewer.map_features import map_features
 from geomosaic.viewer.tile_layers import (
-    HEIGHT_ENDS,
     AccuracyLayer,
-    Colours,
     IndexLayer,
     MosaicLayer,
     SurfaceLayer,
     TileLayer,
+    accuracy_colours,
+    surface_colours,
 )
 
 MOSAIC: Final = "mosaic"
@@ -85,9 +84,9 @@ def _view(run: Path, grid: ViewGrid) -> RunView:
     surface, accuracy, package = (
         path_within(run, name) for name in ("surface.tif", "accuracy.tif", "layers.gpkg")
     )
-    if surface.is_file() and (colours := Colours.of(surface, 1, HEIGHT_ENDS)) is not None:
+    if surface.is_file() and (colours := surface_colours(surface)) is not None:
         layers[SURFACE] = SurfaceLayer(surface, grid, colours)
-    if accuracy.is_file() and (colours := Colours.of(accuracy, 1, ENDS)) is not None:
+    if accuracy.is_file() and (colours := accuracy_colours(accuracy)) is not None:
         layers[ACCURACY] = AccuracyLayer(accuracy, grid, colours)
     for path in sorted(run.glob("index_*.tif")):
         layers[path.stem] = IndexLayer(path_within(run, path.name), grid)

@@ -16,12 +16,12 @@ from geomosaic.export.index import index_ends
 from geomosaic.export.project_rasters import index_colours
 from geomosaic.export.shown_bands import ShownBands, shown_bands
 from geomosaic.quality.compared_block import GLANCE_PX
-from geomosaic.report.map_images import COLOURS, coloured_deviations
+from geomosaic.report.accuracy_image import COLOURS, ENDS, coloured_deviations
 from geomosaic.report.surface import in_colours, shaded
 from geomosaic.viewer.grid_raster import GridRaster, ViewGrid
 
 _QUALITY: Final = 90  # of WebP; less: blocks at edges; more: larger tiles over no network
-HEIGHT_ENDS: Final = (0.01, 0.99)
+_HEIGHT_ENDS: Final = (0.01, 0.99)
 """Quantiles of the heights that are drawn in the first and the last colour."""
 
 
@@ -145,6 +145,16 @@ class IndexLayer:
 
 
 _STEPS: Final = np.linspace(0, 255, 6).astype(np.uint8)[:, None]
+
+
+def surface_colours(path: Path) -> Colours | None:
+    """The ends of a surface's colours."""
+    return Colours.of(path, 1, _HEIGHT_ENDS)
+
+
+def accuracy_colours(path: Path) -> Colours | None:
+    """The ends of the colours of deviations."""
+    return Colours.of(path, 1, ENDS)
 
 
 def _hex(colours: NDArray[Any]) -> list[str]:

@@ -30,7 +30,8 @@ from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.export import residual_layers
 from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.export.layers import SolvedSurvey, write_layers
-from geomosaic.export.orientation import COLUMNS, orientations, write_positions
+from geomosaic.export.orientation import orientations
+from geomosaic.export.positions import COLUMNS, write_positions
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.matching.model import TiePair, TiePoints

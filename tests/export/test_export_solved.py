@@ -18,7 +18,8 @@ from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.export import residual_layers
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.layers import SolvedSurvey, write_layers
-from geomosaic.export.orientation import orientations, write_positions
+from geomosaic.export.orientation import orientations
+from geomosaic.export.positions import write_positions
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,8 @@ from test_export_cog import raw_raster
 from geomosaic.composition.model import Mosaic, OutputGrid, Seamline
 from geomosaic.errors import CancelledError
 from geomosaic.export.cog import write_cog
+from geomosaic.export.footprints import write_footprints
 from geomosaic.export.geopackage import MapFeatures, write_geopackage
-from geomosaic.export.layers import write_footprints
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, coverage_of_scene, stac_item, write_stac
 from geomosaic.export.web import TileOptions, write_kmz, write_tiles, write_vrt

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from geomosaic.adjustment.model import ImageResiduals, Round, SolveStep
-from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets, gaps
+from geomosaic.ccd.gaps import gaps
+from geomosaic.ccd.model import BRIDGED, MEASURED, UNRELIABLE, PairOffsets
 from geomosaic.estimation.robust import share_down_weighted, student_weight
 from geomosaic.matching.match import PairMatch
 from geomosaic.matching.model import TiePair, TiePoints

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.pipeline.stage import Context
-from geomosaic.stages.surface_dense import surface_terrain
+from geomosaic.stages.surface_terrain import surface_terrain
 from geomosaic.surface.cells import Cells
 from geomosaic.surface.dtm import TERRAIN, filled, terrain_model
 from geomosaic.surface.model import DenseSurface

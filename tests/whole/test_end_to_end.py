@@ -20,7 +20,7 @@ from small_surveys import NOISE_M, mosaic, small_survey, summary, warned
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.doors.raster import OWN, open_raster
-from geomosaic.export.orientation import COLUMNS
+from geomosaic.export.positions import COLUMNS
 from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.pipeline.run_results import load_artefact
 from geomosaic.recording import read_recording

@@ -1,0 +1,24 @@
+"""The land below the surface that was matched."""
+
+from __future__ import annotations
+
+from geomosaic.pipeline.function_stage import stage
+from geomosaic.pipeline.stage import Context, StageParams, param
+from geomosaic.surface.dtm import WIDEST_M, TerrainModel, terrain_model
+from geomosaic.surface.model import DenseSurface
+
+
+class TerrainParams(StageParams):
+    """See each parameter's help."""
+
+    widest_m: float = param(
+        WIDEST_M, help="width of houses and woods that are taken off", unit="m", ge=2.0, le=500.0
+    )
+
+
+@stage("surface.terrain", "Find the ground below the surface", group="Surface", version=1, outputs="terrain")
+def surface_terrain(surface: DenseSurface, params: TerrainParams, context: Context) -> TerrainModel:
+    """Takes houses and trees off the surface."""
+    terrain = terrain_model(surface, params.widest_m)
+    context.metric("surface.ground_share", terrain.share_of(surface))
+    return terrain
