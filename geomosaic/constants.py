@@ -42,16 +42,14 @@ def sourced(value: T, unit: str, reason: str, source: str) -> T:
 
 
 NORMAL_PER_MAD = sourced(1.4826, "1", "normal deviations in a median absolute deviation", "1 / Phi^-1(3/4)")
+FOUR_SIGMA = sourced(4.0, "deviations", "beyond: not chance among thousands", "normal errors: 1 in 16,000")
+SIX_SIGMA = sourced(6.0, "deviations", "beyond: not chance among millions", "normal errors: 2 in 1e9")
 DAY_S = sourced(86400.0, "s", "length of a day", "SI brochure, table 8")
 MEDIAN_ONE = sourced(0.6745, "deviations", "median size of a normal error of one number", "Phi^-1(3/4)")
 ROUNDS = tuned(12, "rounds", "of an iteration each of which halves what is left at least; fewer show it")
 MOST_ROUNDS = tuned(50, "rounds", "of a search that ends by itself: what takes more has no solution")
 TOGETHER = tuned(256, "items", "computed at once: more do not fit the cache; fewer cost calls")
 SLIGHT = tuned(1e-6, "share", "changes nothing that is determined, and determines the rest; 0 is singular")
-FEW = tuned(0.1, "share", "that may be wrong or of another kind; less: one decides; more: a part of all")
-FOUR_SIGMA = sourced(4.0, "deviations", "beyond: not chance among thousands", "normal errors: 1 in 16,000")
-SIX_SIGMA = sourced(6.0, "deviations", "beyond: not chance among millions", "normal errors: 2 in 1e9")
-HEIGHT_ROUNDS = tuned(3, "rounds", "of ray and ground: one leaves 1.5 m, two 8 mm, three 0.05 mm (TH-1)")
 MEDIAN_LENGTH = sourced(math.sqrt(math.log(4.0)), "1", "median of planar errors", "Rayleigh: sqrt(2 ln 2)")
 
 

@@ -21,7 +21,6 @@ from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
-from geomosaic.matching.displacement import SMOOTHING_SIGMA_PX
 
 _MISFIT_PX = tuned(0.06, "px", "resampling and relief in a cell: less rejects ground; more admits clouds")
 _STEPS_PER_PX: Final = cv2.INTER_TAB_SIZE
@@ -33,6 +32,7 @@ _HOPELESS_RATIO = tuned(5.0, "1", "misfit of no weight: less loses cells at edge
 _COL_GROUPS = tuned(4, "cells", "across a knot: fewer lose it at a cloud's edge; more lack pixels")
 _UNLIKE = tuned(0.2, "1", "gradient correlation of no weight: less lets smooth clouds in; more loses ground")
 _ALIKE = tuned(0.4, "1", "gradient correlation of full weight: less lets noise decide; more weakens ground")
+_SOFT_PX = tuned(0.8, "px", "blur before matching: less lets aliases in; more loses fine detail")
 NEARBY_KNOTS = tuned(31, "knots", "of one scatter and contrast, odd: fewer are chance; more blur contrast")
 _ALIKE_KNOTS = tuned(5, "knots", "window of that correlation, odd: fewer are noisy; more blur clouds' edges")
 
@@ -79,9 +79,9 @@ def pair_images(pair: RowPair, scale: int) -> PairImages:
 
 def _softened(image: Floats32, valid: Bools) -> Floats32:
     """The image blurred; what is not valid is in no other pixel's blur."""
-    soft: Floats32 = np.asarray(cv2.GaussianBlur(image * valid, (0, 0), SMOOTHING_SIGMA_PX), dtype=np.float32)
+    soft: Floats32 = np.asarray(cv2.GaussianBlur(image * valid, (0, 0), _SOFT_PX), dtype=np.float32)
     if not valid.all():
-        soft /= np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), SMOOTHING_SIGMA_PX), 1e-3)
+        soft /= np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _SOFT_PX), 1e-3)
     return soft
 
 
@@ -210,7 +210,7 @@ def _alike(cells: _Cells, noise: float) -> Floats:
 
     About 0 where the two show different things, however smooth both are. noise: variance of the difference.
     """
-    by_noise = 0.5 * (1.0 - np.exp(-(SMOOTHING_SIGMA_PX**-2))) * noise * cells.pixels
+    by_noise = 0.5 * (1.0 - np.exp(-(_SOFT_PX**-2))) * noise * cells.pixels
     same, whole = (
         uniform_filter1d(power, _ALIKE_KNOTS, axis=0) for power in (cells.shared + by_noise, cells.whole)
     )

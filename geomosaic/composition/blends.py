@@ -28,8 +28,9 @@ from geomosaic.constants import sourced, tuned
 Labels = NDArray[np.int16]
 _LEVELS = sourced(4, "halvings", "fewer show brightness steps; more are slow", "Burt and Adelson 1983")
 STEP_PX: Final = 1 << _LEVELS
-HALO_PX: Final = STEP_PX << 2
-"""Reach of the bands: four pixels of each level, in whole steps."""
+_REACH_PX = tuned(4, "px of a level", "that a band reaches: fewer show its end; more are read in vain")
+HALO_PX: Final = _REACH_PX * STEP_PX
+"""Reach of the bands, in whole steps."""
 _LEAST_WEIGHT = tuned(np.float32(1e-4), "full weight", "of an owner: 0 blackens its very edge; more shows it")
 
 

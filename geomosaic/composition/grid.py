@@ -13,14 +13,15 @@ from geomosaic.composition.limits import COARSER
 from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.tiles import TILE_PX
 from geomosaic.composition.views import FrameView
-from geomosaic.constants import FEW, tuned
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 
 MAX_GIGAPIXELS = tuned(100.0, "gigapixels", "1000 km² at 0.1 m; more is mostly due to a wrong position")
 MOST_PIXELS_PER_FRAME_PIXEL = tuned(200.0, "1", "more is nearly empty; a diagonal line fills 1 %")
-SAME_CELL = tuned(1e-3, "cells", "corners of two grids may be apart: less is rounding; more misplaces")
 _ROUNDED = tuned(0.05, "share", "off the frames' GSD, for two digits: below 0.048 some have none")
 _FINER = tuned(0.5, "frame GSDs", "warns below: four times the space for nothing; more warns too often")
+SAME_CELL = tuned(1e-3, "cells", "corners of two grids may be apart: less is rounding; more misplaces")
+_LEFT_OUT_SHARE = tuned(0.1, "share", "frames dropped as too far: more drops survey; less lets a few stop it")
 _STRETCHED = tuned(4.0, "grids", "growth by one frame that warns: less names line ends; more stays silent")
 
 
@@ -97,7 +98,7 @@ def without_flung(
     if len(views) < 3 or _fits(views, gsd_m, max_gigapixels):
         return tuple(views), ()
     far = np.argsort(-_reach_m(views), kind="stable")
-    for count in range(1, max(1, int(FEW * len(views))) + 1):
+    for count in range(1, max(1, int(_LEFT_OUT_SHARE * len(views))) + 1):
         out = {int(i) for i in far[:count]}
         kept = tuple(v for i, v in enumerate(views) if i not in out)
         if _fits(kept, gsd_m, max_gigapixels):

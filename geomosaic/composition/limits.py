@@ -10,8 +10,8 @@ import numpy as np
 from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import FEW, sourced, tuned
-from geomosaic.projection.footprint import sightings
+from geomosaic.constants import sourced, tuned
+from geomosaic.projection.footprint import FEW, sightings
 from geomosaic.projection.ground import GroundSurface
 
 OFF_VERTICAL_DEG = sourced(60.0, "degrees", "steepest view: beyond, heights move the map 1.7 times", "tan 60")

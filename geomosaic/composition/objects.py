@@ -10,12 +10,12 @@ from scipy.sparse.csgraph import connected_components
 
 from geomosaic.arrays import Bools, Floats32, Ints32
 from geomosaic.composition.seam_parts import HIGH_M
-from geomosaic.constants import sourced
+from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.edge_refinement import STEP_CELLS
-from geomosaic.surface.void_fill import MEDIAN_CELLS
 
-AROUND = sourced(np.ones((3, 3), np.uint8), "nodes", "a node and those beside it", "definition")
+_AROUND = sourced(np.ones((3, 3), np.uint8), "nodes", "a node and its neighbours", "definition")
+_SMOOTH = tuned(5, "nodes", "of the median that takes single nodes off outlines: fewer leave them frayed")
 
 
 def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Ints32:
@@ -26,18 +26,18 @@ def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Ints32:
     the foot of a wall is ground. It is divided where its heights leap; parts below `HIGH_M` are left out.
     """
     over_m = np.asarray(surface.up_m - terrain.up_m, dtype=np.float32)
-    stands = (over_m > surface.spacing_m) & (over_m > cv2.dilate(over_m, AROUND) / 2.0)
-    stands = cv2.medianBlur(stands.view(np.uint8), MEDIAN_CELLS) > 0
-    range_m = cv2.dilate(over_m, AROUND) - cv2.erode(over_m, AROUND)
+    stands = (over_m > surface.spacing_m) & (over_m > cv2.dilate(over_m, _AROUND) / 2.0)
+    stands = cv2.medianBlur(stands.view(np.uint8), _SMOOTH) > 0
+    range_m = cv2.dilate(over_m, _AROUND) - cv2.erode(over_m, _AROUND)
     limit_m = STEP_CELLS * surface.spacing_m
-    even = cv2.morphologyEx((stands & (range_m <= limit_m)).view(np.uint8), cv2.MORPH_OPEN, AROUND) > 0
+    even = cv2.morphologyEx((stands & (range_m <= limit_m)).view(np.uint8), cv2.MORPH_OPEN, _AROUND) > 0
     parts = _nearest_part(stands, even)
     return _high(_numbered(_without_steps(parts, over_m, limit_m)), over_m)
 
 
 def _nearest_part(stands: Bools, even: Bools) -> Ints32:
     """Connected even nodes, the others of a clump with the nearest of them; all of a clump without any."""
-    clumps, _ = ndimage.label(stands, AROUND)
+    clumps, _ = ndimage.label(stands, _AROUND)
     seeds, seeded = ndimage.label(even)
     if not seeded:
         return np.asarray(clumps, dtype=np.int32)

@@ -27,11 +27,11 @@ from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 from geomosaic.projection.warp import frame_from_map
-from geomosaic.surface.agreement import EVERY_CELLS
-from geomosaic.surface.pyramid import MOST_CELLS
 
 _MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
 _CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
+_MOST_CELLS = tuned(16_000_000, "cells", "128 MB of owners: more take memory; fewer coarsen large mosaics")
+_APART = tuned(4, "cells", "between exact places: farther misses shutter turns by cells; nearer takes time")
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def cell_px_of(scene: Scene) -> int:
     across_px = [v.gsd_m / grid.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in scene.views]
     longest_px, side = float(np.median(across_px)) if across_px else 0.0, LEAST_CELL_PX
     while side < _MOST_CELL_PX and (
-        longest_px >= 2 * side * _CELLS_ACROSS or grid.width_px * grid.height_px > MOST_CELLS * side**2
+        longest_px >= 2 * side * _CELLS_ACROSS or grid.width_px * grid.height_px > _MOST_CELLS * side**2
     ):
         side *= 2
     return side
@@ -171,7 +171,7 @@ def _between(
 ) -> tuple[Floats32, Floats32] | None:
     """Cols and rows of part of a window's cells between those of every fourth; None where the lens ends near
     the frame's edge, which would be lost."""
-    side, wide = EVERY_CELLS * cell_px, EVERY_CELLS
+    side, wide = _APART * cell_px, _APART
     down, across = (-(-n // side) + 2 for n in (window.height, window.width))
     around = Window(window.col - side, window.row - side, across * side, down * side)
     places = frame_from_map(ground_of(scene, around, side), view.pose, view.camera)

@@ -12,11 +12,11 @@ from geomosaic.arrays import Bools, Bytes, Floats32
 from geomosaic.composition.roof_views import Roof, RoofSeen
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import sourced, tuned
-from geomosaic.matching.displacement import LEAST_CORRELATION
 from geomosaic.surface.refinement import NOISE_GREY
 
 _WINDOW = tuned(7, "px", "of correlation: larger mixes a roof with its yard; smaller is chance")
 _ALIKE = sourced(0.5, "correlation", "of half a roof at least", "as much signal in both frames as noise")
+_UNLIKE = tuned(0.3, "correlation", "of a place that frames do not agree on: noise reaches 0.3")
 _MOST_UNLIKE = tuned(0.3, "share", "of a roof that frames do not agree on: less loses roofs with chimneys")
 _WORSE = tuned(0.2, "correlation", "that a place loses: less is noise")
 _MOST_WORSE = tuned(
@@ -81,9 +81,9 @@ def agreement(roof: Roof, mask: Bools, seen: Sequence[RoofSeen], views: Sequence
     return RoofAgreement(
         float(np.median(own)),
         float(np.median(below)),
-        float(np.mean(own < LEAST_CORRELATION)),
+        float(np.mean(own < _UNLIKE)),
         float(np.mean((raised < before - _WORSE)[both])),
-        float(np.mean(seams < LEAST_CORRELATION)) if seams.size else 1.0,
+        float(np.mean(seams < _UNLIKE)) if seams.size else 1.0,
         float(np.count_nonzero(unseen)) / max(int(np.count_nonzero(hidden)), 1),
     )
 

@@ -11,8 +11,8 @@ from geomosaic.arrays import Bools, Bytes, Floats, Floats32
 from geomosaic.composition.roof_views import FINER, Roof, RoofSeen
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
-from geomosaic.surface.edge_refinement import MOST_GREY
 
+_MOST_GREY = tuned(30.0, "grey levels", "cap of a difference: higher lets single pixels decide")
 _RECTANGLE = tuned(
     0.8, "share", "that a rectangle and an outline have in common: less squares L-shaped houses"
 )
@@ -61,7 +61,7 @@ def _difference(one: Bytes, other: Bytes, both: Bools, of: Bools) -> Floats32:
     a, b = one.astype(np.float32), other.astype(np.float32)
     if of.any():
         b *= np.clip(np.median(a[of]) / max(float(np.median(b[of])), 1.0), 0.5, 2.0)
-    off = cv2.blur(np.minimum(np.abs(a - b), np.float32(MOST_GREY)), (3, 3))
+    off = cv2.blur(np.minimum(np.abs(a - b), np.float32(_MOST_GREY)), (3, 3))
     return np.where(both, off, np.float32(np.nan)).astype(np.float32)
 
 

@@ -12,22 +12,22 @@ from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints32
 from geomosaic.composition.roof_planes import roof_planes
 from geomosaic.composition.seam_parts import HIGH_M
 from geomosaic.composition.views import FrameView
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import GroundWindow
-from geomosaic.surface.consistency_filter import WITNESSES
-from geomosaic.surface.tile_sgm import FRAMES
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 
 FINER = tuned(2, "px a node", "of a roof's window: less loses the frames' detail; more resamples for nothing")
+LEAST_VIEWS = sourced(3, "frames", "that see an object whole", "two frames cannot contradict each other")
+_VIEWS = tuned(5, "frames", "nearest to an object, that are compared: fewer let one decide; more take time")
 _LEAST_M2 = tuned(
     20.0, "m2", "of a roof: less raises crowns of few nodes, which a plane fits; more loses sheds"
 )
 _PLANE_SHARE = tuned(0.8, "share", "of a roof that planes fit: less raises crowns; more loses houses")
 _EDGE_PX = tuned(4.0, "frame px", "rim left out of a roof's views: less meets what no frame shows")
-OFF_EDGES = tuned(np.ones((5, 5), np.uint8), "px", "beside planes, still of the roof; more: its yard")
+OFF_EDGES = tuned(np.ones((5, 5), np.uint8), "px", "about planes or a roof, still of it; more: its yard")
 _FARTHEST_M = tuned(
     12.0, "m", "beyond an object that is looked at: less cuts shadows of towers; more is slow"
 )
@@ -97,7 +97,7 @@ def roof_candidate(
     number: int,
     views: Sequence[FrameView],
 ) -> Roof | None:
-    """The object of a number, if it stands high, is of planes, and `WITNESSES` frames see it whole.
+    """The object of a number, if it stands high, is of planes, and `LEAST_VIEWS` frames see it whole.
 
     ground_m (rows, cols): the ground at the surface's nodes.
     """
@@ -109,7 +109,7 @@ def roof_candidate(
         return None
     heights_m = float(ground_m[at].min()), float(surface.up_m[at][own].max())
     frames, tangents = _seeing(surface, at, heights_m, views)
-    if len(frames) < WITNESSES:
+    if len(frames) < LEAST_VIEWS:
         return None
     leans = [(heights_m[1] - heights_m[0]) * tangent / surface.spacing_m for tangent in tangents]
     if leans[0] < _LEAST_LEAN_NODES:
@@ -156,7 +156,7 @@ def _seeing(
             if ((px > _EDGE_PX) & (px < size - _EDGE_PX)).all():
                 found.append(i)
                 tangents.append(away[i] / (float(views[i].pose.position_m[2]) - heights_m[0]))
-        if len(found) == FRAMES:
+        if len(found) == _VIEWS:
             break
     return tuple(found), tangents
 

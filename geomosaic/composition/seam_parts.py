@@ -17,7 +17,6 @@ from geomosaic.composition.tones import Tones, evened
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
 from geomosaic.projection.resample import resample
-from geomosaic.surface.agreement import EVERY_CELLS
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import Spare
@@ -28,6 +27,7 @@ EDGE_PX = tuned(16.0, "frame px", "rim left out, darkest and least sharp: less u
 HIGH_M = tuned(2.0, "m", "least height of an object: cars lean too little; a storey is 2.5")
 _WIDEST_M = tuned(60.0, "m", "widest object: less misses halls; more takes hills for objects")
 _FINE_M = tuned(2.0, "m", "coarsest node spacing that shows houses: coarser surfaces show ridges")
+_SOME = tuned(4, "cells", "between samples of brightness: all would take longer than the cut")
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ def standing(heights_m: Floats32, cell_m: float) -> Bools:
 
 def to_8_bits(parts: Sequence[SeamPart]) -> np.float32:
     """What takes values to a scale of 8 bits."""
-    every = slice(None, None, EVERY_CELLS)
+    every = slice(None, None, _SOME)
     some = [p.values[every, every][p.may[every, every]] for p in parts]
     most = float(np.iinfo(np.uint8).max)
     white = max((float(np.quantile(of, 0.99)) for of in some if of.size), default=most)

@@ -12,8 +12,8 @@ from geomosaic.arrays import Bools, Floats, Ints32
 from geomosaic.composition.model import Hole, Holes, OutputGrid, Seamline
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
-from geomosaic.projection.ground import MOST_NODES
 
+_MOST_LABELS = tuned(4_000_000, "cells", "of the outlined raster, 16 MB: fewer are coarse; more take time")
 _MOST_LISTED = tuned(20, "holes", "largest ones listed: more are not looked at")
 
 
@@ -26,7 +26,7 @@ class SeamLabels:
     def __init__(self, grid: OutputGrid, window_px: int, *, cut: bool = False) -> None:
         self._grid, self._cut = grid, cut
         self.step_px = 1
-        while grid.width_px * grid.height_px > MOST_NODES * self.step_px**2 and self.step_px < window_px:
+        while grid.width_px * grid.height_px > _MOST_LABELS * self.step_px**2 and self.step_px < window_px:
             self.step_px *= 2
         self._labels: Ints32 = np.zeros(
             (-(-grid.height_px // self.step_px), -(-grid.width_px // self.step_px)), dtype=np.int32

@@ -72,7 +72,6 @@ def check_regular(path: Path, fix: str, named: str = "") -> None:
 
 PIECE_BYTES = tuned(8 << 20, "bytes", "read at once: less takes more requests; more delays a stop")
 SHORT_BYTES = tuned(1 << 20, "bytes", "of XMP, an RPC or a projection, which have some kB; more takes time")
-MOST_ITEMS = tuned(20_000, "points or tags", "that a file lists: more is another kind of file")
 TEXT_BYTES = tuned(128 << 20, "bytes", "of text: a reconstruction of a large block; more fills the memory")
 
 

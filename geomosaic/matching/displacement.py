@@ -13,7 +13,7 @@ from geomosaic.constants import tuned
 from geomosaic.matching.least_squares_matching import MaskedImage, refine
 
 _FINE_RADIUS_PX = tuned(3, "px", "search on finer levels: less loses patches; more finds other peaks")
-LEAST_CORRELATION = tuned(0.3, "1", "of views of one place: chance reaches less; more loses low contrast")
+LEAST_CORRELATION = tuned(0.3, "1", "of a guiding coarse patch: less guides by chance; more loses jumps")
 VALID_SHARE = tuned(0.9, "share", "of a patch: less correlates filled pixels; 1 loses patches at edges")
 SMOOTHING_SIGMA_PX = tuned(0.8, "px", "Gaussian before matching: less locks to pixels; more loses texture")
 

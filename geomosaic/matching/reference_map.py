@@ -13,9 +13,9 @@ from geomosaic.constants import tuned
 from geomosaic.matching.features import Features, sift_features
 from geomosaic.matching.match import Matching, MatchKeypoints, match_pair
 from geomosaic.matching.planes import Guess, through
-from geomosaic.matching.tracks import TWO_RAYS
 
 _MARGIN_PX = tuned(48, "px", "about a tile, so that keypoints at its edges are found: less loses coarse ones")
+_LEAST_FRAMES = tuned(2, "frames", "that show a place: one leaves its height open, which moves it in plan")
 
 
 @dataclass(frozen=True)
@@ -147,4 +147,4 @@ def spread_places(found: Sequence[FoundOnMap], at_m: Floats, cell_m: float) -> l
     order = np.lexsort((np.arange(len(at_m)), -count, cell[:, 1], cell[:, 0]))
     first = np.diff(cell[order], axis=0, prepend=cell[order[:1]] - 1).any(axis=1)
     best = order[first]
-    return sorted(best[count[best] >= TWO_RAYS].tolist())
+    return sorted(best[count[best] >= _LEAST_FRAMES].tolist())

@@ -14,11 +14,10 @@ from scipy.sparse.csgraph import connected_components
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
 from geomosaic.matching.model import TiePair, TiePairs, TiePoints
 
-TWO_RAYS = sourced(2, "frames", "that give a place a height: one leaves it open", "intersection of two rays")
 FEW_PER_FRAME = tuned(192, "image observations a frame", "for solves that find the block or compare lenses")
 FEW_CELLS = tuned(8, "cells a side", "of a frame, 3 observations each; fewer: corners may stay empty")
 _OVER = tuned(1.25, "times the observations asked for", "of the median frame; more: each asks for fewer")

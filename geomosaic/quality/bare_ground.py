@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import FEW, sourced, tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.matching.model import TiePoints
-from geomosaic.matching.tracks import TWO_RAYS
 from geomosaic.projection.footprint import footprint, ground_from_image
 from geomosaic.survey.extent import TOO_FAR_M
 
 _CELLS = tuned(8, "cells", "per frame side: fewer hide a pond; more empty good ground")
+_SEEN_BY = tuned(2, "frames", "others that see the ground: fewer expect ties at single coverage")
 _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: land up to 3 %, water 75 %")
+_BARE_PART = tuned(0.1, "share", "of a frame in one piece, six cells: less reports chance")
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class BareGround:
         if self.share > _BARE or not self.parts:
             return self.share > _BARE
         cell_m2 = np.nanmedian(shapely.area(_squares(self.corners_m.reshape(-1, 4, 2))))
-        return bool(self.parts[0].area > FEW * _CELLS**2 * cell_m2)
+        return bool(self.parts[0].area > _BARE_PART * _CELLS**2 * cell_m2)
 
     def worst(self) -> list[int]:
         """Frames of which most is bare, worst first."""
@@ -82,7 +83,7 @@ def bare_ground(adjusted: Adjusted, ties: TiePoints) -> BareGround:
         middle = at[1::2, 1::2].reshape(-1, 2)
         cell, _ = tree.query(shapely.points(np.nan_to_num(middle)), predicate="intersects")
         others = np.bincount(cell, minlength=len(middle)) - 1
-        seen[k] = np.isfinite(middle).all(axis=1) & (others >= TWO_RAYS)
+        seen[k] = np.isfinite(middle).all(axis=1) & (others >= _SEEN_BY)
         corner = at[::2, ::2]
         around = (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
         corners_m[k] = np.stack(around, axis=2).reshape(-1, 4, 2)

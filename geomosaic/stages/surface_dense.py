@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from geomosaic.composition.limits import limits_of
 from geomosaic.composition.views import seen_part
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.matching.features import grey
 from geomosaic.pipeline.function_stage import stage
@@ -33,7 +34,7 @@ from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import REDUCTIONS, Spare
 
-_SHOWN_POINTS: Final = 40_000  # of the surface in a recording: fewer hide roofs; more are megabytes
+_SHOWN_POINTS = tuned(40_000, "points", "of the surface in a recording: fewer hide roofs; more are megabytes")
 
 
 class DenseParams(StageParams):

@@ -17,7 +17,7 @@ from geomosaic.surface.costs import AGREEING, CHANCE_BITS, SweepHeights, sampled
 from geomosaic.surface.plane_sweep import Block, PlaneSweep
 from geomosaic.surface.visibility import Asked
 
-EVERY_CELLS = tuned(4, "cells", "between samples: all take 16 times as long; fewer miss what turns by cells")
+_EVERY_CELLS = tuned(4, "cells", "between cells at which frames are compared: 1 takes 16 times as long")
 _MARGIN_BITS = tuned(0.5, "bits", "by which the steepest may agree worse and be first; 3 px off cost 2 to 4")
 _LEAST_SHARE = tuned(0.5, "share", "of the best likeness, to be asked early: less lets unlike frames in")
 
@@ -50,7 +50,7 @@ def _likeness(
 ) -> Floats:
     """By how many bits fewer than by chance each two frames (frames, frames) differ over a block, at the
     height at which they differ least; 0 on the diagonal."""
-    rows, cols = (slice(s.start, s.stop, EVERY_CELLS) for s in at)
+    rows, cols = (slice(s.start, s.stop, _EVERY_CELLS) for s in at)
     bent = sweep.bent(heights.metres((slice(None), rows, cols)))
     shape = len(frames), len(bent), -1
     bits = np.stack([sampled(seen[k], *sweep.places(k, bent, (rows, cols))) for k in frames]).reshape(shape)

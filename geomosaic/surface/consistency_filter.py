@@ -15,7 +15,6 @@ from geomosaic.surface.cells import Cells
 from geomosaic.surface.edge_refinement import AROUND_CELLS
 from geomosaic.surface.refinement import SURE, UNSEEN
 from geomosaic.surface.tile_sgm import TileHeights
-from geomosaic.surface.void_fill import SHARE_AROUND
 
 _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Correlations for which the two tables below hold; straight between."""
@@ -23,11 +22,12 @@ _SD_CELLS = tuned((1.0, 0.3, 0.15, 0.1, 0.05), "cells", "by correlation; 68 % of
 _WRONG = tuned((0.5, 0.35, 0.22, 0.12, 0.02), "share", "that have a step's other height, by correlation")
 _ASIDE_CELLS = tuned(0.3, "cells", "horizontal error: simulated crowns of slope 3 are off by 0.6 to 1.3")
 _DISTINCT_BITS = tuned(4.5, "bits", "kept without correlation: simulated lakes stay below 4.6, woods do not")
-WITNESSES = tuned(3, "frames", "for a cell kept by cost alone, or a roof: two cannot contradict each other")
+_WITNESSES = tuned(3, "frames", "for a cell kept by cost alone: two lift meadows at the rim by 14 to 24 m")
 _SUPPORT = tuned(0.12, "share", "sure cells around: lakes reach 0.05, so less keeps waves; 0.25 loses groves")
 _LIKE_AROUND_CELLS = tuned(7, "cells", "window for equal sure cells: crowns vary too much over 13")
 _LIKE_CELLS = tuned(5.0, "cells", "range of equal heights: crowns rise by 2 to 3 a cell; 2.5 loses some")
 _SUPPORT_OF_TWO = tuned(0.35, "share", "sure, equal cells around: less leaves spikes; more gives up crowns")
+_SURE_ABOUT_TWO = tuned(0.25, "share", "of sure cells around: less keeps islands on water; more loses roofs")
 _LEAST_ALIKE = tuned(0.2, "correlation", "of a cell seen by two: lower is chance; 0.4 loses edges of roofs")
 _EVENED_CELLS = tuned(9, "cells", "window of the bilateral filter: larger takes longer and rounds off ridges")
 _NOISE_CELLS = tuned(0.4, "cells", "height noise, 2 to 3 deviations: larger removes kerbs and low walls")
@@ -78,9 +78,9 @@ def consistent_heights(
     base_m = base.up_at(east, north[:, None]).astype(np.float32)
     sure = (found.alike >= SURE).astype(np.float32)
     support = cv2.blur(sure, (AROUND_CELLS, AROUND_CELLS), borderType=cv2.BORDER_CONSTANT)
-    witnessed = found.seeing >= WITNESSES
+    witnessed = found.seeing >= _WITNESSES
     distinct = witnessed & (found.distinct >= _DISTINCT_BITS)
-    by_two = ~witnessed & (found.alike >= _LEAST_ALIKE) & (support >= SHARE_AROUND)
+    by_two = ~witnessed & (found.alike >= _LEAST_ALIKE) & (support >= _SURE_ABOUT_TWO)
     by_two &= _support_at_same_height(found, cells.cell_m) >= _SUPPORT_OF_TWO
     supported = by_two | (witnessed & (support >= _SUPPORT))
     kept = (supported | distinct) & (found.alike > UNSEEN)
@@ -92,7 +92,7 @@ def consistent_heights(
     ends_m = np.array(reach_m) + np.array([1.0, -1.0]) * _END_CELLS * cells.cell_m
     matched, alike = views > 0, found.views[inner]
     beyond = matched & ((over_m < ends_m[0]) | (over_m > ends_m[1]))
-    of = found.alike[inner] > UNSEEN, matched, beyond, alike > 0, (alike > 0) & (alike < WITNESSES)
+    of = found.alike[inner] > UNSEEN, matched, beyond, alike > 0, (alike > 0) & (alike < _WITNESSES)
     return FilteredTile(over_m, sd_m, views, MatchCounts(*(int(cells.sum()) for cells in of)))
 
 

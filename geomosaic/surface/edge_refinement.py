@@ -25,7 +25,7 @@ AROUND_CELLS: Final = 2 * _REACH_CELLS + 1
 STEP_CELLS = tuned(2.5, "cells", "range that makes a step: less is slope and noise; 4 loses 1.5 % of crowns")
 _MOVES_CELLS = tuned(((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0)), "cells", "moves tried by round")
 _WINDOW = tuned(3, "half cells", "comparison window: larger cuts corners; 5 has 19 % wrong crowns, not 17")
-MOST_GREY = tuned(30, "grey levels", "cap, and value where unseen: higher lets single pixels decide")
+_MOST_GREY = tuned(30, "grey levels", "cap, and value where unseen: higher lets single pixels decide")
 _KEPT_GREY = tuned(0.5, "grey levels", "gain that another height needs: 0 lets noise move cells")
 _DENSER: Final = 2
 """Windows' pixels along a cell's side."""
@@ -89,14 +89,14 @@ def _differences(
 def _two_most_alike(shown: Sequence[SquareView]) -> Bytes:
     """The sum of the two least differences with the first frame that sees a place."""
     first, others = by_first(shown)
-    least, second = (np.full(first.shape, MOST_GREY, dtype=np.uint8) for _ in range(2))
+    least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
     for grey, sees in others:
         if sees is not None and not sees.any():
             continue
         apart = cv2.absdiff(_flat(first), _flat(_balanced(grey, first, sees)))
-        apart = cv2.blur(np.minimum(apart, np.uint8(MOST_GREY)), (_WINDOW, _WINDOW)).reshape(first.shape)
+        apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW)).reshape(first.shape)
         if sees is not None:
-            np.copyto(apart, np.uint8(MOST_GREY), where=~sees)
+            np.copyto(apart, np.uint8(_MOST_GREY), where=~sees)
         np.minimum(second, np.maximum(least, apart), out=second)
         np.minimum(least, apart, out=least)
     return np.asarray(least + second, dtype=np.uint8)

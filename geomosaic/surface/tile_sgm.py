@@ -32,7 +32,7 @@ _MOST_HEIGHTS = tuned(40, "heights", "cap at high walls: time is proportional; 6
 _ABOUT_CELLS = tuned(5, "cells", "window for the coarse range: smaller misses a wall's other side")
 _WALLS_SHARE = tuned(0.995, "share", "of a tile's cells that its search range covers: 1 lets outliers set it")
 _BLOCK_CELLS = tuned(32, "cells", "square with one choice of frames: larger fits worse; smaller is slow")
-FRAMES = tuned(5, "frames", "for a cell's height: three give a third larger errors; seven worse edges")
+_FRAMES = tuned(5, "frames", "for a cell's height: three give a third larger errors; seven worse edges")
 _CANDIDATES = tuned(6, "frames", "asked for agreement: with fewer, a group that agrees may be missed")
 _AGREED_HEIGHTS = tuned(5, "heights", "tested about the coarse height, good to two: more takes longer")
 
@@ -101,13 +101,13 @@ def match_tile(
     hidden: dict[int, Floats32] = {}
     if search.about_m is None:
         steps = _all_steps(search, sweep.base_m.shape)
-        asked = agreeing(sweep, seen, SweepHeights(steps, search.step_m), asked, FRAMES)
+        asked = agreeing(sweep, seen, SweepHeights(steps, search.step_m), asked, _FRAMES)
     else:
         about_m = search.about_m - sweep.base_m
         about = np.asarray(about_m / np.float32(search.step_m), dtype=np.float32)
         steps = search_steps(about)
         near = ring(np.round(about).astype(np.int16) - np.int16(_AGREED_HEIGHTS // 2), _AGREED_HEIGHTS)
-        asked = agreeing(sweep, seen, SweepHeights(near, search.step_m), asked, FRAMES)
+        asked = agreeing(sweep, seen, SweepHeights(near, search.step_m), asked, _FRAMES)
         hidden = hidden_from(sweep, asked, about_m, search.cells.cell_m)
     costs = census_costs(sweep, seen, SweepHeights(steps, search.step_m), asked, hidden)
     total = aggregated(costs, steps)

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
@@ -23,6 +23,7 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import Aliases, ParsedTable
 
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
+_RADIANS = sourced((np.pi, np.pi / 2.0), "rad", "of both; no land within, as degrees", "definition")
 _FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
 _ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")
 NOWHERE: Floats = np.column_stack([[], []])
@@ -212,7 +213,7 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
         problem = "longitude and latitude are both 0, as a receiver writes without satellites"
         fix = "correct them, or take the line and its frame out"
         raise table.error(int(np.argmax(nowhere)), problem, fix)
-    if (np.abs(lonlat) <= (np.pi, np.pi / 2.0)).all():
+    if (np.abs(lonlat) <= _RADIANS).all():
         raise InputError(
             f"longitude and latitude look like radians (line {table.lines[0]}: {lonlat[0, 0]:g}, "
             f"{lonlat[0, 1]:g}): as degrees they would lie in the sea off Africa",

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import CHOSEN, FEW, NORMAL_PER_MAD, tuned
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.cameras import unreported
@@ -33,6 +33,7 @@ LEAVE_OUT: Final = ("auto", "none")
 COPY: Final = Limit(0.995, "correlation", "of small versions of copies; neighbours have less", CHOSEN)
 _COPY_GREYS = tuned(4.0, "grey levels", "of mean and contrast: more takes bands for copies")
 LOW: Final = Limit(0.3, "usual heights", "above ground: sees a tenth of what others see, in a climb", CHOSEN)
+_FEW_LOW = tuned(0.1, "share", "of frames in climb or landing: more would be a part of the survey")
 APART: Final = Limit(2.0, "extents", "of both flights, between them: their mosaic is mostly empty", CHOSEN)
 _NEAR_M = tuned(500.0, "m", "between flights: less splits small surveys; fields of a flight are as far")
 BLURRED: Final = Limit(
@@ -218,7 +219,7 @@ def _low_at_ends(above_m: Floats) -> Bools:
         return out
     usual = float(np.median(known))
     low = above_m < LOW.value * usual
-    most = max(int(FEW * len(above_m)), min(LEAST_FRAMES, len(above_m) // 4))
+    most = max(int(_FEW_LOW * len(above_m)), min(LEAST_FRAMES, len(above_m) // 4))
     spread = NORMAL_PER_MAD * float(np.median(np.abs(known - usual)))
     if SPREADS.value * spread > usual:  # no usual height: hand-flown, or heights that drift
         return out

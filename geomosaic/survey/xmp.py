@@ -11,13 +11,14 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from geomosaic.constants import tuned
-from geomosaic.doors.files import MOST_ITEMS, SHORT_BYTES, printable
+from geomosaic.doors.files import SHORT_BYTES, printable
 
 Xmp = dict[str, str]
 """Texts by `room:Name`, whatever prefix the file uses: rooms are `drone-dji`, `drone-parrot`,
 `sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
 last word."""
 
+_MOST_MARKS = tuned(20_000, "tags", "cameras write 400, editors 5000; more fills the XML reader's memory")
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
 _NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
@@ -36,7 +37,7 @@ def parse_xmp(data: bytes) -> Xmp | None:
     packet = _packet(data[:SHORT_BYTES])
     if packet is None:
         return {}
-    if packet.count(b"<") > MOST_ITEMS or _LONG_NAMESPACE.search(packet):
+    if packet.count(b"<") > _MOST_MARKS or _LONG_NAMESPACE.search(packet):
         return None
     try:
         root = fromstring(_declared(packet), forbid_dtd=True)

@@ -12,11 +12,11 @@ from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.arrays import Floats, Ints
-from geomosaic.constants import FEW, NORMAL_PER_MAD, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares, paraboloid_design
 from geomosaic.estimation.robust import irls
 from geomosaic.placement.reach import flying_heights_m, heights_above_ground_m
-from geomosaic.projection.footprint import footprint
+from geomosaic.projection.footprint import FEW, footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import Spread
 
