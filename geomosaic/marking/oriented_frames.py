@@ -83,7 +83,7 @@ def frames_by_tags(request: MosaicRequest, reporter: Reporter) -> OrientedFrames
     stages = [id for id in request.stages() if id in _STAGES]
     recipe = recipe_of(("control", f"frames of {request.frames.name}"), stages, request.parameters())
     with tempfile.TemporaryDirectory(prefix="geomosaic-control-") as folder:
-        summary = run(recipe, Path(folder), RunOptions(workers=cores()), reporter=reporter)
+        summary = run(recipe, Path(folder), RunOptions(workers=request.workers or cores()), reporter=reporter)
         survey = load_artefact(Path(folder), summary, "levelled_survey", Survey)
         ground = load_artefact(Path(folder), summary, "prior_ground", GroundSurface)
         placement = load_artefact(Path(folder), summary, "prior_placement", Placement)

@@ -49,7 +49,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> TargetSurvey:
 
 @pytest.fixture(scope="module")
 def oriented(survey: TargetSurvey) -> OrientedFrames:
-    return frames_by_tags(MosaicRequest(frames=survey.frames, camera=survey.camera), Silent())
+    return frames_by_tags(MosaicRequest(frames=survey.frames, camera=survey.camera, workers=1), Silent())
 
 
 @contextmanager
