@@ -3,10 +3,10 @@ flight are turned back."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -32,6 +32,11 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.keypoints import FrameReduction, KeypointParams, frame_features, pictured
 from geomosaic.stages.tie_points import Pairing, record_tried, refined
 from geomosaic.survey.model import Survey
+
+_REVERSED: Final = (
+    "all headings of the POS file point to the images' bottoms: its rows are in reverse order, which turns "
+    "the map by 180 degrees, or the camera is mounted the other way round; turned here"
+)
 
 
 class SiftParams(KeypointParams):
@@ -82,7 +87,11 @@ def matching_sift(
         cap_m = max(cap_m, float(np.median(reach_m[np.array(survey.located)])))
     seen = seen_pairs(pairs, placement.poses, cameras, ground, survey.located)
     turns, headings = found_turned(seen, placement.poses, sizes, cap_m)
-    _report(context, survey, placement.poses, turns, headings)
+    reversed_file = _of_reversed_file(survey, np.unique(pairs.frames).tolist(), turns)
+    if reversed_file:
+        context.warn("headings-reversed", "", _REVERSED)
+    each = {i: quarters for i, quarters in turns.items() if i not in reversed_file}
+    _report(context, [f.name for f in survey.frames], placement.poses, each, headings)
     faint = [features.look().faint for features in pairing.features]
     faint_frames = sum(map(mostly, faint))
     context.metric("matching.faint_frames", faint_frames)
@@ -164,30 +173,34 @@ def _without_positions(
     return likely_pairs(compared, found)
 
 
+def _of_reversed_file(survey: Survey, tied: Collection[int], turns: Mapping[int, int]) -> list[int]:
+    """Tied frames with headings of a POS file, if all are off by 180 degrees: such images were not turned one
+    by one, but the file is wrong, or the camera was mounted so."""
+    frames = survey.frames
+    given = [i for i in tied if frames[i].attitude.source.startswith("pos-")]
+    given = [i for i in given if frames[i].attitude.yaw_deg is not None]
+    return given if len(given) > 1 and all(turns.get(i) == 2 for i in given) else []
+
+
 def _report(
-    context: Context, survey: Survey, poses: Poses, turns: Mapping[int, int], headings: Mapping[int, float]
+    context: Context,
+    names: Sequence[str],
+    poses: Poses,
+    turns: Mapping[int, int],
+    headings: Mapping[int, float],
 ) -> None:
-    """Names wrong headings and turned images. Images that all contradict a file's headings by 180 degrees
-    were not turned one by one: the file is wrong, or the camera was mounted so."""
+    """Names wrong headings and turned images."""
     yaw = Rotation(poses.rotations).yaw_pitch_roll()[0]
     for frame, heading in headings.items():
         context.warn(
             "yaw-wrong",
-            survey.frames[frame].name,
+            names[frame],
             f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and is about "
             f"{np.degrees(heading):.0f} by its neighbours' images; set by them",
         )
-    by_file = [i for i, f in enumerate(survey.frames) if f.attitude.source.startswith("pos-")]
-    if len(by_file) > 1 and all(turns.get(i) == 2 for i in by_file):
-        text = (
-            "all headings of the POS file point to the images' bottoms: its rows are in reverse order, which "
-            "turns the map by 180 degrees, or the camera is mounted the other way round; turned here"
-        )
-        context.warn("headings-reversed", "", text)
-        turns = {i: q for i, q in turns.items() if i not in by_file}
     for frame, quarters in turns.items():
         context.warn(
             "frame-turned",
-            survey.frames[frame].name,
+            names[frame],
             f"its pixels were turned by {quarters * 90} degrees after the flight; turned back here",
         )
