@@ -65,12 +65,14 @@ class BlockSolution:
 
 @dataclass(frozen=True)
 class BlockTask:
-    """A block to solve by some tracks; rough: another solve by more tracks follows."""
+    """A block to solve by some tracks. rough: another solve by more tracks follows. flights_sd_m (3,):
+    deviations of what positions of a flight are off by in common, where an earlier solve found them."""
 
     block: Block
     settings: Settings
     tracks: Tracks
     rough: bool = False
+    flights_sd_m: Floats | None = None
 
 
 def block_solution(
@@ -92,8 +94,8 @@ def block_solution(
         if start is not None:
             again = start.of_points(_nearest_to_rays(ties, start.poses, lenses, points))
     problem = block_problem(block, settings, ties, points)
-    if isinstance(start, BlockSolution):
-        problem = with_offset(problem, _of_flights_m(start.problem))
+    if task.flights_sd_m is not None:
+        problem = with_offset(problem, task.flights_sd_m)
     options = replace(last, last=not ties.points)
     free = solve(problem, poses, again, options) if ties.points else None
     controlled, offset = with_control(problem, block.control), np.zeros(3, dtype=bool)
@@ -146,7 +148,7 @@ def by_all_points(
     control_m = few.solution.points_m[few.ties.points :]
     again = few.solution.of_points(np.concatenate([points, control_m]))
     again = replace(few.solution, estimate=again.estimate, local=None)
-    options = SolveOptions(self_calibration=settings.self_calibration)
+    options = SolveOptions(self_calibration=settings.self_calibration, near=True)
     solved = solve(problem, poses, again, options)
     ground = few.ground if surface else levelled(few.ground, _of_ties(solved, ties))
     return BlockSolution(ties, problem, solved, ground, few.relief_px, few.offset, solved.steps)
@@ -210,7 +212,7 @@ def _with_flights(
     """The solution in which the positions of each of several flights are off in plan in common, since a
     receiver's error lasts for a flight: else two such errors would turn and stretch the block. What all
     flights are off by stays unknown, see `common_error`."""
-    if _of_flights_m(problem).any() or not block.flight_of.any():
+    if flights_sd_m(problem).any() or not block.flight_of.any():
         return problem, free
     sd_m = np.sqrt(common_error(block, free.poses, block.ground, free.components)) * [1.0, 1.0, 0.0]
     if not sd_m.any():
@@ -219,7 +221,7 @@ def _with_flights(
     return problem, solve(problem, free.poses, free, options)
 
 
-def _of_flights_m(problem: BlockProblem) -> Floats:
+def flights_sd_m(problem: BlockProblem) -> Floats:
     """Deviations (3,) of the offsets in plan that the flights of a problem have, 0 for one flight."""
     positions = next(t for t in problem.frames if isinstance(t, GnssPositions))
     return np.array(positions.offset_sd_m) * [1.0, 1.0, 0.0] * (positions.flights > 1)

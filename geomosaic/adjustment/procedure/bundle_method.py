@@ -17,6 +17,7 @@ from geomosaic.adjustment.procedure.block_solution import (
     BlockTask,
     block_solution,
     by_all_points,
+    flights_sd_m,
 )
 from geomosaic.adjustment.procedure.blunder_detection import counted_shares, resected
 from geomosaic.adjustment.procedure.control_points import placed_by_control, with_marks_of_whole_images
@@ -123,8 +124,13 @@ def _named(name: str, steps: tuple[SolveStep, ...]) -> tuple[SolveStep, ...]:
 def again(work: Work, block: Block, settings: Settings, start: BlockSolution | Start | None = None) -> Work:
     """The block solved anew with another block or settings, from the present poses or a solver's solution."""
     poses = start.poses if isinstance(start, Start) else work.found.solution.poses
-    found = block_solution(BlockTask(block, settings, work.few, work.rough), poses, start)
+    found = block_solution(_task(replace(work, block=block, settings=settings)), poses, start)
     return replace(work.then(found), block=block, settings=settings)
+
+
+def _task(work: Work) -> BlockTask:
+    """Its block by few tie points, whose flights are off as found before."""
+    return BlockTask(work.block, work.settings, work.few, work.rough, flights_sd_m(work.found.problem))
 
 
 def _wrong_ones_resected(work: Work) -> Work:
@@ -134,8 +140,7 @@ def _wrong_ones_resected(work: Work) -> Work:
     poses = resected(ties, solution, cameras, wrong) if wrong.any() else None
     if poses is None:
         return work
-    found = block_solution(BlockTask(work.block, work.settings, work.few, work.rough), poses)
-    return work.then(found)
+    return work.then(block_solution(_task(work), poses))
 
 
 def _read_in_order(work: Work) -> Work:
@@ -145,9 +150,8 @@ def _read_in_order(work: Work) -> Work:
         return work
     other = turned_back(work, quarters)
     poses = turned_poses(work.found.solution.poses, quarters)
-    task = BlockTask(other.block, other.settings, other.few, other.rough)
     with suppress(NotSolvableError):
-        other = other.then(block_solution(task, poses))
+        other = other.then(block_solution(_task(other), poses))
         return other if surely_better(other.found.solution, work.found.solution) else work
     return work
 

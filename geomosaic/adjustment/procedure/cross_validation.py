@@ -22,7 +22,7 @@ from geomosaic.adjustment.procedure.block_part import (
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration
 from geomosaic.adjustment.solver.solution import Start
-from geomosaic.adjustment.solver.solve import SolveOptions, few_steps, solve
+from geomosaic.adjustment.solver.solve import SolveOptions, few_steps, solved_start
 from geomosaic.adjustment.solver.variance_components import EXACT_PX
 from geomosaic.adjustment.terms.image_observations import BEHIND
 from geomosaic.adjustment.terms.interior_orientation import part_of_camera
@@ -42,7 +42,7 @@ from geomosaic.matching.tracks import (
     frame_by_frame,
     nearest_to_rays,
 )
-from geomosaic.spread import Spread
+from geomosaic.spread import AtOnce, Spread
 
 _OF_ALL_LENSES = INTERIOR.index("k1")
 BETTER = tuned(0.95, "share of left-out residuals", "less is better: true models 0.93 at most, others 0.98")
@@ -66,7 +66,7 @@ def solved(tracks: Tracks, model: Model) -> Start:
     start = _start(model)
     problem = block_problem(model.block, model.settings, tracks, start.points_m)
     options = SolveOptions(rough=True, self_calibration=model.settings.self_calibration)
-    found = solve(problem, start.poses, start, options)
+    found = solved_start(problem, start.poses, start, options)
     return found.of_points(found.points_m)
 
 
@@ -183,13 +183,13 @@ class LeftOut:
     def judged(
         self, name: str, models: dict[str, Model], solve: Callable[[Tracks, Model], Start] = solved
     ) -> dict[str, Judged]:
-        """What each model leaves, solved or `tested`. The last takes longest: it is begun first."""
-        names = list(models)[::-1]
+        """What each model leaves, solved or `tested`. The last takes longest: it is begun first. One alone is
+        solved here, where numpy has all threads."""
+        names, spread = list(models)[::-1], self._spread if len(models) > 1 else AtOnce()
         sent = [replace(models[n], block=self._part(models[n].block)) for n in names]
-        found = dict(
-            zip(names, self._spread.map(name, partial(_judged, self._test, solve), sent, names), strict=True)
-        )
-        return {n: found[n] for n in models}
+        found = spread.map(name, partial(_judged, self._test, solve), sent, names)
+        its = dict(zip(names, found, strict=True))
+        return {n: its[n] for n in models}
 
     def _part(self, block: Block) -> Block:
         """The compared frames with bare pairs: they go to other processes."""

@@ -14,7 +14,7 @@ from geomosaic.adjustment.procedure.block_solution import BlockTask, block_solut
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.outcome import Work
 from geomosaic.adjustment.procedure.reported_corrections import with_common_heading, with_solved_velocities
-from geomosaic.adjustment.solver.solve import SolveOptions, solve
+from geomosaic.adjustment.solver.solve import SolveOptions, solved_start
 from geomosaic.camera.exterior import Poses
 from geomosaic.matching.tracks import Tracks
 from geomosaic.spread import Spread
@@ -56,5 +56,6 @@ def _read_at_once(block: Block, settings: Settings, tracks: Tracks, start: Poses
         return start
     settings = replace(settings, rolling_shutter=False, turning=False)
     options = SolveOptions(rough=True, self_calibration=False)
-    solved = solve(block_problem(read_at_once(block), settings, kept, points), start, options=options)
+    problem = block_problem(read_at_once(block), settings, kept, points)
+    solved = solved_start(problem, start, None, options)
     return replace(solved.poses, velocities_m_per_s=start.velocities_m_per_s, turns=start.turns)

@@ -26,7 +26,7 @@ from geomosaic.adjustment.procedure.cross_validation import (
 )
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.model_selection import contradicts
-from geomosaic.adjustment.solver.solve import SolveOptions, solve
+from geomosaic.adjustment.solver.solve import SolveOptions, solved_start
 from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -152,7 +152,7 @@ def _tried(settings: Settings, test: LeftOutTest, block: Block) -> Judged:
         if 2 * len(points) < test.solving.points:
             return nothing
         problem = block_problem(block, settings, kept, points)
-        solved = solve(problem, start, options=SolveOptions(rough=True))
+        solved = solved_start(problem, start, None, SolveOptions(rough=True))
         left_px = left_out_px(test.judges, left_out_residuals(test.judges, block, solved))
     except (NotSolvableError, np.linalg.LinAlgError):
         return nothing

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -40,6 +42,8 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import student_weight
 from geomosaic.matching.tracks import frame_by_frame
 
+Found = TypeVar("Found", bound=Start)
+
 _MOST_LEFT_OUT = tuned(0.5, "share of the frames", "more are left out: what is left is half a survey")
 
 
@@ -47,12 +51,14 @@ _MOST_LEFT_OUT = tuned(0.5, "share of the frames", "more are left out: what is l
 class SolveOptions:
     """How to solve. rough: to compare models by, in half the time. last: no other solve goes on from this
     one; else it ends once variance components have converged. self_calibration: shared unknowns are solved
-    for. same_model: the start is of this model of lens and shutter."""
+    for. same_model: the start is of this model of lens and shutter. near: it is a solution by fewer tie
+    points: one step leads to other variance components, and rotation that vanishes is not solved for."""
 
     rough: bool = False
     last: bool = True
     self_calibration: bool = True
     same_model: bool = True
+    near: bool = False
 
 
 def solve(
@@ -68,10 +74,48 @@ def solve(
     on from. Raises: NotSolvableError if more than half of the frames would have to be left out.
     """
     options = options or SolveOptions()
+    last = options.last and not options.rough
+
+    def with_covariances(its: _Solved) -> Solution:
+        found = _at_last(its.progress) if last else _finished(its.progress)
+        return replace(found, implausible=its.implausible, fixed=its.fixed)
+
+    return _without_broken(problem, poses, start, options, with_covariances)
+
+
+def solved_start(problem: BlockProblem, poses: Poses, start: Start | None, options: SolveOptions) -> Start:
+    """`solve` for what another solve goes on from, without covariances."""
+    return _without_broken(problem, poses, start, options, lambda its: its.start)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A solve that has converged; which shared unknowns (s,) are implausible, and which are fixed."""
+
+    progress: Progress
+    implausible: Bools
+    fixed: Bools
+
+    @property
+    def start(self) -> Start:
+        """Without covariances."""
+        problem, at, components = self.progress.problem, self.progress.at, self.progress.components
+        poses, cameras = _poses(problem, at), _cameras(problem, at)
+        return Start(poses, cameras, at, components, self.fixed, problem.image.local)
+
+
+def _without_broken(
+    problem: BlockProblem,
+    poses: Poses,
+    start: Start | None,
+    options: SolveOptions,
+    finish: Callable[[_Solved], Found],
+) -> Found:
+    """The solution without frames at which the system breaks down, which are tried again at last."""
     left_out = np.zeros(len(poses), dtype=bool)
     while True:
         try:
-            solved = _solved(problem, poses, start, options, left_out)
+            found = finish(_solved(problem, poses, start, options, left_out))
             break
         except NotSolvableError as error:
             weak = [i for i in error.frames if not left_out[i]]
@@ -81,19 +125,17 @@ def solve(
     if left_out.any():
         options = replace(options, same_model=True)
         with suppress(NotSolvableError):
-            return _solved(problem, solved.poses, solved, options, np.zeros_like(left_out))
-    return solved
+            return finish(_solved(problem, found.poses, found, options, np.zeros_like(left_out)))
+    return found
 
 
 def _solved(
     problem: BlockProblem, poses: Poses, start: Start | None, options: SolveOptions, left_out: Bools
-) -> Solution:
+) -> _Solved:
     """The solution with all unknowns that the block determines."""
     at, fixed = _first_estimate(problem, poses, start)
     problem = problem.without(left_out, at)
-    image_converged = (
-        start is not None and options.same_model and start.estimate.swing_rad.shape == at.swing_rad.shape
-    )
+    image_converged = start is not None and options.same_model and _of_its_functions(problem, start)
     components = start.components if start is not None and image_converged else _first_components(problem, at)
     if start is None:
         fixed = at.layout.optional & (not options.self_calibration)
@@ -104,7 +146,7 @@ def _solved(
     progress = Progress(problem, at, components)
     while True:
         progress = with_fixed(replace(progress, problem=replace(progress.problem, fixed=fixed)))
-        progress = iterate(progress, rough=True, image_converged=image_converged)
+        progress = iterate(progress, rough=True, image_converged=image_converged, near=options.near)
         problem, at = progress.problem, progress.at
         implausible = implausible | implausible_principal_points(at, problem.cameras)
         more = implausible | undetermined(problem, at, progress.components)
@@ -113,9 +155,8 @@ def _solved(
             break
         fixed, may_free = more, False
     if not options.rough:
-        progress = iterate(progress, rough=False, image_converged=True)
-    last = options.last and not options.rough
-    return replace(_at_last(progress) if last else _finished(progress), implausible=implausible, fixed=fixed)
+        progress = iterate(progress, rough=False, image_converged=True, near=options.near)
+    return _Solved(progress, implausible, fixed)
 
 
 def _at_last(progress: Progress) -> Solution:
@@ -142,9 +183,8 @@ def few_steps(problem: BlockProblem, start: Start) -> Start:
     fixed = fixed & undetermined(problem, at, as_before)
     problem = replace(problem, fixed=fixed)
     progress = with_components(Progress(problem.reweighted(at, components), at, components))
-    progress = first_steps(progress)
-    at = progress.at
-    return Start(_poses(problem, at), _cameras(problem, at), at, progress.components, fixed, None)
+    unknown = np.zeros_like(fixed)
+    return replace(_Solved(first_steps(progress), unknown, fixed).start, local=None)
 
 
 def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) -> tuple[Estimate, Bools]:
@@ -161,6 +201,14 @@ def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) ->
         swing_rad[:, :same], drift = start.estimate.swing_rad[:, :same], start.estimate.drift
     positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
     return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift), fixed
+
+
+def _of_its_functions(problem: BlockProblem, start: Start) -> bool:
+    """Whether a solution has estimated the components of all functions of the frames' rotation, those it left
+    out too."""
+    term = next((t for t in problem.frames if isinstance(t, RollingShutterRotation)), None)
+    names, terms = (set(), 0) if term is None else (set(term.component_names()), term.terms)
+    return names <= set(start.components.values) and start.estimate.swing_rad.shape[1] <= terms
 
 
 def _first_components(problem: BlockProblem, at: Estimate) -> Components:

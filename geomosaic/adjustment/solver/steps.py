@@ -15,6 +15,7 @@ from geomosaic.adjustment.solver.single_points import converged_points, too_near
 from geomosaic.adjustment.solver.variance_components import local_factors, variance_components
 from geomosaic.adjustment.terms.gnss_positions import GnssPositions
 from geomosaic.adjustment.terms.image_observations import IMAGE
+from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
@@ -82,12 +83,12 @@ def with_fixed(progress: Progress) -> Progress:
     return alone
 
 
-def iterate(progress: Progress, *, rough: bool, image_converged: bool) -> Progress:
+def iterate(progress: Progress, *, rough: bool, image_converged: bool, near: bool = False) -> Progress:
     """Iterates until unknowns, robust weights and variance components have converged. image_converged: the
-    image's component is taken as converged."""
+    image's component is taken as converged. near: see `SolveOptions`."""
     for k in range(_ROUNDS):
         problem = progress.problem.reweighted(progress.at, progress.components)
-        most = _STEPS_BETWEEN if k else _MOST_STEPS
+        most = 1 if near else _STEPS_BETWEEN if k else _MOST_STEPS
         progress, reduced = _converge(replace(progress, problem=problem), most, _ROUGH)
         problem, at = progress.problem, progress.at
         if image_converged:
@@ -100,10 +101,22 @@ def iterate(progress: Progress, *, rough: bool, image_converged: bool) -> Progre
         )
         del reduced  # the next ones take as much
         progress = replace(progress, problem=problem, components=components)
+        progress = _without_vanished(progress) if near else progress
         if image_converged and max(image_change, other_change) < (_ROUGHLY if rough else _STANDS):
             break
         image_converged = image_change < 0.1
     return progress
+
+
+def _without_vanished(progress: Progress) -> Progress:
+    """Without the functions of the frames' rotation that have no share in it any more."""
+    frames = tuple(
+        t.without_vanished(progress.components) if isinstance(t, RollingShutterRotation) else t
+        for t in progress.problem.frames
+    )
+    terms = next((t.terms for t in frames if isinstance(t, RollingShutterRotation)), 0)
+    at = replace(progress.at, swing_rad=progress.at.swing_rad[:, :terms])
+    return replace(progress, problem=replace(progress.problem, frames=frames), at=at)
 
 
 def converged(progress: Progress) -> Progress:

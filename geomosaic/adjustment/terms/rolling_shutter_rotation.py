@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -42,6 +42,13 @@ class RollingShutterRotation(FrameTerm):
     @property
     def terms(self) -> int:
         return int(self.swing_sd_rad.shape[1])
+
+    def without_vanished(self, components: Components) -> RollingShutterRotation:
+        """Without the last functions of the row whose components have shrunk to their limit."""
+        shown = [
+            k + 1 for k in range(self.terms) if self.common or components[f"swing {k + 1}"] > LEAST_SWING
+        ]
+        return replace(self, swing_sd_rad=self.swing_sd_rad[:, : max(shown, default=1)])
 
     def component_names(self) -> tuple[str, ...]:
         return (*(f"swing {k + 1}" for k in range(self.terms)), *DRIFTS)
