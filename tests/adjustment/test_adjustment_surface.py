@@ -62,6 +62,22 @@ def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
     assert off_m(surface, 25.0) < 1.0
 
 
+def test_mountains_are_followed_where_points_show_them() -> None:
+    """Summits of 60 m every 75 m, seen from 100 m, by a point on 13 m²: a surface of a third derivative of at
+    most 32 per squared flying height lay 10 m beside them."""
+    rng = np.random.default_rng(3)
+
+    def mountains(at: np.ndarray) -> np.ndarray:
+        return np.asarray(30.0 * np.cos(at[:, 0] / 12.0) * np.cos(at[:, 1] / 12.0))
+
+    at, between = rng.uniform([-100.0, -80.0], [100.0, 80.0], (2, 2500, 2))
+    up = mountains(at) + rng.normal(0.0, 0.02, len(at))
+    surface = tie_surface(Heights(np.column_stack([at, up]), np.full(len(at), 0.02), LOW, HIGH, 100.0))
+    off = np.abs(surface.up_at(between[:, 0], between[:, 1]) - mountains(between))
+    assert np.median(off) < 0.2
+    assert np.quantile(off, 0.95) < 1.0
+
+
 def test_trees_do_not_lift_the_ground() -> None:
     at, sd = points(2)
     rng = np.random.default_rng(3)

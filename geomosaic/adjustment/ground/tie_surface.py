@@ -21,8 +21,12 @@ Standing = tuple[int, float]
 _MOST_NODES = tuned(40_000, "nodes", "more: slow equations; fewer: relief between points is lost")
 _MOST_TRIAL_NODES = tuned(4_000, "nodes", "of a trial surface; some thirty are made of a block")
 _POINTS_PER_NODE = tuned(3.0, "tie points a node", "fewer: stiffness decides; more: relief is lost")
-_CURVINGS = tuned((2.0, 4.0, 8.0, 16.0, 32.0), "1 / flying height²", "tried; lower: noise; higher: flat")
-_USUAL_CURVING = _CURVINGS[2]
+_CURVINGS = tuned(
+    (2.0, 8.0, 32.0, 128.0, 512.0, 2048.0),
+    "1 / flying height²",
+    "tried; fields take 2 to 32, mountains 512: a least above 32 tears seams of relief by 8 px",
+)
+_USUAL_CURVING = _CURVINGS[1]
 _STANDINGS: tuple[Standing, ...] = tuned(
     ((3, 0.0), (3, 0.0125), (6, 0.1), (6, 0.0125)),
     "terms, flying heights",
