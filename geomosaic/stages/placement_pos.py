@@ -127,7 +127,8 @@ def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
                 if np.isnan(height)
                 else f"lies {floor - height:.1f} m below the ground"
             )
-            raise InputError(problem, file=name, fix="give heights with --pos, or correct --dem-offset")
+            fix = "leave out frames taken on the ground, give heights with --pos, or correct --dem-offset"
+            raise InputError(problem, file=name, fix=fix)
     return heights
 
 

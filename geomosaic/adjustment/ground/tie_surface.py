@@ -10,15 +10,15 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import erf
 
+from geomosaic.adjustment.ground.surface_pieces import by_pieces
 from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import MEDIAN_ONE, ROUNDS, sourced, tuned
+from geomosaic.constants import MEDIAN_ONE, NORMAL_PER_MAD, ROUNDS, sourced, tuned
 from geomosaic.estimation.robust import BLUNDER, THREE_SIGMA
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.spread import AtOnce, Spread
 
 Standing = tuple[int, float]
-_MOST_NODES = tuned(40_000, "nodes", "more: slow equations; fewer: relief between points is lost")
 _MOST_TRIAL_NODES = tuned(4_000, "nodes", "of a trial surface; some thirty are made of a block")
 _POINTS_PER_NODE = tuned(3.0, "tie points a node", "fewer: stiffness decides; more: relief is lost")
 _CURVINGS = tuned(
@@ -63,10 +63,10 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
         return fitted(Trial(trials.heights, trial_m, _USUAL_CURVING, _FREE))
     curving = _best_curving(trials, trial_m)
     standing = _best_standing(trials, trial_m, curving)
-    fine_m = node_spacing_m(heights.low_m, heights.high_m, spacing, _MOST_NODES)
+    fine_m = node_spacing_m(heights.low_m, heights.high_m, spacing)
     last = Trial(trials.heights, fine_m, curving, standing, ROUNDS)
     sides = [Trial(known, trial_m, curving, standing) for _, known in trials.without_each_side.values()]
-    surface, *of_sides = trials.surfaces([last, *sides])
+    surface, of_sides = by_pieces(last, trials.surfaces), trials.surfaces(sides)
     factor, power = _error_growth(trials, of_sides)
     residual = _residual(points_m, surface)
     followed = points_m[residual * MEDIAN_ONE <= THREE_SIGMA * np.median(residual), :2]
@@ -145,13 +145,26 @@ def _best_standing(trials: _Trials, spacing_m: float, curving: float) -> Standin
     low = above <= np.quantile(above, _LOW)
     corners = [(out & low, known) for eighth, (out, known) in trials.without_each_side.items() if eighth % 2]
     corners = [(out, known) for out, known in corners if out.sum() >= _FEWEST]
-    total = np.zeros(len(_STANDINGS))
-    surfaces = trials.surfaces([Trial(k, spacing_m, curving, s) for _, k in corners for s in _STANDINGS])
+    standings = possible_standings(trials.heights)
+    total = np.zeros(len(standings))
+    surfaces = trials.surfaces([Trial(k, spacing_m, curving, s) for _, k in corners for s in standings])
     for k, surface in enumerate(surfaces):
-        corner, standing = divmod(k, len(_STANDINGS))
+        corner, standing = divmod(k, len(standings))
         total[standing] += np.median(_residual(points_m[corners[corner][0]], surface))
     best = int(total.argmin())
-    return _STANDINGS[best] if total[best] < _CLEARLY * total[0] else _FREE
+    return standings[best] if total[best] < _CLEARLY * total[0] else _FREE
+
+
+def possible_standings(heights: Heights) -> list[Standing]:
+    """The standings, none more even than the low points show the ground to be: summits would be cut off."""
+    out = []
+    for terms, off in _STANDINGS:
+        trend = even_ground(heights.points_m, heights.sd_up_m, terms)
+        above = heights.points_m[:, 2] - trend(heights.points_m[:, 0], heights.points_m[:, 1])
+        low = above[above <= np.quantile(above, _LOW)]
+        scatter = NORMAL_PER_MAD * float(np.median(np.abs(low - np.median(low))))
+        out.append((terms, max(off, scatter / heights.height_m) if off else off))
+    return out
 
 
 def _residual(points_m: Floats, surface: GroundSurface) -> Floats:

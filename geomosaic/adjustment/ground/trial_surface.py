@@ -109,7 +109,7 @@ class Heights:
 @dataclass(frozen=True)
 class Trial:
     """Parameters of one surface. curving: usual third derivative, 1 / flying height²; standing: terms of the
-    trend (3 plane, 6 paraboloid) and deviation from it in flying heights, 0 for free."""
+    trend (3 plane, 6 paraboloid, 0 none) and deviation from it in flying heights, 0 for free."""
 
     heights: Heights
     spacing_m: float
@@ -117,12 +117,18 @@ class Trial:
     standing: tuple[int, float]
     rounds: int = _TRIAL_ROUNDS
 
+    @property
+    def nodes(self) -> tuple[int, int]:
+        """Columns and rows of the grid."""
+        cols, rows = np.ceil((self.heights.high_m - self.heights.low_m) / self.spacing_m).astype(int) + 1
+        return int(cols), int(rows)
+
 
 def fitted(trial: Trial) -> GroundSurface:
     """The robust surface of a trial."""
     heights, spacing_m, (terms, off) = trial.heights, trial.spacing_m, trial.standing
     points_m, sd_up_m, low_m, height_m = heights.points_m, heights.sd_up_m, heights.low_m, heights.height_m
-    cols, rows = (np.ceil((heights.high_m - low_m) / spacing_m).astype(int) + 1).tolist()
+    cols, rows = trial.nodes
     at = (points_m[:, :2] - low_m) / spacing_m
     grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, trial.curving, off)
     trend = even_ground(points_m, sd_up_m, terms)
@@ -139,7 +145,9 @@ def fitted(trial: Trial) -> GroundSurface:
 
 def even_ground(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:
     """Up by east and north of the ground's plane (3 terms) or paraboloid (6), below crowns: asymmetric least
-    squares (Eilers and Boelens 2005), then robust weights about the lowest points."""
+    squares (Eilers and Boelens 2005), then robust weights about the lowest points; 0 without terms."""
+    if not terms:
+        return lambda east_m, north_m: np.zeros(np.broadcast_shapes(np.shape(east_m), np.shape(north_m)))
     middle, size_m = points_m[:, :2].mean(axis=0), float(np.ptp(points_m[:, :2], axis=0).max()) or 1.0
 
     def powers(east_m: Floats, north_m: Floats) -> Floats:

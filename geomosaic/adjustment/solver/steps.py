@@ -88,7 +88,7 @@ def iterate(progress: Progress, *, rough: bool, image_converged: bool, near: boo
     image's component is taken as converged. near: see `SolveOptions`."""
     for k in range(_ROUNDS):
         problem = progress.problem.reweighted(progress.at, progress.components)
-        most = 1 if near else _STEPS_BETWEEN if k else _MOST_STEPS
+        most = (1 if near else _STEPS_BETWEEN) if k else _MOST_STEPS
         progress, reduced = _converge(replace(progress, problem=problem), most, _ROUGH)
         problem, at = progress.problem, progress.at
         if image_converged:
