@@ -242,7 +242,9 @@ def _seams(seams: SeamCheck) -> dict[str, float]:
         return {}
     median, bad = float(np.median(length)), CRITERIA["seams"].bad
     below = bdtr(np.arange(length.size + 1), length.size, 0.5)
-    surely = length[max(int(np.searchsorted(below, _CHANCE)) - 1, 0)]
+    lower = int(np.searchsorted(below, _CHANCE, side="right")) - 1
+    limited = lower >= 0 or 2 * length.size > len(seams.length_px)  # fewer than five of many have no limit
+    surely = length[max(lower, 0)] if limited else 0.0
     return {
         "seams": median if surely > bad else min(median, bad),
         "worst tenth of the seams": float(np.quantile(length, 0.9)),

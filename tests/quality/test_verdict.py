@@ -245,6 +245,7 @@ def test_a_few_places_in_woods_condemn_no_map() -> None:
     assert grade(outcome(), seams_of(*few, *[np.nan] * 54)) == "doubtful"
     assert grade(outcome(), seams_of(*few * 10)) == "bad"
     assert grade(outcome(), seams_of(3.1, 3.4)) == "bad"
+    assert grade(outcome(), seams_of(3.22, *[np.nan] * 59)) == "doubtful"
 
 
 def test_the_worst_figure_gives_cause_and_fix() -> None:
