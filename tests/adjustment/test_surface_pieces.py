@@ -44,7 +44,7 @@ def test_pieces_make_the_surface_of_the_whole(
         return [fitted(each) for each in trials]
 
     whole = by_pieces(trial, counted)
-    monkeypatch.setattr(surface_pieces, "_NODES", 2500)
+    monkeypatch.setattr(surface_pieces, "_SIDE", 50)
     pieces = by_pieces(trial, counted)
     assert made == [1, 15]
     assert pieces.up_m.shape == whole.up_m.shape
@@ -60,11 +60,12 @@ def test_pieces_make_the_surface_of_the_whole(
 
 def test_a_piece_without_points_is_the_trend(monkeypatch: pytest.MonkeyPatch) -> None:
     """A third of the land has no points: the slope goes on there, and nothing is NaN."""
-    monkeypatch.setattr(surface_pieces, "_NODES", 2500)
+    monkeypatch.setattr(surface_pieces, "_SIDE", 50)
     known = heights()
     west = known.without(known.points_m[:, 0] > -150.0)
     surface = by_pieces(Trial(west, 7.0, 32.0, (3, 0.0), 12), lambda trials: [fitted(t) for t in trials])
     assert np.isfinite(surface.up_m).all()
+    assert np.abs(np.diff(surface.up_m, axis=1)).max() < 7.0  # no cliff of a node's width
     assert surface.up_at(400.0, 0.0) == pytest.approx(40.0, abs=25.0)
 
 

@@ -13,7 +13,7 @@ from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.projection.ground import GroundSurface
 
-_NODES = tuned(40_000, "nodes", "of a piece; more: a band's time grows with their square; fewer: overlaps")
+_SIDE = tuned(200, "nodes", "of a piece's side; more: a band's time grows with its cube; fewer: overlaps")
 _OVERLAP = tuned(1.0, "flying heights", "that pieces share; less shows in gaps between points; more is slow")
 
 
@@ -34,30 +34,31 @@ def by_pieces(trial: Trial, fitted: Callable[[Sequence[Trial]], list[GroundSurfa
     """The surface of a trial, in overlapping pieces about a trend in common if it has many nodes. Each node
     is the mean of its pieces, which count less towards their edges. Args: fitted: makes the pieces."""
     cols, rows = trial.nodes
-    overlap = int(np.ceil(_OVERLAP * trial.heights.height_m / trial.spacing_m))
+    overlap = min(int(np.ceil(_OVERLAP * trial.heights.height_m / trial.spacing_m)), _SIDE // 4)
     spans = [(r, c) for r in _spans(rows, overlap) for c in _spans(cols, overlap)]
-    if rows * cols <= _NODES or len(spans) == 1:
+    if rows * cols <= _SIDE**2:
         return fitted([trial])[0]
     heights, (terms, off) = trial.heights, trial.standing
     trend = even_ground(heights.points_m, heights.sd_up_m, terms)
     points_m = heights.points_m.copy()
     points_m[:, 2] -= trend(points_m[:, 0], points_m[:, 1])
     about_trend = replace(trial, heights=replace(heights, points_m=points_m), standing=(0, off))
-    pieces = [(r, c, _piece(about_trend, r, c)) for r, c in spans]
-    pieces = [(r, c, piece) for r, c, piece in pieces if len(piece.heights.points_m)]
+    pieces = [_piece(about_trend, r, c) for r, c in spans]
+    surfaces = iter(fitted([piece for piece in pieces if len(piece.heights.points_m)]))
     up, total = np.zeros((rows, cols)), np.zeros((rows, cols))
-    for (r, c, _), surface in zip(pieces, fitted([piece for *_, piece in pieces]), strict=True):
+    for (r, c), piece in zip(spans, pieces, strict=True):
         share = r.share[:, None] * c.share
-        up[r.nodes, c.nodes] += share * surface.up_m
         total[r.nodes, c.nodes] += share
+        if len(piece.heights.points_m):  # others are the trend
+            up[r.nodes, c.nodes] += share * next(surfaces).up_m
     east, north = (heights.low_m[k] + trial.spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
-    up = np.divide(up, total, out=np.zeros_like(up), where=total > 0.0) + trend(east, north[:, None])
+    up = up / total + trend(east, north[:, None])
     return GroundSurface("tie_surface", float(heights.low_m[0]), float(heights.low_m[1]), trial.spacing_m, up)
 
 
 def _spans(count: int, overlap: int) -> Iterator[_Span]:
     """Pieces of an axis of so many nodes."""
-    own = max(int(np.sqrt(_NODES)) - 2 * overlap, 2 * overlap)
+    own = _SIDE - 2 * overlap
     bounds = np.linspace(0, count, int(np.ceil(count / own)) + 1).round().astype(int).tolist()
     for begin, stop in pairwise(bounds):
         first, end = max(begin - overlap, 0), min(stop + overlap, count)
