@@ -82,7 +82,7 @@ CRITERIA: Mapping[str, Criterion] = {
         "share",
         "the ground between tie points may lie so much higher or lower that the map is off by more than "
         f"{ASKED}",
-        "an elevation model (--dem), or more overlap",
+        "an elevation model (--dem), --surface dense where things stand on it, or more overlap",
         "nineteen twentieths of the land keep below what is asked of it beside the land around",
     ),
     "rim": Criterion(

@@ -150,6 +150,29 @@ def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(shares))) < 1.6
 
 
+def test_heights_amid_a_gap_are_off_by_what_is_stated_and_by_less_than_beyond_the_points() -> None:
+    shares, closer = [], []
+    for seed in range(60, 68):
+        land, (at, sd) = rolling_land(seed), points(seed, 2500)
+        at[:, 2] = land(at[:, 0], at[:, 1]) + at[:, 2] - dome(at[:, 0], at[:, 1])
+        gap = np.hypot(at[:, 0] - 30.0, at[:, 1] + 20.0) < 12.0
+        found = tie_surface(Heights(at[~gap], sd[~gap], LOW, HIGH, 100.0))
+        around = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+        east, north = 30.0 + 5.0 * np.cos(around), 5.0 * np.sin(around) - 20.0
+        shares.append((found.up_at(east, north) - land(east, north)) / found.sd_at(east, north))
+        closer.append(found.sd_at(30.0, -20.0) / found.sd_at(112.0, 0.0))
+    assert 0.4 < np.sqrt(np.mean(np.square(shares))) < 1.6
+    assert np.median(closer) < 0.9
+
+
+def test_houses_do_not_make_the_ground_between_points_unsure() -> None:
+    at, sd = points(3)
+    bare = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
+    at[:, 2] += 6.0 * (np.floor(at[:, :2] / 12.0).sum(axis=1) % 7 == 0)
+    built = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
+    assert np.median(built.sd_m) < 2.0 * np.median(bare.sd_m)
+
+
 def test_level_land_goes_on_level_and_says_so() -> None:
     at, sd = points(9, 2500)
     at[:, 2] += 300.0 - dome(at[:, 0], at[:, 1])

@@ -7,18 +7,19 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
-from scipy.special import erf
 
 from geomosaic.adjustment.ground.surface_pieces import by_pieces
 from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import MEDIAN_ONE, NORMAL_PER_MAD, ROUNDS, sourced, tuned
+from geomosaic.constants import MEDIAN_ONE, NORMAL_PER_MAD, ROUNDS, tuned
 from geomosaic.estimation.robust import BLUNDER, THREE_SIGMA
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.spread import AtOnce, Spread
 
 Standing = tuple[int, float]
+LeftOut = tuple[Bools, Heights]
 _MOST_TRIAL_NODES = tuned(4_000, "nodes", "of a trial surface; some thirty are made of a block")
 _POINTS_PER_NODE = tuned(3.0, "tie points a node", "fewer: stiffness decides; more: relief is lost")
 _CURVINGS = tuned(
@@ -38,8 +39,7 @@ _FEWEST = tuned(10, "tie points", "fewer have no median or quantile that means s
 _LOW = tuned(0.5, "share of the points", "that may be ground; more: crowns; less: low wrong matches")
 _GAP = tuned(0.2, "flying heights", "side of a left-out square; less: any stiffness predicts it; more: none")
 SIDE = tuned(0.25, "flying heights", "side of places that err alike or are left out: a third of a frame")
-_AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25), "flying heights", "bins; finer: too few points")
-_POWERS = sourced((1.0, 2.5), "power", "of errors by distance, for wrong slope, curvature", "Wiener process")
+_AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35), "flying heights", "bins; finer: few points")
 _OUTERMOST = tuned(0.98, "share of the points", "within a side; less: a side would begin inside the block")
 _USUAL_BEYOND = tuned(0.03, "m per m", "error beyond the points of small blocks, as of hills and woods")
 
@@ -50,9 +50,9 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
     Minimises sum rho((up - surface) / sd) over the points, with Cauchy's rho, plus squared slopes and third
     derivatives over their usual sizes; lengths count in flying heights. Cross-validation finds the usual
     third derivative (at left-out squares), whether a plane or paraboloid holds the surface from below (at low
-    points of left-out corners), and how deviations grow with the distance from the points (at left-out
-    sides). Args: rough: with the usual third derivative about a free plane, without deviations; a twentieth
-    of the work. spread: runs trials.
+    points of left-out corners), and how deviations grow with the distance from the points (between them at
+    the squares, beyond them at left-out sides). Args: rough: with the usual third derivative about a free
+    plane, without deviations; a twentieth of the work. spread: runs trials.
     """
     points_m = heights.points_m
     inside = np.ptp(points_m[:, :2], axis=0)
@@ -65,14 +65,14 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
     standing = _best_standing(trials, trial_m, curving)
     fine_m = node_spacing_m(heights.low_m, heights.high_m, spacing)
     last = Trial(trials.heights, fine_m, curving, standing, ROUNDS)
-    sides = [Trial(known, trial_m, curving, standing) for _, known in trials.without_each_side.values()]
-    surface, of_sides = by_pieces(last, trials.surfaces), trials.surfaces(sides)
-    factor, power = _error_growth(trials, of_sides)
-    residual = _residual(points_m, surface)
+    residual = _residual(points_m, surface := by_pieces(last, trials.surfaces))
     followed = points_m[residual * MEDIAN_ONE <= THREE_SIGMA * np.median(residual), :2]
-    away_m, _ = KDTree(followed).query(surface.nodes_m().reshape(-1, 2))
-    sd_m = np.hypot(float(np.median(heights.sd_up_m)), factor * away_m**power)
-    return replace(surface, sd_m=sd_m.reshape(surface.up_m.shape))
+    away_m, _ = KDTree(followed).query(surface.nodes_m())
+    chosen = Trial(heights, trial_m, curving, standing)
+    left_out = (trials.without_squares, tuple(trials.without_each_side.values()))
+    off_m = [_growth(trials, chosen, parts, away_m) for parts in left_out]
+    between = _between_points(away_m, _GAP * heights.height_m, fine_m)
+    return replace(surface, sd_m=np.hypot(float(np.median(heights.sd_up_m)), np.where(between, *off_m)))
 
 
 class _Trials:
@@ -84,7 +84,15 @@ class _Trials:
         self._made: dict[Trial, GroundSurface] = {}
 
     @cached_property
-    def without_each_side(self) -> dict[int, tuple[Bools, Heights]]:
+    def without_squares(self) -> Sequence[LeftOut]:
+        """Points of every fifth square, and the others; none where all or next to none lie there."""
+        cells = (self.heights.points_m[:, :2] - self.heights.low_m) / (_GAP * self.heights.height_m)
+        col, row = np.floor(cells).astype(np.intp).T
+        out = (col + 2 * row) % 5 == 0
+        return () if out.sum() < _FEWEST or out.all() else ((out, self.heights.without(out)),)
+
+    @cached_property
+    def without_each_side(self) -> dict[int, LeftOut]:
         """Points of each long enough side (p,), and the others; by eighths of a turn from the east."""
         others, heights = {}, self.heights
         for eighth in range(8):
@@ -102,34 +110,42 @@ class _Trials:
         return [self._made[trial] for trial in trials]
 
 
-def _error_growth(trials: _Trials, surfaces: Sequence[GroundSurface]) -> tuple[float, float]:
-    """Factor and power of the distance from the points in m for one deviation of heights in m, from the
-    errors of the surfaces without each side."""
-    height_m, away, error = trials.heights.height_m, [np.zeros(0)], [np.zeros(0)]
-    for (out, known), surface in zip(trials.without_each_side.values(), surfaces, strict=True):
-        left_out = trials.heights.points_m[out]
-        away.append(KDTree(known.points_m[:, :2]).query(left_out[:, :2])[0] / height_m)
-        error.append(_residual(left_out, surface))
-    of_bin, errors = np.digitize(np.concatenate(away), _AWAY), np.concatenate(error)
-    bins = [k for k in range(1, len(_AWAY)) if np.sum(of_bin == k) >= _FEWEST]
-    if len(bins) < 2:
-        return _USUAL_BEYOND, 1.0
-    one_deviation = float(erf(np.sqrt(0.5)))
-    middle = np.log([np.sqrt(_AWAY[k - 1] * _AWAY[k]) * height_m for k in bins])
-    off = np.log([max(np.quantile(errors[of_bin == k], one_deviation), 1e-9) for k in bins])
-    power = float(np.clip(np.polyfit(middle, off, 1)[0], *_POWERS))
-    return float(np.exp(np.mean(off - power * middle))), power
+def _between_points(away_m: Floats, gap_m: float, spacing_m: float) -> Bools:
+    """Nodes in no wider gap than twice gap_m: the closing of the points' discs. Args: away_m (rows, cols):
+    from the nearest point."""
+    near = np.pad(away_m <= gap_m, 1)
+    return np.asarray(distance_transform_edt(near)[1:-1, 1:-1] * spacing_m > gap_m)
+
+
+def _growth(trials: _Trials, whole: Trial, left_out: Sequence[LeftOut], away_m: Floats) -> Floats:
+    """What left-out points lie farther off than points that the surface knows, for one deviation, at
+    distances of any shape from these, in m; beyond the farthest bin as by a wrong slope. Medians: what stands
+    on the ground is not the ground's error. Args: whole: the trial with all points; left_out: points that
+    others miss."""
+    height_m = whole.heights.height_m
+    known_all, *others = trials.surfaces([whole, *(replace(whole, heights=known) for _, known in left_out)])
+    of_bin, errors = [np.zeros(0, np.intp)], [np.zeros((2, 0))]
+    for (out, known), surface in zip(left_out, others, strict=True):
+        points_m = whole.heights.points_m[out]
+        away, _ = KDTree(known.points_m[:, :2]).query(points_m[:, :2])
+        of_bin.append(np.digitize(away / height_m, _AWAY))
+        errors.append(np.stack([_residual(points_m, known_all), _residual(points_m, surface)]))
+    number, error = np.concatenate(of_bin), np.concatenate(errors, axis=1)
+    bins = [k for k in range(1, len(_AWAY)) if np.sum(number == k) >= _FEWEST]
+    if not bins:
+        return _USUAL_BEYOND * away_m
+    as_known, off = NORMAL_PER_MAD * np.transpose([np.median(error[:, number == k], axis=1) for k in bins])
+    grown_m = np.sqrt(np.maximum.accumulate(np.maximum(off**2 - as_known**2, 0.0)))
+    middle_m = height_m * np.array([np.sqrt(_AWAY[k - 1] * _AWAY[k]) for k in bins])
+    return np.asarray(away_m * np.interp(away_m, middle_m, grown_m / middle_m))
 
 
 def _best_curving(trials: _Trials, spacing_m: float) -> float:
     """The third derivative that predicts every fifth square of points with the least mean error, capped."""
-    heights = trials.heights
-    cells = (heights.points_m[:, :2] - heights.low_m) / (_GAP * heights.height_m)
-    col, row = np.floor(cells).astype(np.intp).T
-    out = (col + 2 * row) % 5 == 0
-    if out.sum() < _FEWEST or out.all():
+    if not trials.without_squares:
         return _USUAL_CURVING
-    known, left_out = heights.without(out), heights.points_m[out]
+    ((out, known),) = trials.without_squares
+    left_out = trials.heights.points_m[out]
     surfaces = trials.surfaces([Trial(known, spacing_m, curving, _FREE) for curving in _CURVINGS])
     errors = [_residual(left_out, surface) for surface in surfaces]
     return _CURVINGS[
