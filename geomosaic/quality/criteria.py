@@ -77,13 +77,13 @@ CRITERIA: Mapping[str, Criterion] = {
         of_land=True,
     ),
     "ground unknown": Criterion(
-        0.05,
+        0.1,
         np.inf,
         "share",
         "the ground between tie points may lie so much higher or lower that the map is off by more than "
         f"{ASKED}",
         "an elevation model (--dem), --surface dense where things stand on it, or more overlap",
-        "nineteen twentieths of the land keep below what is asked of it beside the land around",
+        "as for the worst tenth of the seams and a matched surface: about what stands, ground is rough",
     ),
     "rim": Criterion(
         0.05,

@@ -255,7 +255,11 @@ def _text(adjusted: Adjusted, figures: Mapping[str, float], asked: str) -> str:
     """How many frames are tied, how well they agree, and how much land the surface leaves open."""
     words = [f"{adjusted.status.count('tied')} of {len(adjusted.status)} frames tied"]
     words += [f"{name} {figures[name]:.2f} px" for name in ("image deviation", "seams") if name in figures]
-    for name, where in (("surface unsure", ""), ("rim", ", at the rim,")):
+    for name, where in (
+        ("surface unsure", ""),
+        ("ground unknown", ", between tie points,"),
+        ("rim", ", at the rim,"),
+    ):
         share = figures.get(name, 0.0)
         words += [f"{_percent(share)} of the land{where} may be off by more than {asked}"] * (
             share >= _WORTH_A_WORD

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +41,7 @@ _GAP = tuned(0.2, "flying heights", "side of a left-out square; less: any stiffn
 SIDE = tuned(0.25, "flying heights", "side of places that err alike or are left out: a third of a frame")
 _AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35), "flying heights", "bins; finer: few points")
 _OUTERMOST = tuned(0.98, "share of the points", "within a side; less: a side would begin inside the block")
+_ALIKE = tuned(100, "points", "that say how rough a place is; fewer: single houses; more: woods as fields")
 _USUAL_BEYOND = tuned(0.03, "m per m", "error beyond the points of small blocks, as of hills and woods")
 
 
@@ -68,11 +69,14 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
     residual = _residual(points_m, surface := by_pieces(last, trials.surfaces))
     followed = points_m[residual * MEDIAN_ONE <= THREE_SIGMA * np.median(residual), :2]
     away_m, _ = KDTree(followed).query(surface.nodes_m())
-    chosen = Trial(heights, trial_m, curving, standing)
-    left_out = (trials.without_squares, tuple(trials.without_each_side.values()))
-    off_m = [_growth(trials, chosen, parts, away_m) for parts in left_out]
+    whole = Trial(heights, trial_m, curving, standing)
+    amid = _left_out_errors(trials, whole, trials.without_squares)
+    beyond = _left_out_errors(trials, whole, tuple(trials.without_each_side.values()))
     between = _between_points(away_m, _GAP * heights.height_m, fine_m)
-    return replace(surface, sd_m=np.hypot(float(np.median(heights.sd_up_m)), np.where(between, *off_m)))
+    off_m = _growth(beyond, heights.height_m)(away_m)
+    off_m[between] = _growth(amid, heights.height_m)(away_m[between])
+    off_m[between] *= _roughness(amid, heights.height_m, surface.nodes_m()[between])
+    return replace(surface, sd_m=np.hypot(float(np.median(heights.sd_up_m)), off_m))
 
 
 class _Trials:
@@ -85,11 +89,12 @@ class _Trials:
 
     @cached_property
     def without_squares(self) -> Sequence[LeftOut]:
-        """Points of every fifth square, and the others; none where all or next to none lie there."""
+        """Points of every fifth square, and the others, five times so that each point is left out once; none
+        where too few or all points are."""
         cells = (self.heights.points_m[:, :2] - self.heights.low_m) / (_GAP * self.heights.height_m)
         col, row = np.floor(cells).astype(np.intp).T
-        out = (col + 2 * row) % 5 == 0
-        return () if out.sum() < _FEWEST or out.all() else ((out, self.heights.without(out)),)
+        folds = [(col + 2 * row) % 5 == fold for fold in range(5)]
+        return [(out, self.heights.without(out)) for out in folds if out.sum() >= _FEWEST and not out.all()]
 
     @cached_property
     def without_each_side(self) -> dict[int, LeftOut]:
@@ -117,34 +122,59 @@ def _between_points(away_m: Floats, gap_m: float, spacing_m: float) -> Bools:
     return np.asarray(distance_transform_edt(near)[1:-1, 1:-1] * spacing_m > gap_m)
 
 
-def _growth(trials: _Trials, whole: Trial, left_out: Sequence[LeftOut], away_m: Floats) -> Floats:
-    """What left-out points lie farther off than points that the surface knows, for one deviation, at
-    distances of any shape from these, in m; beyond the farthest bin as by a wrong slope. Medians: what stands
-    on the ground is not the ground's error. Args: whole: the trial with all points; left_out: points that
-    others miss."""
-    height_m = whole.heights.height_m
-    known_all, *others = trials.surfaces([whole, *(replace(whole, heights=known) for _, known in left_out)])
-    of_bin, errors = [np.zeros(0, np.intp)], [np.zeros((2, 0))]
+@dataclass(frozen=True)
+class _Errors:
+    """Of left-out points in m: places (p, 2), distances (p,) from the nearest known point, how far (p,) the
+    surface without them misses them, and the surface that knows them."""
+
+    at_m: Floats
+    away_m: Floats
+    off_m: Floats
+    as_known_m: Floats
+
+
+def _left_out_errors(trials: _Trials, whole: Trial, left_out: Sequence[LeftOut]) -> _Errors:
+    """Of all that are left out. Args: whole: the trial with all points."""
+    all_known, *others = trials.surfaces([whole, *(replace(whole, heights=known) for _, known in left_out)])
+    parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))]
     for (out, known), surface in zip(left_out, others, strict=True):
         points_m = whole.heights.points_m[out]
-        away, _ = KDTree(known.points_m[:, :2]).query(points_m[:, :2])
-        of_bin.append(np.digitize(away / height_m, _AWAY))
-        errors.append(np.stack([_residual(points_m, known_all), _residual(points_m, surface)]))
-    number, error = np.concatenate(of_bin), np.concatenate(errors, axis=1)
-    bins = [k for k in range(1, len(_AWAY)) if np.sum(number == k) >= _FEWEST]
+        away_m, _ = KDTree(known.points_m[:, :2]).query(points_m[:, :2])
+        parts.append((points_m[:, :2], away_m, _residual(points_m, surface), _residual(points_m, all_known)))
+    return _Errors(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _growth(errors: _Errors, height_m: float) -> Callable[[Floats], Floats]:
+    """By the distance from the points: what left-out points lie farther off than known ones, for one
+    deviation; beyond the farthest bin as by a wrong slope. Medians: what stands on the ground is not the
+    ground's error."""
+    of_bin = np.digitize(errors.away_m / height_m, _AWAY)
+    bins = [mine for k in range(1, len(_AWAY)) if (mine := of_bin == k).sum() >= _FEWEST]
     if not bins:
-        return _USUAL_BEYOND * away_m
-    as_known, off = NORMAL_PER_MAD * np.transpose([np.median(error[:, number == k], axis=1) for k in bins])
-    grown_m = np.sqrt(np.maximum.accumulate(np.maximum(off**2 - as_known**2, 0.0)))
-    middle_m = height_m * np.array([np.sqrt(_AWAY[k - 1] * _AWAY[k]) for k in bins])
-    return np.asarray(away_m * np.interp(away_m, middle_m, grown_m / middle_m))
+        return lambda away_m: _USUAL_BEYOND * away_m
+    off_m2 = [np.median(errors.off_m[mine]) ** 2 - np.median(errors.as_known_m[mine]) ** 2 for mine in bins]
+    grown_m = NORMAL_PER_MAD * np.sqrt(np.maximum.accumulate(np.maximum(off_m2, 0.0)))
+    middle_m = np.array([np.median(errors.away_m[mine]) for mine in bins])
+    return lambda away_m: np.asarray(away_m * np.interp(away_m, middle_m, grown_m / middle_m))
+
+
+def _roughness(errors: _Errors, height_m: float, at_m: Floats) -> Floats | float:
+    """How far left-out points about places (n, 2) lie off, over what is usual at their distances: fields
+    beside woods and houses."""
+    if len(errors.at_m) < _ALIKE:
+        return 1.0
+    usual_m = _growth(errors, height_m)(errors.away_m)
+    usual_m = np.hypot(usual_m, NORMAL_PER_MAD * float(np.median(errors.as_known_m)))
+    tree = KDTree(errors.at_m)
+    about = (errors.off_m / usual_m)[tree.query(errors.at_m, _ALIKE)[1]]
+    return np.asarray(NORMAL_PER_MAD * np.median(about, axis=1)[tree.query(at_m)[1]])
 
 
 def _best_curving(trials: _Trials, spacing_m: float) -> float:
     """The third derivative that predicts every fifth square of points with the least mean error, capped."""
     if not trials.without_squares:
         return _USUAL_CURVING
-    ((out, known),) = trials.without_squares
+    out, known = trials.without_squares[0]
     left_out = trials.heights.points_m[out]
     surfaces = trials.surfaces([Trial(known, spacing_m, curving, _FREE) for curving in _CURVINGS])
     errors = [_residual(left_out, surface) for surface in surfaces]
