@@ -165,9 +165,9 @@ def _roughness(errors: _Errors, height_m: float, at_m: Floats) -> Floats | float
         return 1.0
     usual_m = _growth(errors, height_m)(errors.away_m)
     usual_m = np.hypot(usual_m, NORMAL_PER_MAD * float(np.median(errors.as_known_m)))
-    tree = KDTree(errors.at_m)
-    about = (errors.off_m / usual_m)[tree.query(errors.at_m, _ALIKE)[1]]
-    return np.asarray(NORMAL_PER_MAD * np.median(about, axis=1)[tree.query(at_m)[1]])
+    places_m = errors.at_m[:: -(-len(errors.at_m) // _MOST_TRIAL_NODES)]
+    about = (errors.off_m / np.maximum(usual_m, 1e-9))[KDTree(errors.at_m).query(places_m, _ALIKE)[1]]
+    return np.asarray(NORMAL_PER_MAD * np.median(about, axis=1)[KDTree(places_m).query(at_m)[1]])
 
 
 def _best_curving(trials: _Trials, spacing_m: float) -> float:
