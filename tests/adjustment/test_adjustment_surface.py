@@ -150,7 +150,7 @@ def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(shares))) < 1.6
 
 
-def test_heights_amid_a_gap_are_off_by_what_is_stated_and_by_less_than_beyond_the_points() -> None:
+def test_errors_in_a_gap_are_as_stated_and_smaller_than_beyond_the_points() -> None:
     shares, closer = [], []
     for seed in range(60, 68):
         land, (at, sd) = rolling_land(seed), points(seed, 2500)
@@ -165,7 +165,7 @@ def test_heights_amid_a_gap_are_off_by_what_is_stated_and_by_less_than_beyond_th
     assert np.median(closer) < 0.9
 
 
-def test_houses_do_not_make_the_ground_between_points_unsure() -> None:
+def test_houses_do_not_raise_the_deviation_of_the_ground_between_points() -> None:
     at, sd = points(3)
     bare = tie_surface(Heights(at, sd, LOW, HIGH, 100.0))
     at[:, 2] += 6.0 * (np.floor(at[:, :2] / 12.0).sum(axis=1) % 7 == 0)

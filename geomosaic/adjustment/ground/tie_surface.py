@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from geomosaic.adjustment.ground.surface_pieces import by_pieces
 from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import MEDIAN_ONE, NORMAL_PER_MAD, ROUNDS, tuned
+from geomosaic.constants import MEDIAN_ONE, NORMAL_PER_MAD, ROUNDS, SLIGHT, sourced, tuned
 from geomosaic.estimation.robust import BLUNDER, THREE_SIGMA
 from geomosaic.projection.ground import GroundSurface, node_spacing_m
 from geomosaic.spread import AtOnce, Spread
@@ -41,7 +41,7 @@ _GAP = tuned(0.2, "flying heights", "side of a left-out square; less: any stiffn
 SIDE = tuned(0.25, "flying heights", "side of places that err alike or are left out: a third of a frame")
 _AWAY = tuned((0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35), "flying heights", "bins; finer: few points")
 _OUTERMOST = tuned(0.98, "share of the points", "within a side; less: a side would begin inside the block")
-_ALIKE = tuned(100, "points", "that say how rough a place is; fewer: single houses; more: woods as fields")
+_AROUND = sourced(100, "points", "give the spread at a place to 12 %", "Rousseeuw and Croux 1993: 1.17/√n")
 _USUAL_BEYOND = tuned(0.03, "m per m", "error beyond the points of small blocks, as of hills and woods")
 
 
@@ -70,12 +70,11 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
     followed = points_m[residual * MEDIAN_ONE <= THREE_SIGMA * np.median(residual), :2]
     away_m, _ = KDTree(followed).query(surface.nodes_m())
     whole = Trial(heights, trial_m, curving, standing)
-    amid = _left_out_errors(trials, whole, trials.without_squares)
+    within = _left_out_errors(trials, whole, trials.without_squares)
     beyond = _left_out_errors(trials, whole, tuple(trials.without_each_side.values()))
-    between = _between_points(away_m, _GAP * heights.height_m, fine_m)
-    off_m = _growth(beyond, heights.height_m)(away_m)
-    off_m[between] = _growth(amid, heights.height_m)(away_m[between])
-    off_m[between] *= _roughness(amid, heights.height_m, surface.nodes_m()[between])
+    usual_within, gap = _growth(within), _in_gaps(away_m, _GAP * heights.height_m, fine_m)
+    off_m = _growth(beyond)(away_m)
+    off_m[gap] = usual_within(away_m[gap]) * _roughness(within, usual_within, surface.nodes_m()[gap])
     return replace(surface, sd_m=np.hypot(float(np.median(heights.sd_up_m)), off_m))
 
 
@@ -89,8 +88,7 @@ class _Trials:
 
     @cached_property
     def without_squares(self) -> Sequence[LeftOut]:
-        """Points of every fifth square, and the others, five times so that each point is left out once; none
-        where too few or all points are."""
+        """Points (p,) of every fifth square, and the others; five times, to leave each point out once."""
         cells = (self.heights.points_m[:, :2] - self.heights.low_m) / (_GAP * self.heights.height_m)
         col, row = np.floor(cells).astype(np.intp).T
         folds = [(col + 2 * row) % 5 == fold for fold in range(5)]
@@ -115,59 +113,60 @@ class _Trials:
         return [self._made[trial] for trial in trials]
 
 
-def _between_points(away_m: Floats, gap_m: float, spacing_m: float) -> Bools:
-    """Nodes in no wider gap than twice gap_m: the closing of the points' discs. Args: away_m (rows, cols):
-    from the nearest point."""
-    near = np.pad(away_m <= gap_m, 1)
-    return np.asarray(distance_transform_edt(near)[1:-1, 1:-1] * spacing_m > gap_m)
+def _in_gaps(away_m: Floats, radius_m: float, spacing_m: float) -> Bools:
+    """Nodes between tie points, in gaps that a disc of this radius does not enter: a morphological closing.
+    Args: away_m (rows, cols): distances from the nearest tie point."""
+    near = np.pad(away_m <= radius_m, 1)
+    return np.asarray(distance_transform_edt(near)[1:-1, 1:-1] * spacing_m > radius_m)
 
 
 @dataclass(frozen=True)
-class _Errors:
-    """Of left-out points in m: places (p, 2), distances (p,) from the nearest known point, how far (p,) the
-    surface without them misses them, and the surface that knows them."""
+class _LeftOutErrors:
+    """Cross-validation of heights, in m. height_m: of flying; places_m (p, 2): of the left-out points; away_m
+    (p,): distances from the nearest other; error_m, residual_m (p,): to the surface without and with them."""
 
-    at_m: Floats
+    height_m: float
+    places_m: Floats
     away_m: Floats
-    off_m: Floats
-    as_known_m: Floats
+    error_m: Floats
+    residual_m: Floats
 
 
-def _left_out_errors(trials: _Trials, whole: Trial, left_out: Sequence[LeftOut]) -> _Errors:
-    """Of all that are left out. Args: whole: the trial with all points."""
-    all_known, *others = trials.surfaces([whole, *(replace(whole, heights=known) for _, known in left_out)])
+def _left_out_errors(trials: _Trials, whole: Trial, left_out: Sequence[LeftOut]) -> _LeftOutErrors:
+    """Errors of all parts that are left out in turn. Args: whole: the trial with all points."""
+    with_all, *without = trials.surfaces([whole, *(replace(whole, heights=known) for _, known in left_out)])
     parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))]
-    for (out, known), surface in zip(left_out, others, strict=True):
+    for (out, known), surface in zip(left_out, without, strict=True):
         points_m = whole.heights.points_m[out]
         away_m, _ = KDTree(known.points_m[:, :2]).query(points_m[:, :2])
-        parts.append((points_m[:, :2], away_m, _residual(points_m, surface), _residual(points_m, all_known)))
-    return _Errors(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        parts.append((points_m[:, :2], away_m, _residual(points_m, surface), _residual(points_m, with_all)))
+    joined = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return _LeftOutErrors(whole.heights.height_m, *joined)
 
 
-def _growth(errors: _Errors, height_m: float) -> Callable[[Floats], Floats]:
-    """By the distance from the points: what left-out points lie farther off than known ones, for one
-    deviation; beyond the farthest bin as by a wrong slope. Medians: what stands on the ground is not the
-    ground's error."""
-    of_bin = np.digitize(errors.away_m / height_m, _AWAY)
+def _growth(errors: _LeftOutErrors) -> Callable[[Floats], Floats]:
+    """Standard deviation of heights in m by the distance from the tie points in m, beyond their own. Medians
+    by distance: objects on the ground are outliers. Beyond the last bin it grows with the distance."""
+    of_bin = np.digitize(errors.away_m / errors.height_m, _AWAY)
     bins = [mine for k in range(1, len(_AWAY)) if (mine := of_bin == k).sum() >= _FEWEST]
     if not bins:
         return lambda away_m: _USUAL_BEYOND * away_m
-    off_m2 = [np.median(errors.off_m[mine]) ** 2 - np.median(errors.as_known_m[mine]) ** 2 for mine in bins]
+    off_m2 = [np.median(errors.error_m[mine]) ** 2 - np.median(errors.residual_m[mine]) ** 2 for mine in bins]
     grown_m = NORMAL_PER_MAD * np.sqrt(np.maximum.accumulate(np.maximum(off_m2, 0.0)))
     middle_m = np.array([np.median(errors.away_m[mine]) for mine in bins])
     return lambda away_m: np.asarray(away_m * np.interp(away_m, middle_m, grown_m / middle_m))
 
 
-def _roughness(errors: _Errors, height_m: float, at_m: Floats) -> Floats | float:
-    """How far left-out points about places (n, 2) lie off, over what is usual at their distances: fields
-    beside woods and houses."""
-    if len(errors.at_m) < _ALIKE:
-        return 1.0
-    usual_m = _growth(errors, height_m)(errors.away_m)
-    usual_m = np.hypot(usual_m, NORMAL_PER_MAD * float(np.median(errors.as_known_m)))
-    places_m = errors.at_m[:: -(-len(errors.at_m) // _MOST_TRIAL_NODES)]
-    about = (errors.off_m / np.maximum(usual_m, 1e-9))[KDTree(errors.at_m).query(places_m, _ALIKE)[1]]
-    return np.asarray(NORMAL_PER_MAD * np.median(about, axis=1)[KDTree(places_m).query(at_m)[1]])
+def _roughness(errors: _LeftOutErrors, growth: Callable[[Floats], Floats], places_m: Floats) -> Floats:
+    """Factor (n,) on the growth at places (n, 2): errors of the left-out points around over those usual at
+    their distances. Fields are smoother than woods and houses."""
+    if len(errors.places_m) < _AROUND:
+        return np.ones(len(places_m))
+    usual_m = np.hypot(growth(errors.away_m), NORMAL_PER_MAD * float(np.median(errors.residual_m)))
+    middles_m = errors.places_m[:: -(-len(errors.places_m) // _MOST_TRIAL_NODES)]
+    _, around = KDTree(errors.places_m).query(middles_m, _AROUND)
+    factor = NORMAL_PER_MAD * np.median((errors.error_m / np.maximum(usual_m, SLIGHT))[around], axis=1)
+    return np.asarray(factor[KDTree(middles_m).query(places_m)[1]])
 
 
 def _best_curving(trials: _Trials, spacing_m: float) -> float:
