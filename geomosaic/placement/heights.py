@@ -9,10 +9,11 @@ import numpy as np
 from pyproj import Geod
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import NORMAL_PER_MAD, tuned
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 ASSUMED_SD_SHARE = tuned(0.1, "share", "of an assumed height: less binds poses; more frees the scale")
+ASSUMED_HEIGHT_M = sourced(120.0, "m", "over ground, where none is reported", "EU 2019/947: the most allowed")
 LEAST_HEIGHT_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
 _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")
 _FAR = tuned(2.5, "usual heights", "ratio in doubt beside an impossible one: less drops good, more keeps bad")
@@ -126,12 +127,13 @@ def with_any_height(survey: Survey) -> tuple[Survey, float]:
     """A survey none of whose frames has a position, at some height over flat ground, and the ground's height.
 
     Where frames see two control points or more, the height at which these are as far apart as surveyed, and
-    the ground at the points' height; else a ground pixel of one unit. Images and control set it right.
+    the ground at the points' height; else the usual of the heights above the ground that frames report; else
+    120 m, so that velocities in units a second are near those in m/s. Images and control set it right.
     """
     used = [c for c in survey.control if not c.check]
-    above = _height_by_control_m(survey, used) or float(
-        np.median([survey.camera_of(i).focal_length_px for i in range(len(survey.frames))])
-    )
+    reported = [f.position.height_above_ground_m for f in survey.frames]
+    usual_m = float(np.median([h for h in reported if h is not None] or [ASSUMED_HEIGHT_M]))
+    above = _height_by_control_m(survey, used) or (usual_m if usual_m > LEAST_HEIGHT_M else ASSUMED_HEIGHT_M)
     level = float(np.median([c.height_ellipsoidal_m for c in used])) if used else 0.0
     frames = tuple(
         replace(f, position=replace(f.position, height_above_ground_m=above)) for f in survey.frames

@@ -227,6 +227,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the frames' pixels were turned after the flight: how the rolling shutter bends the map is unknown",
         "give the files as the camera wrote them",
     ),
+    "velocity-unknown": (
+        "doubtful",
+        "rolling shutter: how fast the frames flew is unknown, and the map may be stretched along the lines",
+        "give the files as the camera wrote them, with their times",
+    ),
     "scale-doubtful": (
         "doubtful",
         "the block's scale disagrees with the positions",

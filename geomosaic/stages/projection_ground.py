@@ -44,7 +44,7 @@ class GroundParams(StageParams):
 
 
 @stage(
-    "projection.ground", "Make the ground surface", group="Projection", version=8,
+    "projection.ground", "Make the ground surface", group="Projection", version=9,
     outputs=("prior_ground", "levelled_survey"),
     formerly={"prior_ground": "ground", "levelled_survey": "survey"},
 )  # fmt: skip

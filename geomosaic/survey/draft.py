@@ -36,8 +36,9 @@ from geomosaic.survey.strays import Stray, stray_warnings
 from geomosaic.survey.usable import Usable
 
 _NO_PLACE = (
-    "no frame has a position and there are no control points: the mosaic has no place on the Earth, "
-    "its unit is about a ground pixel, and its orientation is arbitrary; give --pos or --gcp to have a map"
+    "no frame has a position and there are no control points: the mosaic has no place on the Earth and no "
+    "north; its scale is that of the reported heights above the ground, else of a flight at 120 m; give "
+    "--pos or --gcp to have a map"
 )
 
 

@@ -115,6 +115,16 @@ def test_gusts_over_all_land_are_not_taken_for_a_camera_that_turns(seed: int) ->
     assert not [w for w in adjusted.warnings if w.code in ("model-chosen", "shutter-doubtful")]
 
 
+def test_velocities_that_nobody_reports_are_not_taken_for_frames_that_turn() -> None:
+    """Turning frames took up the stretch of an unknown velocity, and left the block's shape open."""
+    flown = fly(4, 3, 5, points=500, readout_s=0.05, there_and_back=True)
+    poses = replace(flown.block.poses, velocities_m_per_s=np.zeros((15, 3)))
+    adjusted = METHODS["bundle"](replace(flown.block, poses=poses, times_s=None), Settings())
+    assert adjusted.model is None or "turning" not in adjusted.model.taken
+    (line,) = [w.text for w in adjusted.warnings if w.code == "velocity-unknown"]
+    assert "at 10 m/s the map would be stretched by 0.8 % along the lines" in line
+
+
 def test_frames_that_turn_while_they_are_read(turning: Adjusted) -> None:
     flown, adjusted = fly(3, 2, 4, **TURNING), turning
     given = METHODS["bundle"](flown.block, Settings(model="given"))

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from geomosaic.camera.interior import Camera
+from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.turned import possible_quarters, turned_frames
 from geomosaic.pipeline.reporter import warning_lines
 from geomosaic.placement.graph import adjacent_frames
-from geomosaic.placement.heights import FrameHeights, ground_height_m, possible_heights
-from geomosaic.survey.model import Attitude, Frame, Position
+from geomosaic.placement.heights import FrameHeights, ground_height_m, possible_heights, with_any_height
+from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
 def frame(height_m: float | None, above_m: float | None) -> Frame:
@@ -36,6 +38,20 @@ def test_a_height_of_nothing_above_the_take_off_says_no_ground() -> None:
     assert ground_height_m((frame(420.0, 80.0), frame(424.0, 82.0))) == pytest.approx(341.0)
     assert ground_height_m((frame(420.0, 0.0), frame(424.0, 0.0))) is None
     assert ground_height_m((frame(420.0, None),)) is None
+
+
+@pytest.mark.parametrize(
+    ("reported", "flown_m"),
+    [((None, None, None), 120.0), ((None, 58.0, 62.0), 60.0), ((0.0, 0.0, 0.0), 120.0)],
+)
+def test_a_survey_without_positions_flies_as_high_as_frames_report(
+    reported: tuple[float | None, ...], flown_m: float
+) -> None:
+    """A unit is near a metre, so that limits in metres and in metres a second hold."""
+    lens = Camera("plain", 800, 600, 700.0, 400.0, 300.0)
+    frames = tuple(frame(None, above_m) for above_m in reported)
+    survey, level = with_any_height(Survey(frames, (lens,), LocalFrame(11.0, 48.0, 0.0), "EPSG:32632"))
+    assert {f.position.height_above_ground_m for f in survey.frames} == {flown_m} and level == 0.0
 
 
 def test_only_an_image_that_lies_across_can_have_been_turned_by_a_quarter() -> None:

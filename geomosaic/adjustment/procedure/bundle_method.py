@@ -196,7 +196,7 @@ def _turning_too(work: Work) -> Work:
     if settings.model != "auto" or not rolling or settings.turning:
         return work
     reported = work.block.poses.turns is not None
-    if not (reported or turns_shown(before)):
+    if not (reported or turns_shown(before, work.block)):
         return work
     turning = again(work, work.block, replace(settings, turning=True), before)
     if reported:
