@@ -243,12 +243,19 @@ class GroundPlaces:
         common = np.kron(np.ones((count, count)), np.diag(common_m2))
         return replace(self, covariance_m2=self.covariance_m2 + common)
 
-    def shape_sd_m(self) -> float:
-        """Deviation of a place in plan after the best similarity, root mean square over the block."""
+    def plan_m2(self, *, after_similarity: bool = False) -> Floats:
+        """The covariance in plan, (2 k, 2 k) by place, then axis; of what the best similarity leaves."""
         plan = np.delete(np.arange(3 * len(self.places_m)), np.s_[2::3])
         covariance = self.covariance_m2[np.ix_(plan, plan)]
+        if not after_similarity:
+            return covariance
         basis = orthonormal(self.similar())
-        left = float(np.trace(covariance) - np.trace(basis.T @ covariance @ basis))
+        left = np.eye(len(plan)) - basis @ basis.T
+        return left @ covariance @ left
+
+    def shape_sd_m(self) -> float:
+        """Deviation of a place in plan after the best similarity, root mean square over the block."""
+        left = float(np.trace(self.plan_m2(after_similarity=True)))
         return float(np.sqrt(max(left, 0.0) / len(self.places_m)))
 
     def similar(self) -> Floats:

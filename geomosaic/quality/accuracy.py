@@ -133,7 +133,8 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float, *, placed: b
 
     Args: seam_px: median mismatch at its seams, NaN where none was measured; pixel_m: its pixel. A mismatch
     has the errors of two frames in it, as a distance between places of two frames does. placed: whether
-    positions or control points place the map in the world; else its absolute accuracy is not stated.
+    positions or control points place the map in the world; else its absolute accuracy is not stated, and
+    distances are those of the map once it is scaled.
     """
     local_m2 = 2.0 * (np.nan_to_num(seam_px) * pixel_m / MEDIAN_LENGTH) ** 2
     places, figures = adjusted.places, check_points(adjusted.control)
@@ -141,7 +142,7 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float, *, placed: b
     if figures is not None and figures.count >= LEAST_POINTS:
         used = [c for c in adjusted.control if c.check and c.name not in figures.blunders]
         absolute = _measured(figures, np.mean([c.surveyed_sd_m**2 for c in used], axis=0))
-    return Accuracy(absolute, _relative(places, local_m2))
+    return Accuracy(absolute, _relative(places, local_m2, placed))
 
 
 def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float) -> Requirement:
@@ -198,12 +199,12 @@ def _estimated(places: GroundPlaces | None, local_m2: float) -> AbsoluteAccuracy
     return AbsoluteAccuracy(horizontal_m, float(np.sqrt(variance_m2[2])), "estimated", 0, none, none)
 
 
-def _relative(places: GroundPlaces | None, local_m2: float) -> RelativeAccuracy:
+def _relative(places: GroundPlaces | None, local_m2: float, placed: bool) -> RelativeAccuracy:
     """By the joint covariance of places; local_m2: what a distance is off by frames' own errors."""
     if places is None:
         return RelativeAccuracy(NOT_STATED, NOT_STATED, NOT_STATED, NOT_STATED)
     count = len(places.places_m)
-    joint = places.covariance_m2.reshape(count, 3, count, 3)[:, :2, :, :2]
+    joint = places.plan_m2(after_similarity=not placed).reshape(count, 2, count, 2)
     one, other = np.triu_indices(count, 1)
     away_m = places.places_m[other, :2] - places.places_m[one, :2]
     length_m = np.linalg.norm(away_m, axis=1)
@@ -218,8 +219,7 @@ def _relative(places: GroundPlaces | None, local_m2: float) -> RelativeAccuracy:
 
     scale = places.similar()[:, 2]
     scale = scale / (scale @ scale)
-    plan = joint.reshape(2 * count, 2 * count)
-    scale_sd = float(np.sqrt(max(float(scale @ plan @ scale), 0.0)))
+    scale_sd = float(np.sqrt(max(float(scale @ places.plan_m2() @ scale), 0.0)))
     return RelativeAccuracy(1000.0 * scale_sd, rmse_m(_OVER_M), rmse_m(whole_m), whole_m)
 
 

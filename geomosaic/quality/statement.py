@@ -65,7 +65,8 @@ def _relative(relative: RelativeAccuracy, required: Requirement, pixel_m: float)
         if math.isfinite(rmse_m)
     ]
     if not required.scaled:
-        distances = [f"{relative.rmse_whole_m / pixel_m:.1f} px over {relative.whole_m / pixel_m:.0f} px"]
+        off_px, over_px = relative.rmse_whole_m / pixel_m, relative.whole_m / pixel_m
+        return f"RMSE of distances {off_px:.1f} px over {over_px:.0f} px once it is scaled; scale unknown"
     return f"RMSE of distances {', '.join(distances)}; scale {relative.scale_permille:.2f} per mille"
 
 

@@ -68,9 +68,10 @@ def _distances(relative: RelativeAccuracy, required: Requirement, pixel_m: float
         if math.isfinite(rmse_m) and (required.scaled or length_m is relative.whole_m):
             asked_m = required.permille * length_m / 1000.0
             words = "RMSE " + f"{metres(rmse_m)}, " * required.scaled + f"{rmse_m / pixel_m:.2f} px"
-            over = f"distances over {length_m:.0f} m" if required.scaled else "distances over the whole map"
+            whole = "distances over the whole map, once it is scaled"
+            over = f"distances over {length_m:.0f} m" if required.scaled else whole
             rows.append(AccuracyRow("" if rows else title, over, words, "", *_required(rmse_m, asked_m)))
-    scale = f"±\u202f{relative.scale_permille:.2f} ‰"
+    scale = f"±\u202f{relative.scale_permille:.2f} ‰" if required.scaled else UNKNOWN
     return [*rows, AccuracyRow("" if rows else title, "scale of the map", scale)]
 
 

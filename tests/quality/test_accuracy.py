@@ -69,6 +69,9 @@ def test_a_scale_is_relative_and_a_turn_is_not() -> None:
     assert scaled.permille == pytest.approx(2.0, rel=0.12)
     # of sides of 90 and 120 m, all within 70 to 140 m
     assert scaled.rmse_100m_m == pytest.approx(2e-3 * np.sqrt((90.0**2 + 120.0**2) / 2.0))
+    free = accuracy_of(adjusted(place_errors(2e-3 * centred * [1, 1, 0])), float("nan"), 0.02, placed=False)
+    assert free.relative.scale_permille == pytest.approx(2.0)
+    assert free.relative.rmse_whole_m == pytest.approx(0.0, abs=1e-7)
     turned = np.column_stack([-centred[:, 1], centred[:, 0], np.zeros(4)]) * 3e-3
     still = accuracy_of(adjusted(place_errors(turned)), float("nan"), 0.02).relative
     assert still.scale_permille == pytest.approx(0.0, abs=1e-9)
@@ -138,7 +141,7 @@ def test_the_usual_requirement_is_what_the_inputs_can_give() -> None:
     unscaled = answers(
         replace(accuracy_of(adjusted(None), 0.3, 0.03), relative=within), nothing, NO_SEAMS, 0.03
     )
-    assert unscaled[1][1] == "RMSE of distances 30.0 px over 6000 px; scale 5.00 per mille"
+    assert unscaled[1][1] == "RMSE of distances 30.0 px over 6000 px once it is scaled; scale unknown"
     handheld = [replace(p, surveyed_sd_m=np.array([2.0, 2.5, 5.0])) for p in used]
     by_hand = usual_requirement(adjusted(None, *handheld), np.full(5, 5.0), 0.03)
     assert by_hand.rmse_h_m == pytest.approx(np.sqrt(2.0) * 2.5) and "control points" in by_hand.why
