@@ -121,17 +121,18 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 
 
 def unsteady_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
-    """By how much the velocity of each frame may differ from `flown_m_per_s`, (n,), where flight changes, as
-    at its end: half of what the steps before and behind it differ by, at the end of a way those of the frame
-    next to it; 0 where that is no more than three times the median."""
+    """By how much the velocity of each frame may differ from `flown_m_per_s`, (n,): half of what the steps
+    before and behind it differ by, where that is more than three times the median; at the ends of a way,
+    which may curve, half of what those of the frame next to it do; 0 elsewhere."""
     out, way = np.zeros(len(times_s)), _way(positions_m, times_s)
     if len(way.at) < 3:
         return out
     steps = way.steps_m_per_s(_exact(times_s[way.at]))
     change = np.pad(np.linalg.norm(np.diff(steps, axis=0), axis=1), 1, constant_values=np.nan)
     next_to_it = np.fmax(np.roll(change, 1), np.roll(change, -1))
-    change = np.nan_to_num(np.where(np.isnan(change), next_to_it, change))
-    out[way.at] = np.where(change > THREE_SIGMA * np.median(change), 0.5 * change, 0.0)
+    ends = np.isnan(change)
+    change = np.nan_to_num(np.where(ends, next_to_it, change))
+    out[way.at] = np.where(ends | (change > THREE_SIGMA * np.median(change)), 0.5 * change, 0.0)
     return out
 
 

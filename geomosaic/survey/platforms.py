@@ -59,16 +59,22 @@ def paths_of(plan_m: Floats, times_s: Floats, sd_m: float) -> Ints:
     alone = np.zeros(n, dtype=np.intp)
     if max(speed(i, i + 1) for i in range(n - 1)) <= limit:
         return alone
-    paths, last, velocity = alone.copy(), [0], [np.zeros(2)]
+    paths, flown, velocity = alone.copy(), [[0]], [np.zeros(2)]
     for j in range(1, n):
-        steps = [(plan_m[j] - plan_m[i]) / (times_s[j] - times_s[i] + clock_s) for i in last]
-        near = [k for k, i in enumerate(last) if speed(i, j) <= limit]
+        steps = [(plan_m[j] - plan_m[its[-1]]) / (times_s[j] - times_s[its[-1]] + clock_s) for its in flown]
+        near = [k for k, its in enumerate(flown) if min(speed(i, j) for i in its[-2:]) <= limit]
         if near:
             path = min(near, key=lambda k: float(np.linalg.norm(steps[k] - velocity[k])))
-            last[path], velocity[path] = j, steps[path]
+            velocity[path] = steps[path]
+            flown[path].append(j)
         else:
-            path = len(last)
-            last.append(j)
+            path = len(flown)
             velocity.append(np.zeros(2))
+            flown.append([j])
         paths[j] = path
-    return paths if (np.bincount(paths) >= LEAST_FRAMES).sum() > 1 else alone
+    if sum(len(its) >= LEAST_FRAMES for its in flown) < 2:
+        return alone
+    for j in range(1, n):
+        if len(flown[paths[j]]) < LEAST_FRAMES:  # a position far off, not an aircraft
+            paths[j] = paths[j - 1]
+    return paths

@@ -66,6 +66,24 @@ def test_a_position_far_off_is_no_aircraft() -> None:
     assert not paths_of(plan, times + 0.25, 5.0).any()
 
 
+def test_a_position_far_off_at_the_start_of_a_line_parts_no_flight() -> None:
+    """The pause before it leaves time to fly there; the way back to the line does not."""
+    plan, times = flight(10.0, 4, 12, 2.0)
+    plan[24] += 110.0
+    assert not paths_of(plan, times + 0.25, 5.0).any()
+
+
+def test_a_position_far_off_belongs_to_an_aircraft_that_flies() -> None:
+    """Of two at once; a path of its own would leave it without a velocity."""
+    plan, times, which = together(
+        flight(10.0, 1, 20, 2.0), (flight(10.0, 1, 20, 2.0)[0] + 400.0, np.arange(20) * 2.0 + 0.9)
+    )
+    plan[17] += 900.0
+    paths = paths_of(plan, times + 0.25, 5.0)
+    assert set(paths.tolist()) == {0, 1}
+    assert (np.delete(paths, 17) == np.delete(which, 17)).all()
+
+
 def test_frames_of_named_drones_keep_their_names() -> None:
     """Two 300 m apart, both to the north at 10 m/s."""
     level = Attitude(0.0, 0.0, 0.0, 1.0, 1.0, "test")

@@ -25,8 +25,8 @@ from geomosaic.adjustment.terms.rolling_shutter_rotation import (
     RollingShutterRotation,
 )
 from geomosaic.adjustment.terms.terrain import Terrain
-from geomosaic.arrays import Floats, Ints
-from geomosaic.constants import tuned
+from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.graph import connected_parts
@@ -34,6 +34,7 @@ from geomosaic.placement.heights import ASSUMED_SD_SHARE
 from geomosaic.placement.prior import position_assumed
 from geomosaic.placement.reach import flying_heights_m
 
+CRUISE_M_PER_S = sourced(10.0, "m/s", "of unknown velocities", "DJI Pilot 2: mapping at 1 to 15 m/s")
 _ZERO_SD_RAD_PER_S = tuned(0.05, "rad/s", "of a small gyroscope's zero; less: it is followed")
 _RELIEF = tuned(0.042, "share of the flying height", "of unknown ground; less: hills are pressed flat")
 _LEVEL_SD_M = tuned(2.0, "m", "of the ground's level: datums and geoid models of a DEM, barometers")
@@ -127,17 +128,28 @@ def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutte
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
     readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
-    drift_sd = _gust_per_s(block) * np.abs(readouts_s)
-    drift_sd = drift_sd[:, None] * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))
+    level = np.sqrt(np.maximum(1.0 - block.poses.rotations[:, 2] ** 2, 0.0))
+    drift_sd = _gust_per_s(block, level) * np.abs(readouts_s)[:, None]
+    drift_sd = drift_sd * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))
     most = PRIOR_FACTORS[1] if settings.turning else THREE_SIGMA
     common = settings.turning and _zero_unknown(block, settings)
     return RollingShutterRotation(_swing_sd_rad(block, settings, readouts_s), drift_sd, common, most)
 
 
-def _gust_per_s(block: Block) -> Floats:
-    """Errors of the frames' velocities (f,), as shares of the flying height in a second."""
-    unsteady = block.unsteady_m_per_s
-    own = np.zeros(len(block.names)) if unsteady is None else unsteady
+def velocities_known(block: Block) -> Bools:
+    """Frames (f,) of which times or tags say how fast they flew."""
+    flown = block.poses.velocities_m_per_s
+    return np.zeros(len(block.names), dtype=bool) if flown is None else np.asarray(flown.any(axis=1))
+
+
+def _gust_per_s(block: Block, level: Floats | float = 1.0) -> Floats:
+    """Errors of the frames' velocities along the camera's axes, (f, 1) or (f, 3), as shares of the flying
+    height in a second. Where most are known, single unknown ones are those of a level flight. level (f, 3):
+    of each axis."""
+    unsteady, known = block.unsteady_m_per_s, velocities_known(block)
+    own = np.zeros((len(known), 1)) if unsteady is None else unsteady[:, None]
+    if known.mean() > 0.5:
+        own = np.where(known[:, None], own, CRUISE_M_PER_S * level)
     return np.asarray(np.hypot(GUST_M_PER_S, own) / flying_height_m(block))
 
 
@@ -151,7 +163,7 @@ def _swing_sd_rad(block: Block, settings: Settings, readouts_s: Floats) -> Float
     rate_sd: Floats | float = settings.rate_sd_rad_per_s or RATE_SD_RAD_PER_S
     terms = most
     if not settings.turning:
-        rate_sd, terms = _gust_per_s(block), 1
+        rate_sd, terms = _gust_per_s(block)[:, 0], 1
     elif _zero_unknown(block, settings):
         rate_sd, terms = _ZERO_SD_RAD_PER_S, most if known.any() else 1
     sd = np.repeat((0.5 * rate_sd * np.abs(readouts_s))[:, None], terms, axis=1)

@@ -9,6 +9,7 @@ import numpy as np
 
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
+from geomosaic.adjustment.procedure.block_problem import CRUISE_M_PER_S, velocities_known
 from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model, tested
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.solution import Solution, Start
@@ -31,7 +32,6 @@ _CONTRADICTS = tuned(1.2, "times", "that positions may fit worse by: with more, 
 _LEAST_SCATTER = tuned(0.2, "share of the stated", "deviation of positions: less is the luck of a few dozen")
 _SLOWEST_READOUT_S = sourced(0.2, "s", "beyond the slowest sensors of small cameras", "Sequoia: 0.164 s")
 _SHOWN = tuned(5.0, "deviations", "of a readout that the images show: global shutters came to 3")
-_CRUISE_M_PER_S = sourced(10.0, "m/s", "of unknown velocities", "DJI Pilot 2: mapping at 1 to 15 m/s")
 _NO_GUSTS = tuned(2.0, "times GUST_M_PER_S", "rates of frames that turn: steady ones came to 1.3 at most")
 _MAY_WIN = tuned(0.98, "share of left-out residuals", "after some steps: less loses models that gain slowly")
 _ALIKE = tuned(0.7, "of a simpler model's", "residuals that the best leaves: more misses simpler models")
@@ -177,14 +177,8 @@ def readout_shown(solved: Solution) -> bool:
 def turns_shown(solved: Solution, block: Block) -> bool:
     """Whether estimated rates of rotation are larger than errors of the velocities explain: then frames do
     rotate while they are read, though left-out points may not show that. Unknown velocities explain all."""
-    rates = bool(solved.estimate.swing_rad.shape[1]) and not velocities_unknown(block)
+    rates = bool(solved.estimate.swing_rad.shape[1]) and velocities_known(block).mean() > 0.5
     return rates and solved.components["swing 1"] >= _NO_GUSTS
-
-
-def velocities_unknown(block: Block) -> bool:
-    """Whether neither times nor tags say how fast most frames flew."""
-    flown = block.poses.velocities_m_per_s
-    return flown is None or bool(np.median(flown.any(axis=1)) < 1.0)
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
@@ -193,9 +187,9 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     them."""
     out: list[Warn] = []
     read = [abs(c.readout_s) / c.height_px for c in block.cameras if c.readout_s]
-    if read and block.poses.turns is None and velocities_unknown(block):
-        share = 100.0 * _CRUISE_M_PER_S * max(read) / block.ground_pixel_m
-        text = f"at {_CRUISE_M_PER_S:g} m/s the map would be stretched by {share:.1f} % along the lines"
+    if read and block.poses.turns is None and velocities_known(block).mean() <= 0.5:
+        share = 100.0 * CRUISE_M_PER_S * max(read) / block.ground_pixel_m
+        text = f"at {CRUISE_M_PER_S:g} m/s the map would be stretched by {share:.1f} % along the lines"
         text = f"rolling shutter, and neither times nor tags say how fast the frames flew: {text}"
         out.append(Warn("velocity-unknown", "", text))
     if choice is None:
