@@ -80,10 +80,10 @@ def test_control_points_stand_in_for_positions(tmp_path: Path, flown: Path) -> N
 def test_with_nothing_the_mosaic_lies_in_a_frame_of_its_own(tmp_path: Path, flown: Path) -> None:
     run = tmp_path / "run"
     assert mosaic(flown / "none" / "frames", run, *FEW) == 0
-    told = summary(run)
-    assert told["frames"]["tied"] == 6 and told["mosaic"]["crs"] == LOCAL_CRS
+    its = summary(run)
+    assert its["frames"]["tied"] == 6 and its["mosaic"]["crs"] == LOCAL_CRS
     truth = json.loads((flown / "none" / "truth" / "truth.json").read_text())
-    assert told["mosaic"]["gsd_m"] == pytest.approx(120.0 / truth["camera"]["focal_length_px"], rel=0.1)
+    assert its["mosaic"]["gsd_m"] == pytest.approx(120.0 / truth["camera"]["focal_length_px"], rel=0.1)
     assert len(warned(run, "local-frame")) == 1
     raster = gdal.Open(str(run / "mosaic.tif"))
     assert raster.GetSpatialRef().IsLocal()

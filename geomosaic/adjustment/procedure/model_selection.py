@@ -20,6 +20,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
 from geomosaic.estimation.robust import median_of_known
 from geomosaic.matching.tracks import Tracks
+from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
 from geomosaic.survey.model import Warn
 
@@ -187,7 +188,8 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     them."""
     out: list[Warn] = []
     read = [abs(c.readout_s) / c.height_px for c in block.cameras if c.readout_s]
-    if read and block.poses.turns is None and velocities_known(block).mean() <= 0.5:
+    held = bool(block.control) or not position_assumed(block.poses).all()
+    if read and not held and block.poses.turns is None and velocities_known(block).mean() <= 0.5:
         share = 100.0 * CRUISE_M_PER_S * max(read) / block.ground_pixel_m
         text = f"at {CRUISE_M_PER_S:g} m/s the map would be stretched by {share:.1f} % along the lines"
         text = f"rolling shutter, and neither times nor tags say how fast the frames flew: {text}"
