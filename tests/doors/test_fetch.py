@@ -404,7 +404,7 @@ def test_a_stop_leaves_nothing_half_written(
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     running = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
     until = time.monotonic() + 30.0
-    while not (here / "pos.csv").exists() or not list(here.glob(".F2*")):
+    while not {"F0.jpg", "F1.jpg", "pos.csv"} <= set(names(here)) or not list(here.glob(".F2*")):
         assert time.monotonic() < until and running.poll() is None
         time.sleep(0.02)
     running.send_signal(number)
