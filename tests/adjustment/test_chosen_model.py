@@ -36,7 +36,7 @@ def _bent_m(found_m: np.ndarray, true_m: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.abs(left) ** 2)))
 
 
-TURNING = {"points": 350, "relief": hills, "readout_s": 0.1, "rate_sd_rad_per_s": 0.2}
+TURNING = {"points": 700, "relief": hills, "readout_s": 0.1, "rate_sd_rad_per_s": 0.2}
 """Eight frames, 0.1 s at 0.2 rad/s: 20 px from the first row to the last, each frame another way."""
 
 
@@ -211,7 +211,7 @@ def test_a_lens_that_its_maker_reports_wrongly() -> None:
 
 def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
     """The turns are told, how long the rows are read is not: begun at the span of the samples."""
-    flown = fly(3, 2, 4, **TURNING)
+    flown = fly(3, 2, 4, **(TURNING | {"points": 350}))
     poses = replace(flown.block.poses, turns=Turns(0.14, flown.truth.turns.rad * 1.4))
     cameras = tuple(replace(c, readout_s=0.0) for c in flown.block.cameras)
     adjusted = METHODS["bundle"](replace(flown.block, cameras=cameras, poses=poses), Settings())

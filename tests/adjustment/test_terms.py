@@ -59,7 +59,7 @@ def flown_problem(*, swing: int = 0) -> tuple[BlockProblem, Estimate]:
     )
     if swing:
         sds = rng.uniform(0.001, 0.003, (n, swing, 3)), rng.uniform(0.01, 0.03, (n, 3))
-        frames = (*frames, RollingShutterRotation(*sds, common=False, most_swing=10.0))
+        frames = (*frames, RollingShutterRotation(*sds, focal_length_px=800.0, common=False, most_swing=10.0))
     problem = block_problem(block, Settings(), tracks, points)
     problem = replace(
         problem,

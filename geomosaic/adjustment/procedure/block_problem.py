@@ -133,7 +133,9 @@ def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutte
     drift_sd = drift_sd * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))
     most = PRIOR_FACTORS[1] if settings.turning else THREE_SIGMA
     common = settings.turning and _zero_unknown(block, settings)
-    return RollingShutterRotation(_swing_sd_rad(block, settings, readouts_s), drift_sd, common, most)
+    swing_sd_rad = _swing_sd_rad(block, settings, readouts_s)
+    focal_px = float(np.median([c.focal_length_px for c in block.cameras]))
+    return RollingShutterRotation(swing_sd_rad, drift_sd, focal_px, common, most)
 
 
 def velocities_known(block: Block) -> Bools:

@@ -9,13 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from geomosaic.adjustment.problem.estimate import Estimate
+from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
 from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
 
 RATE_SD_RAD_PER_S = sourced(0.3, "rad/s", "of each function; more: they take up poses", "a Sequoia: 0.26")
 GUST_M_PER_S = tuned(0.5, "m/s", "error of a velocity; 0: chance differences set readout and scale")
-LEAST_SWING = tuned(0.02, "times the first deviation", "less: swings that shrank could not grow again")
+_SHOWN = tuned(0.1, "of the image deviation", "more: hundreds of points a frame show what is left out")
 IMAGE_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "its last axis is held")
 DRIFTS = "drift across the view", "drift along the view"
 
@@ -26,10 +27,11 @@ class RollingShutterRotation(FrameTerm):
     0. swing_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height. Each
     function of the row, drifts across the view and drifts along it have variance components. common: a part
     of the swing may be common to all frames, so that it does not shrink. most_swing: limit of its
-    components."""
+    components. focal_length_px: by it, deviations shrink no further than the images show."""
 
     swing_sd_rad: Floats
     drift_sd: Floats
+    focal_length_px: float
     common: bool
     most_swing: float
 
@@ -44,11 +46,20 @@ class RollingShutterRotation(FrameTerm):
         return int(self.swing_sd_rad.shape[1])
 
     def without_vanished(self, components: Components) -> RollingShutterRotation:
-        """Without the last functions of the row whose components have shrunk to their limit."""
-        shown = [
-            k + 1 for k in range(self.terms) if self.common or components[f"swing {k + 1}"] > LEAST_SWING
-        ]
+        """Without the last functions of the row whose components have shrunk to what images do not show."""
+        unseen = 2.0 * self._least(components)
+        shown = [k + 1 for k in range(self.terms) if self.common or components[f"swing {k + 1}"] > unseen[k]]
         return replace(self, swing_sd_rad=self.swing_sd_rad[:, : max(shown, default=1)])
+
+    def _least(self, components: Components) -> Floats:
+        """Lower limits of the components: half of what the images show at the frames' rims."""
+        sd = np.column_stack(
+            [self.swing_sd_rad.max(axis=2), self.drift_sd[:, :2].max(axis=1), self.drift_sd[:, 2]]
+        )
+        rim_px = np.maximum(self.focal_length_px * np.median(sd, axis=0), np.finfo(np.float64).tiny)
+        least = np.asarray(np.minimum(0.5 * _SHOWN * components[IMAGE] / rim_px, 1.0))
+        least[: self.terms] = 1.0 if self.common else least[: self.terms]
+        return least
 
     def component_names(self) -> tuple[str, ...]:
         return (*(f"swing {k + 1}" for k in range(self.terms)), *DRIFTS)
@@ -73,7 +84,7 @@ class RollingShutterRotation(FrameTerm):
         sd, terms = self.sd(components), self.terms
         of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))
         redundancy = 1.0 - variances[:, self.columns(at)] / sd**2
-        least = [1.0 if self.common else LEAST_SWING] * terms + [LEAST_SWING] * 2
+        least = self._least(components)
         most = [self.most_swing] * terms + [1.0] * 2
         for k, name in enumerate(self.component_names()):
             factor, its = components[name], sd * (of == k)
