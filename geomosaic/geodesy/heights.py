@@ -58,23 +58,32 @@ def sea_level(lon_deg: float, lat_deg: float) -> CRS:
     return CRS.from_epsg(GEOIDS["EGM2008"])
 
 
-def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float) -> float:
+def unit_m(crs: CRS) -> float:
+    """Metres a unit of a CRS's last axis: of its heights, or of x and y where it has none."""
+    return float(crs.axis_info[-1].unit_conversion_factor)
+
+
+def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float, *, counted_m: float = 1.0) -> float:
     """As `ellipsoidal_offsets_m`, at one point."""
-    return float(ellipsoidal_offsets_m(vertical, np.array([lon_deg]), np.array([lat_deg]))[0])
+    at = np.array([lon_deg]), np.array([lat_deg])
+    return float(ellipsoidal_offsets_m(vertical, *at, counted_m=counted_m)[0])
 
 
-def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Floats:
+def ellipsoidal_offsets_m(
+    vertical: CRS, lon_deg: Floats, lat_deg: Floats, *, counted_m: float = 1.0
+) -> Floats:
     """Ellipsoidal minus orthometric height at points of any shape: the geoid's undulation, in metres.
 
     Only transformations with a stated operation count: a ballpark one, which leaves heights as they
     are, is never used. Among several the most accurate one whose grids are here is taken. EGM96 without
     PROJ's grid is the package's own.
 
-    Args: a vertical CRS (`EPSG:5773`), or one with ellipsoidal heights, whose offset is 0.
-    Raises: `InputError` when its heights aren't metres upwards, or no geoid grid for it is installed.
+    Args: vertical: a vertical CRS (`EPSG:5773`), or one with ellipsoidal heights, whose offset is 0.
+    counted_m: metres a unit of the heights that the offset is added to, before they are metres.
+    Raises: `InputError` when its heights aren't such units upwards, or no geoid grid for it is installed.
     """
     axis = vertical.axis_info[-1]
-    if axis.direction != "up" or axis.unit_conversion_factor != 1.0:
+    if axis.direction != "up" or axis.unit_conversion_factor != counted_m:
         raise InputError(
             f"heights of '{vertical.name}' are counted {axis.direction} in {axis.unit_name}",
             fix="convert them to metres upwards first",

@@ -21,8 +21,8 @@ _ROUTINE: Final = frozenset(
         "dem-datum-assumed", "dem-unused", "frame-copy", "frame-other-bands", "frame-other-camera",
         "frame-take-off",
         "frame-turned", "geoid-assumed", "headings-off", "height-above-take-off", "height-by-neighbours",
-        "height-datum-assumed", "height-datum-unknown", "height-estimated", "image-edited", "model-chosen",
-        "order-by-name",
+        "height-datum-assumed", "height-datum-unknown", "height-estimated",
+        "height-unit-assumed", "image-edited", "model-chosen", "order-by-name",
         "pos-attitude-convention", "pos-columns-ignored", "pos-header-assumed", "readout-by-model",
         "readout-by-tag", "reference-datum-assumed", "surface-coarse", "yaw-wrong",
     )

@@ -4,25 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
+from pyproj import CRS
 from rasterio import Env
 from rasterio.enums import Resampling
 from rasterio.windows import Window, from_bounds
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.doors.raster import DEM, READ_CACHE_BYTES, Raster, open_raster, reading
 from geomosaic.errors import FileError
+from geomosaic.geodesy.heights import unit_m, vertical_crs
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
 _MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
 _AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills and spikes at its edge")
-_METRES: Final = frozenset({"", "m", "metre", "meter", "metres", "meters"})
-"""Names of the metre, and none; a DEM in other units is refused."""
+_UNITS_M = sourced(
+    {
+        **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
+        **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
+        **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us_survey_foot", "foot_us"), 1200.0 / 3937.0),
+    },
+    "m",
+    "a unit of a DEM's heights; others are refused",
+    "definitions; GDAL's and PROJ's names of units",
+)
 
 
 @dataclass(frozen=True)
@@ -89,7 +98,7 @@ def dem_crs(elevation: ElevationModel) -> str:
 
 
 def check_grid(source: Raster, path: Path) -> None:
-    """`FileError` for a raster that is turned or upside down, or whose values are no heights in metres."""
+    """`FileError` for a raster that is turned or upside down, or whose values are no heights."""
     t = source.transform
     if not np.isfinite([*t, *source.bounds]).all():
         raise FileError("the DEM's georeference is no number", file=path, fix="correct its georeference")
@@ -98,7 +107,7 @@ def check_grid(source: Raster, path: Path) -> None:
     if np.dtype(source.dtypes[0]).kind not in "iuf":
         problem = f"the DEM's values are {source.dtypes[0]}"
         raise FileError(problem, file=path, fix="give a DEM of real or whole numbers")
-    if (source.units[0] or "").lower() not in _METRES:
+    if source.units[0] and source.units[0].lower() not in _UNITS_M:
         problem = f"the DEM's heights are in {source.units[0]}"
         raise FileError(problem, file=path, fix="convert them to metres")
     if not np.isfinite([source.scales[0], source.offsets[0]]).all() or source.scales[0] == 0.0:
@@ -174,11 +183,19 @@ def _part(start: int, size: int, wanted_start: int, wanted_size: int, count: int
 
 
 def _read(source: Raster, window: Window, shape: tuple[int, ...], how: Resampling) -> Floats:
-    """Heights as the band's scale and offset have them, NaN where there are none."""
+    """Heights in metres as the band's scale and offset have them, NaN where there are none."""
     band = source.read(1, window=window, out_shape=shape, masked=True, resampling=how)
     heights = band.astype(np.float64).filled(np.nan) * source.scales[0] + source.offsets[0]
     heights[~np.isfinite(heights)] = np.nan
-    return np.asarray(heights)
+    return np.asarray(heights * _unit_m(source))
+
+
+def _unit_m(source: Raster) -> float:
+    """Metres a unit of the heights: as the band states it, else the vertical part of its CRS."""
+    if source.units[0]:
+        return _UNITS_M[source.units[0].lower()]
+    vertical = vertical_crs(CRS.from_wkt(source.crs.to_wkt()))
+    return 1.0 if vertical is None else unit_m(vertical)
 
 
 def _counted(values: Floats) -> tuple[tuple[float, int], ...]:

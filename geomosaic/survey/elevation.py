@@ -15,7 +15,7 @@ from geomosaic.arrays import Floats
 from geomosaic.doors.raster import DEM, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, unit_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.dem import check_grid, read_heights
 from geomosaic.survey.model import ElevationModel, Warn
@@ -36,12 +36,14 @@ def read_elevation(
     the POS heights.
 
     Args: lonlat (n, 2) degrees of the frames' nadir points; datum: of heights whose CRS has no vertical part.
-    Raises: `FileError` for what is no raster, `InputError` without a CRS, in feet, without the geoid's
+    Raises: `FileError` for what is no raster, `InputError` without a CRS, without the geoid's
     grid, or not covering the frames, saying by how much.
     """
     path = path.absolute()
     crs, bounds = check_dem(path)
-    model, warnings = _with_datum(path, offset_m, vertical_crs(crs) or datum, np.median(lonlat, axis=0))
+    own, middle = vertical_crs(crs), np.median(lonlat, axis=0)
+    counted_m = 1.0 if own is None else unit_m(own)
+    model, warnings = _with_datum(path, offset_m, own or datum, middle, counted_m)
     xy = _covered(path, MapProjection(crs.to_wkt()), bounds, frame_names, lonlat)
     heights = read_heights(model, (*xy.min(axis=0), *xy.max(axis=0))).at(*xy.T)
     gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
@@ -60,8 +62,8 @@ def read_elevation(
 def check_dem(path: Path) -> tuple[CRS, Any]:
     """The CRS of a DEM and its bounds in it, from its header.
 
-    Raises: `FileError` for what is no raster, not north-up or in feet, `InputError` without a CRS that has a
-    place on the Earth.
+    Raises: `FileError` for what is no raster, not north-up or has no heights, `InputError` without a CRS that
+    has a place on the Earth.
     """
     with open_raster(path, DEM) as dem:
         if dem.crs is None:
@@ -85,14 +87,14 @@ def check_dem(path: Path) -> tuple[CRS, Any]:
 
 
 def _with_datum(
-    path: Path, offset_m: float | None, vertical: CRS | None, middle: Floats
+    path: Path, offset_m: float | None, vertical: CRS | None, middle: Floats, counted_m: float
 ) -> tuple[ElevationModel, list[Warn]]:
     model = ElevationModel(str(path), 0.0, "")
     if offset_m is not None:
         return replace(model, offset_m=offset_m, vertical=f"offset {offset_m:+g} m as given"), []
     if vertical is not None:
         try:
-            offset = ellipsoidal_offset_m(vertical, *middle)
+            offset = ellipsoidal_offset_m(vertical, *middle, counted_m=counted_m)
         except InputError as error:
             fix = f"give ellipsoidal minus stated height with --dem-offset METRES, or {error.fix}"
             raise InputError(error.problem, file=path, fix=fix) from error

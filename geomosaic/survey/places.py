@@ -16,7 +16,7 @@ from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import AmbiguousCrsError, StatedCrs, label, required_crs
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, sea_level, vertical_crs
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, sea_level, unit_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection, outside_area_m
 from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.model import Warn
@@ -25,6 +25,7 @@ from geomosaic.survey.table import Aliases, ParsedTable
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
 _RADIANS = sourced((np.pi, np.pi / 2.0), "rad", "of both; no land within, as degrees", "definition")
 _FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
+_SAME_FOOT = sourced(1e-5, "of a foot", "feet of the US survey are 2 ppm longer", "NIST SP 811, B.6")
 _ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")
 NOWHERE: Floats = np.column_stack([[], []])
 """Longitudes and latitudes of no frames: none has a position, or they aren't known yet."""
@@ -108,9 +109,9 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
         lonlat = np.column_stack([table.required("lon"), table.required("lat")])
         _check_range(table, lonlat)
         return TablePlaces(lonlat, None, None, [])
-    xy = np.column_stack([table.required("x"), table.required("y")])
     if stated is None:
         raise InputError("x and y have no coordinate reference system", file=table.path, fix=fix)
+    xy = _in_its_unit(table, stated)
     try:
         crs, swapped = _chosen(stated, xy, near, fix)
     except AmbiguousCrsError as error:
@@ -136,6 +137,19 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     lon, lat = np.median(lonlat, axis=0)
     notes += check_area(crs, lon, lat, "the positions", table.path)
     return TablePlaces(lonlat, crs, None if crs.is_geographic else horizontal, notes)
+
+
+def _in_its_unit(table: ParsedTable, stated: StatedCrs) -> Floats:
+    """x and y (n, 2) in the unit of the CRS, which is theirs where a column states none. Feet that a column
+    states are the CRS's own, be they international or of the US survey."""
+    crs = stated.meant(stated.groups[0])[0].to_2d()
+    own_m = 1.0 if crs.is_geographic else unit_m(crs)
+    columns = []
+    for name in ("x", "y"):
+        its_m = own_m if name in table.unstated else table.factors[name]
+        its_m = own_m if np.isclose(its_m, own_m, rtol=_SAME_FOOT) else its_m
+        columns.append(table.required(name) / table.factors[name] * (its_m / own_m))
+    return np.column_stack(columns)
 
 
 def _chosen(stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> tuple[CRS, bool]:
@@ -245,6 +259,16 @@ def heights_of(
         return values, []
     offset, notes = 0.0, []
     vertical = (vertical_crs(crs) if crs is not None and "lon" not in has else None) or datum
+    counts = vertical or (crs if crs is not None and crs.is_projected and "lon" not in has else None)
+    if counts is not None and column in table.unstated and (foot_m := unit_m(counts)) != 1.0:
+        values = values * foot_m
+        unit = counts.axis_info[-1].unit_name
+        if vertical is None:
+            text = (
+                f"{name}: heights state no unit and count as {unit}, as x and y do: if they are metres, "
+                "the map lies too low; name the column height_m or height_ft"
+            )
+            notes.append(Warn("height-unit-assumed", "", text))
     if column == "height_orthometric" and (vertical is None or not vertical.is_vertical):
         vertical = sea_level(*np.median(lonlat, axis=0))
         text = (
@@ -254,7 +278,7 @@ def heights_of(
         notes.append(Warn("geoid-assumed", "", text))
     if column != "height_ellipsoidal" and vertical is not None:
         try:
-            offset = ellipsoidal_offset_m(vertical, *np.median(lonlat, axis=0))
+            offset = ellipsoidal_offset_m(vertical, *np.median(lonlat, axis=0), counted_m=unit_m(vertical))
         except InputError as error:
             fix = f"give ellipsoidal heights in a column height_ellipsoidal_m, or {error.fix}"
             raise InputError(error.problem, file=table.path, fix=fix) from error

@@ -30,12 +30,13 @@ _UNITS = sourced(
         **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
         **dict.fromkeys(("gon", "grad", "grads"), 0.9),
         **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-        **dict.fromkeys(("ft", "feet"), 0.3048),
+        **dict.fromkeys(("ft", "feet", "foot"), 0.3048),
+        **dict.fromkeys(("ftus", "us_ft", "usft", "us_survey_feet", "us_survey_foot"), 1200.0 / 3937.0),
         **dict.fromkeys(("px", "pixel", "pixels", "s", "units"), 1.0),
     },
     "degrees or metres by unit",
     "other units are refused",
-    "definitions; international foot of 1959",
+    "definitions; international foot of 1959, US survey foot of 1893",
 )
 _WANTED: Final = "give a table as text (CSV) with a header line and a line per frame or point"
 _OTHER_KINDS: Final = (
@@ -55,7 +56,8 @@ _NUMBER: Final = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII
 class ParsedTable:
     """Columns that were known (with the factor to degrees or metres), those that weren't, and rows.
 
-    lines: each row's line in the file. cells: each known column's texts, None where unknown.
+    lines: each row's line in the file. cells: each known column's texts, None where unknown. unstated: known
+    columns whose names state no unit.
     """
 
     path: Path
@@ -63,6 +65,7 @@ class ParsedTable:
     unknown_columns: tuple[str, ...]
     lines: tuple[int, ...]
     cells: Mapping[str, Sequence[str | None]]
+    unstated: frozenset[str]
 
     def texts(self, column: str) -> Sequence[str | None]:
         """A column's texts, None where the column or its content is missing."""
@@ -173,8 +176,8 @@ def is_number(text: str) -> bool:
     return _NUMBER.fullmatch(text.replace(",", ".", 1)) is not None
 
 
-def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[str | None, float]:
-    """Which column a header's name means, and the factor of its unit; (None, 1) where unknown.
+def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[str | None, str]:
+    """Which column a header's name means, None where unknown, and its unit, "" where it states none.
 
     A unit stands in brackets or parentheses, or at the name's end: `Yaw [degrees]`, `omega_rad`.
     """
@@ -183,17 +186,18 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
     stem = _plain(stem)
     by_name = {alias: column for column, names in aliases.items() for alias in names}
     if stem not in by_name and not unit:
-        stem, unit = next(((stem[: -len(u) - 1], u) for u in _UNITS if stem.endswith(f"_{u}")), (stem, unit))
+        ends = ((stem.removesuffix(f"_{u}"), u) for u in _UNITS)
+        stem, unit = next((its for its in ends if its[0] in by_name), (stem, unit))
     column = by_name.get(stem)
     if column is None:
-        return None, 1.0
+        return None, ""
     if unit and unit not in _UNITS:
         raise InputError(
             f"column {shown(name)} has the unknown unit {shown(unit)}",
             file=path,
             fix=f"known: {', '.join(sorted(_UNITS))}",
         )
-    return column, _UNITS.get(unit, 1.0)
+    return column, unit
 
 
 def read_table(
@@ -205,6 +209,7 @@ def read_table(
     """
     factors: dict[str, float] = {}
     unknown: list[str] = []
+    unstated = set(columns or ())
     if columns is None:
         if not lines:
             raise InputError("the table is empty", file=path, fix="give a header line and a line per item")
@@ -215,13 +220,14 @@ def read_table(
             problem = f"line {header.number} names {len(names):,} columns"
             raise InputError(problem, file=path, fix=f"give at most {_MOST_COLUMNS}")
         for name in names:
-            column, factor = column_of(name, aliases, path)
+            column, unit = column_of(name, aliases, path)
             if column is not None and column in factors:
                 raise InputError(f"two columns for {column}", file=path, fix=f"rename or remove '{name}'")
             if column is None:
                 unknown.append(name)
             else:
-                factors[column] = factor
+                factors[column] = _UNITS.get(unit, 1.0)
+                unstated |= set() if unit else {column}
             known.append(column)
     else:
         like = next((line.text for line in lines if not line.comment), "")
@@ -249,7 +255,7 @@ def read_table(
         for i, column in enumerate(known)
         if column is not None
     }
-    return ParsedTable(path, factors, tuple(unknown), tuple(numbers), cells)
+    return ParsedTable(path, factors, tuple(unknown), tuple(numbers), cells, frozenset(unstated))
 
 
 def _plain(name: str) -> str:

@@ -102,8 +102,11 @@ def test_scale_offset_and_unit_of_the_band_count(tmp_path: Path) -> None:
         path = write(tmp_path / "bad.tif", stored, scales=scale)
         with pytest.raises(FileError, match=r"bad\.tif: the DEM's scale is (0|nan)"):
             check_dem(path)
-    with pytest.raises(InputError, match=r"feet\.tif: the DEM's heights are in ft; convert them"):
-        check_dem(write(tmp_path / "feet.tif", hills(), units="ft"))
+    with pytest.raises(InputError, match=r"old\.tif: the DEM's heights are in fathom; convert them"):
+        check_dem(write(tmp_path / "old.tif", hills(), units="fathom"))
+    for unit, metres in (("ft", 0.3048), ("US survey foot", 1200.0 / 3937.0), ("metre", 1.0)):
+        path = write(tmp_path / "unit.tif", hills() / metres, units=unit)
+        np.testing.assert_allclose(read(path).height_ellipsoidal_m, hills(), atol=1e-3)
     with pytest.raises(InputError, match=r"wave\.tif: the DEM's values are complex64"):
         check_dem(write(tmp_path / "wave.tif", hills().astype(np.complex64)))
 
