@@ -16,7 +16,7 @@ from pyproj.crs import CompoundCRS
 from geomosaic.arrays import Floats
 from geomosaic.composition.model import OutputGrid
 from geomosaic.errors import InputError
-from geomosaic.geodesy.heights import ellipsoidal_offsets_m, height_datum
+from geomosaic.geodesy.heights import ellipsoidal_offsets_m, height_datum_in_metres
 from geomosaic.geodesy.mapcrs import MapProjection, is_local
 
 _GEOID_NODES: Final = 33
@@ -57,7 +57,7 @@ def height_system(grid: OutputGrid, heights: str) -> HeightSystem:
 
     Raises: `InputError` where the geoid's grid isn't installed, or the grid lies nowhere on the Earth.
     """
-    vertical, none = height_datum(heights), np.zeros((_GEOID_NODES, _GEOID_NODES))
+    vertical, none = height_datum_in_metres(heights), np.zeros((_GEOID_NODES, _GEOID_NODES))
     if is_local(grid.crs):
         if vertical.is_vertical:
             fix = "leave out --height-datum and --set export.surface.heights"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from typing import Any, Final
@@ -18,6 +19,16 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.egm96 import undulation_m
 
 ELLIPSOIDAL: Final = "ellipsoidal"
+LENGTHS_M = sourced(
+    {
+        **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
+        **dict.fromkeys(("ft", "feet", "foot", "international_foot"), 0.3048),
+        **dict.fromkeys(("ftus", "us_ft", "usft", "us_survey_feet", "us_survey_foot"), 1200.0 / 3937.0),
+    },
+    "m",
+    "units of length, as files, GDAL and PROJ call them",
+    "definitions; international foot of 1959, US survey foot of 1893",
+)
 GEOIDS = sourced({"EGM96": 5773, "EGM2008": 3855}, "EPSG", "vertical CRSs by their names", "EPSG dataset")
 
 
@@ -49,6 +60,25 @@ def height_datum(text: str) -> CRS:
     return crs
 
 
+def height_datum_in_metres(text: str) -> CRS:
+    """As `height_datum`. Raises: `InputError` also where it counts heights in another unit."""
+    crs = height_datum(text)
+    if unit_m(crs) != 1.0:
+        fix = "give the code of one in metres, such as EPSG:5703 for NAVD88"
+        raise InputError(f"'{crs.name}' counts heights in {crs.axis_info[-1].unit_name}", fix=fix)
+    return crs
+
+
+def unit_m(crs: CRS) -> float:
+    """Metres a unit of a CRS's last axis: of its heights, or of x and y where it has none."""
+    return float(crs.axis_info[-1].unit_conversion_factor)
+
+
+def length_m(unit: str) -> float | None:
+    """Metres a unit of length of this name, None for another."""
+    return LENGTHS_M.get(re.sub(r"[^a-z]+", "_", unit.lower()).strip("_"))
+
+
 def sea_level(lon_deg: float, lat_deg: float) -> CRS:
     """The vertical CRS of heights above the sea at a place: EGM2008 if its grid is installed, else EGM96."""
     try:
@@ -58,36 +88,25 @@ def sea_level(lon_deg: float, lat_deg: float) -> CRS:
     return CRS.from_epsg(GEOIDS["EGM2008"])
 
 
-def unit_m(crs: CRS) -> float:
-    """Metres a unit of a CRS's last axis: of its heights, or of x and y where it has none."""
-    return float(crs.axis_info[-1].unit_conversion_factor)
-
-
-def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float, *, counted_m: float = 1.0) -> float:
+def ellipsoidal_offset_m(vertical: CRS, lon_deg: float, lat_deg: float) -> float:
     """As `ellipsoidal_offsets_m`, at one point."""
-    at = np.array([lon_deg]), np.array([lat_deg])
-    return float(ellipsoidal_offsets_m(vertical, *at, counted_m=counted_m)[0])
+    return float(ellipsoidal_offsets_m(vertical, np.array([lon_deg]), np.array([lat_deg]))[0])
 
 
-def ellipsoidal_offsets_m(
-    vertical: CRS, lon_deg: Floats, lat_deg: Floats, *, counted_m: float = 1.0
-) -> Floats:
+def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Floats:
     """Ellipsoidal minus orthometric height at points of any shape: the geoid's undulation, in metres.
 
     Only transformations with a stated operation count: a ballpark one, which leaves heights as they
     are, is never used. Among several the most accurate one whose grids are here is taken. EGM96 without
     PROJ's grid is the package's own.
 
-    Args: vertical: a vertical CRS (`EPSG:5773`), or one with ellipsoidal heights, whose offset is 0.
-    counted_m: metres a unit of the heights that the offset is added to, before they are metres.
-    Raises: `InputError` when its heights aren't such units upwards, or no geoid grid for it is installed.
+    Args: a vertical CRS (`EPSG:5773`) in any unit, or one with ellipsoidal heights, whose offset is 0.
+    Raises: `InputError` when its heights aren't counted upwards, or no geoid grid for it is installed.
     """
     axis = vertical.axis_info[-1]
-    if axis.direction != "up" or axis.unit_conversion_factor != counted_m:
-        raise InputError(
-            f"heights of '{vertical.name}' are counted {axis.direction} in {axis.unit_name}",
-            fix="convert them to metres upwards first",
-        )
+    if axis.direction != "up":
+        problem = f"heights of '{vertical.name}' are counted {axis.direction}"
+        raise InputError(problem, fix="convert them to heights upwards first")
     if not vertical.is_vertical or "ellips" in vertical.name.lower():
         return np.zeros(lon_deg.shape)
     heights = CompoundCRS(name="heights of a vertical datum", components=["EPSG:4326", vertical])

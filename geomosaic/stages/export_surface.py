@@ -17,7 +17,7 @@ from geomosaic.export.surface import RASTERS, SurfaceOnMap, surface_grid, writin
 from geomosaic.export.surface_cloud import writing_cloud
 from geomosaic.export.surface_drawn import write_contours, write_hillshade
 from geomosaic.export.surface_heights import height_system, write_sidecar
-from geomosaic.geodesy.heights import ELLIPSOIDAL, height_datum
+from geomosaic.geodesy.heights import ELLIPSOIDAL, height_datum_in_metres
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.memory_release import release_memory
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
@@ -55,7 +55,7 @@ class SurfaceParams(StageParams):
 
 def _check(params: SurfaceParams) -> None:
     """The heights are those of a vertical CRS."""
-    height_datum(params.heights)
+    height_datum_in_metres(params.heights)
 
 
 @stage(

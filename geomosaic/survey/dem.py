@@ -13,25 +13,15 @@ from rasterio.windows import Window, from_bounds
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import DEM, READ_CACHE_BYTES, Raster, open_raster, reading
 from geomosaic.errors import FileError
-from geomosaic.geodesy.heights import unit_m, vertical_crs
+from geomosaic.geodesy.heights import length_m, unit_m, vertical_crs
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
 _MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
 _AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills and spikes at its edge")
-_UNITS_M = sourced(
-    {
-        **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
-        **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
-        **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us_survey_foot", "foot_us"), 1200.0 / 3937.0),
-    },
-    "m",
-    "a unit of a DEM's heights; others are refused",
-    "definitions; GDAL's and PROJ's names of units",
-)
 
 
 @dataclass(frozen=True)
@@ -107,9 +97,9 @@ def check_grid(source: Raster, path: Path) -> None:
     if np.dtype(source.dtypes[0]).kind not in "iuf":
         problem = f"the DEM's values are {source.dtypes[0]}"
         raise FileError(problem, file=path, fix="give a DEM of real or whole numbers")
-    if source.units[0] and source.units[0].lower() not in _UNITS_M:
+    if source.units[0] and length_m(source.units[0]) is None:
         problem = f"the DEM's heights are in {source.units[0]}"
-        raise FileError(problem, file=path, fix="convert them to metres")
+        raise FileError(problem, file=path, fix="convert them to metres or feet")
     if not np.isfinite([source.scales[0], source.offsets[0]]).all() or source.scales[0] == 0.0:
         problem = f"the DEM's scale is {source.scales[0]:g}, its offset {source.offsets[0]:g}"
         raise FileError(problem, file=path, fix="correct them (gdal_edit.py -scale 1 -offset 0)")
@@ -192,10 +182,9 @@ def _read(source: Raster, window: Window, shape: tuple[int, ...], how: Resamplin
 
 def _unit_m(source: Raster) -> float:
     """Metres a unit of the heights: as the band states it, else the vertical part of its CRS."""
-    if source.units[0]:
-        return _UNITS_M[source.units[0].lower()]
-    vertical = vertical_crs(CRS.from_wkt(source.crs.to_wkt()))
-    return 1.0 if vertical is None else unit_m(vertical)
+    stated = length_m(source.units[0] or "")
+    vertical = vertical_crs(CRS.from_wkt(source.crs.to_wkt())) if stated is None else None
+    return stated or (1.0 if vertical is None else unit_m(vertical))
 
 
 def _counted(values: Floats) -> tuple[tuple[float, int], ...]:

@@ -15,7 +15,7 @@ from geomosaic.arrays import Floats
 from geomosaic.doors.raster import DEM, open_raster
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, unit_m, vertical_crs
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.dem import check_grid, read_heights
 from geomosaic.survey.model import ElevationModel, Warn
@@ -41,9 +41,7 @@ def read_elevation(
     """
     path = path.absolute()
     crs, bounds = check_dem(path)
-    own, middle = vertical_crs(crs), np.median(lonlat, axis=0)
-    counted_m = 1.0 if own is None else unit_m(own)
-    model, warnings = _with_datum(path, offset_m, own or datum, middle, counted_m)
+    model, warnings = _with_datum(path, offset_m, vertical_crs(crs) or datum, np.median(lonlat, axis=0))
     xy = _covered(path, MapProjection(crs.to_wkt()), bounds, frame_names, lonlat)
     heights = read_heights(model, (*xy.min(axis=0), *xy.max(axis=0))).at(*xy.T)
     gaps = [name for name, h in zip(frame_names, heights, strict=True) if not np.isfinite(h)]
@@ -87,14 +85,14 @@ def check_dem(path: Path) -> tuple[CRS, Any]:
 
 
 def _with_datum(
-    path: Path, offset_m: float | None, vertical: CRS | None, middle: Floats, counted_m: float
+    path: Path, offset_m: float | None, vertical: CRS | None, middle: Floats
 ) -> tuple[ElevationModel, list[Warn]]:
     model = ElevationModel(str(path), 0.0, "")
     if offset_m is not None:
         return replace(model, offset_m=offset_m, vertical=f"offset {offset_m:+g} m as given"), []
     if vertical is not None:
         try:
-            offset = ellipsoidal_offset_m(vertical, *middle, counted_m=counted_m)
+            offset = ellipsoidal_offset_m(vertical, *middle)
         except InputError as error:
             fix = f"give ellipsoidal minus stated height with --dem-offset METRES, or {error.fix}"
             raise InputError(error.problem, file=path, fix=fix) from error

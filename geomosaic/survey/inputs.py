@@ -8,7 +8,7 @@ from pathlib import Path
 from pyproj import CRS
 
 from geomosaic.camera.interior import Camera
-from geomosaic.geodesy.heights import height_datum
+from geomosaic.geodesy.heights import height_datum_in_metres
 from geomosaic.survey.camera_files import read_cameras
 from geomosaic.survey.folder import frame_files
 from geomosaic.survey.names import FrameNames
@@ -26,7 +26,7 @@ class SurveyInputs:
     `attitude.CONVENTIONS`. damaged: one of `usable.DAMAGED`. leave_out: one of `strays.LEAVE_OUT`.
     camera_kind: of the aircraft's cameras, see `strays.camera_kind`; several with a + between them. every:
     one frame of so many is used. height_datum: what heights count from whose source doesn't state it, a name
-    for `geodesy.heights.height_datum`. strict: unusable frames, frames without a line in pos and lines
+    for `height_datum_in_metres`. strict: unusable frames, frames without a line in pos and lines
     without a frame are errors. radiometry: one of `reflectance.RADIOMETRY`. panel: photos of reflectance
     panels, IMAGE=ALBEDO between commas, a number or the file of a table.
     """
@@ -71,7 +71,7 @@ class SurveyInputs:
     def datum(self) -> CRS | None:
         """What heights count from whose source doesn't state it: a vertical CRS, or one with ellipsoidal
         heights; None if nothing is known of it. Raises: `InputError` for another name."""
-        return None if self.height_datum is None else height_datum(self.height_datum)
+        return None if self.height_datum is None else height_datum_in_metres(self.height_datum)
 
     def positions(self, frames: FrameNames) -> PosFile | None:
         """The POS file of these frames, None where none is given."""

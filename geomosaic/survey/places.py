@@ -278,7 +278,7 @@ def heights_of(
         notes.append(Warn("geoid-assumed", "", text))
     if column != "height_ellipsoidal" and vertical is not None:
         try:
-            offset = ellipsoidal_offset_m(vertical, *np.median(lonlat, axis=0), counted_m=unit_m(vertical))
+            offset = ellipsoidal_offset_m(vertical, *np.median(lonlat, axis=0))
         except InputError as error:
             fix = f"give ellipsoidal heights in a column height_ellipsoidal_m, or {error.fix}"
             raise InputError(error.problem, file=table.path, fix=fix) from error

@@ -17,6 +17,7 @@ from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import TEXT_BYTES, decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
+from geomosaic.geodesy.heights import LENGTHS_M
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Column -> the names it goes by, in lower case with underscores and without units."""
@@ -29,14 +30,12 @@ _UNITS = sourced(
         **dict.fromkeys(("deg", "degree", "degrees", "decimal_degrees", "dd"), 1.0),
         **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
         **dict.fromkeys(("gon", "grad", "grads"), 0.9),
-        **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-        **dict.fromkeys(("ft", "feet", "foot"), 0.3048),
-        **dict.fromkeys(("ftus", "us_ft", "usft", "us_survey_feet", "us_survey_foot"), 1200.0 / 3937.0),
+        **LENGTHS_M,
         **dict.fromkeys(("px", "pixel", "pixels", "s", "units"), 1.0),
     },
     "degrees or metres by unit",
     "other units are refused",
-    "definitions; international foot of 1959, US survey foot of 1893",
+    "definitions",
 )
 _WANTED: Final = "give a table as text (CSV) with a header line and a line per frame or point"
 _OTHER_KINDS: Final = (

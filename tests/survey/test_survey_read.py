@@ -19,7 +19,7 @@ from survey_files import drone_frame, exif_block, gps, image, survey_folder, wri
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import FileError, InputError
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, height_datum_in_metres, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.control import read_control
 from geomosaic.survey.inputs import SurveyInputs
@@ -251,6 +251,17 @@ def test_a_dem_with_a_vertical_datum_is_lifted_to_the_ellipsoid(tmp_path: Path) 
     assert (given.elevation.offset_m, given.elevation.vertical) == (-3.5, "offset -3.5 m as given")
 
 
+def test_a_dem_with_a_vertical_datum_in_feet(tmp_path: Path) -> None:
+    """330.25 US survey feet are 100.66 m; what is added stays in metres."""
+    folder, crs = survey_folder(tmp_path / "f"), geoid(tmp_path / "g.gtx", 47.75)
+    path = with_crs(dem(tmp_path / "dem.tif"), crs.replace("+vunits=m", "+vunits=us-ft"))
+    for offset_m in (None, 47.75):
+        survey = read_survey(SurveyInputs(folder, dem=path, dem_offset_m=offset_m))
+        assert survey.elevation is not None
+        assert survey.elevation.offset_m == pytest.approx(47.75, abs=1e-4)
+        assert survey.work_frame.height_ellipsoidal_m == pytest.approx(148.4104, abs=1e-3)
+
+
 def test_a_dem_without_one_is_taken_as_the_frames_heights_and_told(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f")
     survey = read_survey(SurveyInputs(folder, dem=dem(folder / "dem.tif")))
@@ -268,8 +279,10 @@ def test_a_geoid_that_is_not_installed_is_never_guessed(tmp_path: Path) -> None:
         read_survey(SurveyInputs(survey_folder(tmp_path / "f"), dem=path))
     assert ellipsoidal_offset_m(CRS("EPSG:4979"), 9.0, 48.0) == 0.0
     assert vertical_crs(CRS(UTM)) is None
-    with pytest.raises(InputError, match="in US survey foot"):
-        ellipsoidal_offset_m(CRS("EPSG:6360"), -92.0, 46.0)
+    with pytest.raises(InputError, match="counts heights in US survey foot; give the code of one in metres"):
+        height_datum_in_metres("EPSG:6360")
+    with pytest.raises(InputError, match="are counted down"):
+        ellipsoidal_offset_m(CRS("EPSG:5715"), -92.0, 46.0)
 
 
 def test_dems_that_do_not_serve(tmp_path: Path) -> None:

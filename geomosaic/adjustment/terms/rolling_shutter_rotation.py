@@ -58,7 +58,8 @@ class RollingShutterRotation(FrameTerm):
         )
         rim_px = np.maximum(self.focal_length_px * np.median(sd, axis=0), np.finfo(np.float64).tiny)
         least = np.asarray(np.minimum(0.5 * _SHOWN * components[IMAGE] / rim_px, 1.0))
-        least[: self.terms] = 1.0 if self.common else least[: self.terms]
+        if self.common:
+            least[: self.terms] = 1.0
         return least
 
     def component_names(self) -> tuple[str, ...]:
