@@ -110,6 +110,7 @@ def test_rough_ground_gets_a_softer_surface_than_smooth_ground() -> None:
     assert np.sqrt(np.mean(off**2)) < 0.15
 
 
+@pytest.mark.proof
 @given(st.floats(0.02, 50.0), st.integers(0, 1000))
 @examples(max_examples=8, deadline=None)
 def test_a_block_of_another_size_gets_the_surface_of_that_size(factor: float, seed: int) -> None:
@@ -134,6 +135,7 @@ def rolling_land(seed: int):  # type: ignore[no-untyped-def]
     return up
 
 
+@pytest.mark.proof
 def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
     shares = []
     for seed in range(40, 48):
@@ -150,6 +152,7 @@ def test_heights_beyond_the_points_are_off_by_what_is_stated() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(shares))) < 1.6
 
 
+@pytest.mark.proof
 def test_errors_in_a_gap_are_as_stated_and_smaller_than_beyond_the_points() -> None:
     shares, closer = [], []
     for seed in range(60, 68):
@@ -278,6 +281,7 @@ def test_the_surface_reaches_as_far_as_the_frames() -> None:
     assert not ((cols_px > 30.0) & (cols_px < 770.0)).any()
 
 
+@pytest.mark.proof
 def test_beyond_a_wood_lies_the_ground_it_stands_on() -> None:
     """Level meadows and woods of 9 m in every fifth square of 40 m, seen from 90 m; the last 25 m in the east, behind a
     wood, have no points. And hills there go on as hills."""

@@ -42,15 +42,18 @@ def _share_of_oracle(draws, scale: float = 1.0) -> float:
     return float(np.mean(bundle) / np.mean(oracle))
 
 
+@pytest.mark.proof
 def test_errors_are_as_large_as_stated(draws):
     assert 0.8 < _share_of_oracle(draws) < 1.25
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("scale", [1.5, 1.0 / 1.5])
 def test_a_wrong_scale_of_the_covariance_would_show(draws, scale):
     assert not 0.8 < _share_of_oracle(draws, scale) < 1.25
 
 
+@pytest.mark.proof
 def test_stated_covariance_is_the_bound(draws):
     ratios = [
         bench.stated_over_bound(a.pose_covariance, bound.pose_covariance(len(d.poses)))
@@ -60,6 +63,7 @@ def test_stated_covariance_is_the_bound(draws):
         assert 0.8 < np.mean([r[group] for r in ratios]) < 1.25, group
 
 
+@pytest.mark.proof
 def test_errors_on_the_ground_are_those_of_the_best_estimate(draws):
     squares = []
     for d, bound, adjusted in draws:
@@ -73,6 +77,7 @@ def test_errors_on_the_ground_are_those_of_the_best_estimate(draws):
     assert after < 0.1 * absolute
 
 
+@pytest.mark.proof
 def test_the_oracle_keeps_its_own_bound():
     """Whitened by the bound's covariance, the linear estimate's errors are standard normal: 30 draws."""
     case = replace(SMALL, per_m2=0.02)

@@ -271,6 +271,7 @@ def test_stated_covariances_are_those_of_the_whole_system(both):
     )
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("both", [next(iter(LENS_SDS))], indirect=True)
 def test_other_degrees_of_freedom_would_show(both, monkeypatch):
     oracle, _, covariance = both

@@ -85,6 +85,7 @@ def test_a_block_that_is_told_all_is_solved_as_given() -> None:
     assert adjusted.poses.turns is None
 
 
+@pytest.mark.proof
 def test_small_turns_are_found_too() -> None:
     """Vibration of 0.06 rad/s at 8 Hz: residuals of 0.4 px look well, but positions follow it by 0.4 m."""
     flown = fly(
@@ -115,6 +116,7 @@ def test_gusts_over_all_land_are_not_taken_for_a_camera_that_turns(seed: int) ->
     assert not [w for w in adjusted.warnings if w.code in ("model-chosen", "shutter-doubtful")]
 
 
+@pytest.mark.proof
 def test_velocities_that_nobody_reports_are_not_taken_for_frames_that_turn() -> None:
     """Turning frames took up the stretch of an unknown velocity, and left the block's shape open."""
     flown = fly(4, 3, 5, points=500, readout_s=0.05, there_and_back=True)
@@ -172,6 +174,7 @@ def test_all_images_together_show_a_readout_that_is_below_the_noise_of_each(read
     assert adjusted.cameras[0].readout_s == pytest.approx(readout_s, rel=0.1)
 
 
+@pytest.mark.proof
 def test_turns_that_are_told_wrongly_are_not_followed() -> None:
     """As of a unit whose axes are not what they are taken for."""
     flown = fly(5, 2, 4, points=350, readout_s=0.1, relief=hills)
@@ -209,6 +212,7 @@ def test_a_lens_that_its_maker_reports_wrongly() -> None:
     assert adjusted.figures["sigma_px"] < 0.4
 
 
+@pytest.mark.proof
 def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
     """The turns are told, how long the rows are read is not: begun at the span of the samples."""
     flown = fly(3, 2, 4, **(TURNING | {"points": 350}))
@@ -251,6 +255,7 @@ def test_what_a_gyroscope_does_not_tell_of_the_last_rows_is_found() -> None:
     )
 
 
+@pytest.mark.proof
 def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_believed() -> None:
     """Its last sample is 33 ms old when 0.1 s of rows end, and says so. Where the record holds, the solved turns
     are its own to a tenth of a pixel (1e-4 rad); swings over the whole frame missed it by a pixel."""
@@ -296,6 +301,7 @@ def test_no_turns_are_taken_where_there_are_none() -> None:
     assert steady.model is None or steady.model.taken == ()
 
 
+@pytest.mark.proof
 def test_what_stands_for_velocities_turns_about_image_axes_and_keeps_the_scale() -> None:
     """Frames do turn here, four times as fast as gusts of 1.5 m/s look; as the model is given nobody asks how.
     A tenth of the height would make of every gust the whole turn."""
@@ -356,6 +362,7 @@ def test_a_model_that_cannot_win_is_not_solved(turning: Adjusted, counted: Count
     assert counted.solved == ["given", "turning"]
 
 
+@pytest.mark.proof
 def test_a_large_block_is_compared_on_some_neighbouring_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """The model that they choose is solved with all frames, and as well as if all had chosen it."""
     monkeypatch.setattr(cross_validation, "MOST_FRAMES", 6)
@@ -366,6 +373,7 @@ def test_a_large_block_is_compared_on_some_neighbouring_frames(monkeypatch: pyte
     assert adjusted.figures["sigma_px"] < 0.4
 
 
+@pytest.mark.proof
 def test_models_and_surfaces_side_by_side_are_those_of_one_process(turning: Adjusted, tmp_path: Path) -> None:
     assert encode(_solved_beside(tmp_path, 2)) == encode(turning)
     assert turning.model is not None and turning.model.taken == ("turning",)

@@ -107,6 +107,7 @@ def test_residual_is_surveyed_minus_found() -> None:
     assert badly_known.sd_m**2 - found[0].sd_m ** 2 == pytest.approx(loose.sd_m**2 - SD_M**2)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(("relief", "seed", "blocks"), [(level, 0, 4), (hills, 10, 2)])
 def test_five_points_of_two_centimetres(relief: Relief, seed: int, blocks: int) -> None:
     """From POS alone to control: check points fall from decimetres to below 0.05 m, and on level ground, where

@@ -42,6 +42,7 @@ def tilted(seed: int) -> Flown:
     return fly(seed, 3, 5, relief=hills, noise_px=0.3, aslant_deg=dict.fromkeys(range(15), 14.0))
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("marks", [1.0, 1.92])
 def test_a_tilted_block_without_positions_lies_on_its_control(marks: float) -> None:
     flown = tilted(3)

@@ -65,15 +65,18 @@ def rtk_m(seed: int) -> tuple[float, float]:
     return solved, given
 
 
+@pytest.mark.proof
 def test_positions_are_not_outweighed_by_what_points_share():
     """With independent weights solved positions are twice as far off as those reported."""
     solved, reported = np.mean([rtk_m(seed) for seed in SEEDS], axis=0)
     assert solved < 1.4 * reported
 
 
+@pytest.mark.proof
 def test_independent_errors_have_none():
     assert np.median([design_effect(seed, 0.0) for seed in SEEDS]) < 1.5
 
 
+@pytest.mark.proof
 def test_what_the_points_of_a_frame_share_is_found():
     assert min(design_effect(seed, BREATHES_PX) for seed in SEEDS[:2]) > 3.0

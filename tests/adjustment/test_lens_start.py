@@ -36,6 +36,7 @@ def off(adjusted: Adjusted, true: Camera) -> float:
     return float(abs(adjusted.cameras[0].focal_length_px - true.focal_length_px) / sd_px)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("lens", [FISHEYE, LONG])
 def test_an_assumed_lens_is_found_within_its_deviation(lens: Camera) -> None:
     flown = fly(1, relief=hills, position_sd_m=EXIF_SD_M, lens=lens)
@@ -56,6 +57,7 @@ def test_a_fisheye_is_told_from_a_flat_lens_over_flat_land() -> None:
     assert lens.focal_length_sd_px == 340.0
 
 
+@pytest.mark.proof
 def test_the_given_start_stays_where_flat_land_does_not_tell_lenses_apart() -> None:
     block = assumed(fly(1, relief=level, position_sd_m=EXIF_SD_M))
     assert with_lens_starts(block, Settings(), AtOnce()) is block

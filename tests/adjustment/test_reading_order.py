@@ -41,6 +41,7 @@ def bent_m(flown: Flown, found: Adjusted) -> float:
     return _bent_m(found.poses.positions_m, flown.truth.positions_m)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(("seed", "lines", "line"), [(3, 3, 2), (4, 3, 2), (5, 2, 0)])
 def test_a_line_turned_in_its_files_is_turned_back(seed: int, lines: int, line: int) -> None:
     """Lines there and back; one looks as if it had been flown backwards. Of two it is that one too."""

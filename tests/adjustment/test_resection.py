@@ -42,6 +42,7 @@ def test_frames_that_look_aside_are_found(seed: int) -> None:
     assert not adjusted.warnings or "frame-contradicted" not in {w.code for w in adjusted.warnings}
 
 
+@pytest.mark.proof
 def test_what_stays_wrong_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the second look at least one ends at the pose that looks alike, and is named."""
     monkeypatch.setattr(solving, "resected", lambda *_: None)

@@ -102,6 +102,7 @@ def test_low_contrast():
     assert np.hypot(*off[label == MEASURED].T).max() < 0.3
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(
     ("seed", "wind_m_per_s", "wind_deg", "height_m"),
     [
@@ -129,6 +130,7 @@ def test_clouds_are_no_ground(seed, wind_m_per_s, wind_deg, height_m):
     assert (label == BRIDGED).any()
 
 
+@pytest.mark.proof
 def test_stated_deviations_hold_where_lines_are_bridged():
     parts = [pooled(replace(THREE, cloud_cover=0.3, low_contrast_share=0.3, seed=seed)) for seed in (81, 82)]
     off, sd, label = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -158,6 +160,7 @@ def test_clouds_alone_are_no_ground():
     assert far_from_nominal(PLAN.geometry(), solved(PLAN)) is None
 
 
+@pytest.mark.proof
 def test_low_clouds_as_dark_as_the_ground_are_not_called_measured():
     """3 px off the ground: which of the two layers is the ground can't be known."""
     plan = replace(
@@ -183,6 +186,7 @@ def test_bright_ground_is_ground():
     assert (label == MEASURED).mean() > 0.95
 
 
+@pytest.mark.proof
 def test_another_camera():
     """5 m pixels, three CCDs, a quarter of TH-1's parallax: knots, clouds and relief by its own geometry."""
     plan = replace(
@@ -228,6 +232,7 @@ def test_most_of_the_ground_hidden():
     assert away[label == MEASURED].max(initial=0.0) < 1.0
 
 
+@pytest.mark.proof
 def test_far_mounted_ccds_are_within_the_search():
     plan = StripPlan(seed=77, width_px=1024, lines=6000, mounting_px=4.0)
     assert max(np.abs(truth.dcol_px).max() for truth in scene(plan)[2]) > 13.0

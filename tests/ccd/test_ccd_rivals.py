@@ -106,6 +106,7 @@ def test_a_fraction_of_a_line_in_the_row_separation_is_no_offset():
             assert abs(errors(strips, pairs, found)[1].mean()) < 0.12
 
 
+@pytest.mark.proof
 def test_segments_follow_a_motion_that_one_offset_cannot():
     strips, pairs = simulated(MOVING)
     old, mean, new, dense = (
@@ -206,6 +207,7 @@ def test_pieces_are_even_and_meet_the_lines_that_both_strips_have():
     assert len(seen[0]) == len(seen[1]) == 9
 
 
+@pytest.mark.proof
 def test_methods_hold_no_more_than_a_piece_of_the_strips():
     """However long the strips, none asks for more lines at once than a piece and its surroundings."""
     strips, _ = simulated(STILL)

@@ -223,7 +223,7 @@ def test_a_fault_is_one_line_exit_1_and_has_a_traceback_on_demand(desk: Desk) ->
     assert code == 1 and "pipeline_toy.py" in err and "Traceback" in err
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.proof), "2"])
 def test_ctrl_c_ends_quickly_with_130_and_the_work_is_kept(workers: str, desk: Desk) -> None:
     desk.folder.joinpath("numbers.txt").write_text(" ".join(str(i) for i in range(200, 240)))
     arguments = ["run", "toy.yaml", "-o", "run", "--set", "toy.power.delay_s=0.2", "--workers", workers]

@@ -72,6 +72,7 @@ def files_of(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir() if p.name != MARKER)
 
 
+@pytest.mark.proof
 def test_two_runs_with_fixed_time_record_equal_bytes(four: Path, tmp_path: Path) -> None:
     for name, workers in (("a", "1"), ("a longer name", "2")):
         out = str(tmp_path / name)
@@ -165,6 +166,7 @@ def killed(survey: Path, tmp_path: Path) -> Iterator[Path]:
             process.wait()
 
 
+@pytest.mark.proof
 def test_a_killed_run_is_readable_and_resumes_where_it_was(killed: Path, survey: Path) -> None:
     recording = read_recording(killed / "run.mcap")
     assert [s.stage_id for s in recording.stages if s.finished] == [

@@ -25,6 +25,7 @@ def _wait_for(page: Path, text: str, process: subprocess.Popen[str]) -> str:
     raise AssertionError(f"no preview of {text}: {process.communicate(timeout=5)}")
 
 
+@pytest.mark.proof
 def test_previews_while_frames_arrive_and_then_the_mosaic_of_one_go(tmp_path: Path) -> None:
     survey = small_survey(tmp_path / "simulated", lines=1, frames_per_line=5, width_px=320, height_px=240)
     frames = sorted(survey.frames.glob("*.jpg"))

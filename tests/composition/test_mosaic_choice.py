@@ -27,6 +27,7 @@ def hall(height_m: float) -> GroundSurface:
     return GroundSurface("dense", -80.0, -80.0, 1.0, np.where(inside, height_m, 0.0))
 
 
+@pytest.mark.proof
 def test_frames_agree_on_the_ground_that_they_saw_and_only_where_grounds_differ(tmp_path: Path) -> None:
     """What stands agrees on the surface; frames of flat land, to which a hall was added, agree below it."""
     for name, true_m, best in (("stands", 8.0, 0), ("flat", 0.0, 1)):

@@ -335,6 +335,7 @@ def test_the_grid_holds_whole_multiples_of_the_ground_pixel(tmp_path):
     assert 0.0 <= south - grid.south_m < 0.2
 
 
+@pytest.mark.proof
 def test_memory_does_not_grow_with_the_mosaic(tmp_path):
     """Three times the frames and pixels: only the seam labels grow, and they stop at 16 MB."""
     import tracemalloc

@@ -358,6 +358,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     return small_survey(folder, lines=1, frames_per_line=4, width_px=320, height_px=240)
 
 
+@pytest.mark.proof
 def test_the_command_cuts_follows_the_file_and_can_be_replayed(
     simulated: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

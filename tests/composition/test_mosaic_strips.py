@@ -440,6 +440,7 @@ print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM"
 # VmHWM and not getrusage, whose highest is at least that of the process this one was started by.
 
 
+@pytest.mark.proof
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the peak memory from /proc")
 def test_memory_does_not_grow_with_the_lines(tmp_path):
     peaks_mb = []

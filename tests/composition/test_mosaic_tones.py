@@ -246,6 +246,7 @@ def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:
     assert spread[0] < 0.6 * spread[1]
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("spot", [0.5, 0.0])
 def test_the_hot_spot_goes_where_frames_show_one(tmp_path: Path, spot: float) -> None:
     """9 real JPEGs of a wide lens, the sun behind the camera in each: half brighter there, or not at all."""

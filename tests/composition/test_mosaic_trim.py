@@ -158,6 +158,7 @@ def test_bounds_are_those_of_what_is_seen_well(flown: dict[str, Any]) -> None:
     assert reach_m == pytest.approx(50.0 * np.tan(np.radians(60.0)), rel=0.06)
 
 
+@pytest.mark.proof
 def test_the_command_makes_the_same_mosaic_with_frames_at_the_horizon(tmp_path: Path) -> None:
     """They tie, or not, and give no pixels; the size is that of the others before and after matching."""
     found = []

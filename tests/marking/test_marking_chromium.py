@@ -234,6 +234,7 @@ def test_the_command_serves_saves_and_ends(survey: TargetSurvey, tmp_path: Path)
     assert "F0001.jpg,5.000,5.000" in (tmp_path / "marks" / TABLE).read_text()
 
 
+@pytest.mark.proof
 def test_a_run_without_positions_predicts_by_three_marked_points(tmp_path: Path) -> None:
     unplaced = target_survey(tmp_path / "unplaced", pos_in="csv")
     assert mosaic(unplaced.frames, tmp_path / "run", "--camera", unplaced.camera, *FEW) == 0

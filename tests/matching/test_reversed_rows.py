@@ -20,6 +20,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     return small_survey(tmp_path_factory.mktemp("flown") / "s", lines=3, frames_per_line=3, pos_in="csv")
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("backwards", [True, False])
 def test_rows_in_reverse_order_are_named_once(
     flown: SimulatedSurvey, tmp_path: Path, backwards: bool

@@ -66,6 +66,7 @@ def test_windows_are_found_to_a_fiftieth_of_a_pixel_turned_and_stretched(seed: i
     assert np.abs(off).max() < 0.2
 
 
+@pytest.mark.proof
 def test_other_texture_is_never_sure_and_a_flat_window_says_nothing() -> None:
     unit = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     at = np.random.default_rng(5).uniform(40.0, 360.0, (300, 2))

@@ -66,6 +66,7 @@ def recipe(survey: SimulatedSurvey) -> Recipe:
     return map_alone(survey, mosaic__seams={"gsd_m": 0.04})  # several blocks of windows
 
 
+@pytest.mark.proof
 def test_a_worker_that_is_killed_leaves_the_pixels_as_they_are(
     team: Team, survey: SimulatedSurvey, local: Path, tmp_path: Path
 ) -> None:

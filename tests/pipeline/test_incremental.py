@@ -100,6 +100,7 @@ def test_why_it_can_not(finished: tuple[Path, Path], survey: SimulatedSurvey, tm
     assert (run / "run.json").exists()
 
 
+@pytest.mark.proof
 def test_a_line_more_then_a_frame_less(
     survey: SimulatedSurvey,
     finished: tuple[Path, Path],

@@ -134,6 +134,7 @@ for blend in ("haze", "feather"):
 """
 
 
+@pytest.mark.proof
 def test_a_changed_blend_of_others_gets_no_old_mosaic(desk: Desk) -> None:
     """Whose name stands in a parameter of geomosaic's own stage; other blends keep what they made."""
     desk.install("1.0", "HAZE = 1\n", f"{ENTRIES}[geomosaic.blends]\nhaze = hazeplugin.sums:HAZE\n")

@@ -110,6 +110,7 @@ def test_a_killed_run_goes_on_where_it_was(survey: SimulatedSurvey, fresh: Path,
     assert_same(tmp_path / "run", fresh)
 
 
+@pytest.mark.proof
 def test_new_frames_bring_their_own_work_alone(survey: SimulatedSurvey, fresh: Path, tmp_path: Path) -> None:
     frames = tmp_path / "frames"
     frames.mkdir()

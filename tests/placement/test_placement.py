@@ -233,6 +233,7 @@ def test_misplacement_by_hand() -> None:
     assert misplacement_m(poses, [CAMERA] * 2, FLAT, sigmas=1.0)[0] == pytest.approx(1.6476, abs=1e-3)
 
 
+@pytest.mark.proof
 def test_the_papers_nine_frames_by_the_papers_recipe(tmp_path: Path) -> None:
     """Table 2 as it is printed: between the first two frames lies a gap, so that the first stands alone
     and is named; pitch, roll and heading as phi, omega and -kappa put the others on one another."""

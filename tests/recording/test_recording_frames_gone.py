@@ -76,6 +76,7 @@ def test_the_adjustment_is_replayed_and_nothing_before_it(
     assert "the frames are gone, and matching.sift takes their pixels" in said and "--frames" in said
 
 
+@pytest.mark.proof
 def test_frames_are_found_elsewhere_by_content(
     survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

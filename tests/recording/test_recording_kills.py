@@ -61,7 +61,11 @@ def killed(frames: Path, run: Path, after: str) -> list[str]:
     return lines
 
 
-@pytest.mark.parametrize(("after", "stage"), KILLED, ids=[k[1] for k in KILLED])
+@pytest.mark.parametrize(
+    ("after", "stage"),
+    [pytest.param(*KILLED[0], marks=pytest.mark.proof), KILLED[1]],
+    ids=[k[1] for k in KILLED],
+)
 def test_a_killed_run_says_where_it_was(
     tmp_path: Path,
     tmp_path_factory: pytest.TempPathFactory,

@@ -194,6 +194,7 @@ def test_the_plain_run_without_reference_rounds_or_ties(run):
     assert not re.search(r"\bnan\b", words)
 
 
+@pytest.mark.proof
 def test_a_thousand_frames_stay_below_five_megabytes(tmp_path):
     run = made_up_run(tmp_path, 20, 50, with_comparison=False, ties_per_pair=5)
     one = {"code": "no-tie-points", "text": "no tie points with other frames"}

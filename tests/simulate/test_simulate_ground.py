@@ -124,6 +124,7 @@ def test_spline_noise_is_smooth_and_pointwise(x: float, y: float) -> None:
     assert 0.0 < at.min() <= at.max() < 1.0
 
 
+@pytest.mark.proof
 def test_crop_rows_run_on_over_the_blocks_edge() -> None:
     """On every block edge of 2 km of land, neighbours differ no more than pixels beside them."""
     ground = Ground(Landscape(8), 0.2)

@@ -144,6 +144,7 @@ def test_water_and_canopy_have_no_texture_and_water_shines_anew(tmp_path: Path) 
     assert {p.cover for p in forest.parcels((0.0, 0.0, 500.0, 500.0))} == {"smooth_forest"}
 
 
+@pytest.mark.proof
 def test_shares_are_of_the_land() -> None:
     cells = [c.cover for c in Landscape(9, 1.0, 0.2, 0.3).parcels((0.0, 0.0, 4000.0, 4000.0))]
     assert cells.count("water") / len(cells) == pytest.approx(0.2, abs=0.03)

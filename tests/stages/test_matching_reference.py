@@ -21,6 +21,7 @@ from geomosaic.matching.reference_map import (
 from geomosaic.requests.mosaic_request import MosaicRequest
 
 
+@pytest.mark.proof
 def test_two_epochs_of_offset_gnss_agree_to_a_pixel_and_planted_squares_are_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

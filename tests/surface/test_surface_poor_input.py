@@ -28,6 +28,7 @@ def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:
     assert np.isfinite(surface.up_m).all()
 
 
+@pytest.mark.proof
 def test_a_dem_given_as_well_is_where_the_search_starts(tmp_path) -> None:
     """Hills of 45 m below a flight of 50 m, farther down than the search from level ground reaches."""
     hills = scene(tmp_path, relief_m=45.0, relief_wavelength_m=120.0, frames_per_line=3)

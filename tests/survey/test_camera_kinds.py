@@ -160,6 +160,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder, run
 
 
+@pytest.mark.proof
 def test_wide_and_thermal_become_one_mosaic(flown: tuple[Path, Path]) -> None:
     """The thermal band is within a tenth of its pixel of what the mosaic's own colours give."""
     _, run = flown
@@ -193,6 +194,7 @@ def test_wide_and_thermal_become_one_mosaic(flown: tuple[Path, Path]) -> None:
     assert abs(pixels[3][valid].mean() - expected[valid].mean()) < 0.2
 
 
+@pytest.mark.proof
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_grey_thermal_pictures_are_registered_as_well(flown: tuple[Path, Path], tmp_path: Path) -> None:
     """As the aircraft writes them: JPEG of three equal bands, stretched to the picture's own range."""

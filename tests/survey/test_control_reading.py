@@ -115,6 +115,7 @@ def test_unknown_systems_are_refused_with_the_nearest(read: Read, header: str, n
     assert "--gcp" in str(caught.value) and caught.value.exit_code == 2
 
 
+@pytest.mark.proof
 def test_a_name_of_two_systems_goes_by_the_frames_or_asks(read: Read) -> None:
     """S is the southern hemisphere, unless the frames lie in the band S. A zone alone has two halves; Rome's
     easting is 2,313,181 m in the eastern zone of Gauss and Boaga, and off the western one's area."""

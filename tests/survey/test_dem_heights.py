@@ -242,6 +242,7 @@ def test_a_dem_with_a_hole_of_9999_gives_the_pixel_it_gave_without(
     assert "bare.vrt: its source '/gone.tif' is not there; copy it too" in capfd.readouterr().err
 
 
+@pytest.mark.proof
 def test_a_dem_whose_heights_are_in_feet_is_named(survey: SimulatedSurvey, tmp_path: Path) -> None:
     """Its unit is not stated: the frames' altitudes show that it lies 1,200 m too high."""
     dem, run = tmp_path / "dem.tif", tmp_path / "run"

@@ -97,6 +97,7 @@ def test_a_slip_of_the_decimal_point_is_named(flown: SimulatedSurvey, tmp_path: 
     assert told.frame == "F0003.jpg" and "616333 m" in told.text
 
 
+@pytest.mark.proof
 def test_a_larger_slip_is_named_and_the_mosaic_is_made(flown: SimulatedSurvey, tmp_path: Path) -> None:
     height = "6163331"
     frames, pos = copied(flown, tmp_path, {2: height})

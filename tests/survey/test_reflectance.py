@@ -142,6 +142,7 @@ def test_a_mosaic_of_a_rig_shows_reflectance_and_says_so(flown: SimulatedSurvey,
         assert abs(known.mean()) < 0.005 and np.quantile(np.abs(known), 0.95) < WITHIN
 
 
+@pytest.mark.proof
 def test_values_of_a_rig_that_nobody_calibrates_are_called_so(flown: SimulatedSurvey, tmp_path: Path) -> None:
     rig_flight(flown.frames, tmp_path / "rig", RigFlight("dji", panels=False))
     run = tmp_path / "run"

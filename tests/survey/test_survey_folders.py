@@ -143,6 +143,7 @@ def test_a_frame_that_cannot_be_read_is_left_out_and_strictly_an_error(tmp_path:
         read_survey(SurveyInputs(folder, strict=True))
 
 
+@pytest.mark.proof
 def test_a_mosaic_of_frames_in_folders(tmp_path: Path) -> None:
     """Frames of equal names stay apart to the end, and a new one in a folder is not overlooked."""
     from small_surveys import small_survey

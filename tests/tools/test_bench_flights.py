@@ -13,6 +13,7 @@ from tools.bench.bench_flights import main
 from tools.bench.bench_flights_sheet import read_flights, read_sheet
 
 
+@pytest.mark.proof
 def test_flights_of_a_folder_are_run_and_their_results_merged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

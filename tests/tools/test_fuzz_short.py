@@ -10,6 +10,8 @@ import time
 from pathlib import Path
 from random import Random
 
+import pytest
+
 from tools.fuzz.fuzz_formats import tiff_tags
 from tools.fuzz.fuzz_mutations import Nasty, a_table, some_bytes, some_text
 from tools.fuzz.fuzz_trees import a_json, a_yaml, an_xml
@@ -20,6 +22,7 @@ ROOT = Path(__file__).parents[2]
 CASES = 18
 
 
+@pytest.mark.proof
 def test_spoiled_files_are_refused_or_read_and_nothing_else_happens(tmp_path: Path) -> None:
     """A case of each kind or two, each in a process of its own, through the real commands."""
     words = ["--cases", str(CASES), "--seed", "8", "--out", str(tmp_path / "fuzz")]

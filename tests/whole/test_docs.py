@@ -219,6 +219,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("guides")
 
 
+@pytest.mark.proof
 def test_the_guides_run(
     desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -272,6 +273,7 @@ def of_the_pages() -> list[list[str]]:
     return [list(argv) for argv in found]
 
 
+@pytest.mark.proof
 def test_the_commands_of_the_other_pages_run(surveyed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quick = (ROOT / "recipes" / "quick_look.yaml").read_text(encoding="utf-8")
     read = "  - {stage: survey.read, params: {frames: flight/frames}}"

@@ -242,6 +242,7 @@ def test_every_method_goes_to_the_end(method: str, few: tuple[SimulatedSurvey, P
         assert alike[0] > 0.9, "what positions alone give is what this method gives"
 
 
+@pytest.mark.proof
 def test_hills_with_a_dem_and_frames_that_were_turned(tmp_path: Path) -> None:
     survey = small_survey(
         tmp_path,
@@ -265,6 +266,7 @@ def test_hills_with_a_dem_and_frames_that_were_turned(tmp_path: Path) -> None:
     assert 0.01 < rms(off_m(run, survey)[:, :2]) < NOISE_M
 
 
+@pytest.mark.proof
 def test_frames_alone_across_the_border_of_two_zones_in_the_south(tmp_path: Path) -> None:
     """No POS, no camera file: EXIF and XMP say it all. Zones 20 and 21 meet at 60 degrees west."""
     survey = small_survey(

@@ -136,6 +136,7 @@ def test_layers_lie_where_the_scene_is(run: Path) -> None:
     assert names["seam_segments"].GetFeatureCount() == 2 * 7
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("method", ["piecewise_linear", "image_registration", "virtual_line"])
 def test_other_methods_are_recipes(method: str, scene: SimulatedStrips, tmp_path: Path) -> None:
     geometry = elsewhere(scene, tmp_path / "geometry.yaml")
@@ -181,6 +182,7 @@ def test_equal_runs_give_equal_bytes(scene: SimulatedStrips, run: Path, tmp_path
             assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes(), path.name
 
 
+@pytest.mark.proof
 def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
     scene: SimulatedStrips, run: Path, tmp_path: Path
 ) -> None:

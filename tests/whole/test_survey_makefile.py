@@ -61,6 +61,7 @@ def make(desk: Path, *arguments: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.proof
 def test_three_surveys_are_made_side_by_side_and_then_settled(desk: Path) -> None:
     code, said = make(desk, "-k", "-j2", "mosaics", "reports", *EXPORTED)
     assert code == 2 and said.count("geomosaic: ") == 1 and "is no JPEG file" in said, said
