@@ -212,6 +212,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the POS file and the positions in the frames' tags lie kilometres apart",
         "check the columns of the file and its reference system (--pos-crs)",
     ),
+    "heights-elsewhere": (
+        "doubtful",
+        "the heights of the POS file agree with those in the frames' tags only if they are feet",
+        "name the column of the heights height_ft, or correct the heights",
+    ),
     "headings-reversed": (
         "doubtful",
         "all headings of the POS file are off by 180 degrees: its rows may be in reverse order",

@@ -18,6 +18,7 @@ _SEVERE: Final = frozenset(
 _ROUTINE: Final = frozenset(
     (
         "attitude-of-aircraft", "bands-left-out", "camera-assumed", "camera-scaled",
+        "control-columns-ignored",
         "dem-datum-assumed", "dem-unused", "frame-copy", "frame-other-bands", "frame-other-camera",
         "frame-take-off",
         "frame-turned", "geoid-assumed", "headings-off", "height-above-take-off", "height-by-neighbours",

@@ -40,6 +40,8 @@ def read_angles(
     has = table.factors.keys()
     has_opk = {"omega", "phi", "kappa"} <= has
     has_ypr = bool({"yaw", "pitch", "gimbal_pitch"} & has)
+    if has_opk and convention == "auto" and has_ypr:
+        has_ypr = bool(np.isfinite([table.numbers(c) for c in ("pitch", "gimbal_pitch")]).any())
     if convention.endswith("kappa") if convention != "auto" else has_opk and not has_ypr:
         if not has_opk:
             raise _lacks(table, convention, "omega, phi and kappa")

@@ -71,6 +71,7 @@ def read_control(
         raise InputError(problem, file=path, fix="leave out the less accurate ones")
     merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
     seen, absent = _measurements(table, of, frames)
+    marks, repeated = _once_an_image(path, seen)
     stated_m = _stated_deviations_m(table)
     kinds = table.texts("kind")
     known_m = [place[2] for place, _ in merged.values() if not math.isnan(place[2])]
@@ -91,17 +92,17 @@ def read_control(
             if plan_only
             else math.hypot(usual_m[1], spread[1] / 2.0),
             check=_is_check(kinds[rows[0]], name, table.lines[rows[0]], path),
-            images=tuple(seen.get(name, ())),
+            images=marks.get(name, ()),
             plan_only=plan_only,
             sd_assumed=bool(np.isnan(sd_m).all()),
         )
         points.append(point)
-    notes = [_plan_only(path, points), _unsteady(path, merged)]
+    notes = [_unused_columns(table), _plan_only(path, points), _unsteady(path, merged)]
     return ControlFile(
         path=path,
         points=tuple(points),
         absent=tuple(absent),
-        notes=(*found.notes, *doubts, *(note for note in notes if note is not None)),
+        notes=(*found.notes, *doubts, *repeated, *(note for note in notes if note is not None)),
     )
 
 
@@ -136,6 +137,14 @@ def _one_place(
         return (lon, lat, math.nan), (float(np.linalg.norm(np.ptp(plan_m, axis=0))), 0.0)
     height = float(heights_m[0] + (heights_m - heights_m[0]).mean())
     return (lon, lat, height), (float(np.linalg.norm(np.ptp(plan_m, axis=0))), float(np.ptp(heights_m)))
+
+
+def _unused_columns(table: ParsedTable) -> Warn | None:
+    """One line for the columns whose names are not known."""
+    if not table.unknown_columns:
+        return None
+    text = f"{table.path.name}: columns not used: {some(table.unknown_columns, 20)}"
+    return Warn("control-columns-ignored", "", text)
 
 
 def _plan_only(path: Path, points: Sequence[ControlPoint]) -> Warn | None:
@@ -189,6 +198,33 @@ def _measurements(
                 raise table.error(i, f"no {column}", "fill it in or remove the line")
         seen.setdefault(names[i], []).append((frame, cols[i], rows[i]))
     return seen, absent
+
+
+def _once_an_image(
+    path: Path, seen: Mapping[str, Sequence[tuple[str, float, float]]]
+) -> tuple[dict[str, tuple[tuple[str, float, float], ...]], list[Warn]]:
+    """The marks of each point, one an image: the mean of those that stand there more than once."""
+    once, apart = {}, []
+    for name, marks in seen.items():
+        by_image: dict[str, list[tuple[float, float]]] = {}
+        for frame, col, row in marks:
+            by_image.setdefault(frame, []).append((col, row))
+        means = {frame: np.mean(at, axis=0).tolist() for frame, at in by_image.items()}
+        once[name] = tuple((frame, col, row) for frame, (col, row) in means.items())
+        apart += [
+            (float(np.hypot(*np.ptp(at, axis=0))), name, frame)
+            for frame, at in by_image.items()
+            if len(at) > 1
+        ]
+    differ = sorted((which for which in apart if which[0] > 0.0), reverse=True)
+    if not differ:
+        return once, []
+    places = some(f"{name} in {frame}, {px:.3g} px" for px, name, frame in differ)
+    text = (
+        f"{path.name}: marks of one point in one image that differ ({places}); their mean is used; "
+        "remove the wrong ones"
+    )
+    return once, [Warn("control-mark-repeated", "", text)]
 
 
 def _is_check(kind: str | None, name: str, line: int, path: Path) -> bool:

@@ -9,14 +9,15 @@ from typing import Final
 
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs
+from geomosaic.survey.column_names import Aliases
 from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.names import FrameNames
 from geomosaic.survey.places import check_columns, given_crs
 from geomosaic.survey.pos import ALIASES as POS_ALIASES
-from geomosaic.survey.table import Aliases, Line, ParsedTable, is_number, read_lines, read_table, split
+from geomosaic.survey.table import Line, ParsedTable, is_number, read_lines, read_table, split
 
 ALIASES: Final[Aliases] = {
-    "name": ("name", "point", "point_name", "gcp", "gcp_name", "label", "id"),
+    "name": ("name", "point", "point_name", "point_number", "gcp", "gcp_name", "label", "id"),
     **{
         c: POS_ALIASES[c]
         for c in (

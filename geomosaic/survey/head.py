@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs, coded_crs, is_wkt, nearest_names, stated_crs
-from geomosaic.survey.table import Aliases, Line, column_of, is_number, split
+from geomosaic.survey.column_names import Aliases, column_of
+from geomosaic.survey.table import Line, is_number, split
+
+_LABEL: Final = re.compile(r"^coordinate\s*system\s*:\s*", re.IGNORECASE)
+"""What Metashape writes before the CRS."""
 
 
 def read_head(
@@ -23,6 +29,7 @@ def read_head(
     Raises: `InputError` for a first line that is none of these, with the names of systems most like it.
     """
     names: Line | None = None
+    lines = [replace(line, text=_LABEL.sub("", line.text)) for line in lines]
     for i, line in enumerate(lines):
         if is_wkt(line.text):
             text, i = _whole_wkt(lines, i)
@@ -37,7 +44,7 @@ def read_head(
             return crs, after if names is None or named else [names, *after]
         if not line.comment:
             if names is None and not columns and not has_numbers(line):
-                raise _unknown(path, line, fix)
+                raise _unknown(path, line, aliases, fix)
             return None, lines[i:] if names is None or columns else [names, *lines[i:]]
         if columns:
             names = line
@@ -76,10 +83,17 @@ def _whole_wkt(lines: list[Line], first: int) -> tuple[str, int]:
     return text, last
 
 
-def _unknown(path: Path, line: Line, fix: str) -> InputError:
+def _some(aliases: Aliases) -> str:
+    """The first columns of a table, as a header names them."""
+    return ",".join(name for name in ("name", "frame", "lon", "lat", "height") if name in aliases)
+
+
+def _unknown(path: Path, line: Line, aliases: Aliases, fix: str) -> InputError:
     near = nearest_names(line.text)
     return InputError(
         f"line {line.number}: {shown(line.text)} names no columns and no known coordinate reference system",
         file=path,
-        fix=f"did you mean {near}? Else {fix}" if near else fix,
+        fix=f"did you mean {near}? Else {fix}"
+        if near
+        else f"name the columns in English, such as {_some(aliases)}; or {fix}",
     )

@@ -22,8 +22,10 @@ def frame_name(path: Path) -> str:
 class FrameNames:
     """A folder's frame names, found also without folders, in other capitals, or with another extension."""
 
-    def __init__(self, names: Iterable[str]) -> None:
+    def __init__(self, names: Iterable[str], captured: Iterable[str] = ()) -> None:
+        """captured: all names in order of capture, where the frames' times say it."""
         self._names = tuple(names)
+        self._captured = tuple(captured)
         self._exact = frozenset(self._names)
         self._by_name: dict[str, list[str]] = {}
         self._by_stem: dict[str, list[str]] = {}
@@ -36,6 +38,11 @@ class FrameNames:
     def all(self) -> tuple[str, ...]:
         """Every name, as the frames bear it."""
         return self._names
+
+    @property
+    def in_order(self) -> tuple[str, ...]:
+        """Every name in order of capture, else by the numbers in the names: a counter may begin anew."""
+        return self._captured or tuple(sorted(self._names, key=natural_key))
 
     def find(self, text: str) -> str | None:
         """The frame meant; None if there is none. `InputError` if several could be."""

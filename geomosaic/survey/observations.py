@@ -11,7 +11,7 @@ from pyproj import CRS
 from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
-from geomosaic.geodesy.heights import ellipsoidal_offsets_m
+from geomosaic.geodesy.heights import LENGTHS_M, ellipsoidal_offsets_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.extent import distances_m, lonlat_of
 from geomosaic.survey.header import FrameHeader
@@ -27,6 +27,7 @@ from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos_row import PosFile, PosRow
 
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
+_FAR_UP_M = tuned(250.0, "m", "from heights in tags: geoids differ by 100, barometers too; five times feet's")
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ def observe(
     else:
         rows, unmatched = _matched(headers, pos, left_out, strict=strict)
         warnings = [*pos.warnings, *unmatched, *_against_exif(headers, own, rows, pos)]
+        warnings += _heights_against_tags(own, rows, pos)
         positions = _with_missing(
             [
                 p if row is None else _position(row, p, datum_stated=pos.datum_stated)
@@ -246,6 +248,32 @@ def _against_exif(
         "check columns and CRS of the file"
     )
     return [Warn("pos-far-from-exif", both[i][2], text)]
+
+
+def _heights_against_tags(
+    own: Sequence[Position | None], rows: Sequence[PosRow | None], pos: PosFile
+) -> list[Warn]:
+    """Heights of the file that agree with those in the frames' tags as feet alone. Tags that repeat the
+    height above the ground say nothing."""
+    known = np.array(
+        [
+            (r.height_ellipsoidal_m, p.height_ellipsoidal_m, p.height_above_ground_m or 0.0)
+            for r, p in zip(rows, own, strict=True)
+            if r is not None
+            and p is not None
+            and None not in (r.height_ellipsoidal_m, p.height_ellipsoidal_m)
+        ],
+        dtype=np.float64,
+    ).reshape(-1, 3)
+    given_m, tags_m, _ = known[np.abs(known[:, 1] - known[:, 2]) > _FAR_UP_M / 5.0].T
+    if not len(given_m):
+        return []
+    up_m, as_feet_m = (abs(float(np.median(unit * given_m - tags_m))) for unit in (1.0, LENGTHS_M["ft"]))
+    if up_m <= _FAR_UP_M or as_feet_m > up_m / 5.0:
+        return []
+    text = f"its heights lie {up_m:.0f} m from those in the frames' tags, and {as_feet_m:.0f} m if they are "
+    text += "feet: name the column height_ft"
+    return [Warn("heights-elsewhere", "", f"{pos.path.name}: {text}")]
 
 
 def _mistaken(given: Floats) -> Iterator[tuple[str, str, Floats]]:

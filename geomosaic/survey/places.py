@@ -19,8 +19,9 @@ from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, sea_level, unit_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection, outside_area_m
 from geomosaic.survey.accuracy import CONTROL
+from geomosaic.survey.column_names import Aliases
 from geomosaic.survey.model import Warn
-from geomosaic.survey.table import Aliases, ParsedTable
+from geomosaic.survey.table import ParsedTable
 
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
 _RADIANS = sourced((np.pi, np.pi / 2.0), "rad", "of both; no land within, as degrees", "definition")

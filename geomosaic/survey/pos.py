@@ -13,33 +13,42 @@ from geomosaic.arrays import Floats
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs, crs_of
 from geomosaic.survey.attitude import read_angles
+from geomosaic.survey.column_names import Aliases
 from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import NO_NAMES, FrameNames, some
 from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.rtklib_events import is_rtklib_events, read_rtklib_events
-from geomosaic.survey.table import Aliases, ParsedTable, read_lines, read_table, split
+from geomosaic.survey.table import ParsedTable, read_lines, read_table, split
 from geomosaic.survey.timestamp_mrk import is_timestamp_mrk, read_timestamp_mrk
 
 ALIASES: Final[Aliases] = {
     "frame": (
         "frame", "image", "image_name", "imagename", "img", "file", "filename", "file_name", "name", "label",
-        "photo", "photo_name", "picture", "sourcefile",
+        "photo", "photo_name", "photoid", "photo_id", "picture", "sourcefile", "image_id", "imageid",
+        "image_file",
     ),
-    "lon": ("lon", "long", "lng", "longitude", "gps_longitude", "gpslongitude", "gps_lon", "gps_long"),
-    "lat": ("lat", "latitude", "gps_latitude", "gpslatitude", "gps_lat"),
-    "x": ("x", "e", "east", "easting", "x_east", "x_longitude"),
-    "y": ("y", "n", "north", "northing", "y_north", "y_latitude"),
+    "lon": (
+        "lon", "long", "lng", "longitude", "gps_longitude", "gpslongitude", "gps_lon", "gps_long",
+        "longitude_x",
+    ),
+    "lat": ("lat", "latitude", "gps_latitude", "gpslatitude", "gps_lat", "latitude_y"),
+    "x": ("x", "e", "east", "easting", "x_east", "x_easting", "x_longitude", "geo_x"),
+    "y": ("y", "n", "north", "northing", "y_north", "y_northing", "y_latitude", "geo_y"),
     "height_ellipsoidal": (
         "height_ellipsoidal", "ellipsoidal_height", "height_ellipsoid", "ellipsoid_height", "h_ell", "hae",
+        "altitude_ellipsoidal",
     ),
     "height_orthometric": (
         "height_orthometric", "orthometric_height", "altitude_msl", "height_msl", "alt_msl", "amsl",
+        "msl", "msl_height", "msl_altitude", "altitudemsl", "altitude_amsl", "height_amsl", "elevation_msl",
+        "z_msl", "altitude_orthometric", "height_geoid",
     ),
     "height": (
         "height", "altitude", "alt", "z", "h", "elevation", "elev", "gps_altitude", "gpsaltitude",
         "gps_height", "gps_alt", "gps_elevation", "z_altitude", "absolute_altitude", "absolutealtitude",
+        "height_z", "geo_z",
     ),
     "height_above_ground": (
         "height_above_ground", "agl", "alt_agl", "altitude_agl", "relative_altitude", "relativealtitude",
@@ -59,10 +68,11 @@ ALIASES: Final[Aliases] = {
     ),
     "sd_vertical": (
         "sd_vertical", "accuracy_vertical", "vertical_accuracy", "vert_accuracy", "accuracy_vert",
-        "accuracy_z", "sigma_z", "sd_z", "sd_u", "sdu", "elevation_rms", "vrms", "v_rms", "vacc", "v_acc",
+        "accuracy_z", "sigma_z", "sd_z", "sd_u", "sdu", "std_u", "std_z", "elevation_rms", "vrms", "v_rms",
+        "vacc", "v_acc",
     ),
-    "sd_e": ("sd_e", "sigma_x", "sd_x", "sd_easting", "sde", "easting_rms"),
-    "sd_n": ("sd_n", "sigma_y", "sd_y", "sd_northing", "sdn", "northing_rms"),
+    "sd_e": ("sd_e", "sigma_x", "sd_x", "sd_easting", "sde", "easting_rms", "std_e", "std_x", "accuracy_x"),
+    "sd_n": ("sd_n", "sigma_y", "sd_y", "sd_northing", "sdn", "northing_rms", "std_n", "std_y", "accuracy_y"),
     "sd_yaw": ("sd_yaw", "sigma_yaw", "sd_kappa", "sigma_kappa"),
     "sd_tilt": ("sd_tilt", "sigma_tilt"),
     "sd_omega": ("sd_omega", "sigma_omega", "sd_roll", "sigma_roll"),

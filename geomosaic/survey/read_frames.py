@@ -40,12 +40,13 @@ Progress = Callable[[int, int, str], None]
 def readable_frames(inputs: SurveyInputs, inspect: Inspect, progress: Progress | None) -> SurveyDraft:
     """The POS file, the camera file, and the folder's frames that can be read, in order of capture."""
     files = inputs.frame_files()
-    pos = inputs.positions(FrameNames(files.values()))
     cameras = inputs.cameras()
     inner = unused_folders(inputs.frames)
     masked, strict = inputs.damaged == "mask", inputs.strict
     found = usable(files, inspect, mask_damaged=masked, strict=strict, progress=progress)
     headers, in_time = _in_order(found.headers)
+    all_timed = in_time and len(headers) == len(files)
+    pos = inputs.positions(FrameNames(files.values(), [h.name for h in headers] if all_timed else ()))
     text = (
         f"images in folders next to the frames are not used: {some(inner)}; give the folder above to use all"
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from geomosaic.errors import InputError
-from geomosaic.survey.names import FrameNames, natural_key
+from geomosaic.survey.names import FrameNames
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Line, read_lines
 from geomosaic.survey.timestamp_mrk import exposure_row
@@ -33,7 +33,7 @@ def is_rtklib_events(path: Path) -> bool:
 
 
 def read_rtklib_events(path: Path, frames: FrameNames) -> PosFile:
-    """A row for each frame: the n-th event is the n-th frame's by the names' natural order.
+    """A row for each frame: the n-th event is the n-th frame's in order of capture (`FrameNames.in_order`).
 
     Raises: `InputError` naming the file, the line and the fix.
     """
@@ -41,7 +41,7 @@ def read_rtklib_events(path: Path, frames: FrameNames) -> PosFile:
     comments = [line for line in lines if line.text.startswith("%")]
     columns = _columns(path, comments)
     rows = [_row(path, line, columns) for line in lines if line.text and not line.text.startswith("%")]
-    names = sorted(frames.all, key=natural_key)
+    names = frames.in_order
     if len(rows) != len(names):
         raise InputError(
             f"has {len(rows)} events, and there are {len(names)} frames",

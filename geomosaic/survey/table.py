@@ -13,30 +13,15 @@ from typing import Final
 import numpy as np
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.doors.files import TEXT_BYTES, decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
-from geomosaic.geodesy.heights import LENGTHS_M
-
-Aliases = Mapping[str, tuple[str, ...]]
-"""Column -> the names it goes by, in lower case with underscores and without units."""
+from geomosaic.survey.column_names import UNITS, Aliases, columns_of
 
 _MOST_LINES = tuned(200_000, "lines", "the largest blocks have 50,000 frames: more is a log, or another file")
 _LONGEST_LINE = tuned(20_000, "characters", "500 columns of 40: a longer line is no table's")
 _MOST_COLUMNS = tuned(500, "columns", "of a header; each is looked up under every name")
-_UNITS = sourced(
-    {
-        **dict.fromkeys(("deg", "degree", "degrees", "decimal_degrees", "dd"), 1.0),
-        **dict.fromkeys(("rad", "radian", "radians"), 180.0 / math.pi),
-        **dict.fromkeys(("gon", "grad", "grads"), 0.9),
-        **LENGTHS_M,
-        **dict.fromkeys(("px", "pixel", "pixels", "s", "units"), 1.0),
-    },
-    "degrees or metres by unit",
-    "other units are refused",
-    "definitions",
-)
 _WANTED: Final = "give a table as text (CSV) with a header line and a line per frame or point"
 _OTHER_KINDS: Final = (
     (rb"<.*<gpx\b|<gpx\b", "a GPX track"),
@@ -48,6 +33,8 @@ _OTHER_KINDS: Final = (
     (rb"\xff\xd8\xff|II\*\x00|MM\x00\*|\x89PNG", "an image"),
 )
 _UNKNOWN: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--"})
+_SEPARATOR_NAMED: Final = re.compile(r"sep=.", re.IGNORECASE)
+"""The first line of a table that Excel is to open."""
 _NUMBER: Final = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 
 
@@ -136,7 +123,7 @@ def read_lines(path: Path, item: str) -> list[Line]:
             raise FileError(problem, file=path, fix="give a line per item, of at most 20,000 characters")
         stripped = raw.strip()
         bare = stripped.lstrip("/" if stripped.startswith("//") else "#").lstrip()
-        if bare:
+        if bare and not (number == 1 and _SEPARATOR_NAMED.fullmatch(bare)):
             lines.append(Line(number, bare, bare != stripped))
     return lines
 
@@ -175,30 +162,6 @@ def is_number(text: str) -> bool:
     return _NUMBER.fullmatch(text.replace(",", ".", 1)) is not None
 
 
-def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[str | None, str]:
-    """Which column a header's name means, None where unknown, and its unit, "" where it states none.
-
-    A unit stands in brackets or parentheses, or at the name's end: `Yaw [degrees]`, `omega_rad`.
-    """
-    match = re.fullmatch(r"([^\[(]*)[\[(]([^\])]*)[\])]?", name.rstrip())
-    stem, unit = (match[1], _plain(match[2])) if match else (name, "")
-    stem = _plain(stem)
-    by_name = {alias: column for column, names in aliases.items() for alias in names}
-    if stem not in by_name and not unit:
-        ends = ((stem.removesuffix(f"_{u}"), u) for u in _UNITS)
-        stem, unit = next((its for its in ends if its[0] in by_name), (stem, unit))
-    column = by_name.get(stem)
-    if column is None:
-        return None, ""
-    if unit and unit not in _UNITS:
-        raise InputError(
-            f"column {shown(name)} has the unknown unit {shown(unit)}",
-            file=path,
-            fix=f"known: {', '.join(sorted(_UNITS))}",
-        )
-    return column, unit
-
-
 def read_table(
     path: Path, lines: list[Line], aliases: Aliases, columns: tuple[str, ...] | None = None
 ) -> ParsedTable:
@@ -218,16 +181,15 @@ def read_table(
         if len(names) > _MOST_COLUMNS:
             problem = f"line {header.number} names {len(names):,} columns"
             raise InputError(problem, file=path, fix=f"give at most {_MOST_COLUMNS}")
-        for name in names:
-            column, unit = column_of(name, aliases, path)
-            if column is not None and column in factors:
-                raise InputError(f"two columns for {column}", file=path, fix=f"rename or remove '{name}'")
+        for name, (column, unit) in zip(names, columns_of(names, aliases, path), strict=True):
             if column is None:
                 unknown.append(name)
             else:
-                factors[column] = _UNITS.get(unit, 1.0)
+                factors[column] = UNITS.get(unit, 1.0)
                 unstated |= set() if unit else {column}
             known.append(column)
+        first = next((line.text for line in lines if not line.comment), like)
+        like = like if len(split(first, like)) > 1 else first
     else:
         like = next((line.text for line in lines if not line.comment), "")
         known = [*columns]
@@ -255,7 +217,3 @@ def read_table(
         if column is not None
     }
     return ParsedTable(path, factors, tuple(unknown), tuple(numbers), cells, frozenset(unstated))
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")

@@ -18,7 +18,7 @@ from typing import Final
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.survey.accuracy import POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.model import Warn
-from geomosaic.survey.names import FrameNames, natural_key
+from geomosaic.survey.names import FrameNames
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Line, read_lines
 
@@ -36,13 +36,13 @@ def read_timestamp_mrk(path: Path, frames: FrameNames) -> PosFile:
     """A row for each frame of an exposure with a fix.
 
     Exposures are found by the numbers in the frames' names (`DJI_20230814123501_0007_V.JPG`,
-    `100_0001_0007.JPG`), else by order where there are as many frames as exposures.
+    `100_0001_0007.JPG`), else by order of capture where there are as many frames as exposures.
 
     Raises: `InputError` naming the file, the line and the fix.
     """
     lines = [line for line in read_lines(path, "exposures") if not line.comment]
     exposures = [_exposure(path, line) for line in lines]
-    named = _frames_of([number for number, _ in exposures], frames.all)
+    named = _frames_of([number for number, _ in exposures], frames)
     if named is None:
         raise InputError(
             f"has {len(exposures)} exposures, and the names of {len(frames.all)} frames don't match them",
@@ -101,10 +101,11 @@ def exposure_row(
     return PosRow("", line, *place, sd_east_m=sd_east, sd_north_m=sd_north, sd_vertical_m=sd_up)
 
 
-def _frames_of(numbers: Sequence[int], names: Sequence[str]) -> list[list[str]] | None:
+def _frames_of(numbers: Sequence[int], frames: FrameNames) -> list[list[str]] | None:
     """The frames of each exposure; None where neither names nor order tell."""
+    names = frames.in_order
     by_number: dict[int, dict[str, str]] = {}
-    for name in sorted(names, key=natural_key):
+    for name in names:
         *_, (number, kind) = re.findall(r"(\d+)(\D*)", PurePath(name).stem) or [("-1", name)]
         if kind in by_number.setdefault(int(number), {}):
             return None  # of two flights
@@ -113,5 +114,5 @@ def _frames_of(numbers: Sequence[int], names: Sequence[str]) -> list[list[str]] 
     if sum(map(len, found)) == len(names):
         return found
     if len(numbers) == len(names):
-        return [[name] for name in sorted(names, key=natural_key)]
+        return [[name] for name in names]
     return None

@@ -11,11 +11,11 @@ import pytest
 from pyproj import Transformer
 
 from geomosaic.errors import InputError
+from geomosaic.survey.column_names import column_of
 from geomosaic.survey.control import read_control
 from geomosaic.survey.model import ControlPoint
 from geomosaic.survey.names import FrameNames
 from geomosaic.survey.pos import read_pos
-from geomosaic.survey.table import column_of
 
 NEW_YORK_EAST = "EPSG:2260"
 """NAD83, US survey feet."""

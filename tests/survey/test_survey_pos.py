@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.survey.column_names import ANGLES, column_of
 from geomosaic.survey.pos import ALIASES, read_pos
 from geomosaic.survey.pos_row import PosFile
-from geomosaic.survey.table import column_of
 
 
 def pos(tmp_path: Path, text: str | bytes, name: str = "pos.csv", **options: str) -> PosFile:
@@ -268,7 +268,8 @@ def test_ignored_columns_are_told(tmp_path: Path) -> None:
 @given(st.sampled_from(sorted(ALIASES)), st.data())
 def test_every_alias_means_its_column(column: str, data: st.DataObject) -> None:
     alias = data.draw(st.sampled_from(ALIASES[column]))
-    shape = data.draw(st.sampled_from(["{}", " {} ", "{} [m]", "{} (deg)", "{}_m"]))
+    units = ["{} (deg)", "{}_deg"] if column in ANGLES else ["{} [m]", "{} (deg)", "{}_m"]
+    shape = data.draw(st.sampled_from(["{}", " {} ", *units]))
     name = shape.format(data.draw(st.sampled_from([alias, alias.upper(), alias.replace("_", " ")])))
     assert column_of(name, ALIASES)[0] == column
 
