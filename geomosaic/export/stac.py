@@ -117,7 +117,7 @@ def stac_item(
         if (path := folder / file).is_file():
             title, media, roles = ASSETS[file]
             asset = pystac.Asset(f"./{file}", title=title, media_type=media, roles=list(roles))
-            item.add_asset(path.stem, asset)
+            item.add_asset(path.stem if path.stem not in item.assets else file.replace(".", "_"), asset)
             if path.suffix == ".tif":
                 _describe(asset, path)
     return dict(item.to_dict(include_self_link=False, transform_hrefs=False))

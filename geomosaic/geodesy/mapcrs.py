@@ -13,7 +13,7 @@ from pyproj.exceptions import ProjError
 from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
-from geomosaic.geodesy.crs_names import required_crs
+from geomosaic.geodesy.crs_names import crs_of, required_crs
 
 LOCAL_CRS = (
     'ENGCRS["local frame in units of its own",EDATUM["nowhere on Earth"],CS[Cartesian,2],'
@@ -55,9 +55,13 @@ def map_crs(text: str, lonlat: tuple[float, float] | None = None) -> CRS:
 
     Of several systems of one name those count in whose area of use lonlat lies, the survey's middle.
 
-    Raises: `InputError` for what is none; `AmbiguousCrsError` where several are left that differ.
+    Raises: `InputError` for what is none, or has heights too, which a map does not have; `AmbiguousCrsError`
+    where several are left that differ.
     """
     stated = required_crs(text, _GIVE_CODE)
+    if stated.vertical is not None or any(crs_of(code).is_compound for code in stated.groups[0]):
+        fix = "give the part of the plan alone; what the positions' heights count from is --height-datum"
+        raise InputError(f"'{text}' has heights too, and the map's are ellipsoidal", fix=fix)
     for group in stated.groups:
         fitting = [crs for crs in stated.meant(group) if _is_metric(crs)]
         if lonlat is not None and len(fitting) > 1:

@@ -43,6 +43,9 @@ class RunFolder:
         results to be written is there and not in the marker's list.
         """
         folder = cls(path, overwrite=overwrite)
+        if any(c < " " or c == "\x7f" for c in str(folder.path)):
+            problem = "has a line break or another control character in its path, which GDAL leaves out"
+            raise OutputError(problem, file=path, fix="choose another name")
         if not overwrite and not folder.marked and folder._holds_files():
             raise OutputError(
                 "is not empty and not geomosaic's",

@@ -16,6 +16,7 @@ from stac_schema import check_schema
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
+from geomosaic.export.stac import coverage_of_scene, stac_item
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
@@ -84,6 +85,30 @@ def test_sources_name_the_frames(run):
     with rasterio.open(folder / "sources.tif") as tiff:
         assert set(np.unique(tiff.read(1))) == {0, 1, 2}
         assert tiff.tags()["FRAME_1"] == "frame 00.tif"
+
+
+def test_assets_of_one_stem_stand_beside_each_other(tmp_path):
+    """`mosaic.pmtiles` took the place of `mosaic.tif`."""
+    for name in ("mosaic.pmtiles", "mosaic_RPC.TXT", "mosaic.tif"):
+        (tmp_path / name).write_bytes(b"")
+    with rasterio.open(
+        tmp_path / "mosaic.tif",
+        "w",
+        driver="GTiff",
+        width=2,
+        height=2,
+        count=1,
+        dtype="uint8",
+        transform=rasterio.Affine(1, 0, 500000, 0, -1, 5000000),
+    ) as raster:
+        raster.write(np.ones((1, 2, 2), np.uint8))
+    coverage = coverage_of_scene(np.array([[9.0, 45.0], [9.1, 45.0], [9.1, 45.1]]), 1.0, 2, 2)
+    assets = stac_item("x", coverage, [], 0.0, tmp_path)["assets"]
+    assert {key: asset["href"] for key, asset in assets.items()} == {
+        "mosaic": "./mosaic.tif",
+        "mosaic_RPC": "./mosaic_RPC.TXT",
+        "mosaic_pmtiles": "./mosaic.pmtiles",
+    }
 
 
 def test_the_stac_item_lists_what_is_there(run):

@@ -33,6 +33,13 @@ def test_a_folder_of_others_is_refused_and_left_as_it_is(toys: Toys) -> None:  #
     assert contents(toys.run_folder) == before and toys.done() == []
 
 
+def test_a_line_break_in_a_folders_name_is_refused_before_any_work(tmp_path: Path) -> None:
+    """GDAL leaves it out and writes elsewhere."""
+    with pytest.raises(OutputError, match="line break or another control character"):
+        RunFolder.opened(tmp_path / "a\nb" / "run")
+    assert not list(tmp_path.iterdir())
+
+
 def test_overwriting_replaces_results_and_nothing_else(toys: Toys) -> None:  # noqa: F811
     (toys.run_folder / "work" / "toy.gone").mkdir(parents=True)
     mine = {"work/notes.txt": b"a", "work/toy.gone/entry.json": b"b", "readme": b"c", "work/toy.read/x": b"d"}
