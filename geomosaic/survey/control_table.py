@@ -21,7 +21,8 @@ ALIASES: Final[Aliases] = {
     **{
         c: POS_ALIASES[c]
         for c in (
-            "lon", "lat", "x", "y", "height_ellipsoidal", "height_orthometric", "height", "sd_horizontal",
+            "lon", "lat", "lon_ref", "lat_ref", "x", "y",
+            "height_ellipsoidal", "height_orthometric", "height", "sd_horizontal",
             "sd_vertical", "sd_e", "sd_n",
         )
     },

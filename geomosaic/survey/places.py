@@ -107,7 +107,7 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     naming the line of a value out of range, or columns that are swapped.
     """
     if {"lon", "lat"} <= table.factors.keys():
-        lonlat = np.column_stack([table.required("lon"), table.required("lat")])
+        lonlat = np.column_stack([_signed(table, "lon", "w"), _signed(table, "lat", "s")])
         _check_range(table, lonlat)
         return TablePlaces(lonlat, None, None, [])
     if stated is None:
@@ -138,6 +138,12 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     lon, lat = np.median(lonlat, axis=0)
     notes += check_area(crs, lon, lat, "the positions", table.path)
     return TablePlaces(lonlat, crs, None if crs.is_geographic else horizontal, notes)
+
+
+def _signed(table: ParsedTable, column: str, negative: str) -> Floats:
+    """A column (n,) of degrees, negative where another column names that hemisphere."""
+    degrees, side = table.required(column), table.texts(f"{column}_ref")
+    return np.where([(s or "").lower().startswith(negative) for s in side], -np.abs(degrees), degrees)
 
 
 def _in_its_unit(table: ParsedTable, stated: StatedCrs) -> Floats:

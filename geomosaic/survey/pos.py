@@ -20,7 +20,7 @@ from geomosaic.survey.names import NO_NAMES, FrameNames, some
 from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.rtklib_events import is_rtklib_events, read_rtklib_events
-from geomosaic.survey.table import ParsedTable, read_lines, read_table, split
+from geomosaic.survey.table import Line, ParsedTable, read_lines, read_table, split
 from geomosaic.survey.timestamp_mrk import is_timestamp_mrk, read_timestamp_mrk
 
 ALIASES: Final[Aliases] = {
@@ -34,6 +34,8 @@ ALIASES: Final[Aliases] = {
         "longitude_x",
     ),
     "lat": ("lat", "latitude", "gps_latitude", "gpslatitude", "gps_lat", "latitude_y"),
+    "lon_ref": ("lon_ref", "longitude_ref", "longituderef", "gpslongituderef", "gps_longitude_ref"),
+    "lat_ref": ("lat_ref", "latitude_ref", "latituderef", "gpslatituderef", "gps_latitude_ref"),
     "x": ("x", "e", "east", "easting", "x_east", "x_easting", "x_longitude", "geo_x"),
     "y": ("y", "n", "north", "northing", "y_north", "y_northing", "y_latitude", "geo_y"),
     "height_ellipsoidal": (
@@ -165,6 +167,8 @@ def _table(
         raise InputError("the POS file is empty", file=path, fix="give a header line and a line per frame")
     odm, lines = read_head(path, lines, ALIASES, _GIVE_CRS)
     lines = [replace(line, text=frames.quoted(line.text)) for line in lines]
+    if odm is not None and len(lines) > 1 and lines[0].comment and _names_too_few(*lines[:2]):
+        lines = lines[1:]
     file_crs = odm or given_crs(path, given, _GIVE_CRS)
     if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)
@@ -188,6 +192,11 @@ def _table(
     )
     notes.append(Warn("pos-header-assumed", "", text))
     return read_table(path, data, ALIASES, columns[:count]), file_crs
+
+
+def _names_too_few(names: Line, data: Line) -> bool:
+    """Whether a comment above a geo.txt names fewer columns than it has, so that it is not its header."""
+    return len(split(names.text, names.text)) < len(split(data.text, data.text))
 
 
 def _without_empty_angles(table: ParsedTable, notes: list[Warn]) -> ParsedTable:

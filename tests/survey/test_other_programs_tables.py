@@ -75,6 +75,20 @@ def test_what_a_table_tells_excel_is_no_line_of_it(tmp_path: Path) -> None:
     assert (row.lon_deg, row.lat_deg) == (9.5, 48.25)
 
 
+def test_a_column_of_the_hemisphere_gives_the_sign(tmp_path: Path) -> None:
+    """As exiftool writes it: unsigned degrees beside `South` and `W`."""
+    head = "SourceFile,GPSLatitudeRef,GPSLatitude,GPSLongitudeRef,GPSLongitude\n"
+    south, north = pos(tmp_path, head + "a.jpg,South,48.25,W,9.5\nb.jpg,N,48.25,E,9.5\n").rows
+    assert (south.lon_deg, south.lat_deg, north.lon_deg, north.lat_deg) == (-9.5, -48.25, 9.5, 48.25)
+
+
+def test_a_comment_that_names_some_columns_is_no_header_of_a_geo_txt(tmp_path: Path) -> None:
+    path = tmp_path / "geo.txt"
+    path.write_text("EPSG:4326\n# image lon lat alt\na.jpg 9.5 48.25 410 10 0 0 0.02 0.03\n")
+    (row,) = read_pos(path).rows
+    assert (row.lon_deg, row.lat_deg, row.yaw_deg, row.sd_vertical_m) == (9.5, 48.25, 10.0, 0.03)
+
+
 def test_empty_headings_do_not_hide_omega_phi_and_kappa(tmp_path: Path) -> None:
     table = "name,lon,lat,omega,phi,kappa,yaw,pitch,roll\na.jpg,9.5,48.25,0,0,-90,,,\n"
     (row,) = pos(tmp_path, table).rows
