@@ -176,6 +176,7 @@ def _centre_errors_m(adjusted: Adjusted, truth: np.ndarray) -> np.ndarray:
     return np.linalg.norm((adjusted.poses.positions_m - truth)[:, :2], axis=1)
 
 
+@pytest.mark.proof
 def test_chain_accumulates_and_the_others_do_not() -> None:
     """Over 20 lines of 40 frames with POS of 2 m and 1 degree: the end of a chain is far off, while the
     methods that hold each frame to its own position stay at the noise."""

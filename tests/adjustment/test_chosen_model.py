@@ -225,6 +225,7 @@ def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
     assert adjusted.figures["sigma_px"] < 0.4
 
 
+@pytest.mark.proof
 def test_the_zero_of_a_gyroscope_is_common_to_all_frames() -> None:
     """0.04 rad/s about the image's right in every frame's turns: taken off as one. (Keypoints good to 0.3 px
     don't tell it in eight frames: it stretches them all by 3 px.)"""
@@ -238,6 +239,7 @@ def test_the_zero_of_a_gyroscope_is_common_to_all_frames() -> None:
     assert adjusted.figures["sigma_px"] < 0.4
 
 
+@pytest.mark.proof
 def test_what_a_gyroscope_does_not_tell_of_the_last_rows_is_found() -> None:
     """Its last sample is 33 ms old when 0.1 s of rows end: the last rate goes on, of a shake of 7.5 Hz."""
     flown = fly(6, 3, 5, points=500, readout_s=0.1, rate_sd_rad_per_s=0.4, shaking_hz=7.5)
@@ -280,6 +282,7 @@ def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_bel
 STEADY = {"points": 500, "noise_px": 0.15, "there_and_back": True, "readout_s": 0.03}
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("rad_per_s", [0.1, 0.02])
 def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_large_for_velocities(
     rad_per_s: float,

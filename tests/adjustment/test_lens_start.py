@@ -63,6 +63,7 @@ def test_the_given_start_stays_where_flat_land_does_not_tell_lenses_apart() -> N
     assert with_lens_starts(block, Settings(), AtOnce()) is block
 
 
+@pytest.mark.proof
 def test_a_reported_focal_length_that_the_images_contradict_is_solved_anew() -> None:
     flown = fly(1, relief=hills, position_sd_m=EXIF_SD_M)
     block = assumed(flown, 2600.0, 0.02)

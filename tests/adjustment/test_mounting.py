@@ -102,6 +102,7 @@ def _found(adjusted: Adjusted, name: str) -> tuple[float, float, bool]:
 SHARP = np.array([0.1, 0.1, 0.15])
 
 
+@pytest.mark.proof
 def test_boresight_and_lag_are_found_where_lines_run_both_ways() -> None:
     flown = fly(5, 4, 6, noise_px=0.1, there_and_back=True, position_sd_m=SHARP)
     assert flown.block.poses.velocities_m_per_s is not None

@@ -32,6 +32,7 @@ def off_m(flown: Flown, adjusted: Adjusted) -> np.ndarray:
     return np.linalg.norm((off - np.median(off, axis=0))[:, :2], axis=1)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("seed", range(2))
 def test_frames_that_look_aside_are_found(seed: int) -> None:
     flown = flown_aside(seed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from adjustment_blocks import fly, hills
 
 from geomosaic.adjustment.methods import METHODS
@@ -14,6 +15,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 
 
+@pytest.mark.proof
 def test_frames_that_vibrate_are_followed_over_three_periods() -> None:
     """30 Hz while rows are read in 0.1 s: turning alone, of one period at most, leaves half of it."""
     shaking = {"points": 500, "relief": hills, "readout_s": 0.1, "rate_sd_rad_per_s": 0.4, "shaking_hz": 30.0}

@@ -147,6 +147,7 @@ def test_stated_deviations_hold_where_one_pair_stands_alone():
     assert (label == MEASURED).mean() > 0.98
 
 
+@pytest.mark.proof
 def test_clouds_alone_are_no_ground():
     plan = replace(
         PLAN, cloud_cover=0.99, cloud_height_m=4000.0, wind_m_per_s=20.0, wind_deg=100.0, lines=8192, seed=77

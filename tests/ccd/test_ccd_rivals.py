@@ -118,6 +118,7 @@ def test_segments_follow_a_motion_that_one_offset_cannot():
     assert max(dense) < 0.1
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("method", [whole_scene, piecewise_linear, image_registration, mean_offset])
 def test_stated_deviations_hold_the_errors(method):
     strips, pairs = simulated(MOVING)

@@ -440,6 +440,7 @@ def test_rasters_that_no_mosaic_can_align_to_are_refused_with_the_fix(tmp_path: 
         assert str(file) in str(caught.value) and caught.value.exit_code == 2
 
 
+@pytest.mark.proof
 def test_the_command_aligns_to_a_raster_of_another_crs(
     simulated: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

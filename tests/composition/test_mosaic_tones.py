@@ -226,6 +226,7 @@ def test_what_bends_towards_white_is_never_beyond_it_and_keeps_its_order() -> No
     assert evened(grey, np.ones((1, 256, 1), np.float32), 256.0, "uint8").ravel().tolist() == list(range(256))
 
 
+@pytest.mark.proof
 def test_a_flight_of_uneven_light_becomes_one_tone(tmp_path: Path) -> None:
     """9 real JPEGs with a third of the light lost in the corners and exposures that scatter by 8 %."""
     plan = SurveyPlan(

@@ -150,6 +150,7 @@ def test_orthos_can_be_stopped(tmp_path: Path) -> None:
     assert not (tmp_path / "run" / "orthos").exists()
 
 
+@pytest.mark.proof
 def test_the_command_writes_orthos_of_a_finished_run(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -172,6 +172,7 @@ def test_the_usual_angle_is_that_of_most() -> None:
     assert np.degrees(usual_angle(angles)) % 360.0 == pytest.approx(1.5, abs=0.1)
 
 
+@pytest.mark.proof
 def test_six_wrong_headings_and_two_turned_images_of_twelve_frames_are_each_named_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

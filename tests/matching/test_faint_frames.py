@@ -67,6 +67,7 @@ def matched(flown: SimulatedSurvey, frames: Path, run: Path) -> dict[str, object
     return summary(run)["metrics"]["matching"]  # type: ignore[no-any-return]
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("kind", ["jpeg", "uint16", "float32"])
 def test_thermal_frames_tie_as_ordinary_ones_do(
     flown: SimulatedSurvey, clear: dict[str, object], tmp_path: Path, kind: str

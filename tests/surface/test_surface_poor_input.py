@@ -60,6 +60,7 @@ def test_who_gave_an_elevation_model_is_not_told_to_give_one(known: str, fix: st
     assert fix in told["surface-out-of-reach"]
 
 
+@pytest.mark.proof
 def test_run_and_report_say_that_two_frames_are_few(tmp_path: Path) -> None:
     survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=2)
     asked = ("--surface", "dense", "--pos", survey.pos, "--camera", survey.camera)

@@ -158,6 +158,7 @@ def test_a_mosaic_too_large_is_refused_before_it_is_matched(
     assert "Match" not in err
 
 
+@pytest.mark.proof
 def test_the_estimate_is_told_and_comes_true(
     flown: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -282,6 +283,7 @@ def test_a_focal_length_of_next_to_nothing_is_the_other_frames(tmp_path: Path) -
     assert told.frame == "" and "2 of 6 frames: 0.jpg, 1.jpg" in told.text
 
 
+@pytest.mark.proof
 def test_a_focal_length_of_next_to_nothing_everywhere(tmp_path: Path) -> None:
     """By the 35 mm equivalent; without it the lens is assumed."""
     survey = read_survey(SurveyInputs(tagged(tmp_path / "a", Fraction(1, 10**7), 24, wrong=4)))

@@ -67,6 +67,7 @@ def test_frames_without_gps_are_placed_by_the_images(tmp_path: Path, flown: Path
     assert np.abs(_off_m(tmp_path / "run", flown / "both")).max() < 1.0
 
 
+@pytest.mark.proof
 def test_control_points_stand_in_for_positions(tmp_path: Path, flown: Path) -> None:
     run = tmp_path / "run"
     assert mosaic(flown / "none" / "frames", run, "--gcp", flown / "both" / "gcp_list.txt", *FEW) == 0

@@ -116,6 +116,7 @@ def test_a_thermal_band_keeps_its_temperature(flown: SimulatedSurvey, tmp_path: 
     assert thermal.frames[0] is not None and thermal.frames[0].calibration is None
 
 
+@pytest.mark.proof
 def test_a_mosaic_of_a_rig_shows_reflectance_and_says_so(flown: SimulatedSurvey, tmp_path: Path) -> None:
     rig_flight(flown.frames, tmp_path / "rig", RigFlight("micasense"))
     assert flown.pos is not None

@@ -297,6 +297,7 @@ def test_the_commands_of_the_other_pages_run(surveyed: Path, capsys: pytest.Capt
         assert code == 0, f"{argv}\n{told.out}{told.err}"
 
 
+@pytest.mark.proof
 def test_every_export_of_the_table_runs_and_none_is_missing(
     surveyed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

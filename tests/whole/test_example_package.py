@@ -39,6 +39,7 @@ def geomosaic(site: Path, *arguments: object) -> subprocess.CompletedProcess[str
     )  # fmt: skip
 
 
+@pytest.mark.proof
 def test_the_example_is_a_stage_like_any_other(site: Path, tmp_path: Path) -> None:
     survey = small_survey(tmp_path, lines=1, frames_per_line=3, width_px=240, height_px=180, pos_in="exif")
     described = geomosaic(site, "stages", "haze.estimate")
