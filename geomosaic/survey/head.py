@@ -29,7 +29,9 @@ def read_head(
     Raises: `InputError` for a first line that is none of these, with the names of systems most like it.
     """
     names: Line | None = None
-    lines = [replace(line, text=_LABEL.sub("", line.text)) for line in lines]
+    lines = [
+        replace(line, text=_LABEL.sub("", line.text)) if _LABEL.match(line.text) else line for line in lines
+    ]
     for i, line in enumerate(lines):
         if is_wkt(line.text):
             text, i = _whole_wkt(lines, i)

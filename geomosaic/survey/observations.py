@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import LENGTHS_M, ellipsoidal_offsets_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
@@ -27,7 +27,7 @@ from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
 from geomosaic.survey.pos_row import PosFile, PosRow
 
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
-_FAR_UP_M = tuned(250.0, "m", "from heights in tags: geoids differ by 100, barometers too; five times feet's")
+_DATUMS_M = sourced(107.0, "m", "between heights of two datums", "EGM2008: undulations of -107 to 86 m")
 
 
 @dataclass(frozen=True)
@@ -253,23 +253,20 @@ def _against_exif(
 def _heights_against_tags(
     own: Sequence[Position | None], rows: Sequence[PosRow | None], pos: PosFile
 ) -> list[Warn]:
-    """Heights of the file that agree with those in the frames' tags as feet alone. Tags that repeat the
-    height above the ground say nothing."""
-    known = np.array(
-        [
-            (r.height_ellipsoidal_m, p.height_ellipsoidal_m, p.height_above_ground_m or 0.0)
-            for r, p in zip(rows, own, strict=True)
-            if r is not None
-            and p is not None
-            and None not in (r.height_ellipsoidal_m, p.height_ellipsoidal_m)
-        ],
-        dtype=np.float64,
-    ).reshape(-1, 3)
-    given_m, tags_m, _ = known[np.abs(known[:, 1] - known[:, 2]) > _FAR_UP_M / 5.0].T
-    if not len(given_m):
+    """Heights of the file that agree with those in the frames' tags only as feet. Tags that repeat the height
+    above the ground are not compared."""
+    pairs = [
+        (r.height_ellipsoidal_m, p.height_ellipsoidal_m)
+        for r, p in zip(rows, own, strict=True)
+        if r is not None and r.height_ellipsoidal_m is not None and p is not None
+        if p.height_ellipsoidal_m is not None
+        and abs(p.height_ellipsoidal_m - (p.height_above_ground_m or 0.0)) > p.sd_vertical_m
+    ]
+    if not pairs:
         return []
+    given_m, tags_m = np.array(pairs).T
     up_m, as_feet_m = (abs(float(np.median(unit * given_m - tags_m))) for unit in (1.0, LENGTHS_M["ft"]))
-    if up_m <= _FAR_UP_M or as_feet_m > up_m / 5.0:
+    if up_m <= 2.0 * _DATUMS_M or as_feet_m > _DATUMS_M:
         return []
     text = f"its heights lie {up_m:.0f} m from those in the frames' tags, and {as_feet_m:.0f} m if they are "
     text += "feet: name the column height_ft"

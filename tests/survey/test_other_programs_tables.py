@@ -95,7 +95,7 @@ def test_empty_headings_do_not_hide_omega_phi_and_kappa(tmp_path: Path) -> None:
     assert row.yaw_deg == pytest.approx(90.0) and row.attitude_source == "pos-omega-phi-kappa"
 
 
-def test_a_header_that_is_not_english_is_told_which_names_are(tmp_path: Path) -> None:
+def test_a_header_that_is_not_english_names_those_that_are(tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         pos(tmp_path, "Bild;Breite;Länge\na.jpg;48,25;9,5\n")
     assert "name the columns in English, such as frame,lon,lat,height" in error.value.fix
@@ -110,8 +110,8 @@ def test_a_mark_that_stands_twice_counts_once(tmp_path: Path) -> None:
     assert "control-mark-repeated" not in {w.code for w in twice.notes}
     differing = control(tmp_path, "EPSG:4326\n" + line + line.replace("100 200", "104 203"))
     assert differing.points[0].images == (("a.jpg", 102.0, 201.5),)
-    (told,) = (w.text for w in differing.notes if w.code == "control-mark-repeated")
-    assert "P1 in a.jpg, 5 px" in told
+    (text,) = (w.text for w in differing.notes if w.code == "control-mark-repeated")
+    assert "P1 in a.jpg, 5 px" in text
 
 
 def test_columns_of_control_that_are_not_known_are_named(tmp_path: Path) -> None:
@@ -144,11 +144,11 @@ def test_events_go_by_the_time_where_a_counter_begins_anew(tmp_path: Path) -> No
         assert lon == pytest.approx([9.1234567 + i * 2.7e-4 for i in range(4)], abs=1e-9)
 
 
-@pytest.mark.parametrize(("height", "told"), [(412.5 / 0.3048, True), (460.0, False), (900.0, False)])
-def test_heights_that_are_feet_by_the_tags_are_named(tmp_path: Path, height: float, told: bool) -> None:
+@pytest.mark.parametrize(("height", "named"), [(412.5 / 0.3048, True), (460.0, False), (900.0, False)])
+def test_heights_that_are_feet_by_the_tags_are_named(tmp_path: Path, height: float, named: bool) -> None:
     folder = survey_folder(tmp_path / "f", 3)
     rows = "".join(f"DJI_000{i + 1}.JPG,{9.1234567 + i * 2.7e-4},48.7654321,{height}\n" for i in range(3))
     (tmp_path / "pos.csv").write_text("name,lon,lat,altitude\n" + rows)
     survey = read_survey(SurveyInputs(folder, pos=tmp_path / "pos.csv"))
     texts = [w.text for w in survey.warnings if w.code == "heights-elsewhere"]
-    assert bool(texts) == told and all("name the column height_ft" in text for text in texts)
+    assert bool(texts) == named and all("name the column height_ft" in text for text in texts)
