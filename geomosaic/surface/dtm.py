@@ -187,8 +187,7 @@ def _dilated(places: Bools, by: int) -> Bools:
 
 def _interpolated(surface: DenseSurface, ground: Bools, seen: Bools) -> TerrainModel:
     """Through the ground that was seen. Beyond, the farther away, the less that says: what was known of the
-    ground before counts by its deviation there, where it isn't what stands. No ground lies above a surface
-    that was matched."""
+    ground before counts by its deviation there, where it isn't what stands."""
     known = seen if seen.any() else ground
     up_m, sd_m = filled(surface.up_m, known), _deviation(surface, known)
     has_prior = ground & ~known & np.isfinite(surface.sd_m)
@@ -196,7 +195,6 @@ def _interpolated(surface: DenseSurface, ground: Bools, seen: Bools) -> TerrainM
     share = np.where(has_prior, (sd_m / both_m) ** 2, np.float32(0.0))
     sd_m = np.where(has_prior, sd_m * surface.sd_m / both_m, sd_m)
     up_m = up_m + share * (surface.up_m - up_m)
-    up_m = np.where(surface.views > 0, np.minimum(up_m, surface.up_m), up_m)
     return TerrainModel(surface.cells, up_m.astype(np.float32), sd_m.astype(np.float32), seen)
 
 

@@ -173,11 +173,3 @@ def test_arrays_go_once_they_are_of_no_more_use():
     finally:
         tracemalloc.stop()
     assert peak < 42 * up_m.size
-
-
-def test_no_ground_lies_above_what_was_matched():
-    for seed, relief_m in ((8, 10.0), (9, 40.0)):
-        surface, _, _ = town(seed, relief_m)
-        small = surface_of(surface.up_m[:90, :90])
-        for whole in (surface, small):
-            assert (terrain_model(whole).up_m <= whole.up_m + 1e-4).all()
