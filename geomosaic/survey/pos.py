@@ -10,8 +10,10 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs, crs_of
+from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
 from geomosaic.survey.attitude import read_angles
 from geomosaic.survey.column_names import Aliases
 from geomosaic.survey.head import has_numbers, names_known, read_head
@@ -92,6 +94,8 @@ _ANGLES: Final = (
 _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_horizontal", "sd_vertical")
 _GIVE_CRS: Final = "give the EPSG code of x and y with --pos-crs, such as EPSG:n"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
+_PIX4D_TURNED: Final = (*_PIX4D[:4], "omega", "phi", "kappa", *_PIX4D[4:])
+_LOOKS_DOWN_DEG = tuned(60.0, "deg", "of omega and phi without a header: larger ones may be yaw or pitch")
 
 
 def read_pos(
@@ -115,7 +119,7 @@ def read_pos(
     if is_rtklib_events(path):
         return read_rtklib_events(path, frames)
     notes: list[Warn] = []
-    table, stated = _table(path, crs, frames, notes)
+    table, stated, pix4d = _table(path, crs, frames, notes)
     if attitude_convention == "auto":
         table = _without_empty_angles(table, notes)
     if table.unknown_columns:
@@ -124,7 +128,8 @@ def read_pos(
     places = places_of(table, stated, NOWHERE, _GIVE_CRS)
     lonlat = places.lonlat
     heights, doubts = heights_of(table, places.crs, lonlat, datum)
-    angles, source, assumed = read_angles(table, attitude_convention, places.projection, lonlat)
+    grid = places.projection or (MapProjection(utm_crs(*lonlat[0])) if pix4d else None)
+    angles, source, assumed = read_angles(table, attitude_convention, grid, lonlat)
     names, lines = table.texts("frame"), table.lines
     if None in names:
         raise table.error(names.index(None), "no frame name", "fill it in or remove it")
@@ -161,7 +166,8 @@ def read_pos(
 
 def _table(
     path: Path, given: str | None, frames: FrameNames, notes: list[Warn]
-) -> tuple[ParsedTable, StatedCrs | None]:
+) -> tuple[ParsedTable, StatedCrs | None, bool]:
+    """The table, the CRS that the file states, and whether it is Pix4D's without a header."""
     lines = read_lines(path, "lines of frames")
     if not lines:
         raise InputError("the POS file is empty", file=path, fix="give a header line and a line per frame")
@@ -173,25 +179,34 @@ def _table(
     if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "frame", "frame's name")
-        return table.without("status", "left_out"), file_crs
+        return table.without("status", "left_out"), file_crs, False
     if odm is not None:
-        return read_table(path, lines, ALIASES, _GEO_TXT), odm
+        return read_table(path, lines, ALIASES, _GEO_TXT), odm, False
     data = [line for line in lines if not line.comment]
     count = len(split(data[0].text, data[0].text)) if data else 0
-    if count not in (3, 4, 6):
+    projected = file_crs is not None and not all(crs_of(c).is_geographic for c in file_crs.groups[0])
+    columns = (_PIX4D if count in (3, 4, 6) else _PIX4D_TURNED)[:count]
+    if projected:
+        columns = ("frame", "x", "y", *columns[3:])
+    found = read_table(path, data, ALIASES, columns) if count in (3, 4, 6, 7, 9) else None
+    if found is None or not _looks_down(found):
         raise InputError(
             "has no header line that names the columns",
             file=path,
             fix="put one first: frame,lon_deg,lat_deg,height_ellipsoidal_m,yaw_deg,pitch_deg,roll_deg",
         )
-    projected = file_crs is not None and not all(crs_of(c).is_geographic for c in file_crs.groups[0])
-    columns = ("frame", "x", "y", *_PIX4D[3:]) if projected else _PIX4D
     text = (
-        f"{path.name} has no header line: columns are read as {', '.join(columns[:count])} (Pix4D's "
+        f"{path.name} has no header line: columns are read as {', '.join(columns)} (Pix4D's "
         "order); else put one first"
     )
     notes.append(Warn("pos-header-assumed", "", text))
-    return read_table(path, data, ALIASES, columns[:count]), file_crs
+    return found, file_crs, True
+
+
+def _looks_down(table: ParsedTable) -> bool:
+    """Whether omega and phi, where there are any, are those of cameras that look down."""
+    tilts = np.stack([table.numbers("omega"), table.numbers("phi")])
+    return bool((np.abs(np.nan_to_num(tilts)) <= _LOOKS_DOWN_DEG).all())
 
 
 def _names_too_few(names: Line, data: Line) -> bool:

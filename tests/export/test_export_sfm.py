@@ -14,6 +14,7 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation as Turn
 from solved_block import ALONE, solved_block
 
+from geomosaic.camera.rotation import Rotation
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.stages.exports_of_block import (
@@ -23,6 +24,7 @@ from geomosaic.stages.exports_of_block import (
     export_opensfm,
     export_pix4d,
 )
+from geomosaic.survey.pos import read_pos
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +121,10 @@ def test_pix4ds_angles_are_relative_to_the_grid(solved, run):
         # Grid north of UTM 32 lies (11.5 - 9) deg * sin 48.1 deg = 1.861 deg east of true north here.
         grid = Turn.from_euler("z", 1.861, degrees=True).as_matrix()
         assert grid.T @ camera == pytest.approx(solved.adjusted.poses.rotations[i], abs=2e-4)
+        read = read_pos(run / "pix4d.csv").rows[i]
+        body = Rotation.from_yaw_pitch_roll(*np.radians([read.yaw_deg, read.pitch_deg, read.roll_deg]))
+        assert body.matrix == pytest.approx(solved.adjusted.poses.rotations[i], abs=2e-4)
+        assert (read.name, read.lon_deg, read.sd_vertical_m) == (row[0], lon, float(row[8]))
 
 
 def test_odm_has_positions_and_control(solved, run):

@@ -130,6 +130,24 @@ def test_pix4d_with_and_without_header(tmp_path: Path) -> None:
     assert "pos-header-assumed" in codes(pos(tmp_path, line))
 
 
+def test_pix4ds_angles_without_a_header_count_from_the_utm_grid(tmp_path: Path) -> None:
+    text = "b.JPG,60.0,11.5,500,4.0,-2.5,-30\na.JPG,60.1,11.5,500,0,0,90\n"
+    row = pos(tmp_path, text).rows[0]
+    tilted = Rotation.from_omega_phi_kappa(*np.radians([4.0, -2.5, -30.0])).yaw_pitch_roll()
+    assert (row.name, row.lat_deg, row.lon_deg, row.sd_vertical_m) == ("b.JPG", 60.0, 11.5, None)
+    # UTM 32 at 11.5 E, 60 N: grid north lies atan(tan 2.5 deg sin 60 deg) = 2.166 deg east of true north.
+    assert row.yaw_deg == pytest.approx(math.degrees(tilted[0]) + 2.166, abs=2e-3)
+    assert (row.pitch_deg, row.roll_deg) == pytest.approx(np.degrees(tilted[1:]), abs=1e-6)
+    with_accuracy = text.replace("-30\n", "-30,0.02,0.03\n").replace("90\n", "90,0.02,0.03\n")
+    again = pos(tmp_path, with_accuracy).rows[0]
+    assert (again.yaw_deg, again.sd_east_m, again.sd_vertical_m) == (row.yaw_deg, 0.02, 0.03)
+
+
+def test_angles_without_a_header_that_do_not_look_down_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no header line"):
+        pos(tmp_path, "b.JPG,60.0,11.5,500,270.0,1.5,-3\na.JPG,60.1,11.5,500,90,0,0\n")
+
+
 def test_omega_phi_kappa_of_a_grid_are_turned_to_true_north(tmp_path: Path) -> None:
     easting, northing = MapProjection("EPSG:32632").map_from_geodetic(11.5, 60.0)
     file = pos(
@@ -231,7 +249,7 @@ BAD = {
     "no crs": ("frame,x,y\na,500000,5400000\n", r"no coordinate reference system; .*--pos-crs, such as EPSG:n"),
     "unit": ("frame,lon,lat,z [furlong]\na,9,48,1\n", r"unknown unit 'furlong'"),
     "two columns": ("frame,lon,lat,latitude\na,9,48,48\n", r"two columns for lat"),
-    "no header": ("a,9,48,500,1,2,3\n", r"has no header line that names the columns; put one first: frame,"),
+    "no header": ("a,9,48,500,1,2,3,4\n", r"has no header line that names the columns; put one first: frame,"),
     "no rows": ("frame,lon,lat\n", r"has a header and no lines"),
     "empty": ("\n\n", r"the POS file is empty"),
     "negative sigma": ("frame,lon,lat,sd_vertical\na,9,48,-1\n", r"line 2: a standard deviation of -1"),
