@@ -113,7 +113,7 @@ bench-peers: setup ## geomosaic beside pycolmap, pyOrthomosaic, OpenCV and stitc
 bench-marking: dev ## a scripted session that marks 8 targets in 20 frames in Chromium, with a person's waits (about 5 minutes); SEED=n
 	$(PY) -m tools.bench.bench_marking --seed $(SEED) --out out/bench-marking --results docs/results/marking
 
-bench-scale: setup ## 50 to 1,000 frames from pixels, 5,000 by observations, 50,000 windows planned (about an hour)
+bench-scale: setup ## 50 to 5,000 frames from pixels, 50,000 windows planned (about two hours)
 	$(PY) -m tools.bench.bench_scale --out out/bench-scale
 
 bench-bundle: setup ## 1,000 frames with 300,000 image observations (about a minute)

@@ -1,49 +1,55 @@
-"""Whether time and memory grow with the frames and no faster: 50 to 1,000 frames from pixels to mosaic.
+"""Whether time and memory grow with the frames and no faster: 50 to 5,000 frames from pixels to mosaic.
 
-    python -m tools.bench.bench_scale [--out DIR] [--frames 50 100 ...] [--no-bundle] [--no-plan]
+    python -m tools.bench.bench_scale [--frames 50 100 ...] [--seed 1] [--no-plan]
+                                      [--out DIR] [--results FILE]
 
-One flight of 25 lines of 40 frames of 640 x 480 px is simulated and kept in OUT; smaller ones are rectangles
+One flight of 50 lines of 100 frames of 640 x 480 px is simulated and kept in OUT; smaller ones are rectangles
 cut out of it, whose frames are the same. Each goes through the whole command; what a frame takes by stage
-is read from run.json, its memory sampled over all processes. What a run takes however few frames it has is
-in it, so that figures may fall; they are not to grow by more than a quarter. A larger block has more
-overlapping pairs a frame, since fewer frames lie at its rim: they stand beside.
+is read from run.json, its memory sampled over all processes, its run folder every ten seconds. What a run
+takes however few frames it has is in it, so that figures may fall. A larger block has more overlapping pairs
+a frame, since fewer frames lie at its rim: they stand beside.
 
-Then the adjustment of 5,000 frames by 1,500,000 observations (bench_bundle.py), and the composition's
-planning of 50,000 windows over 7,000 frames (bench_scale_plan.py), each in a process of its own. The
-table goes to standard output and OUT/scale.json, a plot to OUT/scale.svg. Exit code 1 if a bound is missed.
+Then the composition's planning of 50,000 windows over 7,000 frames (bench_scale_plan.py), in a process of its
+own; `make bench-bundle` adjusts by observations alone. RESULTS.json and RESULTS.md hold the tables,
+RESULTS.svg a plot. Exit code 1 if a target is missed.
 """
 
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
 import os
-import re
+import platform
 import shutil
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import rasterio
+
 from geomosaic.report.plots import Axis, Series, line_plot
+from tools.bench.bench_flights import PROGRAM, commit
 from tools.bench.bench_speed_measure import measured
 
-GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
-TOOLS = Path(__file__).parent
-LINES, PER_LINE = 25, 40
-BLOCKS = {50: (5, 10), 100: (10, 10), 200: (10, 20), 400: (20, 20), 1000: (25, 40)}
+LINES, PER_LINE = 50, 100
+BLOCKS = {50: (5, 10), 100: (10, 10), 200: (10, 20), 500: (20, 25), 1000: (25, 40), 5000: (50, 100)}
 """Lines and frames in each by the number of frames."""
 FLIGHT = ["--width-px", "640", "--height-px", "480"]
-MOST_GROWTH, MOST_GB = 1.25, 2.0
-BUNDLE = ["--lines", "50", "--per-line", "100", "--observations", "1500000"]
-BUNDLE_MOST_S, BUNDLE_MOST_GB = 600.0, 6.0
-PLAN_MOST_S = 60.0
+TARGETS = {"growth": 1.25, "peak_gb": 4.0, "disk": 1.5, "plan_s": 60.0}
+"""Time of a frame over that of a smaller run, memory of all processes, the run folder over the raw mosaic."""
+MOST_S = 4.0 * 3600.0
+LOOK_S = 10.0
 
 
 @dataclass(frozen=True)
 class Run:
-    """One block through the whole command."""
+    """One block through the whole command; disk: the largest run folder over the raw mosaic."""
 
     frames: int
     tied: int
@@ -51,6 +57,7 @@ class Run:
     wall_s: float
     processor_s: float
     peak_mb: float
+    disk: float
     stages_s: dict[str, float]
 
     @property
@@ -66,7 +73,7 @@ def fly(out: Path, seed: int) -> Path:
         shutil.rmtree(flight, ignore_errors=True)
         size = ["--lines", LINES, "--frames-per-line", PER_LINE, "--seed", seed]
         subprocess.run(
-            list(map(str, [GEOMOSAIC, "simulate", "frames", flight, *FLIGHT, *size])),
+            list(map(str, [PROGRAM, "simulate", "frames", flight, *FLIGHT, *size])),
             check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         (flight / "done").touch()
@@ -84,30 +91,64 @@ def cut_out(flight: Path, lines: int, per_line: int, to: Path) -> Path:
     return to
 
 
+@contextmanager
+def folder_watched(folder: Path) -> Iterator[list[float]]:
+    """The bytes on disk of a folder that another process fills, every ten seconds and at the end."""
+    sizes: list[float] = []
+    ended = threading.Event()
+
+    def look() -> None:
+        while not ended.wait(LOOK_S):
+            sizes.append(on_disk(folder))
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    try:
+        yield sizes
+    finally:
+        ended.set()
+        watcher.join()
+        sizes.append(on_disk(folder))
+
+
+def on_disk(folder: Path) -> float:
+    """Bytes that the files of a folder take; files that vanish meanwhile count nothing."""
+    size = 0
+    for base, _, names in os.walk(folder):
+        for name in names:
+            try:
+                size += 512 * (Path(base) / name).lstat().st_blocks
+            except FileNotFoundError:
+                continue
+    return float(size)
+
+
 def run(frames: int, flight: Path, out: Path) -> Run:
     """A block of so many frames, in a new run folder, which is deleted afterwards but for run.json."""
     of = cut_out(flight, *BLOCKS[frames], out / "frames")
     target = out / f"run-{frames}"
     shutil.rmtree(target, ignore_errors=True)
-    taken = measured(
-        [GEOMOSAIC, "mosaic", of, "-o", target, "--camera", flight / "cameras.json"],
-        out / f"run-{frames}.log",
-    )
+    log = out / f"run-{frames}.log"
+    command = [PROGRAM, "mosaic", of, "-o", target, "--camera", flight / "cameras.json"]
+    with folder_watched(target) as sizes:
+        taken = measured(command, log, most_s=MOST_S)
     if taken.failed:
-        raise SystemExit(f"{frames} frames: {taken.failed}; see {out / f'run-{frames}.log'}")
-    told = json.loads((target / "run.json").read_text())
+        raise SystemExit(f"{frames} frames: {taken.failed}; see {log}")
+    summary = json.loads((target / "run.json").read_text())
+    with rasterio.open(target / "mosaic.tif") as mosaic:
+        raw = mosaic.width * mosaic.height * mosaic.count
     shutil.copy(target / "run.json", out / f"run-{frames}.json")
     shutil.rmtree(target)
     shutil.rmtree(of)
-    pairs = told["metrics"].get("matching", {}).get("pairs_tied", 0)
     return Run(
         frames,
-        told["frames"]["tied"],
-        pairs,
+        summary["frames"]["tied"],
+        summary["metrics"].get("matching", {}).get("pairs_tied", 0),
         taken.wall_s,
         taken.processor_s,
         taken.peak_mb,
-        told["timings_s"],
+        max(sizes) / raw,
+        summary["timings_s"],
     )
 
 
@@ -118,31 +159,36 @@ def growth(frame_s: list[float]) -> float:
 
 
 def table(runs: list[Run]) -> list[str]:
-    """Milliseconds a frame by stage, a column a run, and how far each grows."""
+    """Milliseconds a frame by stage, a column a run, and how far each grows; misses are bold."""
     heads = [f"{r.frames} frames" for r in runs]
-    lines = [f"| ms a frame | {' | '.join(heads)} | growth | |", f"|---|{'---:|' * (len(runs) + 1)}---|"]
+    lines = [f"| ms a frame | {' | '.join(heads)} | growth |", f"|---|{'---:|' * (len(runs) + 1)}"]
 
-    def row(name: str, values: list[float], good: bool | None = None) -> None:
+    def row(name: str, values: list[float], most: float = float("inf")) -> None:
         cells = " | ".join(f"{1e3 * v:.1f}" for v in values)
-        verdict = "" if good is None else "ok" if good else "MISSED"
-        lines.append(f"| {name} | {cells} | {growth(values):.2f} | {verdict} |")
+        lines.append(f"| {name} | {cells} | {_bold(f'{growth(values):.2f}', growth(values) <= most)} |")
 
     for stage in {name: None for r in runs for name in r.stages_s}:
         values = [r.stages_s.get(stage, 0.0) / r.frames for r in runs]
         if max(values) >= 1e-4:
             row(stage, values)
-    whole = [r.frame_s for r in runs]
-    row("whole", whole, growth(whole) <= MOST_GROWTH)
-    row("whole, of processors", [r.processor_s / r.frames for r in runs])
-    peaks = [r.peak_mb / 1e3 for r in runs]
-    for name, cells, good in (
-        ("peak memory, GB", [f"{p:.2f}" for p in peaks], max(peaks) <= MOST_GB),
-        ("pairs a frame", [f"{r.pairs / r.frames:.2f}" for r in runs], None),
-        ("tied", [f"{r.tied} of {r.frames}" for r in runs], all(r.tied == r.frames for r in runs)),
+    row("whole", [r.frame_s for r in runs], TARGETS["growth"])
+    row("whole, of processors", [r.processor_s / r.frames for r in runs], TARGETS["growth"])
+    for name, cells in (
+        ("peak memory, GB", [_bold(f"{r.peak_mb / 1e3:.2f}", _fits(r)) for r in runs]),
+        ("run folder over raw mosaic", [_bold(f"{r.disk:.2f}", r.disk <= TARGETS["disk"]) for r in runs]),
+        ("pairs a frame", [f"{r.pairs / r.frames:.2f}" for r in runs]),
+        ("tied", [_bold(f"{r.tied}", r.tied == r.frames) for r in runs]),
     ):
-        verdict = "" if good is None else "ok" if good else "MISSED"
-        lines.append(f"| {name} | {' | '.join(cells)} | | {verdict} |")
+        lines.append(f"| {name} | {' | '.join(cells)} | |")
     return lines
+
+
+def _fits(run: Run) -> bool:
+    return run.peak_mb <= 1e3 * TARGETS["peak_gb"]
+
+
+def _bold(text: str, good: bool) -> str:
+    return text if good else f"**{text}**"
 
 
 def plot(runs: list[Run]) -> str:
@@ -157,65 +203,78 @@ def plot(runs: list[Run]) -> str:
     return line_plot(series, *axes, label="What a frame takes by the number of frames")
 
 
-def bundle(out: Path, extra: list[str]) -> dict[str, Any]:
-    """The adjustment by observations alone; seconds are the method's, memory the whole process's."""
-    taken = measured([sys.executable, TOOLS / "bench_bundle.py", "--whole", *extra], out / "bundle.log")
-    seconds = re.search(r"^whole\s+([\d.]+)", taken.said, re.MULTILINE)
-    if seconds is None:
-        raise SystemExit(f"the adjustment: {taken.failed or 'said no time'}; see {out / 'bundle.log'}")
-    good = float(seconds[1]) <= BUNDLE_MOST_S and taken.peak_mb <= 1e3 * BUNDLE_MOST_GB
-    return {"seconds": float(seconds[1]), "peak_mb": taken.peak_mb, "said": taken.said, "good": good}
-
-
 def plan(out: Path) -> dict[str, Any]:
     """The planning of 50,000 windows: `bench_scale_plan`."""
-    taken = measured([sys.executable, TOOLS / "bench_scale_plan.py"], out / "plan.log")
+    script = Path(__file__).parent / "bench_scale_plan.py"
+    taken = measured([sys.executable, script], out / "plan.log")
     if taken.failed:
         raise SystemExit(f"the planning: {taken.failed}; see {out / 'plan.log'}")
-    told = json.loads(taken.said)
-    return {**told, "peak_mb": taken.peak_mb, "good": sum(told["seconds"].values()) <= PLAN_MOST_S}
+    planned: dict[str, Any] = json.loads(taken.said)
+    return {**planned, "peak_mb": taken.peak_mb}
 
 
 def main() -> int:
-    """Runs what is asked for and prints the table as it stands at the end."""
+    """Runs what is asked for and writes the results."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    ask.add_argument("--out", type=Path, default=Path("out/bench-scale"))
     ask.add_argument("--frames", type=int, nargs="*", choices=BLOCKS, default=list(BLOCKS))
     ask.add_argument("--seed", type=int, default=1)
-    ask.add_argument("--no-bundle", action="store_true", help="leave the adjustment of 5,000 frames out")
     ask.add_argument("--no-plan", action="store_true", help="leave the planning of 50,000 windows out")
+    ask.add_argument("--out", type=Path, default=Path("out/bench-scale"))
+    ask.add_argument("--results", type=Path, default=Path("docs/results/scale"))
     asked = ask.parse_args()
     out = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    results: dict[str, Any] = {}
-    good = True
-    if asked.frames:
-        flight = fly(out, asked.seed)
-        runs = [run(frames, flight, out) for frames in sorted(asked.frames)]
-        lines = table(runs)
-        print("\n".join(lines), flush=True)
-        results["runs"] = [asdict(r) for r in runs]
-        (out / "scale.svg").write_text(plot(runs))
-        good &= not any("MISSED" in line for line in lines)
-    if not asked.no_plan:
-        results["plan"] = told = plan(out)
-        good &= told["good"]
-        print(
-            f"\nplanning {told['windows']} windows over {told['frames']} frames: "
-            f"{sum(told['seconds'].values()):.1f} s, {told['peak_mb'] / 1e3:.2f} GB "
-            f"({', '.join(f'{k} {v:.1f} s' for k, v in told['seconds'].items())}), "
-            f"at most {PLAN_MOST_S:.0f} s: {'ok' if told['good'] else 'MISSED'}",
-            flush=True,
-        )
-    if not asked.no_bundle:
-        results["bundle"] = told = bundle(out, BUNDLE)
-        good &= told["good"]
-        print(
-            f"\n{told['said'].strip()}\nadjustment {told['seconds']:.0f} s, {told['peak_mb'] / 1e3:.2f} GB, "
-            f"at most {BUNDLE_MOST_S:.0f} s and {BUNDLE_MOST_GB:.0f} GB: {'ok' if told['good'] else 'MISSED'}"
-        )
-    (out / "scale.json").write_text(json.dumps(results, indent=1))
-    return 0 if good else 1
+    flight = fly(out, asked.seed)
+    runs = []
+    for frames in sorted(asked.frames):
+        runs.append(run(frames, flight, out))
+        print("\n".join(table(runs)), flush=True)
+    frames_given = " ".join(map(str, sorted(asked.frames)))
+    results = {
+        "title": "From pixels to the mosaic, by the number of frames",
+        "command": f"python -m tools.bench.bench_scale --frames {frames_given} --seed {asked.seed}",
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
+        "commit": commit(),
+        "seed": asked.seed,
+        "targets": TARGETS,
+        "growth": {
+            "wall": growth([r.frame_s for r in runs]),
+            "processors": growth([r.processor_s / r.frames for r in runs]),
+        },
+        "runs": [asdict(r) for r in runs],
+        "plan": None if asked.no_plan else plan(out),
+    }
+    write(results, table(runs), asked.results)
+    asked.results.with_suffix(".svg").write_text(plot(runs))
+    return int("**" in asked.results.with_suffix(".md").read_text())
+
+
+def write(results: dict[str, Any], lines: list[str], to: Path) -> None:
+    """RESULTS.json and RESULTS.md."""
+    to.parent.mkdir(parents=True, exist_ok=True)
+    to.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n")
+    targets, planned = results["targets"], results["plan"]
+    page = [
+        f"# {results['title']}",
+        "",
+        f"`{results['command']}`, {results['date']}, {results['machine']}, commit {results['commit']}. "
+        "Simulated frames of 640 x 480 px.",
+        "",
+        f"Targets: growth {targets['growth']}, memory {targets['peak_gb']:g} GB over all processes, "
+        f"run folder {targets['disk']} times the raw mosaic. What misses its target is bold.",
+        "",
+        *lines,
+    ]
+    if planned:
+        seconds = sum(planned["seconds"].values())
+        page += [
+            "",
+            f"Planning {planned['windows']} windows over {planned['frames']} frames: "
+            f"{_bold(f'{seconds:.1f} s', seconds <= targets['plan_s'])} of {targets['plan_s']:g} s, "
+            f"{planned['peak_mb'] / 1e3:.2f} GB.",
+        ]
+    to.with_suffix(".md").write_text("\n".join(page) + "\n")
 
 
 if __name__ == "__main__":
