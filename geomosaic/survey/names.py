@@ -12,6 +12,8 @@ from geomosaic.doors.files import printable
 from geomosaic.errors import InputError
 
 _IMAGE = re.compile(r"\.(jpe?g|tiff?|png|dng|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
+_REPLACED = re.compile(r"[\W_]+")
+"""What file systems and programs replace in names, such as colons and blanks."""
 
 
 def frame_name(path: Path) -> str:
@@ -20,7 +22,8 @@ def frame_name(path: Path) -> str:
 
 
 class FrameNames:
-    """A folder's frame names, found also without folders, in other capitals, or with another extension."""
+    """A folder's frame names, found also without folders, in other capitals, with another extension, or with
+    other characters between letters and digits."""
 
     def __init__(self, names: Iterable[str], captured: Iterable[str] = ()) -> None:
         """captured: all names in order of capture, where the frames' times say it."""
@@ -29,9 +32,12 @@ class FrameNames:
         self._exact = frozenset(self._names)
         self._by_name: dict[str, list[str]] = {}
         self._by_stem: dict[str, list[str]] = {}
+        self._by_plain: dict[str, list[str]] = {}
         for name in self._names:
             self._by_name.setdefault(name.casefold(), []).append(name)
-            self._by_stem.setdefault(_IMAGE.sub("", name).casefold(), []).append(name)
+            stem = _IMAGE.sub("", name).casefold()
+            self._by_stem.setdefault(stem, []).append(name)
+            self._by_plain.setdefault(_REPLACED.sub("_", stem), []).append(name)
         self._most_words = max((len(n.split()) for n in self._names), default=0)
 
     @property
@@ -52,7 +58,8 @@ class FrameNames:
                 return "_".join([*folders[i:], name])
         folded = name.casefold()
         stem = _IMAGE.sub("", folded)
-        found = self._by_name.get(folded) or self._by_stem.get(folded) or self._by_stem.get(stem) or []
+        found = self._by_name.get(folded) or self._by_stem.get(folded) or self._by_stem.get(stem)
+        found = found or self._by_plain.get(_REPLACED.sub("_", stem)) or []
         if len(found) > 1:
             raise InputError(
                 f"'{text}' may be any of {', '.join(found)}", fix="write its extension and capitals"

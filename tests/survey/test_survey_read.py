@@ -148,6 +148,12 @@ def test_names_are_matched_with_sense(tmp_path: Path) -> None:
     assert names.find("DJI_12.JPG") is None
     with pytest.raises(InputError, match=r"'A\.JPG' may be any of A\.jpg, a\.jpg"):
         names.find("A.JPG")
+    clock = FrameNames(["14,07,13.171.jpg", "14,07,27.171.jpg", "a_1.jpg", "a-1.jpg"])
+    assert clock.find("14:07:27.171.jpg") == clock.find("14_07_27_171") == "14,07,27.171.jpg"
+    assert clock.find("a-1.jpg") == "a-1.jpg"
+    assert clock.find("140727.171.jpg") is None
+    with pytest.raises(InputError, match=r"'a 1\.jpg' may be any of a_1\.jpg, a-1\.jpg"):
+        clock.find("a 1.jpg")
 
 
 POS = "frame,lon,lat\n" + "".join(f"DJI_{i:04d}.JPG,9.123{i},48.7654\n" for i in (1, 2, 3))
