@@ -212,6 +212,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "the POS file and the positions in the frames' tags lie kilometres apart",
         "check the columns of the file and its reference system (--pos-crs)",
     ),
+    "positions-in-other-order": (
+        "doubtful",
+        "the positions of the POS file fit the frames' tags only in another order",
+        "check the names in --pos and their order",
+    ),
     "heights-elsewhere": (
         "doubtful",
         "the heights of the POS file agree with those in the frames' tags only if they are feet",

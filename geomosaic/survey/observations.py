@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.arrays import Floats
-from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
-from geomosaic.geodesy.heights import LENGTHS_M, ellipsoidal_offsets_m
+from geomosaic.geodesy.heights import ellipsoidal_offsets_m
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
-from geomosaic.survey.extent import distances_m, lonlat_of
+from geomosaic.survey.extent import lonlat_of
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Attitude, Position, Warn
 from geomosaic.survey.names import FrameNames, some
@@ -24,10 +22,8 @@ from geomosaic.survey.onboard import (
     onboard_position,
 )
 from geomosaic.survey.plausible import plausible_attitudes, plausible_positions
+from geomosaic.survey.pos_against_tags import against_tags
 from geomosaic.survey.pos_row import PosFile, PosRow
-
-_FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
-_DATUMS_M = sourced(107.0, "m", "between heights of two datums", "EGM2008: undulations of -107 to 86 m")
 
 
 @dataclass(frozen=True)
@@ -68,8 +64,7 @@ def observe(
         warnings: list[Warn] = []
     else:
         rows, unmatched = _matched(headers, pos, left_out, strict=strict)
-        warnings = [*pos.warnings, *unmatched, *_against_exif(headers, own, rows, pos)]
-        warnings += _heights_against_tags(own, rows, pos)
+        warnings = [*pos.warnings, *unmatched, *against_tags([h.name for h in headers], own, rows, pos)]
         positions = _with_missing(
             [
                 p if row is None else _position(row, p, datum_stated=pos.datum_stated)
@@ -216,67 +211,3 @@ def _attitude(row: PosRow, own: Attitude) -> Attitude:
         row.sd_tilt_deg or default.sd_tilt_deg if level else unknown.sd_tilt_deg,
         row.attitude_source,
     )
-
-
-def _against_exif(
-    headers: Sequence[FrameHeader],
-    own: Sequence[Position | None],
-    rows: Sequence[PosRow | None],
-    pos: PosFile,
-) -> list[Warn]:
-    """Swapped columns, lost signs, and positions far from where the frames say they were."""
-    every = zip(rows, own, headers, strict=True)
-    both = [(r, p, h.name) for r, p, h in every if r is not None and p is not None]
-    if not both:
-        return []
-    given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])
-    known = np.array([[p.lon_deg, p.lat_deg] for _, p, _ in both])
-    away = distances_m(given, known)
-    if np.median(away) > _FAR_M:
-        for problem, fix, other in _mistaken(given):
-            if np.median(distances_m(other, known)) < _FAR_M:
-                said = f"the frames' own GPS says {known[0, 0]:.5f}, {known[0, 1]:.5f} for {both[0][2]}"
-                raise InputError(f"{problem}: {said}", file=pos.path, fix=fix)
-        text = f"its positions lie {np.median(away) / 1000.0:.1f} km from those in the frames' tags: "
-        text += "check columns and CRS of the file"
-        return [Warn("positions-elsewhere", "", f"{pos.path.name}: {text}")]
-    i = int(np.argmax(away))
-    if away[i] <= _FAR_M:
-        return []
-    text = (
-        f"{pos.path.name}: up to {away[i] / 1000.0:.1f} km from the positions in the frames' tags: "
-        "check columns and CRS of the file"
-    )
-    return [Warn("pos-far-from-exif", both[i][2], text)]
-
-
-def _heights_against_tags(
-    own: Sequence[Position | None], rows: Sequence[PosRow | None], pos: PosFile
-) -> list[Warn]:
-    """Heights of the file that agree with those in the frames' tags only as feet. Tags that repeat the height
-    above the ground are not compared."""
-    pairs = [
-        (r.height_ellipsoidal_m, p.height_ellipsoidal_m)
-        for r, p in zip(rows, own, strict=True)
-        if r is not None and r.height_ellipsoidal_m is not None and p is not None
-        if p.height_ellipsoidal_m is not None
-        and abs(p.height_ellipsoidal_m - (p.height_above_ground_m or 0.0)) > p.sd_vertical_m
-    ]
-    if not pairs:
-        return []
-    given_m, tags_m = np.array(pairs).T
-    up_m, as_feet_m = (abs(float(np.median(unit * given_m - tags_m))) for unit in (1.0, LENGTHS_M["ft"]))
-    if up_m <= 2.0 * _DATUMS_M or as_feet_m > _DATUMS_M:
-        return []
-    text = f"its heights lie {up_m:.0f} m from those in the frames' tags, and {as_feet_m:.0f} m if they are "
-    text += "feet: name the column height_ft"
-    return [Warn("heights-elsewhere", "", f"{pos.path.name}: {text}")]
-
-
-def _mistaken(given: Floats) -> Iterator[tuple[str, str, Floats]]:
-    """What may be wrong with longitudes and latitudes (n, 2), how it is corrected, and what they are then."""
-    if (np.abs(given[:, 0]) <= 90.0).all():
-        fix = "exchange the two columns or their names"
-        yield "longitude and latitude are swapped", fix, given[:, ::-1]
-    for name, sign in (("longitudes", [-1.0, 1.0]), ("latitudes", [1.0, -1.0])):
-        yield f"the {name} have the wrong sign", "west and south are negative", given * sign

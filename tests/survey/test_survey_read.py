@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 from html import escape
 from pathlib import Path
@@ -136,6 +137,30 @@ def test_pos_takes_the_place_of_gps_and_leaves_the_gimbal(tmp_path: Path) -> Non
     table.write_text("photo,lat,lon\nDJI_0001,48.765,9.123\nDJI_0002,48.7,9.1\nDJI_0003,48.765,9.123\n")
     survey = read_survey(SurveyInputs(survey_folder(tmp_path / "g", 3), pos=table))
     assert "pos-far-from-exif" in codes(survey) and "positions-elsewhere" not in codes(survey)
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ([5, 4, 3, 2, 1, 0], r"lie 59\.5 m from those in the frames' tags, and 0\.\d m in reverse order"),
+        ([1, 2, 3, 4, 5, 6], r"lie 19\.8 m .*, and 0\.\d m as those of the next frames: check the names"),
+        ([-1, 0, 1, 2, 3, 4], r"as those of the frames before"),
+        ([0, 1, 2, 3, 4, 5], ""),
+        ([0.2, 1.2, 2.2, 3.2, 4.2, 5.2], ""),
+        ([3, 0, 5, 1, 4, 2], ""),
+    ],
+)
+def test_positions_in_another_order_than_the_tags(tmp_path: Path, order: list[float], said: str) -> None:
+    folder = survey_folder(tmp_path / "f", 6)
+    table = tmp_path / "pos.csv"
+    lines = (f"DJI_{i + 1:04d},48.765432,{9.1234567 + k * 2.7e-4}" for i, k in enumerate(order))
+    table.write_text("\n".join(["photo,lat,lon", *lines]))
+    texts = [
+        w.text
+        for w in read_survey(SurveyInputs(folder, pos=table)).warnings
+        if w.code == "positions-in-other-order"
+    ]
+    assert [bool(re.search(said, text)) for text in texts] == ([True] if said else [])
 
 
 def test_names_are_matched_with_sense(tmp_path: Path) -> None:
