@@ -146,6 +146,7 @@ def test_frames_that_turn_while_they_are_read(turning: Adjusted) -> None:
     assert np.sqrt(np.mean((missed - missed.mean(axis=0)) ** 2)) < 0.002
 
 
+@pytest.mark.proof
 def test_frames_that_shake_while_they_are_read() -> None:
     """Three quarters of a swing, 10 px: no constant rate follows it."""
     flown = fly(3, 3, 5, points=500, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.4, shaking_hz=7.5)
@@ -200,6 +201,7 @@ def test_a_fisheye_lens_of_which_nobody_spoke() -> None:
     assert adjusted.figures["sigma_px"] < 0.4
 
 
+@pytest.mark.proof
 def test_a_lens_that_its_maker_reports_wrongly() -> None:
     """The corners are off by 14 % of their radius, where the maker says a thousandth."""
     lens = Camera("made", 800, 600, 600.0, 402.0, 297.0, k1=-0.2)

@@ -215,6 +215,7 @@ def test_half_turned_images_turn_their_measurements() -> None:
         assert a.residual_m == pytest.approx(b.residual_m, abs=1e-5)
 
 
+@pytest.mark.proof
 def test_from_the_file_to_the_report(tmp_path: Path) -> None:
     """A simulated survey with positions of 0.4 m; points on its true ground, placed in its frames by its
     true poses. Five hold it, six judge; one of the five is 5 m wrong."""

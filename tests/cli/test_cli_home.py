@@ -183,6 +183,14 @@ def test_the_start_is_light(command: list[str]) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_python_m_is_the_command() -> None:
+    asked = [sys.executable, "-m", "geomosaic", "fly"]
+    done = subprocess.run(asked, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "") and done.stderr.startswith(
+        "geomosaic: unknown command 'fly'"
+    )
+
+
 @pytest.mark.parametrize("command", [[], ["mosaic"], ["export", "tiles"]])
 def test_h_is_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert geomosaic(*command, "-h") == 0

@@ -190,6 +190,7 @@ def fingers(window: Page, *places: Any) -> None:
     window.send("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
 
+@pytest.mark.proof
 def test_a_mosaic_takes_the_marks(survey: TargetSurvey, oriented: OrientedFrames, tmp_path: Path) -> None:
     with served(survey, oriented, tmp_path) as server:
         names = [frame.name for frame in oriented.frames]

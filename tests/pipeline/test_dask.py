@@ -107,7 +107,7 @@ def powers(
 @pytest.mark.parametrize(
     ("deadly", "words"),
     [
-        (lambda team: team.kill(), "no Dask worker is left at tcp://"),
+        pytest.param(lambda team: team.kill(), "no Dask worker is left at tcp://", marks=pytest.mark.proof),
         (lambda team: team.scheduler.kill(), "the Dask scheduler at tcp://.* is gone"),
     ],
 )

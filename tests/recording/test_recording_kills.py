@@ -61,9 +61,10 @@ def killed(frames: Path, run: Path, after: str) -> list[str]:
     return lines
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(
     ("after", "stage"),
-    [pytest.param(*KILLED[0], marks=pytest.mark.proof), KILLED[1]],
+    KILLED,
     ids=[k[1] for k in KILLED],
 )
 def test_a_killed_run_says_where_it_was(

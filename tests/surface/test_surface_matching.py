@@ -198,12 +198,14 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.proof
 def test_one_and_two_workers_write_the_same_surface(flown: Path) -> None:
     one, two = ((flown / name / "surface.tif").read_bytes() for name in "12")
     assert one == two
     assert summary(flown / "1")["metrics"]["surface"]["matched"] > 0.3
 
 
+@pytest.mark.proof
 def test_a_killed_run_goes_on_with_the_tile_it_was_at(flown: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Any tile: of the coarse level, of the fine one, and of the surface."""
     told = summary(flown / "1")

@@ -172,7 +172,9 @@ def converted(jpegs: Path, folder: Path, suffix: str) -> list[FrameHeader]:
     return headers
 
 
-@pytest.mark.parametrize(("suffix", "module"), [(".dng", "rawpy"), (".heic", "pillow_heif")])
+@pytest.mark.parametrize(
+    ("suffix", "module"), [(".dng", "rawpy"), pytest.param(".heic", "pillow_heif", marks=pytest.mark.proof)]
+)
 def test_a_folder_of_them_becomes_a_mosaic(tmp_path: Path, suffix: str, module: str) -> None:
     pytest.importorskip(module)
     jpegs = small_survey(tmp_path / "flight", lines=1, width_px=320, height_px=240).frames

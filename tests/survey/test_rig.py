@@ -164,6 +164,7 @@ def test_bands_are_stacked_where_all_are_valid(tmp_path: Path) -> None:
     assert not valid[:3].any() and valid[3:].all() and not pixels[:, :3].any()
 
 
+@pytest.mark.proof
 def test_a_folder_of_a_rig_becomes_one_mosaic_with_named_bands(tmp_path: Path) -> None:
     """The second camera is turned by known angles: a homography of the first one's images, as negatives, whose
     edges are alike where the greys are opposite."""

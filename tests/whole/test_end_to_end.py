@@ -223,6 +223,7 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedSurvey, Path
     return survey, folder / "run"
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("method", sorted(METHODS.keys() - {"bundle"}))
 def test_every_method_goes_to_the_end(method: str, few: tuple[SimulatedSurvey, Path], tmp_path: Path) -> None:
     """Stages before the adjustment come from the cache of the first run."""

@@ -29,6 +29,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> gm.Run:
     return gm.mosaic(survey.frames, folder / "run", set=sets, workers=1, overwrite=True)
 
 
+@pytest.mark.proof
 def test_what_the_documentation_shows_is_so(run: gm.Run) -> None:
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for test in doctest.DocTestFinder().find(runs, globs={"gm": gm, "run": run, "folder": run.folder.parent}):
