@@ -3,8 +3,8 @@
     python -m tools.bench.bench_scale [--frames 50 100 ...] [--seed 1] [--no-plan]
                                       [--out DIR] [--results FILE]
 
-One flight of 50 lines of 100 frames of 640 x 480 px is simulated and kept in OUT; smaller ones are rectangles
-cut out of it, whose frames are the same. Each goes through the whole command; what a frame takes by stage
+The largest block, of frames of 640 x 480 px, is simulated and kept in OUT; smaller ones are rectangles cut
+out of it, whose frames are the same. Each goes through the whole command; what a frame takes by stage
 is read from run.json, its memory sampled over all processes, its run folder every ten seconds. What a run
 takes however few frames it has is in it, so that figures may fall. A larger block has more overlapping pairs
 a frame, since fewer frames lie at its rim: they stand beside.
@@ -37,8 +37,9 @@ from geomosaic.report.plots import Axis, Series, line_plot
 from tools.bench.bench_flights import PROGRAM, commit
 from tools.bench.bench_speed_measure import measured
 
-LINES, PER_LINE = 50, 100
-BLOCKS = {50: (5, 10), 100: (10, 10), 200: (10, 20), 500: (20, 25), 1000: (25, 40), 5000: (50, 100)}
+BLOCKS = {
+    50: (5, 10), 100: (10, 10), 200: (10, 20), 500: (20, 25), 1000: (25, 40), 2000: (40, 50), 5000: (50, 100)
+}  # fmt: skip
 """Lines and frames in each by the number of frames."""
 FLIGHT = ["--width-px", "640", "--height-px", "480"]
 TARGETS = {"growth": 1.25, "peak_gb": 4.0, "disk": 1.5, "plan_s": 60.0}
@@ -66,29 +67,37 @@ class Run:
         return self.wall_s / self.frames
 
 
-def fly(out: Path, seed: int) -> Path:
-    """The flight, simulated if it isn't there yet."""
-    flight = out / f"flight-{LINES}x{PER_LINE}-{seed}"
-    if not (flight / "done").exists():
-        shutil.rmtree(flight, ignore_errors=True)
-        size = ["--lines", LINES, "--frames-per-line", PER_LINE, "--seed", seed]
+@dataclass(frozen=True)
+class Flight:
+    """A simulated flight, every other line of which is flown back, and the frames in each line."""
+
+    folder: Path
+    per_line: int
+
+    def cut_out(self, lines: int, per_line: int, to: Path) -> Path:
+        """The first frames of the first lines, as hard links."""
+        shutil.rmtree(to, ignore_errors=True)
+        to.mkdir(parents=True)
+        for line in range(lines):
+            for k in range(per_line):
+                number = line * self.per_line + (k if line % 2 == 0 else self.per_line - 1 - k) + 1
+                os.link(self.folder / "frames" / f"F{number:04d}.jpg", to / f"F{number:04d}.jpg")
+        return to
+
+
+def fly(out: Path, seed: int, frames: int) -> Flight:
+    """The flight of so many frames, simulated if it isn't there yet."""
+    lines, per_line = BLOCKS[frames]
+    folder = out / f"flight-{lines}x{per_line}-{seed}"
+    if not (folder / "done").exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        size = ["--lines", lines, "--frames-per-line", per_line, "--seed", seed]
         subprocess.run(
-            list(map(str, [PROGRAM, "simulate", "frames", flight, *FLIGHT, *size])),
+            list(map(str, [PROGRAM, "simulate", "frames", folder, *FLIGHT, *size])),
             check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        (flight / "done").touch()
-    return flight
-
-
-def cut_out(flight: Path, lines: int, per_line: int, to: Path) -> Path:
-    """The first frames of the first lines, every other of which is flown back, as hard links."""
-    shutil.rmtree(to, ignore_errors=True)
-    to.mkdir(parents=True)
-    for line in range(lines):
-        for k in range(per_line):
-            number = line * PER_LINE + (k if line % 2 == 0 else PER_LINE - 1 - k) + 1
-            os.link(flight / "frames" / f"F{number:04d}.jpg", to / f"F{number:04d}.jpg")
-    return to
+        (folder / "done").touch()
+    return Flight(folder, per_line)
 
 
 @contextmanager
@@ -123,13 +132,13 @@ def on_disk(folder: Path) -> float:
     return float(size)
 
 
-def run(frames: int, flight: Path, out: Path) -> Run:
+def run(frames: int, flight: Flight, out: Path) -> Run:
     """A block of so many frames, in a new run folder, which is deleted afterwards but for run.json."""
-    of = cut_out(flight, *BLOCKS[frames], out / "frames")
+    of = flight.cut_out(*BLOCKS[frames], out / "frames")
     target = out / f"run-{frames}"
     shutil.rmtree(target, ignore_errors=True)
     log = out / f"run-{frames}.log"
-    command = [PROGRAM, "mosaic", of, "-o", target, "--camera", flight / "cameras.json"]
+    command = [PROGRAM, "mosaic", of, "-o", target, "--camera", flight.folder / "cameras.json"]
     with folder_watched(target) as sizes:
         taken = measured(command, log, most_s=MOST_S)
     if taken.failed:
@@ -216,7 +225,7 @@ def plan(out: Path) -> dict[str, Any]:
 def main() -> int:
     """Runs what is asked for and writes the results."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    ask.add_argument("--frames", type=int, nargs="*", choices=BLOCKS, default=list(BLOCKS))
+    ask.add_argument("--frames", type=int, nargs="+", choices=BLOCKS, default=list(BLOCKS))
     ask.add_argument("--seed", type=int, default=1)
     ask.add_argument("--no-plan", action="store_true", help="leave the planning of 50,000 windows out")
     ask.add_argument("--out", type=Path, default=Path("out/bench-scale"))
@@ -224,7 +233,7 @@ def main() -> int:
     asked = ask.parse_args()
     out = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    flight = fly(out, asked.seed)
+    flight = fly(out, asked.seed, max(asked.frames))
     runs = []
     for frames in sorted(asked.frames):
         runs.append(run(frames, flight, out))
