@@ -155,8 +155,8 @@ def of_flights(data: Any, command: str, _: str) -> Iterator[Row]:
                 alone <= 1.0,
             )
     for name, flight in done.items():
-        check = flight.get("check")
-        if check and not check.get("after_similarity"):
+        check = flight.get("check") or {}
+        if "rmse_horizontal_m" in check and not check.get("after_similarity"):
             up = check.get("rmse_up_m")
             values = f"{check['rmse_horizontal_m']:.3f} m" + ("" if up is None else f", {up:.3f} m")
             yield row(f"{name}: RMSE at {check['n']} check points, plan and height", "", values, None)
