@@ -234,7 +234,7 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
         problem = "longitude and latitude are both 0, as a receiver writes without satellites"
         fix = "correct them, or take the line and its frame out"
         raise table.error(int(np.argmax(nowhere)), problem, fix)
-    if (np.abs(lonlat) <= _RADIANS).all():
+    if (np.abs(lonlat) <= _RADIANS).all() and (np.abs(np.degrees(lonlat)) > _RADIANS).any():
         raise InputError(
             f"longitude and latitude look like radians (line {table.lines[0]}: {lonlat[0, 0]:g}, "
             f"{lonlat[0, 1]:g}): as degrees they would lie in the sea off Africa",

@@ -113,6 +113,12 @@ def test_angles_of_zeros_in_all_rows_are_unknown(tmp_path: Path, angles: str) ->
     assert "pos-attitude-empty" not in codes(filled)
 
 
+def test_a_simulated_survey_about_0_0_is_in_degrees(tmp_path: Path) -> None:
+    """As radians its frames would lie in the same sea."""
+    row = pos(tmp_path, "EPSG:4326\na.jpg 0.0002243587 -0.0002258707 -0.2299\n").rows[0]
+    assert (row.lon_deg, row.lat_deg) == (0.0002243587, -0.0002258707)
+
+
 def test_pix4d_with_and_without_header(tmp_path: Path) -> None:
     header = (
         "imagename,latitude [decimal degrees],longitude [decimal degrees],altitude [meter],"
