@@ -59,10 +59,12 @@ def control_table(path: Path, frames: FrameNames) -> tuple[ParsedTable, StatedCr
 
 
 def _gcp_list(path: Path, lines: list[Line]) -> ParsedTable:
-    """A table without names of columns: a measurement a line, or a point that is measured in no image."""
+    """A table without names of columns: a measurement a line, or a point that is measured in no image, with
+    its description at the end."""
     first = next((line.text for line in lines if not line.comment), "")
     fields = split(first, first)
-    if fields and (not is_number(fields[0]) or len(fields) in (4, 5)):
+    described = len(fields) > 4 and not is_number(fields[4])
+    if fields and (not is_number(fields[0]) or len(fields) in (4, 5) or described):
         return read_table(path, lines, ALIASES, ("name", "x", "y", "height"))
     lines = [replace(line, text=_quoted_image(line.text)) for line in lines]
     return read_table(path, lines, ALIASES, _GCP_LIST)

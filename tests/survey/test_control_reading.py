@@ -285,6 +285,23 @@ def test_lists_without_images(read: Read) -> None:
     assert [w.code for w in notes] == ["control-plan-only"]
 
 
+@pytest.mark.parametrize("separator", [",", " ", "\t"])
+def test_a_surveyors_list_of_number_northing_easting_height_description(read: Read, separator: str) -> None:
+    rows = (
+        ("1", "5400010.123", "509000.456", "412.30", "GCP CROSS"),
+        ("12", "5400110.123", "509030.456", "412.90", "NAIL"),
+    )
+    points, notes = read("EPSG:32632\n" + "".join(f"{separator.join(row)}\n" for row in rows))
+    assert [(p.name, p.height_ellipsoidal_m, p.images) for p in points] == [
+        ("1", 412.3, ()),
+        ("12", 412.9, ()),
+    ]
+    assert xy("EPSG:32632", (points[0].lon_deg, points[0].lat_deg)) == pytest.approx(
+        (509000.456, 5400010.123)
+    )
+    assert "xy-exchanged" in [w.code for w in notes]
+
+
 @pytest.mark.parametrize(
     ("columns", "values", "sd_m"),
     [
