@@ -214,7 +214,7 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
     ),
     "positions-in-other-order": (
         "doubtful",
-        "the positions of the POS file fit the frames' tags only in another order",
+        "the positions of the POS file do not fit the frames' tags, or only in another order",
         "check the names in --pos and their order",
     ),
     "heights-elsewhere": (

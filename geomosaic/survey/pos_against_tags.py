@@ -9,6 +9,7 @@ import numpy as np
 from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.heights import LENGTHS_M
 from geomosaic.survey.extent import distances_m
 from geomosaic.survey.model import Position, Warn
@@ -17,6 +18,7 @@ from geomosaic.survey.pos_row import PosFile, PosRow
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
 _DATUMS_M = sourced(107.0, "m", "between heights of two datums", "EGM2008: undulations of -107 to 86 m")
 _FITS = tuned(3.0, "times", "nearer in another order: GNSS errors alone bring less, a line's shift more")
+_UNLIKE = tuned(0.5, "share", "of how the tags scatter: mixed frames differ by 1, GNSS by hundredths")
 _LEAST = tuned(4, "frames", "whose order is compared: fewer lie alike by chance")
 
 
@@ -71,7 +73,7 @@ def _mistaken(given: Floats) -> Iterator[tuple[str, str, Floats]]:
 
 
 def _in_other_order(given: Floats, known: Floats, sd_m: float) -> list[tuple[str, str, str]]:
-    """Positions that fit those in the tags only in reverse order, or as those of neighbouring frames."""
+    """Positions that fit those in the tags only in reverse order, as those of neighbouring frames, or not."""
     if len(given) < _LEAST:
         return []
     as_given_m = float(np.median(distances_m(given, known)))
@@ -87,7 +89,18 @@ def _in_other_order(given: Floats, known: Floats, sd_m: float) -> list[tuple[str
         if _FITS * so_m < as_given_m:
             text = f"its positions lie {as_given_m:.1f} m from those in the frames' tags, and {so_m:.1f} m "
             return [("positions-in-other-order", "", f"{text}{order}: check the names in the file")]
-    return []
+    off_m = _scatter_m(mid_latitude_offset_m(*known.T, *given.T))
+    apart_m = _scatter_m(mid_latitude_offset_m(*np.median(known, axis=0), *known.T))
+    if apart_m <= sd_m or off_m <= max(sd_m, _UNLIKE * apart_m):  # tags that are all alike say nothing
+        return []
+    text = f"its positions lie {as_given_m:.1f} m from those in the frames' tags, which scatter by "
+    text += f"{apart_m:.1f} m: lines may belong to other frames; check the names in the file"
+    return [("positions-in-other-order", "", text)]
+
+
+def _scatter_m(offsets_m: Floats) -> float:
+    """Median distance of offsets (n, 2) from their median."""
+    return float(np.median(np.linalg.norm(offsets_m - np.median(offsets_m, axis=0), axis=1)))
 
 
 def _as_feet(both: Sequence[tuple[PosRow, Position]]) -> list[tuple[str, str, str]]:

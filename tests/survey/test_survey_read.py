@@ -147,7 +147,8 @@ def test_pos_takes_the_place_of_gps_and_leaves_the_gimbal(tmp_path: Path) -> Non
         ([-1, 0, 1, 2, 3, 4], r"as those of the frames before"),
         ([0, 1, 2, 3, 4, 5], ""),
         ([0.2, 1.2, 2.2, 3.2, 4.2, 5.2], ""),
-        ([3, 0, 5, 1, 4, 2], ""),
+        ([3, 0, 5, 1, 4, 2], r"lines may belong to other frames"),
+        ([6.5, 7.5, 8.5, 9.5, 10.5, 11.5], ""),
     ],
 )
 def test_positions_in_another_order_than_the_tags(tmp_path: Path, order: list[float], said: str) -> None:
@@ -161,6 +162,17 @@ def test_positions_in_another_order_than_the_tags(tmp_path: Path, order: list[fl
         if w.code == "positions-in-other-order"
     ]
     assert [bool(re.search(said, text)) for text in texts] == ([True] if said else [])
+
+
+def test_tags_that_are_all_alike_say_nothing_of_an_order(tmp_path: Path) -> None:
+    folder = tmp_path / "f"
+    folder.mkdir()
+    for i in range(6):
+        drone_frame(folder / f"DJI_{i}.JPG", second=i)
+    table = tmp_path / "pos.csv"
+    lines = (f"DJI_{i},48.765432,{9.1234567 + i * 2.7e-4}" for i in range(6))
+    table.write_text("\n".join(["photo,lat,lon", *lines]))
+    assert "positions-in-other-order" not in codes(read_survey(SurveyInputs(folder, pos=table)))
 
 
 def test_names_are_matched_with_sense(tmp_path: Path) -> None:
