@@ -86,14 +86,15 @@ def _entries(block: bytes, at: int, order: str) -> Iterator[tuple[int, int, int,
 def _directory(block: bytes, at: int, order: str, names: Mapping[int, str]) -> Tags:
     found: Tags = {}
     for entry, number, kind, count in _entries(block, at, order):
-        if number not in names or kind not in _KINDS:
+        name = names.get(number)
+        if name is None or name in found or kind not in _KINDS:  # a tag stands once: the first counts
             continue
         size = count * sum(np.dtype(part).itemsize for part in _KINDS[kind])
         start = entry + 8 if size <= 4 else struct.unpack_from(f"{order}I", block, entry + 8)[0]
         if 0 < size <= LONGEST_BYTES and start + size <= len(block):
             value = _value(bytes(block[start : start + size]), kind, order)
             if value is not None:
-                found[names[number]] = value
+                found[name] = value
     return found
 
 
