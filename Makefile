@@ -54,7 +54,7 @@ unit: dev ## pytest, three workers: two cores have work while a test waits; TEST
 	@.venv/bin/pytest --collect-only -qq >/dev/null || true # compiles the tests once, not in each worker
 	.venv/bin/pytest -n $(TEST_WORKERS) --dist loadfile -m "not proof"
 
-bench-proofs: dev ## the tests that take long: draws, whole runs, commands of the docs (about 15 minutes); before a change lands
+bench-proofs: dev ## the tests that take long: draws, whole runs, commands of the docs (about half an hour); before a change lands
 	.venv/bin/pytest -n $(TEST_WORKERS) --dist loadfile -m proof
 
 bench-paper: setup ## the paper's comparison of adjustment methods (about 10 minutes)

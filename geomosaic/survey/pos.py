@@ -10,7 +10,6 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import StatedCrs, crs_of
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
@@ -95,7 +94,6 @@ _GEO_TXT: Final = ("frame", "x", "y", "height", "yaw", "pitch", "roll", "sd_hori
 _GIVE_CRS: Final = "give the EPSG code of x and y with --pos-crs, such as EPSG:n"
 _PIX4D: Final = ("frame", "lat", "lon", "height", "sd_horizontal", "sd_vertical")
 _PIX4D_TURNED: Final = (*_PIX4D[:4], "omega", "phi", "kappa", *_PIX4D[4:])
-_LOOKS_DOWN_DEG = tuned(60.0, "deg", "of omega and phi without a header: larger ones may be yaw or pitch")
 
 
 def read_pos(
@@ -204,9 +202,10 @@ def _table(
 
 
 def _looks_down(table: ParsedTable) -> bool:
-    """Whether omega and phi, where there are any, are those of cameras that look down."""
+    """Whether omega and phi, where there are any, are nearer to the nadir than to the horizon. Else they may
+    be yaw and pitch."""
     tilts = np.stack([table.numbers("omega"), table.numbers("phi")])
-    return bool((np.abs(np.nan_to_num(tilts)) <= _LOOKS_DOWN_DEG).all())
+    return bool((np.abs(np.nan_to_num(tilts)) < 45.0).all())
 
 
 def _names_too_few(names: Line, data: Line) -> bool:

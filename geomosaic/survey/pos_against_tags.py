@@ -9,6 +9,7 @@ import numpy as np
 from geomosaic.arrays import Floats
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.heights import LENGTHS_M
 from geomosaic.survey.extent import distances_m
@@ -17,9 +18,6 @@ from geomosaic.survey.pos_row import PosFile, PosRow
 
 _FAR_M = tuned(1000.0, "m", "from the frames' GPS, warns: GPS is off by tens, other data by hundreds")
 _DATUMS_M = sourced(107.0, "m", "between heights of two datums", "EGM2008: undulations of -107 to 86 m")
-_FITS = tuned(3.0, "times", "nearer in another order: GNSS errors alone bring less, a line's shift more")
-_UNLIKE = tuned(0.5, "share", "of how the tags scatter: mixed frames differ by 1, GNSS by hundredths")
-_LEAST = tuned(4, "frames", "whose order is compared: fewer lie alike by chance")
 
 
 def against_tags(
@@ -37,9 +35,8 @@ def against_tags(
     given = np.array([[r.lon_deg, r.lat_deg] for r, _, _ in both])
     known = np.array([[p.lon_deg, p.lat_deg] for _, p, _ in both])
     sd_m = float(np.median([max(p.sd_east_m, p.sd_north_m) for _, p, _ in both]))
-    found = _elsewhere(given, known, [name for _, _, name in both], pos) or _in_other_order(
-        given, known, sd_m
-    )
+    found = _elsewhere(given, known, [name for _, _, name in both], pos)
+    found = found or _in_other_order(given, known, sd_m)
     heights = _as_feet([(r, p) for r, p, _ in both])
     return [Warn(code, frame, f"{pos.path.name}: {text}") for code, frame, text in (*found, *heights)]
 
@@ -73,8 +70,9 @@ def _mistaken(given: Floats) -> Iterator[tuple[str, str, Floats]]:
 
 
 def _in_other_order(given: Floats, known: Floats, sd_m: float) -> list[tuple[str, str, str]]:
-    """Positions that fit those in the tags only in reverse order, as those of neighbouring frames, or not."""
-    if len(given) < _LEAST:
+    """Positions that fit those in the tags only in reverse order or as those of neighbouring frames, or that
+    lie no nearer to their frames' tags than to the middle of all tags."""
+    if len(given) < 3:  # of two, one wrong position looks like an order
         return []
     as_given_m = float(np.median(distances_m(given, known)))
     if as_given_m <= sd_m:
@@ -86,12 +84,12 @@ def _in_other_order(given: Floats, known: Floats, sd_m: float) -> list[tuple[str
     )
     for order, places, tags in orders:
         so_m = float(np.median(distances_m(places, tags)))
-        if _FITS * so_m < as_given_m:
+        if THREE_SIGMA * so_m < as_given_m:
             text = f"its positions lie {as_given_m:.1f} m from those in the frames' tags, and {so_m:.1f} m "
             return [("positions-in-other-order", "", f"{text}{order}: check the names in the file")]
     off_m = _scatter_m(mid_latitude_offset_m(*known.T, *given.T))
     apart_m = _scatter_m(mid_latitude_offset_m(*np.median(known, axis=0), *known.T))
-    if apart_m <= sd_m or off_m <= max(sd_m, _UNLIKE * apart_m):  # tags that are all alike say nothing
+    if off_m <= apart_m or apart_m <= sd_m:  # tags that are all alike are not compared
         return []
     text = f"its positions lie {as_given_m:.1f} m from those in the frames' tags, which scatter by "
     text += f"{apart_m:.1f} m: lines may belong to other frames; check the names in the file"
