@@ -13,7 +13,7 @@ from geomosaic.recording.file.chips import Chip
 from geomosaic.recording.file.frame_kinds import image
 from geomosaic.recording.file.messages import At, Kind, Topics, own
 from geomosaic.recording.file.model import Recording, RoundOffsets
-from geomosaic.recording.file.plain import as_text, single, topic_part
+from geomosaic.recording.file.plain import as_text, set_singles, topic_part
 
 Iteration = own(
     "Iteration",
@@ -133,16 +133,16 @@ def tie_points(
     """
     a, b = (np.asarray(px, dtype=np.float32).reshape(-1, 2) for px in (left_px, right_px))
     r = np.asarray(() if residual_m is None else residual_m, dtype=np.float32).reshape(-1, 2)
-    message = TiePoints(
-        left=as_text(pair[0]),
-        right=as_text(pair[1]),
+    message = TiePoints(left=as_text(pair[0]), right=as_text(pair[1]))
+    set_singles(
+        message,
         left_col_px=a[:, 0],
         left_row_px=a[:, 1],
         right_col_px=b[:, 0],
         right_row_px=b[:, 1],
         residual_east_m=r[:, 0],
         residual_north_m=r[:, 1],
-        weight=np.asarray(() if weight is None else weight, dtype=np.float32),
+        weight=() if weight is None else weight,
     )
     yield "/tie_points", message
 
@@ -176,15 +176,16 @@ def chip(rank: int, left: str, right: str, chip: Chip) -> Topics:
         right_col_px=chip.right_corner_px[0],
         right_row_px=chip.right_corner_px[1],
         right_quarters=chip.right_quarters,
-        **single(
-            left_x_px=chip.left_xy[:, 0],
-            left_y_px=chip.left_xy[:, 1],
-            right_x_px=chip.right_xy[:, 0],
-            right_y_px=chip.right_xy[:, 1],
-            residual_east_m=chip.residual_m[:, 0],
-            residual_north_m=chip.residual_m[:, 1],
-            weight=chip.weight,
-        ),
+    )
+    set_singles(
+        message,
+        left_x_px=chip.left_xy[:, 0],
+        left_y_px=chip.left_xy[:, 1],
+        right_x_px=chip.right_xy[:, 0],
+        right_y_px=chip.right_xy[:, 1],
+        residual_east_m=chip.residual_m[:, 0],
+        residual_north_m=chip.residual_m[:, 1],
+        weight=chip.weight,
     )
     yield "/chips/ties", message
 

@@ -5,17 +5,31 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geomosaic.arrays import Floats32
+_PACKED: Final = 2
+"""The wire type of what says its length."""
 
 
-def single(**values: ArrayLike) -> dict[str, Floats32]:
-    """Arrays in single precision."""
-    return {name: np.asarray(value, dtype=np.float32) for name, value in values.items()}
+def set_singles(message: Any, **values: ArrayLike) -> None:
+    """Sets lists of numbers in single precision, by field, from arrays. They are put in as they lie on the
+    wire (Protocol Buffers encoding, packed): number by number takes forty times as long."""
+    fields = message.DESCRIPTOR.fields_by_name
+    for name, value in values.items():
+        packed = np.asarray(value, dtype="<f4").tobytes()
+        message.MergeFromString(_varint(8 * fields[name].number + _PACKED) + _varint(len(packed)) + packed)
+
+
+def _varint(number: int) -> bytes:
+    """Seven bits a byte, the last first."""
+    out = bytearray()
+    while number > 0x7F:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*out, number])
 
 
 def picked(thing: Any, *names: str) -> dict[str, Any]:

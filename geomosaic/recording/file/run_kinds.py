@@ -21,7 +21,7 @@ from geomosaic.recording.file.model import (
     StageProgress,
     StageRecord,
 )
-from geomosaic.recording.file.plain import as_text, json_object, json_text, single, topic_part
+from geomosaic.recording.file.plain import as_text, json_object, json_text, set_singles, topic_part
 
 MAX_ARTEFACT_BYTES = 4 * 2**30
 
@@ -223,11 +223,8 @@ def outlines(what: str, names: Sequence[str], lines_m: Sequence[ArrayLike]) -> T
     shown = [line[:, :2] if line.size else np.zeros((0, 2)) for line in lines]
     shown = [line[np.isfinite(line).all(axis=1)] for line in shown]
     east, north = np.concatenate([np.zeros((0, 2)), *shown]).T
-    message = Outlines(
-        name=[as_text(n) for n in names],
-        vertices=[len(line) for line in shown],
-        **single(east_m=east, north_m=north),
-    )
+    message = Outlines(name=[as_text(n) for n in names], vertices=[len(line) for line in shown])
+    set_singles(message, east_m=east, north_m=north)
     yield f"/outlines/{topic_part(what)}", message
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from geomosaic.recording.file.messages import At, Kind, Topics, own
 from geomosaic.recording.file.model import Jitter, Recording, StripCurve, StripResidual
-from geomosaic.recording.file.plain import as_text, single, topic_part
+from geomosaic.recording.file.plain import as_text, set_singles, topic_part
 
 StripOffsets = own(
     "StripOffsets",
@@ -43,11 +43,11 @@ def strip_offsets(
         right=as_text(right),
         line=np.asarray(line, dtype=np.uint32),
         label=labels,
-        **single(dcol_px=dcol_px, dline_px=dline_px, sd_col_px=sd_col_px, sd_line_px=sd_line_px),
         share_measured=measured,
         share_bridged=bridged,
         share_unreliable=unreliable,
     )
+    set_singles(message, dcol_px=dcol_px, dline_px=dline_px, sd_col_px=sd_col_px, sd_line_px=sd_line_px)
     yield f"/strip_offsets/{number}", message
 
 
@@ -84,8 +84,8 @@ def strip_residuals(
         left=as_text(left),
         right=as_text(right),
         line=np.floor(line).astype(np.uint32),
-        **single(dcol_px=dcol_px, dline_px=dline_px, sd_px=sd_px),
     )
+    set_singles(message, dcol_px=dcol_px, dline_px=dline_px, sd_px=sd_px)
     yield f"/strip_residuals/{number}", message
 
 
@@ -111,8 +111,9 @@ JitterSpectrum = own(
 
 def jitter(what: str, frequency_hz: ArrayLike, across_px: ArrayLike, along_px: ArrayLike) -> Topics:
     """Amplitudes of what moves line by line; `what` is `found` or `left` and names the topic."""
-    values = single(frequency_hz=frequency_hz, across_px=across_px, along_px=along_px)
-    yield f"/jitter/{topic_part(what)}", JitterSpectrum(**values)
+    message = JitterSpectrum()
+    set_singles(message, frequency_hz=frequency_hz, across_px=across_px, along_px=along_px)
+    yield f"/jitter/{topic_part(what)}", message
 
 
 def _take_jitter(recording: Recording, message: Any, at: At) -> None:
