@@ -6,8 +6,13 @@ import gc
 import os
 import signal
 import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from geomosaic_simulate.survey import SimulatedSurvey
 
 # threads of the linear algebra would wait for each other on the cores that the tests share
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -31,7 +36,7 @@ LONGEST = (
     "test_adjustment_surface", "test_camera_kinds", "test_design_effect", "test_matching",
     "test_mosaic_strips", "test_fetch", "test_fuzz_short", "test_simulate_files", "test_cli_home",
     "test_bench_flights", "test_quality_strips", "test_bundle_oracle", "test_report_control",
-    "test_pipeline_runner", "test_heights", "test_watch", "test_video_frames", "test_simulate_strips",
+    "test_pipefew_runner", "test_heights", "test_watch", "test_video_frames", "test_simulate_strips",
     "test_camera_formats", "test_placement", "test_report_page", "test_faint_frames", "test_export_web",
 )  # fmt: skip
 """Files that take longest go first: one that a worker is given last is what all wait for."""
@@ -53,3 +58,27 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files keep their tests together and in order."""
     first = {name: i for i, name in enumerate(LONGEST)}
     items.sort(key=lambda item: first.get(item.path.stem, len(first)))
+
+
+@pytest.fixture(scope="session")
+def few_survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
+    """Four small frames in two lines with tags, pos.csv and cameras.json, for all tests; not to be changed."""
+    from made_once import made_once
+    from small_surveys import small_survey
+
+    size = {"lines": 2, "frames_per_line": 2, "width_px": 320, "height_px": 240}
+    return made_once(tmp_path_factory, "few", lambda folder: small_survey(folder, **size))
+
+
+@pytest.fixture(scope="session")
+def few_run(few_survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of them with the defaults, for all tests; not to be changed."""
+    from made_once import made_once
+    from small_surveys import mosaic
+
+    def make(run: Path) -> Path:
+        files = ("--pos", few_survey.pos, "--camera", few_survey.camera)
+        assert mosaic(few_survey.frames, run, *files) == 0
+        return run
+
+    return made_once(tmp_path_factory, "few-run", make)

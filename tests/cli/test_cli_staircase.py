@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from small_surveys import mosaic
 from test_cli_commands import COMMAND, gone
 
 from geomosaic.cli.main import main
@@ -23,6 +24,7 @@ from geomosaic.pipeline.reporter import Silent
 from geomosaic.pipeline.run_folder import MARKER
 from geomosaic.pipeline.runner import run
 from geomosaic.recording.file.reader import read_recording
+from geomosaic_simulate.survey import SimulatedSurvey
 
 RECIPE = """name: tiny
 stages:
@@ -49,35 +51,17 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def four(survey: Path) -> Path:
-    """The first four frames."""
-    folder = survey / "four"
-    folder.mkdir()
-    for i in range(1, 5):
-        os.link(survey / "frames" / f"F000{i}.jpg", folder / f"F000{i}.jpg")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def finished(four: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run of the four frames, with its durations in the report."""
-    folder = tmp_path_factory.mktemp("finished") / "RUN"
-    assert main(["mosaic", str(four), "-o", str(folder), "--workers", "1"]) == 0
-    return folder
-
-
 def files_of(folder: Path) -> list[str]:
     """Without the marker."""
     return sorted(p.name for p in folder.iterdir() if p.name != MARKER)
 
 
 @pytest.mark.proof
-def test_two_runs_with_fixed_time_record_equal_bytes(four: Path, tmp_path: Path) -> None:
+def test_two_runs_with_fixed_time_record_equal_bytes(few_survey: SimulatedSurvey, tmp_path: Path) -> None:
     for name, workers in (("a", "1"), ("a longer name", "2")):
         out = str(tmp_path / name)
         how = ["--adjust", "least_squares", "--fixed-time", "--workers", workers]
-        assert main(["mosaic", str(four), "-o", out, *how]) == 0
+        assert main(["mosaic", str(few_survey.frames), "-o", out, *how]) == 0
     a, b = ((tmp_path / name / "run.mcap").read_bytes() for name in ("a", "a longer name"))
     assert a == b and len(a) > 50_000
     summary = json.loads((tmp_path / "a" / "run.json").read_text())
@@ -85,36 +69,36 @@ def test_two_runs_with_fixed_time_record_equal_bytes(four: Path, tmp_path: Path)
 
 
 def test_a_replay_without_changes_is_equal(
-    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for start in ([], ["--from", "mosaic.compose"], ["--from", "export.report"]):
         out = tmp_path / "-".join(["again", *start[1:]])
         capsys.readouterr()
-        assert main(["replay", str(finished), "-o", str(out), *start, "--workers", "1"]) == 0
+        assert main(["replay", str(few_run), "-o", str(out), *start, "--workers", "1"]) == 0
         said = capsys.readouterr().err
         assert said.count(": from the recording") == {"again": 0, "again-mosaic.compose": 10}.get(
             out.name, 17
         )
         assert "from the cache" not in said
-        assert main(["diff", str(finished), str(out)]) == 0
+        assert main(["diff", str(few_run), str(out)]) == 0
         first, *others = capsys.readouterr().out.splitlines()
         assert first == "the runs are equal" and {line.split(":")[0] for line in others} <= {"time"}
         for name in ("mosaic.tif", "positions.csv"):
-            assert (out / name).read_bytes() == (finished / name).read_bytes()
+            assert (out / name).read_bytes() == (few_run / name).read_bytes()
     messages = [
         {t.name: t.messages for t in read_recording(folder / "run.mcap").topics.values()} | {"/progress": 0}
-        for folder in (finished, out)
+        for folder in (few_run, out)
     ]
     assert messages[0] == messages[1]
 
 
 def test_a_replay_with_another_method_names_the_adjustment_and_the_frames(
-    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change = ["--set", "adjustment.solve.method=chain", "--workers", "1"]
-    assert main(["replay", str(finished), "-o", str(tmp_path / "chain"), *change]) == 0
+    assert main(["replay", str(few_run), "-o", str(tmp_path / "chain"), *change]) == 0
     capsys.readouterr()
-    assert main(["diff", str(finished), str(tmp_path / "chain"), "--json"]) == 1
+    assert main(["diff", str(few_run), str(tmp_path / "chain"), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["first_stage"] == "adjustment.solve"
     assert found["stages"][0]["params"] == {"method": ["bundle", "chain"]}
@@ -191,14 +175,23 @@ def test_a_killed_run_is_readable_and_resumes_where_it_was(killed: Path, survey:
 
 
 def test_pos_crs_and_ground_height_reach_their_stages(
-    four: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    few_survey: SimulatedSurvey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["mosaic", str(four), "-o", str(tmp_path / "r"), "--ground-height", "9999"]) == 2
+    assert main(["mosaic", str(few_survey.frames), "-o", str(tmp_path / "r"), "--ground-height", "9999"]) == 2
     assert "--ground-height 9999" in capsys.readouterr().err
     pos = tmp_path / "pos.csv"
     rows = [f"F000{i}.jpg,{499_000 + 20 * i},5600000,200" for i in range(1, 5)]
     pos.write_text("\n".join(["frame,x,y,height_ellipsoidal_m", *rows]))
-    arguments = ["mosaic", str(four), "-o", str(tmp_path / "r"), "--pos", str(pos), "--workers", "1"]
+    arguments = [
+        "mosaic",
+        str(few_survey.frames),
+        "-o",
+        str(tmp_path / "r"),
+        "--pos",
+        str(pos),
+        "--workers",
+        "1",
+    ]
     assert main(arguments) == 2
     assert "--pos-crs" in capsys.readouterr().err
     code = main([*arguments, "--pos-crs", "EPSG:32632", "--ground-height", "120.5", "--adjust", "none"])
@@ -211,12 +204,11 @@ def test_pos_crs_and_ground_height_reach_their_stages(
 
 
 def test_a_run_ends_with_how_well_the_frames_agree_and_how_true_the_map_is(
-    survey: Path, four: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    few_survey: SimulatedSurvey, few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copytree(finished, tmp_path / "r")
-    arguments = ["mosaic", str(four), "-o", str(tmp_path / "r"), "--workers", "1"]
-    ortho = survey / "truth" / "ortho.tif"
-    assert main([*arguments, "--adjust", "bundle", "--reference", str(ortho)]) == 0
+    shutil.copytree(few_run, tmp_path / "r")
+    files = ("--pos", few_survey.pos, "--camera", few_survey.camera)
+    assert mosaic(few_survey.frames, tmp_path / "r", *files, "--reference", few_survey.ortho) == 0
     said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
     metrics = json.loads((tmp_path / "r" / "run.json").read_text())["metrics"]
     agreement = re.fullmatch(r"(\d\.\d\d) px mean reprojection error", said["agreement"])
@@ -229,7 +221,7 @@ def test_a_run_ends_with_how_well_the_frames_agree_and_how_true_the_map_is(
     quality = metrics["quality"]
     wanted = [quality["absolute_rmse_m"], quality["ce90_m"], quality["measured"]]
     assert accuracy and [float(x) for x in accuracy.groups()] == pytest.approx(wanted, rel=0.01)
-    assert main([*arguments, "--adjust", "error_sharing"]) == 0
+    assert mosaic(few_survey.frames, tmp_path / "r", *files, "--adjust", "error_sharing") == 0
     assert not {"agreement", "reference"} & {s.split()[0] for s in capsys.readouterr().out.splitlines()}
 
 

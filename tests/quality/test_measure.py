@@ -13,7 +13,7 @@ import rasterio
 import shapely
 from osgeo import gdal, osr
 from pyproj import CRS
-from small_surveys import geomosaic, mosaic, small_survey, summary
+from small_surveys import geomosaic, summary
 
 from geomosaic.doors.vector import LINE, POLYGON, read_shapes
 from geomosaic.export.accuracy import BANDS
@@ -143,18 +143,9 @@ def test_the_surface_of_a_run_gives_volumes_and_none_past_its_end(tmp_path: Path
     assert heap.area.sd == pytest.approx(own_m * np.sqrt(4 * (60.0**2 + 60.0**2) / 4.0), rel=1e-3)
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small flight over flat ground, mosaicked."""
-    survey = small_survey(tmp_path_factory.mktemp("flight"), width_px=320, height_px=240)
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    assert mosaic(survey.frames, folder, "--pos", survey.pos, "--camera", survey.camera) == 0
-    return folder
-
-
-def test_a_run_has_an_accuracy_raster_on_its_mosaics_grid(run: Path) -> None:
-    metrics = summary(run)["metrics"]["accuracy"]
-    with rasterio.open(run / "accuracy.tif") as tiff, rasterio.open(run / "mosaic.tif") as of:
+def test_a_run_has_an_accuracy_raster_on_its_mosaics_grid(few_run: Path) -> None:
+    metrics = summary(few_run)["metrics"]["accuracy"]
+    with rasterio.open(few_run / "accuracy.tif") as tiff, rasterio.open(few_run / "mosaic.tif") as of:
         assert tiff.crs == of.crs and tiff.descriptions == tuple(name for name, _ in BANDS)
         assert (tiff.transform.c, tiff.transform.f) == (of.transform.c, of.transform.f)
         assert tiff.transform.a == pytest.approx(16 * of.transform.a)
@@ -169,15 +160,15 @@ def test_a_run_has_an_accuracy_raster_on_its_mosaics_grid(run: Path) -> None:
     assert metrics["share"]["tie_surface"] > 0.5
 
 
-def test_the_project_of_a_run_shows_its_accuracy(run: Path) -> None:
-    with zipfile.ZipFile(run / "project.qgz") as archive:
+def test_the_project_of_a_run_shows_its_accuracy(few_run: Path) -> None:
+    with zipfile.ZipFile(few_run / "project.qgz") as archive:
         text = archive.read("project.qgs").decode()
     assert text.count("<datasource>./accuracy.tif</datasource>") == 2
     assert "Accuracy in plan" in text and "Where heights come from" in text
 
 
-def test_the_report_of_a_run_shows_its_accuracy(run: Path) -> None:
-    assert "Accuracy in plan" in (run / "report.html").read_text(encoding="utf-8")
+def test_the_report_of_a_run_shows_its_accuracy(few_run: Path) -> None:
+    assert "Accuracy in plan" in (few_run / "report.html").read_text(encoding="utf-8")
 
 
 def middle_of(run: Path) -> tuple[float, float]:
@@ -186,9 +177,11 @@ def middle_of(run: Path) -> tuple[float, float]:
     return (west + east) / 2.0, (south + north) / 2.0
 
 
-def test_a_line_and_a_square_of_a_run(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_line_and_a_square_of_a_run(
+    few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """True lengths are told within the stated deviations' reach; what all of the map is off by cancels."""
-    east, north = middle_of(run)
+    east, north = middle_of(few_run)
     line = geojson(tmp_path / "line.geojson", "LineString", [[east - 15, north], [east + 15, north]])
     ring = [
         [east - 10, north - 10],
@@ -197,21 +190,21 @@ def test_a_line_and_a_square_of_a_run(run: Path, tmp_path: Path, capsys: pytest.
         [east - 10, north + 10],
     ]
     square = geojson(tmp_path / "square.geojson", "Polygon", [[*ring, ring[0]]])
-    assert geomosaic("measure", run, "--line", line, "--polygon", square, "--json") == 0
+    assert geomosaic("measure", few_run, "--line", line, "--polygon", square, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     (length,), (area,) = told["lines"], told["polygons"]
     assert length["length_m"] == pytest.approx(30.0, abs=1e-6) and area["area_m2"] == pytest.approx(
         400.0, abs=1e-6
     )
     assert "length_ellipsoidal_m" not in length  # 171 km from the meridian a map in UTM is true to 4e-5
-    told_run = summary(run)
+    told_run = summary(few_run)
     by_scale_m = 30.0 * 1e-3 * told_run["accuracy"]["relative"]["scale_permille"]
     absolute = told_run["metrics"]["accuracy"]["horizontal_median_m"]
     assert by_scale_m < length["length_sd_m"] < np.hypot(by_scale_m, absolute)
     by_scale_m2 = 2.0 * 400.0 * by_scale_m / 30.0
     assert by_scale_m2 < area["area_sd_m2"] < np.hypot(by_scale_m2, 20.0 * np.sqrt(2.0) * absolute)
     assert area["volume_above_m3"] is None and "cancel" in told["assumed"]
-    assert geomosaic("measure", run, "--line", line) == 0
+    assert geomosaic("measure", few_run, "--line", line) == 0
     out = capsys.readouterr().out
     assert "length_sd_m" in out and "30.000" in out and "cancel" in out
 
@@ -230,20 +223,20 @@ def test_a_line_and_a_square_of_a_run(run: Path, tmp_path: Path, capsys: pytest.
     ],
 )  # fmt: skip
 def test_what_cannot_be_measured_is_one_line(
-    make: Any, says: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make: Any, says: str, few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert geomosaic("measure", run, *make(tmp_path, run)) == 2
+    assert geomosaic("measure", few_run, *make(tmp_path, few_run)) == 2
     said = capsys.readouterr()
     assert said.out == "" and len(said.err.strip().splitlines()) == 1 and says in said.err
 
 
 def test_a_run_without_the_raster_says_which_stage_makes_it(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = geojson(tmp_path / "line.geojson", "LineString", [[0.0, 0.0], [1.0, 0.0]])
     bare = tmp_path / "bare"
     bare.mkdir()
-    (bare / "run.json").write_bytes((run / "run.json").read_bytes())
+    (bare / "run.json").write_bytes((few_run / "run.json").read_bytes())
     assert geomosaic("measure", bare, "--line", line) == 2
     assert "accuracy.tif" in capsys.readouterr().err
     assert geomosaic("measure", tmp_path, "--line", line) == 2

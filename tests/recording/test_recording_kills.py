@@ -27,6 +27,7 @@ from geomosaic.recording.file.repair import repaired
 from geomosaic.recording.file.writer import StageEnd
 from geomosaic.recording.inspect.inspection import Inspection
 from geomosaic.recording.inspect.worst import faults
+from geomosaic_simulate.survey import SimulatedSurvey
 
 KILLED = (("Place frames by POS", "matching.sift"), ("Match frames with SIFT", "adjustment.solve"))
 """Behind which line of progress, in which stage."""
@@ -92,9 +93,9 @@ def test_a_killed_run_says_where_it_was(
 
 
 def test_a_run_that_ends_while_inputs_are_read_leaves_its_recipe(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+    few_survey: SimulatedSurvey, tmp_path: Path
 ) -> None:
-    frames = bad_survey(tmp_path_factory) / "frames"
+    frames = few_survey.frames
     recipe = parse_recipe(
         "name: x\nstages: [survey.read]\n", installed(), [f"survey.read.frames={frames}"], file="x"
     )

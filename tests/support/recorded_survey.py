@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import pytest
+from made_once import made_once
 
 from geomosaic.cli.main import main
 
@@ -27,19 +26,16 @@ _FLOWN = {
 }  # fmt: skip
 
 
-def bad_survey(folders: pytest.TempPathFactory, name: str = "bad-survey") -> Path:
-    """Its folder: frames, truth, and the run; not to be changed. Made when it is first asked for, once for all
-    processes that share the tests. name: another one's, of whoever changes it."""
-    shared = folders.getbasetemp().parent if "PYTEST_XDIST_WORKER" in os.environ else folders.getbasetemp()
-    survey, made = shared / name, shared / name / "made"
-    with (shared / f"{name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not made.exists():
-            words = [str(word) for pair in _FLOWN.items() for word in pair]
-            assert main(["simulate", "frames", str(survey), *words]) == 0
-            run = ["-o", str(survey / "run"), "--workers", "1", "--set", "matching.sift.keypoints=1200"]
-            assert main(["mosaic", str(survey / "frames"), *run]) == 0
-            made.touch()
+def bad_survey(folders: pytest.TempPathFactory) -> Path:
+    """Its folder: frames, truth, and the run; not to be changed."""
+    return made_once(folders, "bad-survey", _made)
+
+
+def _made(survey: Path) -> Path:
+    words = [str(word) for pair in _FLOWN.items() for word in pair]
+    assert main(["simulate", "frames", str(survey), *words]) == 0
+    run = ["-o", str(survey / "run"), "--workers", "1", "--set", "matching.sift.keypoints=1200"]
+    assert main(["mosaic", str(survey / "frames"), *run]) == 0
     return survey
 
 

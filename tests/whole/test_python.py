@@ -5,32 +5,33 @@ from __future__ import annotations
 import doctest
 import inspect
 import pydoc
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_surveys import small_survey
 
 import geomosaic as gm
 from geomosaic import runs
 from geomosaic.errors import FileError, InputError, PoorResultError
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.survey.model import Survey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> gm.Run:
-    """Four small frames, in the folder that their run lies in."""
-    folder = tmp_path_factory.mktemp("python")
-    survey = small_survey(folder, lines=1, frames_per_line=4, width_px=320, height_px=240, pos_in="exif")
-    sets = {"matching.sift.keypoints": 3000}
-    return gm.mosaic(survey.frames, folder / "run", set=sets, workers=1, overwrite=True)
+def run(few_run: Path) -> gm.Run:
+    """Four small frames."""
+    return gm.open_run(few_run)
 
 
 @pytest.mark.proof
-def test_what_the_documentation_shows_is_so(run: gm.Run) -> None:
+def test_what_the_documentation_shows_is_so(few_survey: SimulatedSurvey, tmp_path: Path) -> None:
+    shutil.copytree(few_survey.frames, tmp_path / "frames")
+    sets = {"matching.sift.keypoints": 3000}
+    run = gm.mosaic(tmp_path / "frames", tmp_path / "run", set=sets, workers=1, overwrite=True)
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for test in doctest.DocTestFinder().find(runs, globs={"gm": gm, "run": run, "folder": run.folder.parent}):
         told: list[str] = []
@@ -53,11 +54,11 @@ def test_a_run_holds_its_products(run: gm.Run) -> None:
         gm.open_run(run.folder.parent)
 
 
-def test_errors_are_those_of_the_command(run: gm.Run, tmp_path: Path) -> None:
+def test_errors_are_those_of_the_command(few_survey: SimulatedSurvey, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no JPEG, TIFF or PNG frames"):
         gm.mosaic(tmp_path)
     with pytest.raises(InputError, match="unknown recipe 'quck-look'; did you mean 'quick-look'"):
-        gm.run("quck-look", run.folder.parent / "frames")
+        gm.run("quck-look", few_survey.frames)
     assert PoorResultError.exit_code == 3 and not list(tmp_path.iterdir())
 
 
@@ -128,14 +129,17 @@ def test_the_import_is_cheap_and_unknown_names_raise() -> None:
 SCRIPT = """
 import sys
 import geomosaic as gm
-run = gm.run("none", sys.argv[1], sys.argv[2], workers=2)
+run = gm.run(*sys.argv[1:], workers=2)
 print(run.figures["survey"]["frames"])
 """
 
 
-def test_a_script_needs_no_guard(run: gm.Run, tmp_path: Path) -> None:
+def test_a_script_needs_no_guard(few_survey: SimulatedSurvey, tmp_path: Path) -> None:
     """Workers don't run the script anew, as those of multiprocessing's own pools do."""
     (tmp_path / "script.py").write_text(SCRIPT)
-    command = [sys.executable, tmp_path / "script.py", run.folder.parent / "frames", tmp_path / "run"]
+    stages = "survey.read, projection.ground, placement.pos, matching.sift"
+    (tmp_path / "matched.yaml").write_text(f"name: matched\nstages: [{stages}]\n")
+    given = tmp_path / "matched.yaml", few_survey.frames, tmp_path / "run"
+    command = [sys.executable, tmp_path / "script.py", *given]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout) == (0, "4\n"), done.stderr
