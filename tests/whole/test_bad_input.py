@@ -22,20 +22,20 @@ from geomosaic_simulate.survey import SimulatedSurvey
 
 FINAL = {"mosaic.tif", "sources.tif", "layers.gpkg", "positions.csv", "report.html", "run.json"}
 QUICK = ("--adjust", "least_squares")
+SIZE = {"width_px": 160, "height_px": 120, "ground_pixel_m": 0.2}
 
 
 @pytest.fixture(scope="session")
 def line(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
-    """One line of four frames with pos.csv, cameras.json and tags."""
-    return small_survey(tmp_path_factory.mktemp("line"), lines=1, width_px=320, height_px=240, seed=11)
+    """One line of four frames of 32 m x 24 m with pos.csv, cameras.json and tags."""
+    return small_survey(tmp_path_factory.mktemp("line"), lines=1, seed=11, **SIZE)
 
 
 @pytest.fixture(scope="session")
 def tagged(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     """Two frames with everything in their tags."""
     folder = tmp_path_factory.mktemp("tagged")
-    size = {"width_px": 320, "height_px": 240}
-    return small_survey(folder, lines=1, frames_per_line=2, pos_in="exif", seed=12, **size)
+    return small_survey(folder, lines=1, frames_per_line=2, pos_in="exif", seed=12, **SIZE)
 
 
 @pytest.fixture
@@ -150,7 +150,7 @@ def test_a_frame_without_tags_among_few(tagged: SimulatedSurvey, tmp_path: Path)
     shutil.copytree(tagged.frames, frames)
     bare = sorted(frames.iterdir())[1]
     cv2.imwrite(str(bare), cv2.imread(str(bare)))
-    assert mosaic(frames, tmp_path / "run") == 0
+    assert mosaic(frames, tmp_path / "run", *QUICK) == 0
     assert_lens_assumed(tmp_path / "run")
 
 
@@ -373,7 +373,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     if made.returncode:
         pytest.skip(f"can't mount a small disk here: {made.stderr.strip()}")
     yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
 @pytest.mark.parametrize("ballast_kb", [0, 800, 1150])
@@ -424,7 +424,7 @@ def test_frames_of_water(survey: Survey) -> None:
     """Nothing to see: every frame where its position says, each named."""
     rng = np.random.default_rng(5)
     for frame in survey.frames.iterdir():
-        sea = np.array([90.0, 70.0, 40.0]) + rng.normal(0.0, 1.0, (240, 320, 1))
+        sea = np.array([90.0, 70.0, 40.0]) + rng.normal(0.0, 1.0, (120, 160, 1))
         cv2.imwrite(str(frame), sea.round().astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 90])
     assert survey.mosaic("--adjust", "bundle", "--set", "projection.ground.height_m=520") == 0
     assert summary(survey.run)["frames"] == {"total": 4, "tied": 0, "placed": 4, "rejected": 0}
@@ -473,7 +473,7 @@ def test_control_points_outside_every_frame(survey: Survey, refused: Refused) ->
     assert len(texts) == 1 and texts[0].startswith("1 of 1 control and check points") and "far" in texts[0]
     shutil.rmtree(survey.run)
     gcp.write_text(f"{header}A,{lon},{lat},520,F0001.jpg,3200,100\n")
-    refused(survey.mosaic("--gcp", gcp), survey.run, gcp, "'A'", "F0001.jpg", "320 x 240", "--gcp-optional")
+    refused(survey.mosaic("--gcp", gcp), survey.run, gcp, "'A'", "F0001.jpg", "160 x 120", "--gcp-optional")
 
 
 def test_a_camera_file_for_another_frame_size(survey: Survey, refused: Refused) -> None:
@@ -481,7 +481,7 @@ def test_a_camera_file_for_another_frame_size(survey: Survey, refused: Refused) 
     for camera in cameras.values():
         camera["width"], camera["height"] = 4000, 2250
     survey.camera.write_text(json.dumps(cameras))
-    refused(survey.mosaic(), survey.run, survey.camera, "4000 x 2250", "320 x 240")
+    refused(survey.mosaic(), survey.run, survey.camera, "4000 x 2250", "160 x 120")
 
 
 def _shows_the_ground(survey: Survey, frames: float) -> None:
