@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from small_surveys import geomosaic, small_survey, summary
+from small_surveys import geomosaic, summary
 
 from geomosaic.cli.running import print_named
 from geomosaic.pipeline.recipe_names import recipe_names
@@ -19,14 +19,12 @@ from geomosaic.requests.run_request import default_folder
 from geomosaic_simulate.survey import SimulatedSurvey
 
 QUICK = ("-q", "--workers", 1, "--set", "adjustment.solve.method=least_squares")
-COMMAND = [sys.executable, "-m", "geomosaic.cli.main"]
 
 
 @pytest.fixture(scope="module")
-def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
+def frames(few_survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four small frames with tags."""
-    folder = tmp_path_factory.mktemp("home")
-    return small_survey(folder, lines=1, frames_per_line=4, width_px=320, height_px=240, pos_in="exif")
+    return shutil.copytree(few_survey.frames, tmp_path_factory.mktemp("home") / "frames")
 
 
 def all_below(folder: Path) -> set[Path]:
@@ -35,30 +33,30 @@ def all_below(folder: Path) -> set[Path]:
 
 
 def test_a_dry_run_says_what_the_run_would_take_and_leaves_nothing(
-    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
+    frames: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = all_below(survey.frames.parent)
-    assert geomosaic("mosaic", survey.frames, "--dry-run", "--gsd", 0.25, "--workers", 1) == 0
+    before = all_below(frames.parent)
+    assert geomosaic("mosaic", frames, "--dry-run", "--gsd", 0.25, "--workers", 1) == 0
     said = capsys.readouterr()
     told = dict(line.split(maxsplit=1) for line in said.out.splitlines())
     assert ": Read the survey, " in told["stages"] and "mosaic.tif" in told["results"]
-    assert told["frames"] == "4, 0 left out" and told["pairs"] == "6 to compare, in 1 flight lines"
+    assert told["frames"] == "4, 0 left out" and told["pairs"] == "6 to compare, in 2 flight lines"
     for part in ("px at 0.25 m and take ", " on the disk, ", " of memory and "):
         assert part in told["expected"]
-    assert said.out.splitlines()[-1].endswith(f"the run goes to {survey.frames}-mosaic")
-    assert "Match frames" not in said.err and all_below(survey.frames.parent) == before
+    assert said.out.splitlines()[-1].endswith(f"the run goes to {frames}-mosaic")
+    assert "Match frames" not in said.err and all_below(frames.parent) == before
 
 
 def test_a_dry_run_in_json_has_its_figures_as_numbers(
-    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
+    frames: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["mosaic", survey.frames, "--gsd", 0.25, "--workers", 1]
+    command = ["mosaic", frames, "--gsd", 0.25, "--workers", 1]
     assert geomosaic(*command, "--dry-run", "--json", "-q") == 0
     said = capsys.readouterr()
     plan = json.loads(said.out)
     assert said.err == ""
     assert plan["stages"][0] == "survey.read" and "mosaic.tif" in plan["results"]
-    assert plan["output"] == f"{survey.frames}-mosaic"
+    assert plan["output"] == f"{frames}-mosaic"
     assert plan["metrics"]["survey"]["frames"] == 4
     assert plan["metrics"]["placement"]["candidate_pairs"] == 6
     found = plan["metrics"]["estimate"]
@@ -75,21 +73,19 @@ def test_the_longest_word_widens_the_column(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out == "mosaic             a\nsurface_confidence b\n"
 
 
-def test_a_dry_run_refuses_what_the_run_refuses(
-    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dry_run_refuses_what_the_run_refuses(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
     few = ["--set", "mosaic.seams.max_gigapixels=0.001", "--gsd", 0.001, "--workers", 1]
-    assert geomosaic("mosaic", survey.frames, "--dry-run", *few) == 2
+    assert geomosaic("mosaic", frames, "--dry-run", *few) == 2
     assert "gigapixels at 0.001 m" in capsys.readouterr().err
 
 
 def test_a_recipe_by_name_quietly_into_a_folder_beside_the_frames(
-    survey: SimulatedSurvey, capsys: pytest.CaptureFixture[str]
+    frames: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert geomosaic("run", "quick-look", survey.frames, *QUICK) == 0
+    assert geomosaic("run", "quick-look", frames, *QUICK) == 0
     said = capsys.readouterr()
     assert said.out == said.err == ""
-    run = survey.frames.with_name("frames-quick-look")
+    run = frames.with_name("frames-quick-look")
     assert summary(run)["recipe"]["name"] == "quick look" and (run / "mosaic.tif").is_file()
     again = ("-o", run.with_name("again"), "--from", "mosaic.compose")
     for more in (("replay", run / "run.mcap", *again, *QUICK[:3]), ("export", "vrt", run, "-q")):
@@ -99,16 +95,16 @@ def test_a_recipe_by_name_quietly_into_a_folder_beside_the_frames(
     assert (run / "mosaic.vrt").is_file() and (run.with_name("again") / "mosaic.tif").is_file()
     assert geomosaic("export", "vrt", run.with_name("nowhere"), "-q") == 2
     assert "nowhere" in capsys.readouterr().err, "but errors"
-    assert geomosaic("run", "quick_lok", survey.frames) == 2
+    assert geomosaic("run", "quick_lok", frames) == 2
     assert "unknown recipe 'quick_lok'; did you mean 'quick-look'?" in capsys.readouterr().err
 
 
 def test_a_strict_run_fails_after_it_where_the_verdict_is_bad(
-    survey: SimulatedSurvey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     noise = np.random.default_rng(2)
     (tmp_path / "frames").mkdir()
-    for frame in sorted(survey.frames.glob("*.jpg")):
+    for frame in sorted(frames.glob("*.jpg")):
         tags = frame.read_bytes()
         pixels = cv2.imencode(".jpg", noise.integers(0, 255, (240, 320, 3), np.uint8))[1].tobytes()
         head = tags[: tags.index(b"\xff\xdb")]  # EXIF and XMP lie before the tables
@@ -159,12 +155,16 @@ def test_the_run_folder_lies_beside_what_is_read(
         ("geomosaic run quick", "quick-look"),
     ],
 )
-def test_a_shell_completes(line: str, found: str, tmp_path: Path) -> None:
+def test_a_shell_completes(
+    line: str, found: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     told = {"_GEOMOSAIC_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
-    done = subprocess.run(
-        COMMAND, env={**os.environ, **told}, cwd=tmp_path, capture_output=True, text=True, timeout=60
-    )
-    assert (done.stdout.split(), done.stderr) == ([found], "")
+    for name, value in told.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit):
+        geomosaic()
+    said = capsys.readouterr()
+    assert (said.out.split(), said.err) == ([found], "")
 
 
 LIGHT = """

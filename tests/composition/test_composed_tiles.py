@@ -25,7 +25,7 @@ from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import encode
 
-GSD_M = 0.04
+GSD_M = 0.06
 Made = tuple[EarlierMosaic, int]
 
 

@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from small_surveys import small_survey
+
+from geomosaic_simulate.survey import SimulatedSurvey
 
 OSGEO = {
     "are not installed": 'raise ModuleNotFoundError("No module named \'osgeo\'", name="osgeo")',
@@ -17,8 +18,9 @@ OSGEO = {
 
 
 @pytest.mark.parametrize("problem", OSGEO)
-def test_bindings_that_do_not_work_are_one_line_with_the_fix(problem: str, tmp_path: Path) -> None:
-    survey = small_survey(tmp_path, lines=1, frames_per_line=2, width_px=240, height_px=180)
+def test_bindings_that_do_not_work_are_one_line_with_the_fix(
+    problem: str, few_survey: SimulatedSurvey, tmp_path: Path
+) -> None:
     (tmp_path / "site" / "osgeo").mkdir(parents=True)
     (tmp_path / "site" / "osgeo" / "__init__.py").write_text(OSGEO[problem])
     (tmp_path / "bin").mkdir()
@@ -26,7 +28,7 @@ def test_bindings_that_do_not_work_are_one_line_with_the_fix(problem: str, tmp_p
     (tmp_path / "bin" / "gdal-config").chmod(0o755)
     path = os.pathsep.join([str(tmp_path / "bin"), os.environ["PATH"]])
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site"), "PATH": path}
-    for command in (["mosaic", str(survey.frames), "--workers", "1"], ["stages", "survey.read"]):
+    for command in (["mosaic", str(few_survey.frames), "--workers", "1"], ["stages", "survey.read"]):
         done = subprocess.run(
             [sys.executable, "-m", "geomosaic.cli.main", *command],
             env=environment, capture_output=True, text=True, timeout=60,

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from pyproj import CRS
-from small_surveys import mosaic, small_survey
+from small_surveys import mosaic
 
 from geomosaic.camera.rpc import parse_rpc
 from geomosaic.doors.files import printable, read_bytes, read_text
@@ -35,6 +35,7 @@ from geomosaic.survey.strip_companions import read_rpc
 from geomosaic.survey.strip_model import read_model
 from geomosaic.survey.strips import read_geometry
 from geomosaic.survey.xmp import number, parse_xmp
+from geomosaic_simulate.survey import SimulatedSurvey
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -44,18 +45,10 @@ def seconds(call: Callable[[], object]) -> float:
     return time.process_time() - start
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four frames in two lines, made once."""
-    folder = tmp_path_factory.mktemp("flown")
-    small_survey(folder, lines=2, frames_per_line=2, width_px=320, height_px=240)
-    return folder
-
-
 @pytest.fixture
-def flight(flown: Path, tmp_path: Path) -> Path:
-    """A copy that a test may spoil."""
-    return shutil.copytree(flown, tmp_path / "flight")
+def flight(few_survey: SimulatedSurvey, tmp_path: Path) -> Path:
+    """A copy of four frames in two lines that a test may spoil."""
+    return shutil.copytree(few_survey.frames.parent, tmp_path / "flight")
 
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -466,7 +459,8 @@ def test_odd_names_go_through_to_valid_results(flight: Path) -> None:
     first.rename(frames / odd)
     pos.write_text(pos.read_text().replace(first.name, odd))
     run = flight / "run"
-    assert mosaic(frames, run, "--pos", pos, "--camera", flight / "cameras.json") == 0
+    given = ("--pos", pos, "--camera", flight / "cameras.json", "--adjust", "least_squares")
+    assert mosaic(frames, run, *given) == 0
     page = (run / "report.html").read_text()
     html.parser.HTMLParser().feed(page)
     for svg in re.sub(r"(?s)<script.*?</script>", "", page).split("<svg")[1:]:

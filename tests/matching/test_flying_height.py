@@ -55,7 +55,7 @@ def test_a_survey_without_heights_becomes_a_mosaic(tmp_path: Path) -> None:
         tmp_path / "survey", frames_per_line=3, width_px=320, height_px=240, height_told=False
     )
     run = tmp_path / "run"
-    quick = ("--adjust", "least_squares")
+    quick = ("--adjust", "least_squares", "--set", "matching.sift.keypoints=800")
     assert mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera, *quick) == 0
     assert warned(run, "height-estimated")
     assert summary(run)["frames"]["tied"] == 6

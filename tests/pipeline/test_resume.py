@@ -52,6 +52,7 @@ class Counting(Silent):
 def recipe(frames: Path, camera: Path) -> Recipe:
     given = {
         "survey.read": {"frames": frames, "camera": camera},
+        "matching.sift": {"keypoints": 600},
         "mosaic.seams": {"gsd_m": 0.04},  # several blocks of windows
         "adjustment.solve": {"method": "least_squares"},
     }

@@ -44,7 +44,7 @@ def copied(survey: SimulatedSurvey, to: Path) -> Path:
 def made(survey: SimulatedSurvey, frames: Path, run: Path) -> dict[str, Any]:
     """The map of frames in the place of the survey's; what run.json says of it."""
     stages = (MAP_ALONE[0], "matching.flying_height", *MAP_ALONE[1:])  # retouched frames have no XMP
-    return made_map(replace(survey, frames=frames), run, stages)
+    return made_map(replace(survey, frames=frames), run, stages, matching__sift={"keypoints": 600})
 
 
 def invert(frame: Path) -> None:

@@ -283,7 +283,8 @@ def test_a_mosaic_by_positions_alone_is_not_called_good(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """0.4 m of noise are four pixels: people can't miss it, in the last lines, in run.json, in the report."""
-    survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=3)
+    size = {"lines": 1, "frames_per_line": 3, "width_px": 320, "height_px": 240}
+    survey = small_survey(tmp_path / "survey", **size)
     run = tmp_path / "run"
     assert mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera, "--adjust", "none") == 0
     told = summary(run)["verdict"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +12,22 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
-from recorded_survey import bad_survey
+from small_surveys import mosaic
 
 from geomosaic.cli.main import main
 from geomosaic.recording import read_recording
 from geomosaic.recording.inspect.summary import summary
+from geomosaic_simulate.survey import SimulatedSurvey
 
 
-@pytest.fixture
-def survey(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Its frames are away: in frames-away."""
-    survey = bad_survey(tmp_path_factory, "survey-whose-frames-go")
-    (survey / "frames").rename(survey / "frames-away")
-    yield survey
-    (survey / "frames-away").rename(survey / "frames")
+@pytest.fixture(scope="module")
+def survey(few_survey: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run whose frames are away: in frames-away."""
+    survey = tmp_path_factory.mktemp("survey")
+    frames = shutil.copytree(few_survey.frames, survey / "frames")
+    assert mosaic(frames, survey / "run", "--adjust", "least_squares") == 0
+    frames.rename(survey / "frames-away")
+    return survey
 
 
 def replay(survey: Path, out: Path, *arguments: object) -> int:
@@ -104,8 +105,8 @@ def test_a_frame_that_is_not_the_recorded_one_is_not_taken(
 ) -> None:
     found = tmp_path / "found"
     shutil.copytree(survey / "frames-away", found)
-    cv2.imwrite(str(found / "F0002.jpg"), np.full((300, 400, 3), (0, 0, 255), np.uint8))
+    cv2.imwrite(str(found / "F0002.jpg"), np.full((240, 320, 3), (0, 0, 255), np.uint8))
     assert replay(survey, tmp_path / "out", "--from", "mosaic.tones", "--frames", found) == 2
     said = capsys.readouterr().err.splitlines()[-1]
-    assert "1 of 12 files" in said and "F0002.jpg" in said
+    assert "1 of 4 files" in said and "F0002.jpg" in said
     assert not (tmp_path / "out").exists()

@@ -16,6 +16,7 @@ ERRORS = {
 }
 WITH_FIX = {"InputError", "FileError", "OutputError"}
 WARNINGS = {"Warn", "warn", "_warn"}
+CALLED = ERRORS | WARNINGS
 VALUE = "VALUE"
 """Stands for what a text takes in."""
 
@@ -46,16 +47,23 @@ def _in_file(path: Path) -> Iterator[Message]:
     functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
     seen: set[int] = set()
     for function in sorted(functions, key=lambda n: -n.lineno):
-        names = {**constants, **_assigned(list(ast.walk(function)))}
-        for call in (n for n in ast.walk(function) if isinstance(n, ast.Call) and id(n) not in seen):
+        nodes = list(ast.walk(function))
+        calls = [n for n in nodes if isinstance(n, ast.Call) and id(n) not in seen and _name(n) in CALLED]
+        names = {**constants, **_assigned(nodes)} if calls else {}
+        for call in calls:
             seen.add(id(call))
-            name = getattr(call.func, "id", getattr(call.func, "attr", ""))
+            name = _name(call)
             where = f"{path.relative_to(ROOT)}:{call.lineno}"
             if name in ERRORS and call.args:
                 fix = next((k.value for k in call.keywords if k.arg == "fix"), None)
                 yield Message(where, name, _texts(call.args[0], names), _texts(fix, names), fix is not None)
             elif name in WARNINGS and len(call.args) >= 3:
                 yield Message(where, "warning", _texts(call.args[2], names), (), True)
+
+
+def _name(call: ast.Call) -> str:
+    """The function's, without its module or object."""
+    return getattr(call.func, "id", getattr(call.func, "attr", ""))
 
 
 def _assigned(nodes: list[ast.AST] | list[ast.stmt]) -> dict[str, list[ast.expr]]:

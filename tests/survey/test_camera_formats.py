@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_surveys import mosaic, small_survey, summary
+from small_surveys import mosaic, summary
 from survey_files import dji_xmp, exif_block, gps, image, survey_folder, write_dng, write_jpeg
 
 from geomosaic.doors.camera_formats import CAMERA_FORMATS, camera_image, decoded_camera_image
@@ -20,6 +20,7 @@ from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.jpeg import read_structure
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
+from geomosaic_simulate.survey import SimulatedSurvey
 
 SIZE = 240, 160
 TAGS = {
@@ -175,12 +176,14 @@ def converted(jpegs: Path, folder: Path, suffix: str) -> list[FrameHeader]:
 @pytest.mark.parametrize(
     ("suffix", "module"), [(".dng", "rawpy"), pytest.param(".heic", "pillow_heif", marks=pytest.mark.proof)]
 )
-def test_a_folder_of_them_becomes_a_mosaic(tmp_path: Path, suffix: str, module: str) -> None:
+def test_a_folder_of_them_becomes_a_mosaic(
+    few_survey: SimulatedSurvey, tmp_path: Path, suffix: str, module: str
+) -> None:
     pytest.importorskip(module)
-    jpegs = small_survey(tmp_path / "flight", lines=1, width_px=320, height_px=240).frames
     folder, run = tmp_path / f"frames{suffix}", tmp_path / "run"
-    headers = converted(jpegs, folder, suffix)
-    assert mosaic(folder, run, "--adjust", "least_squares", "-q") == 0
+    headers = converted(few_survey.frames, folder, suffix)
+    quick = ("--adjust", "least_squares", "--set", "matching.sift.keypoints=600", "-q")
+    assert mosaic(folder, run, *quick) == 0
     assert summary(run)["frames"]["tied"] == len(headers)
     with open_raster(run / "mosaic.tif", OWN) as raster:
         assert raster.dtypes[0] == headers[0].dtype

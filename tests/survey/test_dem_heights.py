@@ -212,7 +212,8 @@ def test_the_surface_of_a_dem_is_exact_between_its_knots() -> None:
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     """One line of three frames with a DEM."""
-    return small_survey(tmp_path_factory.mktemp("dem"), lines=1, frames_per_line=3, seed=31)
+    size = {"width_px": 320, "height_px": 240}
+    return small_survey(tmp_path_factory.mktemp("dem"), lines=1, frames_per_line=3, seed=31, **size)
 
 
 def test_a_dem_with_a_hole_of_9999_gives_the_pixel_it_gave_without(

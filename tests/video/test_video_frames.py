@@ -139,7 +139,7 @@ def test_a_mosaic_comes_of_them(tmp_path: Path) -> None:
     frames, run, quick = (
         tmp_path / "frames",
         tmp_path / "run",
-        ("--adjust", "least_squares", "--workers", 1, "-q"),
+        ("--adjust", "least_squares", "--workers", 1, "-q", "--set", "matching.sift.keypoints=600"),
     )
     assert geomosaic("frames", video, "-o", frames, "--overlap", "0.7", "-q") == 0
     assert geomosaic("mosaic", frames, "--pos", frames / "pos.csv", "-o", run, *quick) == 0
