@@ -106,7 +106,7 @@ def test_small_turns_are_found_too() -> None:
     assert bent_m[1] < 0.3 * bent_m[0], bent_m
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.proof)])
 def test_gusts_over_all_land_are_not_taken_for_a_camera_that_turns(seed: int) -> None:
     """A camera whose frames turn while they are read would follow 5 to 10 % of them, and the block would bend."""
     flown = fly(seed, 2, 6, points=350, there_and_back=True, gusts_px=2.0)
@@ -130,6 +130,7 @@ def test_velocities_that_nobody_reports_are_not_taken_for_frames_that_turn() -> 
     assert "at 10 m/s the map would be stretched by 0.8 % along the lines" in line
 
 
+@pytest.mark.proof
 def test_frames_that_turn_while_they_are_read(turning: Adjusted) -> None:
     flown, adjusted = fly(3, 2, 4, **TURNING), turning
     given = METHODS["bundle"](flown.block, Settings(model="given"))
@@ -163,7 +164,7 @@ def test_frames_that_shake_while_they_are_read() -> None:
     assert np.sqrt(np.mean(missed**2)) < 0.4 * np.sqrt(np.mean(truth**2))
 
 
-@pytest.mark.parametrize("readout_s", [0.02, 0.0])
+@pytest.mark.parametrize("readout_s", [pytest.param(0.02, marks=pytest.mark.proof), 0.0])
 def test_all_images_together_show_a_readout_that_is_below_the_noise_of_each(readout_s: float) -> None:
     """15 m/s and 0.02 s stretch crossing lines by half a percent, which positions and tilts take up but for 0.15 px."""
     flown = fly(7, 4, 6, points=900, crossed=True, readout_s=readout_s)
@@ -189,6 +190,7 @@ def test_turns_that_are_told_wrongly_are_not_followed() -> None:
     assert adjusted.figures["sigma_px"] < 0.4
 
 
+@pytest.mark.proof
 def test_a_fisheye_lens_of_which_nobody_spoke() -> None:
     """Corners at 82 degrees: Brown's terms don't bend a pinhole's image so far."""
     eye = Camera("eye", 1600, 1200, 700.0, 802.0, 597.0, k1=0.01, kind="fisheye")
@@ -301,6 +303,7 @@ def test_turns_that_left_out_points_do_not_show_are_taken_where_rates_are_too_la
     assert bent_m[1] < 0.9 * bent_m[0], bent_m
 
 
+@pytest.mark.proof
 def test_no_turns_are_taken_where_there_are_none() -> None:
     steady = METHODS["bundle"](fly(5, 2, 7, **STEADY).block, Settings())
     assert steady.model is None or steady.model.taken == ()
@@ -360,6 +363,7 @@ def test_the_model_with_most_unknowns_is_begun_first() -> None:
     assert begun == ["given", "auto"]
 
 
+@pytest.mark.proof
 def test_a_model_that_cannot_win_is_not_solved(turning: Adjusted, counted: Counted) -> None:
     """Frames turn by 20 px: a readout alone and a fisheye gain nothing in the test."""
     assert turning.model is not None and turning.model.taken == ("turning",)

@@ -41,7 +41,9 @@ def worst(adjusted: Adjusted) -> float:
     return max(float(np.abs(c.residual_m / c.sd_m).max()) for c in adjusted.control)
 
 
-@pytest.mark.parametrize("seed", [1, 3, 7])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(1, marks=pytest.mark.proof), pytest.param(3, marks=pytest.mark.proof), 7]
+)
 def test_control_of_two_metres_is_weighted_by_that(seed: int) -> None:
     flown = fly(seed, points=300, position_sd_m=np.array([0.5, 0.5, 0.5]))
     control = surveyed(flown, 2.0)
@@ -59,7 +61,7 @@ def test_control_of_two_metres_is_weighted_by_that(seed: int) -> None:
     assert np.all(np.abs(off) < 4.0 * adjusted.poses.positions_sd_m)
 
 
-@pytest.mark.parametrize("noise_m", [0.05, 2.0])
+@pytest.mark.parametrize("noise_m", [pytest.param(0.05, marks=pytest.mark.proof), 2.0])
 def test_a_blunder_among_them_is_named_and_widens_nothing(noise_m: float) -> None:
     flown = fly(5, points=300, position_sd_m=np.array([0.5, 0.5, 0.5]))
     control = surveyed(flown, noise_m)
@@ -87,7 +89,7 @@ def test_good_control_is_as_stated_whatever_the_positions() -> None:
     assert np.abs(away.mean(axis=0)).max() < 0.4
 
 
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.proof)])
 def test_control_corrects_heights_without_datum_that_are_off_in_common(seed: int) -> None:
     """By 6 m, two of their deviations: left as they are they lean the block, and the focal length makes up."""
     flown = fly(seed, 2, 8, points=500, position_sd_m=np.array([2.0, 2.0, 3.0]))

@@ -101,7 +101,7 @@ def test_points_on_a_line_have_no_similarity() -> None:
     assert Similarity3D.through(line[:2], line[:2]) is None
 
 
-@pytest.mark.parametrize("plan_only", [True, False])
+@pytest.mark.parametrize("plan_only", [True, pytest.param(False, marks=pytest.mark.proof)])
 def test_control_by_a_handheld_receiver_does_not_turn_a_block_over(plan_only: bool) -> None:
     """Five points along a line, 2 m off each: in plan alone with 0 for their heights, or with heights.
 

@@ -83,8 +83,8 @@ def scale_off(adjusted: Adjusted, true_m: np.ndarray) -> float:
 def test_two_flights_do_not_stretch_the_block() -> None:
     """By one offset for all, 4 m between two halves of 240 m would; the offsets are found instead."""
     block, true_m = flown_twice(3)
-    apart = METHODS["bundle"](block, Settings(ground="flat"))
-    as_one = METHODS["bundle"](replace(block, flights=()), Settings(ground="flat"))
+    apart = METHODS["bundle"](block, Settings(model="given", ground="flat"))
+    as_one = METHODS["bundle"](replace(block, flights=()), Settings(model="given", ground="flat"))
     assert abs(scale_off(as_one, true_m)) > 6e-3
     assert abs(scale_off(apart, true_m)) < 3e-3
     assert apart.shared is not None
@@ -106,5 +106,5 @@ def test_rtk_flights_keep_their_positions() -> None:
     straight_m = block.poses.positions_m.copy()
     straight_m[:, :2] -= OFFSETS_M[list(block.flights)]
     sharp = replace(block.poses, positions_m=straight_m, positions_sd_m=stated_m)
-    adjusted = METHODS["bundle"](replace(block, poses=sharp), Settings(ground="flat"))
+    adjusted = METHODS["bundle"](replace(block, poses=sharp), Settings(model="given", ground="flat"))
     assert adjusted.shared is not None and not any("offset" in name for name in adjusted.shared.names)

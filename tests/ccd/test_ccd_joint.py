@@ -181,6 +181,7 @@ def test_low_clouds_as_dark_as_the_ground_are_not_called_measured():
     assert honest(off, sd) > 0.85
 
 
+@pytest.mark.proof
 def test_bright_ground_is_ground():
     off, _, label = pooled(replace(PLAN, seed=32, brightness=0.15, saturated_share=0.3))
     assert rms(off) < 0.02
@@ -258,7 +259,14 @@ def test_missing_ccd_and_shorter_strip():
     assert rms(errors(PLAN, found)[1][0]) < 0.03
 
 
-@pytest.mark.parametrize("fault", [{"lost": "1:3200:5"}, {"repeated": "2:3500:7"}, {"lost": "3:2800:1"}])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        pytest.param({"lost": "1:3200:5"}, marks=pytest.mark.proof),
+        pytest.param({"repeated": "2:3500:7"}, marks=pytest.mark.proof),
+        {"lost": "3:2800:1"},
+    ],
+)
 def test_lost_and_repeated_lines(fault):
     plan = replace(THREE, **fault)
     for off, _, label in errors(plan, solved(plan)):

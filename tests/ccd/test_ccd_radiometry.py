@@ -60,9 +60,9 @@ def steps(plan: StripPlan, found: Radiometry, brightness: float = 0.35) -> np.nd
     "change",
     [
         {},
-        {"bit_depth": 8},
-        {"bit_depth": 12, "first_row": 2},
-        {"low_contrast_share": 0.4},
+        pytest.param({"bit_depth": 8}, marks=pytest.mark.proof),
+        pytest.param({"bit_depth": 12, "first_row": 2}, marks=pytest.mark.proof),
+        pytest.param({"low_contrast_share": 0.4}, marks=pytest.mark.proof),
         {"column_sd": 0.01},
         {"saturated_share": 0.2},
     ],
@@ -81,7 +81,7 @@ def test_gains_and_steps_are_those_of_the_sensors(change):
     assert found.offset.mean() == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("labels", [True, False])
+@pytest.mark.parametrize("labels", [pytest.param(True, marks=pytest.mark.proof), False])
 def test_moving_clouds_are_kept_out(labels):
     plan = replace(PLAN, cloud_cover=0.5, cloud_size_m=1500.0, seed=6)
     strips, _, pairs = simulated(plan)

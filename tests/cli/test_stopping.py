@@ -43,7 +43,7 @@ def raster(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("percent", [0, 20, 70])
+@pytest.mark.parametrize("percent", [0, pytest.param(20, marks=pytest.mark.proof), 70])
 def test_a_signal_while_gdal_writes_stops_it_and_leaves_nothing(
     number: int, percent: int, raster: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -67,7 +67,15 @@ def test_a_signal_while_gdal_writes_stops_it_and_leaves_nothing(
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-@pytest.mark.parametrize("then", ["pass", "raise OSError('disk')", "return 0", "raise"])
+@pytest.mark.parametrize(
+    "then",
+    [
+        "pass",
+        "raise OSError('disk')",
+        pytest.param("return 0", marks=pytest.mark.proof),
+        pytest.param("raise", marks=pytest.mark.proof),
+    ],
+)
 def test_a_command_ends_in_time_with_the_signal_s_code(number: int, code: int, then: str) -> None:
     """Also where a library swallows the exception, or makes another one of it."""
     process = subprocess.Popen(
@@ -160,7 +168,10 @@ def test_a_signal_that_is_ignored_stays_so() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "True\n"
 
 
-@pytest.mark.parametrize("after_s", [0.5, 0.7, 0.9, 1.2])
+@pytest.mark.parametrize(
+    "after_s",
+    [pytest.param(0.5, marks=pytest.mark.proof), 0.7, pytest.param(0.9, marks=pytest.mark.proof), 1.2],
+)
 def test_workers_that_are_being_prepared_hear_no_interrupt(after_s: float, tmp_path: Path) -> None:
     """Ctrl-C goes to the whole group: the process that workers are forked from is then among its imports."""
     for i in range(3):

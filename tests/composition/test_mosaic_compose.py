@@ -111,6 +111,7 @@ def test_threads_and_memory_change_no_byte(tmp_path, monkeypatch):
     assert runs["one"] == runs["two"]
 
 
+@pytest.mark.proof
 def test_a_composition_that_was_stopped_brings_no_frame_onto_the_grid_twice(tmp_path, monkeypatch):
     """By two processes, by one, and by threads alone the mosaic is the same to the byte."""
     survey, poses, ground = make_survey(tmp_path / "frames", suffix=".jpg")

@@ -43,7 +43,7 @@ def exactly(whole: FramePart, planned: Planned, asked: np.ndarray) -> FramePart:
     return FramePart(tuple(patches))
 
 
-@pytest.mark.parametrize("blend", ["multi_band", "feather", "hard"])
+@pytest.mark.parametrize("blend", ["multi_band", pytest.param("feather", marks=pytest.mark.proof), "hard"])
 def test_a_window_of_the_asked_cells_alone_is_that_of_all_frames_whole(tmp_path: Path, blend: str) -> None:
     """Frames of several brightnesses, so that a pixel whose neighbours are missing shows it."""
     survey, poses, ground = make_survey(tmp_path, gains=(0.5, 0.9, 0.7, 0.95, 0.6, 0.8))

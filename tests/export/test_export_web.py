@@ -201,7 +201,7 @@ def test_mbtiles_finer_than_gdal_opens_end_at_zoom_22(cog, tmp_path):
         assert file.execute("SELECT max(zoom_level) FROM tiles").fetchone() == (23,)
 
 
-@pytest.mark.parametrize("tile_format", ["png", "webp"])
+@pytest.mark.parametrize("tile_format", [pytest.param("png", marks=pytest.mark.proof), "webp"])
 def test_pmtiles_hold_the_tiles_of_the_folder(cog, tmp_path, tile_format):
     write_tiles(cog, tmp_path / "tiles", TileOptions(tile_format=tile_format, threads=1))
     for name in ("a", "b"):

@@ -160,7 +160,15 @@ def fetched(home: Path, *given: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("by", ["file", "folder", "server", "name"])
+@pytest.mark.parametrize(
+    "by",
+    [
+        pytest.param("file", marks=pytest.mark.proof),
+        "folder",
+        "server",
+        pytest.param("name", marks=pytest.mark.proof),
+    ],
+)
 def test_a_fetched_grid_is_used(by: str, tmp_path: Path) -> None:
     there, home = tmp_path / "there", tmp_path / "home"
     there.mkdir()

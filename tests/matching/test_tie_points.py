@@ -41,7 +41,7 @@ def image(affine: np.ndarray, seed: int, size: tuple[int, int] = (420, 400)) -> 
     return np.clip(np.rint(land(places[..., 0], places[..., 1], seed)), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.proof)])
 def test_windows_are_found_to_a_fiftieth_of_a_pixel_turned_and_stretched(seed: int) -> None:
     """A quarter turn less 8 degrees, 12 % smaller, seen aslant, darker: places told 1.5 px off are found without
     bias, where the shapes told are 3 % off."""

@@ -60,7 +60,7 @@ def test_untied_frames_follow_a_block_that_control_moves() -> None:
     assert not [w for w in control_warnings(adjusted.control) if w.code == "check-disagrees"]
 
 
-@pytest.mark.parametrize("kind", ["similarity", "drift", "few"])
+@pytest.mark.parametrize("kind", [pytest.param("similarity", marks=pytest.mark.proof), "drift", "few"])
 def test_the_deviation_of_the_prediction_is_right(kind: str) -> None:
     """Of 40 frames left out one by one, errors are as large as stated."""
     rng = np.random.default_rng(5)

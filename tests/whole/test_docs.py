@@ -354,6 +354,7 @@ def test_conda_s_environment_and_the_notice_know_all_that_is_needed() -> None:
         assert re.sub(r"\W", "", name.removesuffix("-python-headless").removesuffix("2")) in notice, one
 
 
+@pytest.mark.proof
 def test_the_site_builds(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs")
     command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "--quiet", "-d", tmp_path]
