@@ -23,14 +23,14 @@ def flown() -> Flown:
 @pytest.fixture(scope="module")
 def earlier(flown: Flown) -> SolvedBlock:
     """Of the first two of three lines."""
-    solved = BUNDLE(part_of_block(flown.block, np.arange(12)), Settings()).solved
+    solved = BUNDLE(part_of_block(flown.block, np.arange(12)), Settings(model="given")).solved
     assert solved is not None
     return solved
 
 
 @pytest.fixture(scope="module")
 def whole(flown: Flown) -> Adjusted:
-    return BUNDLE(flown.block, Settings())
+    return BUNDLE(flown.block, Settings(model="given"))
 
 
 def begun(adjusted: Adjusted) -> bool:
@@ -44,7 +44,7 @@ def off_px(one: Adjusted, other: Adjusted) -> float:
 
 def test_a_line_more(flown: Flown, earlier: SolvedBlock, whole: Adjusted) -> None:
     """New frames have no earlier pose; all end within a tenth of a pixel of a whole solution."""
-    found = BUNDLE(replace(flown.block, earlier=earlier), Settings())
+    found = BUNDLE(replace(flown.block, earlier=earlier), Settings(model="given"))
     assert begun(found)
     assert not begun(whole)
     assert off_px(found, whole) < 0.1
@@ -57,21 +57,21 @@ def test_a_line_more(flown: Flown, earlier: SolvedBlock, whole: Adjusted) -> Non
 def test_frames_removed(flown: Flown, whole: Adjusted) -> None:
     """Of a solution of all, those frames that are left."""
     left = part_of_block(flown.block, np.arange(6, 18))
-    found = BUNDLE(replace(left, earlier=whole.solved), Settings())
+    found = BUNDLE(replace(left, earlier=whole.solved), Settings(model="given"))
     assert begun(found)
-    assert off_px(found, BUNDLE(left, Settings())) < 0.1
+    assert off_px(found, BUNDLE(left, Settings(model="given"))) < 0.1
 
 
 def test_a_model_that_fits_no_more(flown: Flown, earlier: SolvedBlock, whole: Adjusted) -> None:
     """Images that fit worse than they did: the whole procedure, to the same bytes."""
     better = {**earlier.components, "image": earlier.components["image"] / 1.2}
-    found = BUNDLE(replace(flown.block, earlier=replace(earlier, components=better)), Settings())
+    found = BUNDLE(replace(flown.block, earlier=replace(earlier, components=better)), Settings(model="given"))
     assert not begun(found)
     assert found.poses.positions_m.tobytes() == whole.poses.positions_m.tobytes()
 
 
 def test_few_frames_are_known(flown: Flown, earlier: SolvedBlock, whole: Adjusted) -> None:
-    found = BUNDLE(replace(flown.block, earlier=earlier.of(flown.block.names[:4])), Settings())
+    found = BUNDLE(replace(flown.block, earlier=earlier.of(flown.block.names[:4])), Settings(model="given"))
     assert not begun(found)
     assert found.poses.positions_m.tobytes() == whole.poses.positions_m.tobytes()
 

@@ -34,7 +34,7 @@ def turned(block: Block, frames: list[int]) -> Block:
 
 
 def solved(block: Block) -> Adjusted:
-    return METHODS["bundle"](block, Settings())
+    return METHODS["bundle"](block, Settings(model="given"))
 
 
 def bent_m(flown: Flown, found: Adjusted) -> float:

@@ -9,12 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from osgeo import gdal
-from small_surveys import geomosaic, mosaic, small_survey
+from small_surveys import geomosaic, made_map, mosaic
 from web_server import Server
 
 from geomosaic.doors.addresses import parsed, read_addresses
@@ -138,29 +139,20 @@ def test_a_folder_of_an_object_store_gives_what_a_survey_holds(
 
 
 def test_fetched_frames_give_the_mosaic_of_local_ones(
-    server: Server, survey: SimulatedSurvey, tmp_path: Path
+    server: Server, few_survey: SimulatedSurvey, tmp_path: Path
 ) -> None:
     bucket = server.root / "bucket"
     bucket.mkdir()
-    for path in (*survey.frames.glob("*.jpg"), survey.camera):
+    for path in (*few_survey.frames.glob("*.jpg"), few_survey.camera):
         (bucket / path.name).write_bytes(path.read_bytes())
     assert fetch(tmp_path / "frames", "s3://bucket/") == 0
-    camera = survey.camera.name
-    for name, frames, lens in (
-        ("local", survey.frames, survey.camera),
-        ("fetched", tmp_path / "frames", tmp_path / "frames" / camera),
-    ):
-        method = ("--adjust", "none", "--fixed-time", "--set", "matching.sift.keypoints=300")
-        assert mosaic(frames, tmp_path / name, "--camera", lens, *method) == 0
+    fetched = replace(
+        few_survey, frames=tmp_path / "frames", camera=tmp_path / "frames" / few_survey.camera.name
+    )
+    for name, one in (("local", few_survey), ("fetched", fetched)):
+        made_map(one, tmp_path / name, matching__sift={"keypoints": 600})
     for result in ("mosaic.tif", "positions.csv"):
         assert (tmp_path / "local" / result).read_bytes() == (tmp_path / "fetched" / result).read_bytes()
-
-
-@pytest.fixture(scope="module")
-def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
-    return small_survey(
-        tmp_path_factory.mktemp("survey"), lines=1, frames_per_line=3, width_px=320, height_px=240, seed=21
-    )
 
 
 def test_whoever_wants_frames_from_a_url_is_told_how(

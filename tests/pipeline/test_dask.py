@@ -40,7 +40,7 @@ class Striking(Silent):
 
 
 def flight(folder: Path) -> SimulatedSurvey:
-    return small_survey(folder, lines=2, frames_per_line=2, width_px=320, height_px=240, seed=21)
+    return small_survey(folder, lines=1, frames_per_line=3, width_px=320, height_px=240, seed=21)
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,7 @@ from tools.bench.bench_incremental import TARGET_GREY, TARGET_PX, differences
 SIZE = {"lines": 3, "frames_per_line": 3, "width_px": 240, "height_px": 180, "seed": 9}
 RTK = {"position_sd_m": 0.01, "height_sd_m": 0.01}
 FIRST, ALL = 6, 9
+FEWER = "matching.sift.keypoints=500"
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
 
 
 def given(survey: SimulatedSurvey) -> list[object]:
-    return ["--pos", survey.pos, "--camera", survey.camera, "--fixed-time"]
+    return ["--pos", survey.pos, "--camera", survey.camera, "--fixed-time", "--set", FEWER]
 
 
 def copied(survey: SimulatedSurvey, to: Path, first: int, last: int) -> Path:
@@ -81,7 +82,7 @@ def refused(frames: Path, run: Path, **options: object) -> str:
 def test_why_it_can_not(finished: tuple[Path, Path], survey: SimulatedSurvey, tmp_path: Path) -> None:
     """One line each, which says what to do; the finished run stays."""
     frames, run = finished
-    same = {"pos": survey.pos, "camera": survey.camera, "fixed_time": True}
+    same = {"pos": survey.pos, "camera": survey.camera, "fixed_time": True, "set": [FEWER]}
     text = refused(frames, tmp_path / "none", **same)
     assert "no finished run to go on from; leave out --incremental" in text
     text = refused(frames, run, **same, gsd="0.2")

@@ -16,16 +16,20 @@ from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.errors import NotSolvableError
 from tools.trials.trial_degenerate import problems, tried
 
-EACH_WAY = (0, 1, 2, 3, 4, 5, 7, 8, 10, 12, 20, 23, 24, 27, 28, 32, 33, 34, 38, 39)
-"""Draws of which each way to be degenerate has two, unless 40 have but one."""
+EACH_WAY = (1, 3, 4, 8, 10, 20, 23, 24, 32, 33, 38, 39)
+"""Draws of which each way to be degenerate has one."""
+AGAIN = (0, 2, 5, 7, 12, 27, 28, 34)
+"""With these each way has two, unless 40 have but one."""
 
 
-def test_degenerate_blocks_end_finite() -> None:
+@pytest.mark.parametrize("draws", [EACH_WAY, pytest.param(AGAIN, marks=pytest.mark.proof)])
+def test_degenerate_blocks_end_finite(draws: tuple[int, ...]) -> None:
     """`make trial-degenerate` draws 10,000."""
-    wrong = [(20_000 + k, kind, why) for k in EACH_WAY for _, kind, why, *_ in [tried(20_000 + k)] if why]
+    wrong = [(20_000 + k, kind, why) for k in draws for _, kind, why, *_ in [tried(20_000 + k)] if why]
     assert not wrong
 
 
+@pytest.mark.proof
 def test_a_point_behind_all_its_cameras_does_not_end_the_solve() -> None:
     """Wrong matches across parallel rays throw points of a large block above the cameras."""
     flown = fly(5, 4, 8, points=5200, noise_px=0.2)
@@ -87,7 +91,7 @@ def test_each_level_that_fails_is_one_warning_and_the_next_takes_over() -> None:
 
 def test_without_self_calibration_the_lens_stays_as_given_and_its_doubt_counts() -> None:
     block = fly(3, 3, 4, crossed=True, relief=hills).block
-    free, held = (pose_block(block, Settings(self_calibration=own)) for own in (True, False))
+    free, held = (pose_block(block, Settings(model="given", self_calibration=own)) for own in (True, False))
     for camera, given in zip(held.cameras, block.cameras, strict=True):
         assert camera.focal_length_px == given.focal_length_px and camera.k1 == given.k1
     assert any(
