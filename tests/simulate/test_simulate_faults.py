@@ -14,6 +14,7 @@ import exifread
 import numpy as np
 import pytest
 import rasterio
+from small_surveys import simulated
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
@@ -36,7 +37,7 @@ from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.readout import Readout, readout_of
 from geomosaic_simulate.relief import Relief
 from geomosaic_simulate.render import World, haze, render, sight_of
-from geomosaic_simulate.survey import simulate_frames, smear_px
+from geomosaic_simulate.survey import smear_px
 from geomosaic_simulate.write import opensfm_camera
 
 TINY = {
@@ -109,7 +110,7 @@ def test_the_gyroscopes_tag_tells_how_the_platform_turned(tmp_path: Path) -> Non
         seed=3, lines=1, frames_per_line=2, rolling_shutter_s=0.0857, vibration_deg_per_s=4.0, vibration_hz=7.0,
         gyroscope_told=True, readout_told=True, **TINY,
     )  # fmt: skip
-    survey = simulate_frames(tmp_path, plan)
+    survey = simulated(tmp_path, plan)
     truth = json.loads(survey.truth.read_text())["frames"][1]["vibration"]
     tags = camera_tags(survey.frames / "F0002.jpg")
     assert int(tags["LineReadoutTime"]) * 120 == pytest.approx(0.0857e9, abs=60)
@@ -191,7 +192,7 @@ STRAYS = SurveyPlan(
 
 
 def test_frames_that_belong_in_no_map_are_there_and_named(tmp_path: Path) -> None:
-    survey = simulate_frames(tmp_path, STRAYS)
+    survey = simulated(tmp_path, STRAYS)
     truth = json.loads(survey.truth.read_text())
     flight = fly(STRAYS)
     roles = ["take_off", "take_off", "survey", "survey", "survey", "oblique", "horizon", "landing"]
@@ -226,7 +227,7 @@ def test_frames_that_belong_in_no_map_are_there_and_named(tmp_path: Path) -> Non
 
 
 def test_frames_without_gps_have_no_position_anywhere(tmp_path: Path) -> None:
-    survey = simulate_frames(tmp_path, STRAYS)
+    survey = simulated(tmp_path, STRAYS)
     assert survey.pos is not None
     with survey.pos.open(newline="") as file:
         told = {row["frame"] for row in csv.DictReader(file)}
@@ -306,7 +307,7 @@ def test_the_tags_tell_the_told_lens_and_not_the_true_one(tmp_path: Path) -> Non
     plan = SurveyPlan(
         seed=3, lines=1, frames_per_line=1, lens="fisheye", lens_in_tags=True, **{**TINY, "k1": 0.04}
     )
-    tags = camera_tags(simulate_frames(tmp_path / "told", plan).frames / "F0001.jpg")
+    tags = camera_tags(simulated(tmp_path / "told", plan).frames / "F0001.jpg")
     assert tags["ModelType"] == "fisheye"
     half_turn_px = [float(v) for v in tags["FisheyeAffineMatrix"].split(",")]
     np.testing.assert_allclose(half_turn_px, np.array([1.0, 0.0, 0.0, 1.0]) * 200.0 * np.pi / 2.0, atol=1e-5)
@@ -315,7 +316,7 @@ def test_the_tags_tell_the_told_lens_and_not_the_true_one(tmp_path: Path) -> Non
     radius = half_turn_px[0] * sum(p * share**k for k, p in enumerate(poly))
     assert radius == pytest.approx(200.0 * np.radians(35.0) * (1.0 + 0.04 * np.radians(35.0) ** 2), abs=1e-5)
     hidden = dataclasses.replace(plan, lens_told=False, focal_error=0.03)
-    survey = simulate_frames(tmp_path / "hidden", hidden)
+    survey = simulated(tmp_path / "hidden", hidden)
     tags = camera_tags(survey.frames / "F0001.jpg")
     assert tags["ModelType"] == "perspective"
     assert float(tags["PerspectiveFocalLength"]) == pytest.approx(206.0 * 13.2 / 160.0, abs=1e-5)

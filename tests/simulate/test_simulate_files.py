@@ -14,6 +14,7 @@ import pytest
 import rasterio
 from defusedxml.ElementTree import fromstring
 from pyproj import Geod
+from small_surveys import simulated
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.rotation import Rotation, about_z
@@ -193,8 +194,8 @@ def test_a_stored_frame_lies_on_the_ortho_by_its_true_position(survey: Simulated
 
 def test_turning_turns_pixels_and_nothing_else(tmp_path: Path) -> None:
     lossless = dataclasses.replace(PLAN, format="tiff8", pos_in="csv", turned="")
-    straight = simulate_frames(tmp_path / "a", lossless)
-    turned = simulate_frames(tmp_path / "b", dataclasses.replace(lossless, turned="1"))
+    straight = simulated(tmp_path / "a", lossless)
+    turned = simulated(tmp_path / "b", dataclasses.replace(lossless, turned="1"))
     a, b = (cv2.imread(str(s.frames / "F0001.tif"), cv2.IMREAD_UNCHANGED) for s in (straight, turned))
     assert np.array_equal(a[::-1, ::-1], b)
     assert rows_of(straight.pos) == rows_of(turned.pos)
@@ -202,7 +203,7 @@ def test_turning_turns_pixels_and_nothing_else(tmp_path: Path) -> None:
 
 def test_sixteen_bits_hold_more_than_eight(tmp_path: Path) -> None:
     plan = dataclasses.replace(PLAN, format="tiff16", pos_in="csv", frames_per_line=1, turned="")
-    frame = cv2.imread(str(simulate_frames(tmp_path, plan).frames / "F0001.tif"), cv2.IMREAD_UNCHANGED)
+    frame = cv2.imread(str(simulated(tmp_path, plan).frames / "F0001.tif"), cv2.IMREAD_UNCHANGED)
     assert frame.dtype == np.uint16 and frame.shape == (180, 240, 3)
     assert np.unique(frame).size > 2000
 
@@ -211,7 +212,7 @@ def test_hills_and_standing_buildings_are_in_the_height_models(tmp_path: Path) -
     plan = dataclasses.replace(
         PLAN, relief_m=8.0, relief_wavelength_m=60.0, buildings=3.0, buildings_stand=True
     )
-    survey = simulate_frames(tmp_path, plan)
+    survey = simulated(tmp_path, plan)
     relief = json.loads(survey.truth.read_text())["relief"]
     assert relief["amplitude_m"] >= 8.0
     assert survey.dsm is not None
@@ -235,7 +236,7 @@ def test_what_is_not_told_is_not_written(tmp_path: Path) -> None:
         PLAN, frames_per_line=1, turned="", attitude_told=False, height_told=False, lens_told=False, k1=-0.1,
         focal_error=0.05,
     )  # fmt: skip
-    survey = simulate_frames(tmp_path, plan)
+    survey = simulated(tmp_path, plan)
     assert list(rows_of(survey.pos)[0]) == ["frame", "lon_deg", "lat_deg", "sd_horizontal_m"]
     data = (survey.frames / "F0001.jpg").read_bytes()
     assert b"Gimbal" not in data and b"Altitude" not in data
@@ -252,7 +253,7 @@ def test_what_is_not_told_is_not_written(tmp_path: Path) -> None:
 def test_kappa_is_the_grid_heading_of_a_level_frame(tmp_path: Path) -> None:
     level = {"wander_m": 0.0, "wander_tilt_deg": 0.0, "wander_yaw_deg": 0.0}
     plan = dataclasses.replace(PLAN, lat_deg=52.0, lon_deg=13.1, heading_deg=70.0, turned="", **level)
-    row = rows_of(simulate_frames(tmp_path, plan).positions)[1]
+    row = rows_of(simulated(tmp_path, plan).positions)[1]
     lon, lat = float(row["lon_deg"]), float(row["lat_deg"])
     ahead = Geod(ellps="WGS84").fwd(lon, lat, float(row["yaw_deg"]), 100.0)[:2]
     projection = MapProjection("EPSG:32633")
@@ -275,7 +276,7 @@ def test_a_survey_without_a_camera_file_starts_from_the_right_focal_length(
 def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
     one = dataclasses.replace(PLAN, turned="")
     biased = dataclasses.replace(one, height_bias_m=-45.0, position_bias_m=5.0)
-    plain, off = simulate_frames(tmp_path / "plain", one), simulate_frames(tmp_path / "off", biased)
+    plain, off = simulated(tmp_path / "plain", one), simulated(tmp_path / "off", biased)
     positions = [[f.position for f in read_survey(SurveyInputs(s.frames)).frames] for s in (plain, off)]
     for true, said in zip(*positions, strict=True):
         assert said.height_ellipsoidal_m is not None and true.height_ellipsoidal_m is not None
@@ -288,7 +289,7 @@ def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
     bias = json.loads(off.truth.read_text())["position_bias_m"]
     np.testing.assert_allclose(errors[1] - errors[0], [bias] * 3, atol=1e-9)
     assert np.hypot(*bias[:2]) == pytest.approx(5.0) and bias[2] == -45.0
-    silent = simulate_frames(tmp_path / "silent", dataclasses.replace(biased, relative_height_told=False))
+    silent = simulated(tmp_path / "silent", dataclasses.replace(biased, relative_height_told=False))
     for frame in read_survey(SurveyInputs(silent.frames)).frames:
         assert frame.position.height_above_ground_m is None
         assert frame.position.height_ellipsoidal_m is not None
@@ -296,8 +297,8 @@ def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
 
 def test_the_barometer_does_not_drift_with_the_gps(tmp_path: Path) -> None:
     one = dataclasses.replace(PLAN, turned="")
-    plain = simulate_frames(tmp_path / "plain", one)
-    drifting = simulate_frames(tmp_path / "drifting", dataclasses.replace(one, height_drift_m=30.0))
+    plain = simulated(tmp_path / "plain", one)
+    drifting = simulated(tmp_path / "drifting", dataclasses.replace(one, height_drift_m=30.0))
     positions = [[f.position for f in read_survey(SurveyInputs(s.frames)).frames] for s in (plain, drifting)]
     rises = [0.0, 15.0, 30.0]
     for rise, true, said in zip(rises, *positions, strict=True):
@@ -307,16 +308,16 @@ def test_the_barometer_does_not_drift_with_the_gps(tmp_path: Path) -> None:
 
 def test_stated_deviations_may_be_wrong(tmp_path: Path) -> None:
     plan = dataclasses.replace(PLAN, frames_per_line=2, stated_sd_factor=0.2, stated_yaw_sd_deg=5.0)
-    rows = rows_of(simulate_frames(tmp_path / "wrong", plan).pos)
+    rows = rows_of(simulated(tmp_path / "wrong", plan).pos)
     for row in rows:
         stated = [float(row[f"sd_{k}"]) for k in ("horizontal_m", "vertical_m", "yaw_deg", "tilt_deg")]
         np.testing.assert_allclose(stated, [0.3, 0.4, 1.0, 0.06])
-    honest = rows_of(simulate_frames(tmp_path / "honest", dataclasses.replace(PLAN, frames_per_line=2)).pos)
+    honest = rows_of(simulated(tmp_path / "honest", dataclasses.replace(PLAN, frames_per_line=2)).pos)
     assert [r["lon_deg"] for r in rows] == [r["lon_deg"] for r in honest]
 
 
 def test_lost_frames_are_nowhere_but_change_no_other(survey: SimulatedSurvey, tmp_path: Path) -> None:
-    lacking = simulate_frames(tmp_path, dataclasses.replace(PLAN, lost="1"))
+    lacking = simulated(tmp_path, dataclasses.replace(PLAN, lost="1"))
     assert sorted(p.name for p in lacking.frames.iterdir()) == ["F0002.jpg", "F0003.jpg"]
     for name in ("F0002.jpg", "F0003.jpg"):
         assert (lacking.frames / name).read_bytes() == (survey.frames / name).read_bytes()
@@ -328,9 +329,9 @@ def test_lost_frames_are_nowhere_but_change_no_other(survey: SimulatedSurvey, tm
 
 def test_the_pos_in_exif_alone_or_in_the_csv_alone(tmp_path: Path) -> None:
     one = dataclasses.replace(PLAN, frames_per_line=1, turned="")
-    exif = simulate_frames(tmp_path / "exif", dataclasses.replace(one, pos_in="exif"))
+    exif = simulated(tmp_path / "exif", dataclasses.replace(one, pos_in="exif"))
     assert exif.pos is None and not (tmp_path / "exif" / "pos.csv").exists()
-    table = simulate_frames(tmp_path / "csv", dataclasses.replace(one, pos_in="csv"))
+    table = simulated(tmp_path / "csv", dataclasses.replace(one, pos_in="csv"))
     with (table.frames / "F0001.jpg").open("rb") as f:
         tags = exifread.process_file(f, details=False)
     assert "EXIF FocalLength" in tags and not any(key.startswith("GPS") for key in tags)
@@ -345,14 +346,14 @@ def test_strange_frames_are_not_written_over(tmp_path: Path) -> None:
     (tmp_path / "frames").mkdir()
     (tmp_path / "frames" / "DJI_0001.JPG").write_bytes(b"precious")
     with pytest.raises(OutputError, match=r"frames: holds frames of something else \(DJI_0001.JPG\)"):
-        simulate_frames(tmp_path, PLAN)
+        simulated(tmp_path, PLAN)
     assert contents(tmp_path) == {"frames/DJI_0001.JPG": b"precious"}
 
 
 def test_a_folder_that_can_not_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="file/out"):
-        simulate_frames(tmp_path / "file" / "out", PLAN)
+        simulated(tmp_path / "file" / "out", PLAN)
 
 
 def test_the_stage_declares_every_number_of_the_plan(tmp_path: Path) -> None:
@@ -380,8 +381,8 @@ def test_frames_report_the_exposure_that_the_automatic_chose(tmp_path: Path) -> 
     """Half the brightness aimed at, in the shadow of clouds: twice the exposure time, read back from tags."""
     plan = dataclasses.replace(PLAN, turned="", pixel_noise=0.0, exposure_sd=0.0, clouds=0.5)
     automatic = dataclasses.replace(plan, auto_exposure=1.0, exposure_reported=True)
-    ground = simulate_frames(tmp_path / "plain", plan)
-    even = simulate_frames(tmp_path / "automatic", automatic)
+    ground = simulated(tmp_path / "plain", plan)
+    even = simulated(tmp_path / "automatic", automatic)
     light, exposure = [], []
     for path in sorted(ground.frames.iterdir()):
         light.append(float(cv2.imread(str(path)).mean()))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from small_surveys import simulated
 
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
@@ -75,11 +76,11 @@ def test_truth_holds_the_course_that_the_shutter_needs(tmp_path: Path) -> None:
     plan = dataclasses.replace(
         PLAN, rolling_shutter_s=0.04, heading_deg=90.0, speed_m_per_s=12.0, wander_m=0.0
     )
-    survey = simulate_frames(tmp_path / "rolling", plan)
+    survey = simulated(tmp_path / "rolling", plan)
     truth = json.loads(survey.truth.read_text())
     np.testing.assert_allclose(truth["frames"][0]["velocity_enu_m_per_s"], [12.0, 0.0, 0.0], atol=1e-9)
     assert truth["plan"]["rolling_shutter_s"] == 0.04
-    still = simulate_frames(tmp_path / "still", dataclasses.replace(plan, rolling_shutter_s=0.0))
+    still = simulated(tmp_path / "still", dataclasses.replace(plan, rolling_shutter_s=0.0))
     a, b = (cv2.imread(str(s.frames / "F0001.tif")).astype(float) for s in (survey, still))
     middle, edge = np.abs(a - b)[118:122].mean(), np.abs(a - b)[:4].mean()
     assert middle < 1.0 < edge, "the middle row is the pose's own"
@@ -88,7 +89,7 @@ def test_truth_holds_the_course_that_the_shutter_needs(tmp_path: Path) -> None:
 def test_the_ground_is_that_of_the_dem(tmp_path: Path) -> None:
     east_0, north_0 = write_dem(tmp_path / "ground.tif", 200.0)
     plan = dataclasses.replace(PLAN, dem=tmp_path / "ground.tif", lon_deg=LON, lat_deg=LAT)
-    survey = simulate_frames(tmp_path / "out", plan)
+    survey = simulated(tmp_path / "out", plan)
     truth = json.loads(survey.truth.read_text())
     middle = float(hill_m(np.array(0.0), np.array(0.0)))
     assert truth["plan"]["ground_height_m"] == pytest.approx(middle, abs=0.05)
