@@ -26,18 +26,20 @@ sys.dont_write_bytecode = False
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LONGEST = (
-    "test_docs", "test_chosen_model", "test_ccd_joint", "test_end_to_end", "test_dask", "test_cli_staircase",
-    "test_bad_input", "test_ccd_rivals", "test_strips_command", "test_mosaic_compose",
-    "test_marking_chromium", "test_cli_commands", "test_mosaic_tones", "test_lens_start", "test_control",
-    "test_surface_matching", "test_resume", "test_viewer_chromium", "test_mosaic_grid",
-    "test_matching_reference", "test_reflectance", "test_mosaic_trim", "test_python", "test_plausible",
-    "test_ccd_radiometry", "test_recording_kills", "test_survey_makefile", "test_stopping", "test_stale",
-    "test_bundle", "test_report_chromium", "test_positions_missing", "test_degenerate_blocks",
-    "test_adjustment_surface", "test_camera_kinds", "test_design_effect", "test_matching",
-    "test_mosaic_strips", "test_fetch", "test_fuzz_short", "test_simulate_files", "test_cli_home",
-    "test_bench_flights", "test_quality_strips", "test_bundle_oracle", "test_report_control",
-    "test_pipefew_runner", "test_heights", "test_watch", "test_video_frames", "test_simulate_strips",
-    "test_camera_formats", "test_placement", "test_report_page", "test_faint_frames", "test_export_web",
+    "test_docs", "test_chosen_model",
+    "test_cli_commands", "test_dask", "test_ccd_joint", "test_bad_input", "test_resume",
+    "test_cli_staircase", "test_strips_command", "test_simulate_strips", "test_end_to_end", "test_stale",
+    "test_ccd_rivals", "test_bundle", "test_mosaic_compose", "test_pipeline_runner", "test_ccd_radiometry",
+    "test_quality_strips", "test_adjustment_surface", "test_positions_missing", "test_matching",
+    "test_ccd_object_space", "test_doors_text", "test_viewer_chromium", "test_control",
+    "test_degenerate_blocks", "test_mosaic_raster", "test_export_web", "test_cli_home",
+    "test_control_precision", "test_composed_tiles", "test_roofs", "test_export_cog", "test_mosaic_grid",
+    "test_simulate_files", "test_report_page", "test_tie_points", "test_mosaic_trim",
+    "test_simulate_lifelike", "test_video_frames", "test_earlier_solution", "test_start", "test_lens_start",
+    "test_recording_diff", "test_marking_chromium", "test_adjustment_shape", "test_stopping",
+    "test_heights", "test_incremental", "test_fetch", "test_verdict", "test_messages", "test_report_strips",
+    "test_surface_matching", "test_dirty", "test_mosaic_strips", "test_control_use",
+    "test_recording_frames_gone", "test_plugin", "test_mosaic_plan",
 )  # fmt: skip
 """Files that take longest go first: one that a worker is given last is what all wait for."""
 
