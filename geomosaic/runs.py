@@ -28,7 +28,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2  # noqa: F401  writes to the environment as it loads, which no call may do
 import numpy as np
+import rasterio  # noqa: F401  likewise
 from numpy.typing import NDArray
 
 from geomosaic.errors import FileError, UnknownNameError

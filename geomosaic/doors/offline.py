@@ -20,5 +20,5 @@ SETTINGS: Final = {
 
 
 def go_offline() -> None:
-    """Sets `SETTINGS` for this process and those it starts."""
-    os.environ.update(SETTINGS)
+    """Sets `SETTINGS` for this process and those it starts, where they are not set."""
+    os.environ.update({name: value for name, value in SETTINGS.items() if os.environ.get(name) != value})

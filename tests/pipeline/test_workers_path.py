@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from small_surveys import small_survey
 
 from geomosaic.pipeline import executor
 
@@ -17,6 +18,31 @@ from geomosaic.pipeline.worker_process import prepare_workers
 prepare_workers(["geomosaic.matching.sift"])
 with Workers(2) as workers:
     print(workers.result(workers.submit(abs, -7)))
+"""
+
+THREADED = """
+import ctypes, sys, threading
+
+from geomosaic import mosaic
+
+written, ended = [], threading.Event()
+getenv = ctypes.CDLL(None).getenv
+
+
+def look() -> None:
+    while not ended.is_set():
+        getenv(b"NOT_THERE")
+
+
+sys.addaudithook(lambda event, args: written.append(args) if event in ("os.putenv", "os.unsetenv") else None)
+threads = [threading.Thread(target=look) for _ in range(2)]
+for thread in threads:
+    thread.start()
+try:
+    run = mosaic(sys.argv[1], sys.argv[2], workers=2)
+finally:
+    ended.set()
+print(run.folder.name, written)
 """
 
 
@@ -47,3 +73,15 @@ def test_the_environment_stays_as_it_is_while_workers_start(monkeypatch: pytest.
     with executor.Workers(2) as workers:
         assert workers.result(workers.submit(os.getenv, "OMP_NUM_THREADS")) == "1"
     assert not written
+
+
+def test_a_mosaic_is_made_while_threads_read_the_environment(tmp_path: Path) -> None:
+    """From a program of one's own, whose C libraries read it; nothing is written to it meanwhile."""
+    made = small_survey(tmp_path / "survey", lines=1, frames_per_line=2)
+    (tmp_path / "program.py").write_text(THREADED)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "program.py", made.frames, tmp_path / "run"],
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "run []"
