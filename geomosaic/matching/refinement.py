@@ -81,6 +81,4 @@ class Refinement:
             keypoints = np.concatenate([s.keypoints for s in self.sought[frame]])
             px[keypoints[good]] = places[good]
             sure[keypoints[good]] = True
-        kept = sure[self.joined.keypoints].all(axis=0)
-        few = np.diff(np.concatenate([[0], np.cumsum(kept)])[self.joined.first]) < least
-        return self.joined.part(kept | np.repeat(few, self.joined.counts), px)
+        return self.joined.thinned(sure, px, least)

@@ -18,6 +18,9 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
 from geomosaic.matching.model import TiePair, TiePairs, TiePoints
 
+MOST_TIED = tuned(
+    2_500_000, "tied keypoints", "of a block: more take 0.6 kB of memory each; fewer: noise counts"
+)
 FEW_PER_FRAME = tuned(192, "image observations a frame", "for solves that find the block or compare lenses")
 FEW_CELLS = tuned(8, "cells a side", "of a frame, 3 observations each; fewer: corners may stay empty")
 _OVER = tuned(1.25, "times the observations asked for", "of the median frame; more: each asks for fewer")
@@ -36,6 +39,13 @@ class Joined(TiePairs):
     def degree(self) -> Ints:
         """In how many tie points each keypoint stands, (n,)."""
         return np.bincount(self.keypoints.ravel(), minlength=len(self.frame))
+
+    def thinned(self, chosen: Bools, image_px: Floats, least: int) -> TiePairs:
+        """The tie points of chosen keypoints (n,), which lie at image_px; a pair that would keep fewer than
+        `least` keeps all it had."""
+        kept = chosen[self.keypoints].all(axis=0)
+        few = np.diff(np.concatenate([[0], np.cumsum(kept)])[self.first]) < least
+        return self.part(kept | np.repeat(few, self.counts), image_px)
 
 
 def join(pairs: Sequence[TiePair]) -> Joined:
@@ -92,11 +102,28 @@ class Tracks:
 
 def join_tracks(ties: TiePoints) -> Tracks:
     """Connected keypoints become tracks; a track that meets a frame twice is dropped as contradictory."""
-    joined = join(ties.pairs)
+    return _tracks_of(join(ties.pairs))[0]
+
+
+def _tracks_of(joined: Joined) -> tuple[Tracks, Ints]:
+    """The tracks that see no frame twice, and the keypoint of each of their observations (m,)."""
     order = np.lexsort((joined.frame, joined.track))
     good = order[joined.once[order]]
     point = np.cumsum(np.diff(joined.track[good], prepend=joined.track[good[:1]]) != 0)
-    return Tracks(joined.frame[good].astype(np.intp), point, joined.image_px[good])
+    return Tracks(joined.frame[good].astype(np.intp), point, joined.image_px[good]), good
+
+
+def thin_pairs(pairs: TiePairs, sizes_px: Floats, least: int, most: int) -> TiePairs:
+    """The tie points of a block with at most about so many tied keypoints, as `asked_tracks` chooses them, so
+    that its memory does not grow with the frames; a pair that would keep fewer than `least` keeps all."""
+    if len(pairs.frame) <= most:
+        return pairs
+    joined = join(pairs)
+    tracks, keypoint = _tracks_of(joined)
+    asked = asked_tracks(tracks, sizes_px, most // len(sizes_px))
+    chosen = np.zeros(len(joined.frame), dtype=np.bool_)
+    chosen[keypoint] = asked[tracks.point]
+    return joined.thinned(chosen, joined.image_px, least)
 
 
 def frame_by_frame(frame: Ints) -> Iterator[tuple[int, Ints]]:
@@ -119,20 +146,25 @@ def thin_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 1
     return tracks if asked.all() else chosen_tracks(tracks, asked)
 
 
-def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int) -> Bools:
+def asked_tracks(tracks: Tracks, sizes_px: Floats, per_frame: int, cells: int = 16) -> Bools:
     """Which tracks (p,) give about per_frame observations a frame at most, spread evenly, long ones first.
     Each frame asks for its longest tracks, cell by cell of a grid of cells x cells; a track stays if any
     frame asks for it. Args: sizes_px (frames, 2): width and height of each frame."""
     counts = np.bincount(tracks.frame, minlength=len(sizes_px))
     if not len(tracks.frame) or counts.max() <= per_frame:
         return np.ones(tracks.points, dtype=bool)
-    length = tracks.lengths[tracks.point]
-    at = np.clip((tracks.image_px / sizes_px[tracks.frame] * cells).astype(np.int64), 0, cells - 1)
-    cell = (tracks.frame * cells + at[:, 1]) * cells + at[:, 0]
-    order = np.lexsort((tracks.point, -length, cell))
-    rank = np.arange(order.size) - np.searchsorted(cell[order], cell[order], side="left")
+    cell = tracks.frame.astype(np.int32)
+    for px, side_px in zip(tracks.image_px.T[::-1], sizes_px.T[::-1], strict=True):
+        cell *= cells
+        cell += np.clip(px / side_px[tracks.frame] * cells, 0, cells - 1).astype(np.int32)
+    order = np.lexsort((tracks.point, -tracks.lengths[tracks.point], cell))
+    begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    within = np.diff(begins, append=len(order))
+    rank = np.arange(len(order), dtype=np.int32) - np.repeat(begins.astype(np.int32), within)
+    point = tracks.point[order]
     for need in range(max(1, per_frame // cells**2), 0, -1):
-        asked = np.isin(np.arange(tracks.points), tracks.point[order[rank < need]])
+        asked = np.zeros(tracks.points, dtype=bool)
+        asked[point[rank < need]] = True
         taken = np.bincount(tracks.frame[asked[tracks.point]], minlength=len(sizes_px))
         if np.median(taken) <= _OVER * per_frame:
             break

@@ -62,7 +62,7 @@ class SiftParams(KeypointParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=21, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=22, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(

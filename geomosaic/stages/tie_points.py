@@ -14,6 +14,7 @@ from geomosaic.matching.match import Matching, PairMatch
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.planes import Guess, SeenPlanes
 from geomosaic.matching.refinement import Refinement
+from geomosaic.matching.tracks import MOST_TIED, thin_pairs
 from geomosaic.matching.untied import untied_reasons
 from geomosaic.pipeline.stage import Context
 from geomosaic.pipeline.stored_result import StoredResult
@@ -49,7 +50,6 @@ class Pairing:
     sequence: Sequence[int]
     looks: dict[Pair, PairMatch] = field(default_factory=dict)
     _planes: SeenPlanes = field(default_factory=SeenPlanes)
-    _places: dict[int, Floats] = field(default_factory=dict)
 
     def match(self, pairs: Iterable[Pair]) -> TiePairs:
         """The pairs that hold together: about where they are expected to match; then, where their neighbours
@@ -76,28 +76,35 @@ class Pairing:
 
     def ties(self, pairs: TiePairs, faint: Sequence[float]) -> TiePoints:
         """Tied pairs, untied ones, and why frames have no tie. faint: share of each frame's tiles."""
-        keypoints = [len(self._places_of(i)) for i in range(len(self.features))]
-        reasons = untied_reasons(self.looks, keypoints, faint, self.how.least)
+        reasons = untied_reasons(self.looks, self._counts(), faint, self.how.least)
         return TiePoints(pairs, tuple(self.untied), reasons)
 
     def _found(self) -> TiePairs:
-        """All pairs that hold together now."""
-        tied, none = self.tied, np.zeros(0, np.int32)
-        places = [self._places_of(i) for i in range(len(self.features))]
-        first = np.concatenate([[0], np.cumsum([len(px) for px in places])]).astype(np.int32)
-        found = [self.looks[pair] for pair in tied]
-        keypoints = np.array(
-            [
-                np.concatenate([none, *(m.left + first[a] for m, (a, _) in zip(found, tied, strict=True))]),
-                np.concatenate([none, *(m.right + first[b] for m, (_, b) in zip(found, tied, strict=True))]),
-            ]
-        )
-        frame = np.repeat(np.arange(len(places), dtype=np.int32), np.diff(first))
-        image_px = np.concatenate([np.zeros((0, 2)), *places])
-        frames = np.array(tied, dtype=np.int32).reshape(-1, 2)
-        counts = np.array([len(m.left) for m in found], dtype=np.int32)
-        of_all = TiePairs(frame, image_px, frames, counts, keypoints)
-        return of_all.part(np.ones(keypoints.shape[1], dtype=bool), image_px)
+        """All pairs that hold together now, by keypoints that any of them has."""
+        tied = self.tied
+        counts = np.array([len(self.looks[pair].left) for pair in tied], dtype=np.int32)
+        first = np.concatenate([[0], np.cumsum(self._counts())]).astype(np.int32)
+        keypoints, at = np.empty((2, int(counts.sum())), dtype=np.int32), 0
+        for (a, b), count in zip(tied, counts.tolist(), strict=True):
+            match = self.looks[a, b]
+            keypoints[:, at : at + count] = first[a] + match.left, first[b] + match.right
+            at += count
+        used = np.zeros(first[-1], dtype=bool)
+        used[keypoints] = True
+        frame = np.repeat(np.arange(len(self.features), dtype=np.int32), np.diff(first))[used]
+        image_px, at = np.empty((len(frame), 2)), 0
+        for i, mine in enumerate(np.split(used, first[1:-1])):
+            some = self._places_of(i)[mine]
+            image_px[at : at + len(some)] = some
+            at += len(some)
+        number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+        pairs = np.array(tied, dtype=np.int32).reshape(-1, 2)
+        of_tied = TiePairs(frame, image_px, pairs, counts, number[keypoints])
+        return thin_pairs(of_tied, np.array(self.sizes_px, np.float64), self.how.least, MOST_TIED)
+
+    def _counts(self) -> list[int]:
+        """How many keypoints each frame has."""
+        return [len(self._places_of(i)) for i in range(len(self.features))]
 
     def _by_neighbours(self) -> None:
         """Untied pairs of which common neighbours say where they match, as long as that brings more."""
@@ -138,9 +145,8 @@ class Pairing:
         return tied
 
     def _places_of(self, frame: int) -> Floats:
-        if frame not in self._places:
-            self._places[frame] = self.features[frame].look().image_px
-        return self._places[frame]
+        """In its file, which stays open as long as this is in use."""
+        return self.features[frame].look().image_px
 
 
 def record_tried(
@@ -190,4 +196,5 @@ def refined(
             searches[i] = Search(pictures[i], tuple(parts))
     places = context.map("tie points in the pixels", frame_places, searches.values())
     found = {i: (p.image_px, p.sure) for i, p in zip(searches, places, strict=True)}
+    del searches, places
     return todo.applied(found, least)

@@ -1,5 +1,7 @@
 """The paper's method and its rivals on nets whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,12 +24,12 @@ from geomosaic.projection.ground import GroundSurface
 def net_of(errors_m: np.ndarray, pairs: list[tuple[int, int]], spacing_m: float = 50.0) -> OffsetNet:
     """Frames in a line, misplaced by errors_m (n, 2), tied by 40 exact points a pair."""
     rng = np.random.default_rng(5)
-    left, right = [], []
+    plan_m = []
     for a, b in pairs:
         truth = rng.uniform(-10, 10, (40, 2)) + [spacing_m * (a + b) / 2, 0.0]
-        left.append(truth + errors_m[a])
-        right.append(truth + errors_m[b])
-    return OffsetNet(len(errors_m), np.array(pairs, dtype=np.intp), tuple(left), tuple(right), 0.1)
+        plan_m += [truth + errors_m[a], truth + errors_m[b]]
+    ends = np.arange(80 * len(pairs), dtype=np.int32).reshape(-1, 2, 40)
+    return OffsetNet(len(errors_m), np.array(pairs, dtype=np.intp), np.concatenate(plan_m), tuple(ends), 0.1)
 
 
 def line(n: int) -> list[tuple[int, int]]:
@@ -134,9 +136,8 @@ def test_least_squares_states_its_own_error_and_does_not_grow() -> None:
     for _ in range(200):
         errors = rng.normal(0, 2.0, (40, 2))
         net = net_of(errors, line(40))
-        noisy = OffsetNet(
-            40, net.pairs, net.left_m, tuple(r + rng.normal(0, 0.3, 2) for r in net.right_m), 0.1
-        )
+        noise = np.repeat([[0.0, 0.3]], 39, axis=0).reshape(-1, 1) * rng.normal(0, 1.0, (78, 2))
+        noisy = replace(net, plan_m=net.plan_m + np.repeat(noise, 40, axis=0))
         moves, sd = least_squares(noisy, np.full(40, 2.0), np.full(39, 0.3))
         left = errors + moves
         ends.append(left[[0, -1]] / sd[[0, -1], None])

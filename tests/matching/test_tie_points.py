@@ -17,7 +17,7 @@ from geomosaic.matching.expected_overlap import ExpectedOverlap
 from geomosaic.matching.model import TiePair, TiePairs, TiePoints
 from geomosaic.matching.planes import SeenPlanes, guessed, stretched, through, unconstrained_guess
 from geomosaic.matching.refinement import Refinement
-from geomosaic.matching.tracks import join, references
+from geomosaic.matching.tracks import join, join_tracks, references, thin_pairs
 from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import encode
 from geomosaic.projection.ground import GroundSurface
@@ -275,3 +275,37 @@ def test_a_step_goes_the_way_the_image_moved() -> None:
     found = find(templates(left, at), right, at, np.broadcast_to(np.eye(2), (50, 2, 2)))
     assert found.sure.all()
     assert (found.image_px - at).mean(axis=0) == pytest.approx([2.25, -1.5], abs=0.005)
+
+
+def chain(frames: int, points: int, seed: int) -> TiePairs:
+    """Each place on the ground seen in two to six frames one after the other, tied with the next ones."""
+    rng = np.random.default_rng(seed)
+    first, length = rng.integers(0, frames - 6, points), rng.integers(2, 7, points)
+    pairs = []
+    for left in range(frames - 1):
+        mine = np.flatnonzero((first <= left) & (left + 1 < first + length)).astype(np.int32)
+        at = np.stack([100.0 + 37.0 * mine % 600, 53.0 * mine % 400], axis=1)
+        pairs.append(TiePair(left, left + 1, at, at, mine, mine))
+    return TiePairs.of([pair for pair in pairs if len(pair)])
+
+
+def test_a_large_block_keeps_its_longest_tracks_and_all_its_pairs() -> None:
+    pairs = chain(40, 30_000, 3)
+    sizes_px = np.tile([700.0, 400.0], (40, 1))
+    thin = thin_pairs(pairs, sizes_px, 16, 40_000)
+    assert len(pairs.frame) > 100_000
+    assert 20_000 < len(thin.frame) < 60_000
+    assert [tuple(f) for f in thin.frames] == [tuple(f) for f in pairs.frames]
+    before, after = (np.bincount(join_tracks(TiePoints(its)).lengths, minlength=7) for its in (pairs, thin))
+    assert (np.diff(after[2:] / before[2:]) >= 0.0).all()
+    assert after[6] > 0.9 * before[6] > 4.0 * after[2]
+    assert thin_pairs(pairs, sizes_px, 16, len(pairs.frame)) is pairs
+
+
+def test_a_pair_with_few_tie_points_keeps_them() -> None:
+    few = np.arange(20, dtype=np.int32)
+    at = np.tile([[5.0, 5.0]], (20, 1))  # all in one cell, where others are longer
+    pairs = [*chain(40, 30_000, 4), TiePair(0, 39, at, at, few + 40_000, few + 40_000)]
+    thin = thin_pairs(TiePairs.of(pairs), np.tile([700.0, 400.0], (40, 1)), 16, 40_000)
+    counts = dict(zip(map(tuple, thin.frames.tolist()), thin.counts.tolist(), strict=True))
+    assert counts[0, 39] == 20

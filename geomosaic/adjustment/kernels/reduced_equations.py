@@ -59,17 +59,21 @@ class Reduced:
 
     def points_moved(self, pose: Floats, shared: Floats, side: Floats) -> Floats:
         """Corrections of points (p, 3) by their right-hand side, those of poses (f, d) and shared (s,)."""
-        n = self.normals
+        out = np.empty_like(side)
+        for group in self.normals.sightings.groups:
+            out[group.points] = self.group_moved(group, pose, shared, side[group.points])
+        return out
+
+    def group_moved(self, group: Group, pose: Floats, shared: Floats, side: Floats) -> Floats:
+        """The same of a group's points alone, with their right-hand side."""
+        n, points, span = self.normals, group.points, group.span
         interior = shared[: self.level].reshape(n.interior_side.shape)
-        side = side - np.einsum("cpij,ci->pj", n.interior_point, interior)
-        for group in n.sightings.groups:
-            step = pose.T.take(n.sightings.frame[group.span], axis=-1)
-            moved_m = n.levers.of(group.span).as_points_m(step)
-            by_pose = multiply_each(n.point_point[SQUARE, group.span], moved_m)
-            which = n.sightings.point[group.span] - group.points.start
-            side[group.points] -= _summed_by(by_pose, which, group.size)
-        side -= shared[self.level] * n.level_point
-        return np.asarray(np.einsum("pij,pj->pi", self.points_inverse, side))
+        side = side - np.einsum("cpij,ci->pj", n.interior_point[:, points], interior)
+        step = pose.T.take(n.sightings.frame[span], axis=-1)
+        by_pose = multiply_each(n.point_point[SQUARE, span], n.levers.of(span).as_points_m(step))
+        side -= _summed_by(by_pose, n.sightings.point[span] - points.start, group.size)
+        side -= shared[self.level] * n.level_point[points]
+        return np.asarray(np.einsum("pij,pj->pi", self.points_inverse[points], side))
 
     def with_sides(self, pose_side: Floats, shared_side: Floats) -> Reduced:
         """The same equations with other right-hand sides."""

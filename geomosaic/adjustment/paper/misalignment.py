@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from geomosaic.adjustment.model import Block
-from geomosaic.arrays import Floats, Ints
+from geomosaic.arrays import Bools, Floats, Ints, Ints32
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.constants import TOGETHER
 from geomosaic.matching.model import TiePairs
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.projection.ground import GroundSurface
@@ -45,20 +46,25 @@ def fullest_bin_means(differences: Floats, pair: Ints, step: float) -> Floats:
 
 @dataclass(frozen=True)
 class OffsetNet:
-    """A block as n frames that shift over the map. pairs: (m, 2) frame indices, the lower first. left_m,
-    right_m: per pair (k, 2) east and north of the tie points by either frame before any move. step_m: width
-    of the histogram's bins."""
+    """A block as n frames that shift over the map. pairs: (m, 2) frame indices, the lower first. plan_m: east
+    and north of all keypoints (k, 2) before any move; ends: of each pair those of its tie points, by the left
+    and the right frame (2, t). step_m: width of the histogram's bins."""
 
     n: int
     pairs: Ints
-    left_m: tuple[Floats, ...]
-    right_m: tuple[Floats, ...]
+    plan_m: Floats
+    ends: tuple[Ints32, ...]
     step_m: float
 
+    def both_m(self, pair: int) -> tuple[Floats, Floats]:
+        """East and north (t, 2) of one pair's tie points by the left and the right frame."""
+        left, right = self.ends[pair]
+        return self.plan_m[left], self.plan_m[right]
+
     def differences_m(self, pair: int, moves_m: Floats) -> Floats:
-        """Right minus left (k, 2) of one pair after the frames' moves_m (n, 2)."""
-        a, b = self.pairs[pair]
-        return np.asarray(self.right_m[pair] - self.left_m[pair] + (moves_m[b] - moves_m[a]))
+        """Right minus left (t, 2) of one pair after the frames' moves_m (n, 2)."""
+        (a, b), (left, right) = self.pairs[pair], self.both_m(pair)
+        return np.asarray(right - left + (moves_m[b] - moves_m[a]))
 
     def misalignment_m(self, pair: int, moves_m: Floats, seen_from: int | None = None) -> Floats:
         """Misalignment (2,) of one pair: right minus left, or the other frame minus `seen_from`."""
@@ -67,13 +73,13 @@ class OffsetNet:
 
     def misalignments_m(self, moves_m: Floats) -> Floats:
         """Misalignment of every pair, (m, 2)."""
-        if not len(self.pairs):
-            return np.zeros((0, 2))
-        every = range(len(self.pairs))
-        pair = np.repeat(every, [len(left) for left in self.left_m])
-        return fullest_bin_means(
-            np.concatenate([self.differences_m(p, moves_m) for p in every]), pair, self.step_m
-        )
+        out = np.empty((len(self.pairs), 2))
+        for first in range(0, len(out), TOGETHER):
+            some = range(first, min(first + TOGETHER, len(out)))
+            differences_m = [self.differences_m(p, moves_m) for p in some]
+            pair = np.repeat(np.arange(len(some)), [len(d) for d in differences_m])
+            out[some] = fullest_bin_means(np.concatenate(differences_m), pair, self.step_m)
+        return out
 
     @cached_property
     def edges(self) -> list[tuple[int, int]]:
@@ -86,26 +92,20 @@ class OffsetNet:
         return {pair: p for p, (a, b) in enumerate(self.edges) for pair in ((a, b), (b, a))}
 
 
-def ties_on_ground(
+def keypoints_on_ground(
     block: Block, poses: Poses, cameras: Sequence[Camera], ground: GroundSurface
-) -> Iterator[tuple[Floats, Floats]]:
-    """East and north (k, 2) of each pair's tie points by its left and its right frame, NaN where missing."""
+) -> tuple[Floats, tuple[Ints32, ...]]:
+    """East and north (k, 2) of the tied keypoints, NaN where their rays miss; of each pair its own (2, t)."""
     ties = TiePairs.of(block.ties.pairs)
-    plan_m = ground_from_images(ties.frame.astype(np.intp), ties.image_px, poses, cameras, ground)[:, :2]
-    plan_m = plan_m.copy()
-    for left, right in ties.ends:
-        yield plan_m[left], plan_m[right]
+    at_m = ground_from_images(ties.frame.astype(np.intp), ties.image_px, poses, cameras, ground)
+    return at_m[:, :2].copy(), ties.ends
 
 
 def offset_net(block: Block) -> OffsetNet:
     """The net of a block's tie points on the ground; points that miss it are left out."""
-    left, right, pairs = [], [], []
-    on_ground = ties_on_ground(block, block.poses, block.cameras, block.ground)
-    for pair, (a, b) in zip(block.ties.frames, on_ground, strict=True):
-        hit = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-        if hit.any():
-            pairs.append(pair)
-            left.append(a[hit])
-            right.append(b[hit])
-    both = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return OffsetNet(len(block.names), both, tuple(left), tuple(right), block.ground_pixel_m)
+    plan_m, all_ends = keypoints_on_ground(block, block.poses, block.cameras, block.ground)
+    hit: Bools = np.asarray(np.isfinite(plan_m).all(axis=1))
+    ends = all_ends if hit.all() else tuple(its[:, hit[its[0]] & hit[its[1]]] for its in all_ends)
+    seen = [k for k, its in enumerate(ends) if its.size]
+    pairs = np.array([block.ties.frames[k] for k in seen], dtype=np.intp).reshape(-1, 2)
+    return OffsetNet(len(block.names), pairs, plan_m, tuple(ends[k] for k in seen), block.ground_pixel_m)

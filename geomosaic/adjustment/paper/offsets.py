@@ -63,7 +63,7 @@ def base_frame(net: OffsetNet, sequence: Sequence[int]) -> Moves:
     """Traditional fine adjustment: the middle frame of each part stays. From there outward, best tied first,
     each frame moves once, to zero mean misalignment against the frames already aligned."""
     moves = np.zeros((net.n, 2))
-    weight = [len(d) for d in net.left_m]
+    weight = [its.shape[1] for its in net.ends]
     order = {frame: k for k, frame in enumerate(sequence)}
     for part in connected_parts(net.n, net.edges):
         aligned = {sorted(part, key=lambda i: order[i])[len(part) // 2]}
@@ -118,7 +118,7 @@ def chain(net: OffsetNet, sequence: Sequence[int]) -> tuple[Complexes, Complexes
         if last is None:
             continue
         pair = net.pair_of[last, frame]
-        there, here = (net.left_m[pair], net.right_m[pair])[:: 1 if frame > last else -1]
+        there, here = net.both_m(pair)[:: 1 if frame > last else -1]
         if len(here) < 2:
             continue
         aligned = (there @ [1, 1j]) * turn[last] + shift[last]

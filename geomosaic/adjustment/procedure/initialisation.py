@@ -66,8 +66,8 @@ def start_poses(block: Block, net: OffsetNet) -> Poses:
     height = flying_heights_m(poses, block.ground)
     nadir: Complexes = poses.positions_m[:, :2] @ np.array([1, 1j])
     turn, place = np.ones(len(nadir), np.complex128), nadir.copy()
-    all_m = zip(net.left_m, net.right_m, edges, strict=True)
-    joints = joints_of(edges, ((p @ [1, 1j] - nadir[a], q @ [1, 1j] - nadir[b]) for p, q, (a, b) in all_m))
+    all_m = ((net.both_m(k), pair) for k, pair in enumerate(edges))
+    joints = joints_of(edges, ((p @ [1, 1j] - nadir[a], q @ [1, 1j] - nadir[b]) for (p, q), (a, b) in all_m))
     shape = averaged(net.n, joints)
     assumed, priors = position_assumed(poses), _priors(block, nadir, height)
     known = np.flatnonzero(~assumed)
@@ -212,10 +212,12 @@ def _ties(net: OffsetNet, nadir: Complexes, miss_m: Floats, part: list[int]) -> 
     """Tie points of a part, at most MOST_TIES a pair, frames renumbered; miss_m (m,): a pair's residual."""
     number = {frame: k for k, frame in enumerate(part)}
     pairs = []
-    for (a, b), left, right, miss in zip(net.edges, net.left_m, net.right_m, miss_m, strict=True):
+    for (a, b), keypoints, miss in zip(net.edges, net.ends, miss_m, strict=True):
         if a in number:
-            some = np.linspace(0, len(left) - 1, min(len(left), MOST_TIES)).astype(np.intp)
+            count = keypoints.shape[1]
+            some = np.linspace(0, count - 1, min(count, MOST_TIES)).astype(np.intp)
+            left, right = net.plan_m[keypoints[:, some]]
             sd_m = np.full(len(some), miss * np.sqrt(max(len(some) / _OF_A_PAIR, 1.0)))
             ends = np.full(len(some), number[a]), np.full(len(some), number[b])
-            pairs.append((*ends, left[some] @ [1, 1j] - nadir[a], right[some] @ [1, 1j] - nadir[b], sd_m))
+            pairs.append((*ends, left @ [1, 1j] - nadir[a], right @ [1, 1j] - nadir[b], sd_m))
     return _Ties(*(np.concatenate(column) for column in zip(*pairs, strict=True)))

@@ -18,7 +18,7 @@ from geomosaic.adjustment.model import (
     SolvedBlock,
     SolveStep,
 )
-from geomosaic.adjustment.paper.misalignment import ties_on_ground
+from geomosaic.adjustment.paper.misalignment import keypoints_on_ground
 from geomosaic.adjustment.procedure.block_solution import BlockSolution
 from geomosaic.adjustment.procedure.blunder_detection import (
     contradicted_frames,
@@ -112,13 +112,13 @@ def outcome(
         sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
         covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), accuracy.covariance)
         covariance = covariance + np.diag(np.append(common_m2, np.zeros(3)))
-    on_ground = ties_on_ground(block, poses, block.cameras, block.ground)
+    plan_m, ends = keypoints_on_ground(block, poses, block.cameras, block.ground)
     return Adjusted(
         poses=with_common_error(poses, common_m2),
         cameras=block.cameras,
         status=tuple(status.tolist()),
         rounds=rounds,
-        residuals_m=tuple(right - left for left, right in on_ground),
+        residuals_m=tuple(plan_m[right] - plan_m[left] for left, right in ends),
         ground=block.ground,
         figures={"common_height_sd_m": float(np.sqrt(common_m2[2]))},
         control=control_residuals(block, poses, spread),

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.adjustment.kernels.observation_groups import AT_ONCE
 from geomosaic.adjustment.model import GroundPlaces
 from geomosaic.adjustment.solver.solution import Solution, stated_accuracy
 from geomosaic.arrays import Floats, Ints
@@ -123,12 +122,12 @@ def design_effect(solution: Solution, ties: int) -> DesignEffect:
     pose, shared = reduced.moved(by_pose, by_shared)
     variance = np.sum(by_pose * pose, axis=(0, 1)) + np.sum(by_shared * shared, axis=0)
     known = variance > 0.0
-    scores = _scores(solution, pose[..., known], shared[:, known]) / np.sqrt(variance[known, None])
-    frame, frames = solution.problem.tracks.frame, len(solution.poses)
-    by_frame = np.stack([np.bincount(frame, column, frames) for column in scores])
-    by_frame = by_frame[:, np.bincount(frame, minlength=frames) > 0]
+    root = np.sqrt(variance[known])
+    by_frame, alone = _scores(solution, pose[..., known] / root, shared[:, known] / root)
+    frame = solution.problem.tracks.frame
+    by_frame = by_frame[:, np.bincount(frame, minlength=len(solution.poses)) > 0]
     by_frame -= by_frame.mean(axis=1, keepdims=True)  # what draws all frames alike is the priors' pull
-    alone, seeing = float(np.square(scores).sum()), by_frame.shape[1]
+    seeing = by_frame.shape[1]
     if alone <= 0.0:
         return DesignEffect(1.0, 0.0, 1.0)
     fitted = seeing / max(seeing - _determined(solution), 1.0)
@@ -151,26 +150,30 @@ def _determined(solution: Solution) -> float:
     return float(np.maximum(1.0 - (sd[free] / prior[free]) ** 2, 0.0).sum())
 
 
-def _scores(solution: Solution, pose: Floats, shared: Floats) -> Floats:
-    """By how much each image observation draws quantities away from the solution, (r, m). Args: pose (f, d,
-    r), shared (s, r): see `Reduced.moved`."""
+def _scores(solution: Solution, pose: Floats, shared: Floats) -> tuple[Floats, float]:
+    """By how much image observations draw quantities away from the solution: sums by frame (r, f), and the
+    sum of all squares. Args: pose (f, d, r), shared (s, r): see `Reduced.moved`."""
     image, at, reduced = solution.problem.image, solution.estimate, solution.stated.solved
-    tracks, none = image.tracks, np.zeros(reduced.normals.point_side.shape)
-    columns = range(shared.shape[1])
-    points_m = [reduced.points_moved(pose[..., j], shared[:, j], none) for j in columns]
+    sightings, columns = reduced.normals.sightings, range(shared.shape[1])
     interior = shared[: reduced.level].reshape(*at.interior.shape, -1)
     linearised = image.linearised(at, solution.components)
-    scores = np.empty((len(columns), len(tracks.frame)))
-    for which in np.array_split(np.arange(len(tracks.frame)), max(len(tracks.frame) // AT_ONCE, 1)):
-        residual, weight, levers, by_interior, by_point = linearised(which)
-        frame, point, drawn = tracks.frame[which], tracks.point[which], weight * residual
+    by_frame, squares = np.zeros((len(columns), sightings.frames)), 0.0
+    for group in sightings.groups:
+        residual, weight, levers, by_interior, by_point = linearised(
+            sightings.order[group.span].astype(np.intp)
+        )
+        frame, none = sightings.frame[group.span], np.zeros((group.size, 3))
+        point, drawn = sightings.point[group.span] - group.points.start, weight * residual
         by_camera = np.einsum("an,akn->kn", drawn, by_interior)
         by_place = np.einsum("an,ain->in", drawn, by_point)
         for j in columns:
-            moved_m = levers.as_points_m(pose[frame, :, j].T) + points_m[j][point].T
+            points_m = reduced.group_moved(group, pose[..., j], shared[:, j], none)
+            moved_m = levers.as_points_m(pose[frame, :, j].T) + points_m[point].T
             lens = interior[image.camera_of[frame], :, j].T
-            scores[j, which] = (by_place * moved_m).sum(axis=0) + (by_camera * lens).sum(axis=0)
-    return scores
+            score = (by_place * moved_m).sum(axis=0) + (by_camera * lens).sum(axis=0)
+            by_frame[j] += np.bincount(frame, score, sightings.frames)
+            squares += float(np.square(score).sum())
+    return by_frame, squares
 
 
 def _bends(places_m: Floats) -> Floats:
