@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
-from geomosaic.constants import tuned
+from geomosaic.constants import TOGETHER, tuned
 from geomosaic.doors.at_hand import at_hand, own_place, shares_disk
 from geomosaic.errors import FileError
 from geomosaic.pipeline import files
@@ -133,9 +133,8 @@ class StoredResult(Reference, Generic[Result]):
         path = self.path
 
         def read() -> tuple[Result, int]:
-            return _read(path, lambda file: decode(file, self.returns, mapped=True)), at_hand(
-                path
-            ).stat().st_size
+            size = max(at_hand(path).stat().st_size, _MEMORY_BYTES // TOGETHER)  # a mapped file is an open one
+            return _read(path, lambda file: decode(file, self.returns, mapped=True)), size
 
         return typing.cast(Result, _memory.get(f"{self.mark} mapped", read))
 

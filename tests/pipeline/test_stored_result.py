@@ -216,6 +216,18 @@ def test_a_look_reads_what_is_looked_at(flight: Flight) -> None:
         StoredResult(made.returns, "another", made.path).look()
 
 
+def test_many_small_results_are_not_all_open(flight: Flight) -> None:
+    """Most systems let a process have 1,024 files open."""
+    flight.put(400)
+    hashes = FileHashes()
+    hashes.manifest(flight.frames)
+    context = Context(flight.folder / "run", key="one", hashes=hashes)
+    paths = sorted(map(str, flight.frames.iterdir()))
+    made = context.stored("keypoints", keypoints, paths)
+    assert [float(its.look().at[0]) for its in made] == [float(Path(p).read_text()) for p in paths]
+    assert len(list(Path("/proc/self/fd").iterdir())) < 320
+
+
 def test_what_is_made_of_a_result_is_kept_instead_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
