@@ -68,7 +68,8 @@ _WINDOW_BYTES = tuned(100e6, "bytes", "of a composing process's window: less sta
 _HALVES = sourced(1.0 / 4.0, "share", "kept halved: less states the space too low", "1 of 2 x 2 pixels")
 
 
-_FRAMES_BYTES = sourced(0.45, "bytes/px", "of reduced frames and keypoints", "18 frames of 9 MP: 3.9 MB each")
+_TIES_BYTES = sourced(2.5e6, "bytes/frame", "of keypoints and tie points", "1,000 frames of 0.3 MP: 2.6 GB")
+_FRAMES_BYTES = sourced(0.16, "bytes/px", "of reduced frames", "18 frames of 9 MP: 3.9 MB each, with ties")
 _SURFACE_BYTES = sourced(128.0, "bytes/cell", "of a surface on disk", "18 frames: 360 MB for 2.9 million")
 
 
@@ -207,7 +208,7 @@ def before_composing(
     return Before(
         (s[0], s[1]),
         _PROGRAM_BYTES + matching + memory_bytes + workers * _WINDOW_BYTES,
-        _FRAMES_BYTES * float(whole.sum()),
+        _TIES_BYTES * len(sizes_px) + _FRAMES_BYTES * float(whole.sum()),
     )
 
 
