@@ -15,7 +15,6 @@ from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.constants import tuned
 
 CELL_PX = tuned(8, "px", "cell of a mean grey, divides 32: smaller is noisy; larger mixes cloud and ground")
-_BINS = tuned(128, "bins", "of Otsu's histogram: fewer blur the threshold; more are mostly empty")
 _STANDS_OUT = tuned(0.2, "share", "above the darker group: less suspects fields; more misses thin clouds")
 _IN_PART = tuned(0.25, "share", "of the way to the brighter mean: more takes partly clouded rows for ground")
 _MOST_SHARE = tuned(0.97, "share", "bright part of a scene: above, the rest is too small to draw curves by")
@@ -51,15 +50,12 @@ def bright_part(brightness: Floats) -> Suspect | None:
 
     The groups are Otsu's (1979); what lies between them counts as bright: rows that are in part so.
     """
-    counts, edges = np.histogram(brightness, _BINS)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    below = np.cumsum(counts)[:-1]
-    above = counts.sum() - below
-    total = np.cumsum(counts * middle)
-    low = total[:-1] / np.maximum(below, 1)
-    high = (total[-1] - total[:-1]) / np.maximum(above, 1)
-    split = int(np.argmax(below * above * (high - low) ** 2))
-    if high[split] - low[split] < _STANDS_OUT * low[split]:
+    eight = np.asarray(cv2.normalize(brightness, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U))  # type: ignore[call-overload]
+    split, _ = cv2.threshold(eight, 0, 255, cv2.THRESH_OTSU)
+    if (eight > split).all() or (eight <= split).all():
         return None
-    found = Suspect(float(low[split] + _IN_PART * (high[split] - low[split])))
+    low, high = float(brightness[eight <= split].mean()), float(brightness[eight > split].mean())
+    if high - low < _STANDS_OUT * low:
+        return None
+    found = Suspect(low + _IN_PART * (high - low))
     return found if found.hides(brightness).mean() < _MOST_SHARE else None

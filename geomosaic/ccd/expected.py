@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.arrays import Floats
+from geomosaic.ccd.volumes import BLOCK_LINES
 from geomosaic.constants import tuned
+from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.survey.strips import StripGeometry
 
 
@@ -39,11 +41,10 @@ class Nature:
     knot_s: float = 0.0049
 
 
-_NOMINAL_SD_PX = tuned(2.5, "px", "mounting of CCDs: less takes ground for cloud; more, cloud for ground")
-_LEVEL_SDS = tuned(2.35, "deviations", "off nominal, beyond which a level is cloud: less rejects ground")
+NOMINAL_SD_PX = tuned(2.0, "px", "mounting of CCDs: less takes ground for cloud; more, cloud for ground")
 _LEAST_KNOT_LINES = tuned(8, "lines", "knot spacing: with less, cells have too few pixels to be measured")
-_MOST_KNOT_LINES = tuned(64, "lines", "knot spacing: with more, a cloud edge or lost line spoils too much")
-_LEAST_STEEP_PX = tuned(0.5, "lines", "rise tested for lost lines: less tests noise; more misses some")
+NOISE_SHARE = tuned(0.3, "share", "of noise in a step: less misses noisy steps; more finds false ones")
+LEAST_STEP_PX = tuned(0.5, "px", "of a step or a break: ground has 0.1, 0.35 at low contrast; more misses")
 _MOST_PX = tuned(1e3, "px", "cap: an odd geometry file would give any deviation; less binds real cameras")
 
 
@@ -70,7 +71,7 @@ class Expected:
     def steep_px(self, lines: float, alone: bool) -> float:
         """More than a pair's curve rises within so many lines, against the other pairs' or alone."""
         motion = 2.1 * self.moves_px_per_line if alone else 0.0
-        return max(_LEAST_STEEP_PX, lines * max(self.steep_px_per_line, motion))
+        return max(LEAST_STEP_PX, lines * max(self.steep_px_per_line, motion))
 
 
 def expected(geometry: StripGeometry, knot_lines: int = 0, nature: Nature | None = None) -> Expected:
@@ -79,12 +80,12 @@ def expected(geometry: StripGeometry, knot_lines: int = 0, nature: Nature | None
     rows_s, px_per_rad = g.row_separation_lines / g.line_rate_hz, g.altitude_m / g.ground_pixel_m
     line_m = min(1.0 / g.height_m_per_line if g.height_m_per_line > 0.0 else 0.0, _MOST_PX)
     drift_px, wind_px = n.drift_rad_per_s * rows_s * px_per_rad, n.wind_sd_m_per_s * rows_s / g.ground_pixel_m
-    ground_sd = np.hypot(np.hypot(_NOMINAL_SD_PX, drift_px), [0.0, n.ground_sd_m * line_m])
+    ground_sd = np.hypot(np.hypot(NOMINAL_SD_PX, drift_px), [0.0, n.ground_sd_m * line_m])
     clouds_sd = np.hypot(np.hypot(1.0, wind_px), [0.0, n.cloud_height_sd_m * line_m])
     return Expected(
         knot_lines=max(knot_lines // 2 * 2, 4) if knot_lines else _even(n.knot_s * g.line_rate_hz),
         ground_sd_px=np.minimum(ground_sd, _MOST_PX),
-        far_px=_LEVEL_SDS * float(ground_sd[0]),
+        far_px=THREE_SIGMA * float(ground_sd[0]),
         clouds_px=np.array([0.0, -n.cloud_height_m * line_m]),
         clouds_sd_px=np.minimum(clouds_sd, _MOST_PX),
         moves_px_per_line=n.pointing_rad_per_s * px_per_rad / g.line_rate_hz,
@@ -95,4 +96,4 @@ def expected(geometry: StripGeometry, knot_lines: int = 0, nature: Nature | None
 
 
 def _even(lines: float) -> int:
-    return int(np.clip(2 * round(lines / 2), _LEAST_KNOT_LINES, _MOST_KNOT_LINES))
+    return int(np.clip(2 * round(lines / 2), _LEAST_KNOT_LINES, 2 * BLOCK_LINES))

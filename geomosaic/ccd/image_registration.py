@@ -17,6 +17,7 @@ from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.ccd.columns import BOX_PX, flattened
 from geomosaic.ccd.model import (
     BRIDGED,
+    LOCKING_SD_PX,
     MEASURED,
     UNRELIABLE,
     CcdSettings,
@@ -24,17 +25,13 @@ from geomosaic.ccd.model import (
     PairOffsets,
     Progress,
 )
-from geomosaic.ccd.overlaps import Strips
-from geomosaic.ccd.sift_chains import NEAR_PX, bridging_sd, pieces
-from geomosaic.constants import sourced, tuned
+from geomosaic.ccd.overlaps import PIECE_LINES, Strips
+from geomosaic.ccd.sift_chains import ABNORMAL_PX, LEAST_POINTS, NEAR_PX, bridging_sd, pieces
+from geomosaic.constants import tuned
+from geomosaic.matching.displacement import LEAST_CORRELATION
 from geomosaic.survey.strips import StripGeometry
 
-_PATCH_LINES = tuned(64, "lines", "patch height: lower fails at low contrast; higher blurs TH-1's jitter")
-_PIECE_LINES = tuned(16 * _PATCH_LINES, "lines", "read at once: fewer read margins twice; more take memory")
-_LEAST_CORRELATION = tuned(0.4, "1", "peak of a patch: less lets chance peaks in; more loses low contrast")
-_ODD_PX = tuned(1.5, "px", "off the median of 7 patches: less drops jitter; more lets wrong peaks in")
-_LEAST_PATCHES = sourced(5, "patches", "for a pair's curve", "scipy: make_smoothing_spline takes at least 5")
-_PHASE_SD_PX = tuned(0.02, "px", "pixel locking of parabola peaks: less claims too much; more too little")
+PATCH_LINES = tuned(64, "lines", "patch height: lower fails at low contrast; higher blurs TH-1's jitter")
 
 
 def image_registration(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
@@ -56,7 +53,7 @@ def _all_patches(strips: Strips, settings: CcdSettings, progress: Progress) -> d
     """The patches (p, 4) of every pair, as `patches` returns them."""
     found: dict[int, list[Floats]] = {pair: [] for pair in strips.pairs}
     spare = settings.search_lines_px + 3 * (BOX_PX // 2)
-    for done, (pair, first, stop, total) in enumerate(pieces(strips, _PIECE_LINES)):
+    for done, (pair, first, stop, total) in enumerate(pieces(strips, PIECE_LINES)):
         overlap = strips.overlap(pair, first - spare, stop + spare)
         found[pair].append(patches(overlap, strips.geometry, settings, spare))
         progress(done + 1, total)
@@ -77,18 +74,18 @@ def patches(overlap: Overlap, geometry: StripGeometry, settings: CcdSettings, sp
     shift, width = geometry.overlap_px - geometry.read_px, left.shape[1]
     begin, end = max(0, reach_c - shift), min(width, width - reach_c - shift)
     apart = overlap.side * geometry.row_separation_lines
-    last = len(left) - spare - _PATCH_LINES
-    tops = np.unique(np.append(np.arange(spare, last, _PATCH_LINES), max(last, spare)))
+    last = len(left) - spare - PATCH_LINES
+    tops = np.unique(np.append(np.arange(spare, last, PATCH_LINES), max(last, spare)))
     out = np.zeros((len(tops), 4))
-    out[:, 0] = overlap.first_line + tops + (_PATCH_LINES - 1) / 2
+    out[:, 0] = overlap.first_line + tops + (PATCH_LINES - 1) / 2
     if end - begin < 8:
         return out
     for patch, top in zip(out, tops, strict=True):
-        if not overlap.valid[top : top + _PATCH_LINES].any(axis=1).all():
+        if not overlap.valid[top : top + PATCH_LINES].any(axis=1).all():
             continue
-        lines = slice(top - reach_l, top + _PATCH_LINES + reach_l)
+        lines = slice(top - reach_l, top + PATCH_LINES + reach_l)
         window = right[lines, begin + shift - reach_c : end + shift + reach_c]
-        pattern = left[top : top + _PATCH_LINES, begin:end]
+        pattern = left[top : top + PATCH_LINES, begin:end]
         found = cv2.matchTemplate(window, pattern, cv2.TM_CCOEFF_NORMED).astype(np.float64)
         line, col = np.unravel_index(int(np.argmax(found)), found.shape)
         if 0 < line < found.shape[0] - 1 and 0 < col < found.shape[1] - 1:
@@ -101,7 +98,7 @@ def patches(overlap: Overlap, geometry: StripGeometry, settings: CcdSettings, sp
 def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
     """The standard deviation is that of a patch: what the curve smooths is not counted on."""
     good = _plausible(found)
-    if good.sum() < _LEAST_PATCHES:
+    if good.sum() < LEAST_POINTS:
         return PairOffsets.unknown(pair, lines)
     at, offset, r = found[good, 0], found[good, 1:3], found[good, 3]
     t = np.arange(lines, dtype=np.float64)
@@ -109,14 +106,14 @@ def _curve(pair: int, lines: int, found: Floats) -> PairOffsets:
     for axis in (0, 1):
         spline = make_smoothing_spline(at, offset[:, axis], w=r**2)
         curves.append(np.asarray(spline(np.clip(t, at[0], at[-1]))))
-        deviations.append(bridging_sd(t, at, offset[:, axis], np.full(lines, _PHASE_SD_PX), _PATCH_LINES))
+        deviations.append(bridging_sd(t, at, offset[:, axis], np.full(lines, LOCKING_SD_PX), PATCH_LINES))
     label = _labels(lines, found[:, 0], good)
     return PairOffsets(pair, curves[0], curves[1], deviations[0], deviations[1], label)
 
 
 def _mean(pair: int, lines: int, found: Floats) -> PairOffsets:
     good = _plausible(found)
-    if good.sum() < _LEAST_PATCHES:
+    if good.sum() < LEAST_POINTS:
         return PairOffsets.unknown(pair, lines)
     offset = found[good, 1:3]
     mean, sd = offset.mean(axis=0), offset.std(axis=0, ddof=1)
@@ -127,11 +124,11 @@ def _mean(pair: int, lines: int, found: Floats) -> PairOffsets:
 
 def _plausible(found: Floats) -> Bools:
     """Patches (p,) that correlate and lie near the middle of the seven about them."""
-    good = found[:, 3] >= _LEAST_CORRELATION
+    good = found[:, 3] >= LEAST_CORRELATION
     if good.any():
         offset = found[good, 1:3]
         usual = median_filter(offset, size=(7, 1), mode="nearest")
-        good[good] = np.abs(offset - usual).max(axis=1) <= _ODD_PX
+        good[good] = np.abs(offset - usual).max(axis=1) <= ABNORMAL_PX
     return np.asarray(good)
 
 
@@ -139,8 +136,8 @@ def _labels(lines: int, centre: Floats, measured: Bools) -> Bytes:
     """Lines of patches are measured or bridged, the others unreliable."""
     label = np.full(lines, UNRELIABLE, dtype=np.uint8)
     for middle, own in zip(centre, measured, strict=True):
-        first = round(middle - (_PATCH_LINES - 1) / 2)
-        label[first : first + _PATCH_LINES] = MEASURED if own else BRIDGED
+        first = round(middle - (PATCH_LINES - 1) / 2)
+        label[first : first + PATCH_LINES] = MEASURED if own else BRIDGED
     return label
 
 

@@ -10,7 +10,14 @@ import numpy as np
 
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.ccd.expected import Expected, expected
-from geomosaic.ccd.joint_window import KnotOffsets, WindowStart, curve_of, first_offsets, solved_window
+from geomosaic.ccd.joint_window import (
+    LEAST_KNOTS,
+    KnotOffsets,
+    WindowStart,
+    curve_of,
+    first_offsets,
+    solved_window,
+)
 from geomosaic.ccd.lost_lines import LineStep, lasting, steps
 from geomosaic.ccd.model import (
     BRIDGED,
@@ -30,8 +37,6 @@ from geomosaic.constants import tuned
 from geomosaic.survey.strips import StripGeometry
 
 _WINDOW_LINES = tuned(20000, "lines", "solved at once: more take memory; fewer teach less about the motion")
-_MARGIN_LINES = tuned(2000, "lines", "overlap of windows: fewer bridge gaps from one side; more take time")
-_LEAST_KNOTS = tuned(16, "knots", "shared by a pair: fewer leave it to the prior; more refuse short scenes")
 _MOST_ROUNDS = tuned(2, "rounds", "searches for lost lines: one misses hidden steps; each takes a solution")
 _DOUBTFUL_LINES = tuned(3.0, "lines", "doubtful at lost lines: less trusts the wrong side; more loses some")
 
@@ -48,11 +53,11 @@ def joint(
     likely = expected(strips.geometry, settings.knot_lines)
     step = likely.knot_lines
     lines = max((shared_lines(strips, pair) for pair in strips.pairs), default=0)
-    if lines < _LEAST_KNOTS * step:
+    if lines < LEAST_KNOTS * step:
         return tuple(PairOffsets.unknown(pair, strips.lines(pair)) for pair in strips.pairs)
     knots = lines // step + 2  # a few lines beyond: offsets move what is shared
     known = [relief_of(strips, pair, knots * step) for pair in strips.pairs]
-    windows = list(_windows(knots, window_lines // step, _MARGIN_LINES // step))
+    windows = list(_windows(knots, window_lines // step))
     whole = KnotOffsets.nothing(len(strips.pairs), knots)
     for count, window in enumerate(windows):
         progress(count, len(windows))
@@ -70,7 +75,9 @@ class _Window:
     weight: Floats
 
 
-def _windows(knots: int, longest: int, margin: int) -> Iterator[_Window]:
+def _windows(knots: int, longest: int) -> Iterator[_Window]:
+    """Windows that overlap by a tenth on either side."""
+    margin = longest // 10
     count = max(round(knots / longest), 1) if knots <= 1.2 * longest else -(-knots // longest)
     ends = np.linspace(0, knots, count + 1).astype(int)
     at = np.arange(knots) + 0.5

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,13 +19,14 @@ from geomosaic.arrays import Bools, Floats
 from geomosaic.ccd.brightness import CELL_PX
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.least_squares_matching import (
+    MISFIT_PX,
     NEARBY_KNOTS,
     KnotOffsetsMeasured,
     PairImages,
     measure,
     pair_images,
 )
-from geomosaic.ccd.model import SURE_SD_PX, CcdSettings
+from geomosaic.ccd.model import SURE_SD_PX, UNKNOWN_SD_PX, CcdSettings
 from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
@@ -33,18 +34,18 @@ from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.second_layers import widest_step
 from geomosaic.ccd.volumes import BLOCK_LINES, volume
 from geomosaic.constants import FOUR_SIGMA, tuned
+from geomosaic.estimation.robust import THREE_SIGMA
 
 _COARSE_SD_PX = tuned(1.2, "px", "of the path through bins of 2 px: less follows each bin; more the prior")
-_ANCHOR = tuned(40.0**-2 * np.eye(2), "px^-2", "40 px of deviation: 0 lets knots run off; more draws to bins")
-_FAR_PX = tuned(3.5, "px", "off the path, nearly two bins: less loses fast motion; more admits clouds")
-_MOSTLY = tuned(0.6, "share", "suspect pixels of a suspect knot: less lets ground in; more skips clouds")
-_HARDLY = tuned(0.1, "share", "suspect pixels of a ground knot: more lets clouds in; less leaves few")
-_MOVED_PX = tuned(0.06, "px", "offset that makes a cloud: less rejects bright ground; more keeps low clouds")
+_ANCHOR: Final = (FOUR_SIGMA * UNKNOWN_SD_PX) ** -2 * np.eye(2)
+"""Keeps knots that nothing was measured at from running off."""
+_FAR_PX: Final = THREE_SIGMA * _COARSE_SD_PX
+"""Off the path: rather a cloud."""
 _UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; less loses bright ground")
 _KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
-_LEAST_FIT = tuned(0.25, "share", "of cells that fit a knot, knots that decide: more loses half clouds")
+_LEAST_FIT = tuned(0.25, "share", "of cells that fit, suspect pixels that mix a knot: more loses half clouds")
 _LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: less claims too much")
-_LEAST_KNOTS = tuned(8, "knots", "for a pair's median level: fewer may be mostly one cloud's")
+LEAST_KNOTS = tuned(16, "knots", "of a pair: fewer may be mostly one cloud's; more refuse short scenes")
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def _off_curves(
     rows = len(centres) * step
     share = np.stack([hidden[:rows].reshape(len(centres), -1).mean(axis=1) for hidden in suspect])
     found = np.trace(measured, axis1=2, axis2=3) > 0
-    part, rest = share > _MOSTLY, share < _HARDLY
+    part, rest = share > 1.0 - _LEAST_FIT, share < _LEAST_FIT
     measured = np.where((part | rest)[..., None, None], measured, 0.0)
     fits = np.stack([c.fit >= _LEAST_FIT for c in cells]) & found
     if not part.any() or fits[part].mean() < _LEAST_FIT:
@@ -192,7 +193,7 @@ def _off_curves(
         weight, factor = _plausible(residual, measured)
         weighed = measured * (weight / factor[:, None])[..., None, None]
     sd = np.sqrt(np.diagonal(covariance) * _KNOTS_PER_FACT)
-    off = np.abs(shift) > np.maximum(FOUR_SIGMA * sd, _MOVED_PX)
+    off = np.abs(shift) > np.maximum(FOUR_SIGMA * sd, MISFIT_PX)
     return bool(off.any()), bool((sd < _UNSEEN_PX).all())
 
 
@@ -251,7 +252,7 @@ def _level(offset_px: Floats, found: Bools, now: Smoothed) -> Floats:
     """(pairs, 2) about where each pair's curves lie: by what was measured, or by the curves if little was."""
     return np.stack(
         [
-            np.median(measured[good], axis=0) if good.sum() >= _LEAST_KNOTS else curve.mean(axis=0)
+            np.median(measured[good], axis=0) if good.sum() >= LEAST_KNOTS else curve.mean(axis=0)
             for measured, good, curve in zip(offset_px, found, now.offsets_px, strict=True)
         ]
     )

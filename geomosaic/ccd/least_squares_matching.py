@@ -21,8 +21,9 @@ from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import solve_each
+from geomosaic.matching.displacement import SMOOTHING_SIGMA_PX
 
-_MISFIT_PX = tuned(0.06, "px", "resampling and relief in a cell: less rejects ground; more admits clouds")
+MISFIT_PX = tuned(0.06, "px", "resampling and relief in a cell: less rejects ground; more admits clouds")
 _STEPS_PER_PX: Final = cv2.INTER_TAB_SIZE
 """Of cv2.remap's tables, as `_lands` expects."""
 _ALIKE_MISFIT_PX = tuned(0.33, "px", "the same, correlated by pixel: less claims too much at high contrast")
@@ -30,9 +31,7 @@ _CLOSE_MISFIT_PX = tuned(0.117, "px", "the same for learning: less learns noise;
 _MOST_RATIO = tuned(1.8, "1", "misfit of full weight: less loses cells by chance; more admits half clouds")
 _HOPELESS_RATIO = tuned(5.0, "1", "misfit of no weight: less loses cells at edges; more lets clouds pull")
 _COL_GROUPS = tuned(4, "cells", "across a knot: fewer lose it at a cloud's edge; more lack pixels")
-_UNLIKE = tuned(0.2, "1", "gradient correlation of no weight: less lets smooth clouds in; more loses ground")
-_ALIKE = tuned(0.4, "1", "gradient correlation of full weight: less lets noise decide; more weakens ground")
-_SOFT_PX = tuned(0.8, "px", "blur before matching: less lets aliases in; more loses fine detail")
+_ALIKE = tuned(0.4, "1", "gradient correlation of full weight, none at half: less lets smooth clouds in")
 NEARBY_KNOTS = tuned(31, "knots", "of one scatter and contrast, odd: fewer are chance; more blur contrast")
 _ALIKE_KNOTS = tuned(5, "knots", "window of that correlation, odd: fewer are noisy; more blur clouds' edges")
 
@@ -79,9 +78,9 @@ def pair_images(pair: RowPair, scale: int) -> PairImages:
 
 def _softened(image: Floats32, valid: Bools) -> Floats32:
     """The image blurred; what is not valid is in no other pixel's blur."""
-    soft: Floats32 = np.asarray(cv2.GaussianBlur(image * valid, (0, 0), _SOFT_PX), dtype=np.float32)
+    soft: Floats32 = np.asarray(cv2.GaussianBlur(image * valid, (0, 0), SMOOTHING_SIGMA_PX), dtype=np.float32)
     if not valid.all():
-        soft /= np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _SOFT_PX), 1e-3)
+        soft /= np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), SMOOTHING_SIGMA_PX), 1e-3)
     return soft
 
 
@@ -171,7 +170,7 @@ def _weighed(cells: _Cells, at: Floats, scale: int) -> KnotOffsetsMeasured:
     rest, gradient = np.maximum(rest, 0.0) / count, np.trace(normal, axis1=2, axis2=3) / count
     enough = cells.pixels >= 0.5 * cells.pixels.max(initial=1.0)
     noise = noise_floor(rest[enough])
-    expected = noise + _MISFIT_PX**2 * gradient
+    expected = noise + MISFIT_PX**2 * gradient
     weight = _weights(rest / np.maximum(expected, 1e-12), _alike(cells, noise))
     weight *= enough & (np.abs(shift).max(-1) < 1.0)
     mean_power = 0.5 * (cells.shared + cells.whole)
@@ -202,7 +201,7 @@ def _weighed(cells: _Cells, at: Floats, scale: int) -> KnotOffsetsMeasured:
 def _weights(ratio: Floats, alike: Floats) -> Floats:
     """Weights of cells by their misfit and by how far both images show the same."""
     weight = np.where(ratio < _MOST_RATIO, 1.0, (_MOST_RATIO / np.maximum(ratio, 1e-9)) ** 2)
-    return weight * (ratio < _HOPELESS_RATIO) * np.clip((alike - _UNLIKE) / (_ALIKE - _UNLIKE), 0.0, 1.0)
+    return weight * (ratio < _HOPELESS_RATIO) * np.clip(2.0 * alike / _ALIKE - 1.0, 0.0, 1.0)
 
 
 def _alike(cells: _Cells, noise: float) -> Floats:
@@ -210,7 +209,7 @@ def _alike(cells: _Cells, noise: float) -> Floats:
 
     About 0 where the two show different things, however smooth both are. noise: variance of the difference.
     """
-    by_noise = 0.5 * (1.0 - np.exp(-(_SOFT_PX**-2))) * noise * cells.pixels
+    by_noise = 0.5 * (1.0 - np.exp(-(SMOOTHING_SIGMA_PX**-2))) * noise * cells.pixels
     same, whole = (
         uniform_filter1d(power, _ALIKE_KNOTS, axis=0) for power in (cells.shared + by_noise, cells.whole)
     )

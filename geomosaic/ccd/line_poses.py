@@ -7,14 +7,11 @@ from numpy.typing import ArrayLike
 
 from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.constants import tuned
+from geomosaic.constants import MOST_ROUNDS, SLIGHT, tuned
 from geomosaic.geodesy.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
 
-_MOST_ROUNDS = tuned(20, "rounds", "of Newton's method: three suffice but for noise of 10 microradians")
-_SOLVED_LINES = tuned(1e-5, "lines", "step that ends it: smaller takes a round for nothing; larger shows")
-STEP_LINES = tuned(8, "lines", "between poses of samples: 8 is off by 0.007 px, 32 by 0.1; less takes memory")
+STEP_LINES = tuned(4, "lines", "solved of a scene: 4 is off by 2e-3 px, 8 by 7e-3, 16 by 3e-2")
 SPARE_LINES = tuned(128, "lines", "of poses past the wanted ones: attitudes jump by 80; more take time")
-EVERY_LINES = tuned(4, "lines", "solved of a scene: 4 is off by 2e-3 px, 8 by 7e-3, 16 by 3e-2")
 _SLOPES = tuned((0.4, 2.5), "usual slopes", "limits of a slope: closer slows steps; wider lets them run away")
 
 
@@ -53,7 +50,7 @@ class LinePoses:
         rate = self.model.line_rate_hz
         line = np.array(np.broadcast_to(np.asarray(near_line, dtype=np.float64), ecef_m.shape[:-1]))
         step = np.zeros_like(line)
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(MOST_ROUNDS):
             line = line - step
             pose, change = self._at(line)
             away = ecef_m - pose[..., :3]
@@ -67,9 +64,9 @@ class LinePoses:
             slope = forward_by - f_col * col_by - f_s / rate
             usual = np.nanmedian(slope) if slope.size else 0.0
             step = rest / (usual * np.clip(slope / usual, *_SLOPES))
-            if not (np.abs(step) > _SOLVED_LINES).any():
+            if not (np.abs(step) > SLIGHT).any():
                 break
-        lost = ~(np.abs(step) <= _SOLVED_LINES)
+        lost = ~(np.abs(step) <= SLIGHT)
         return np.where(lost, np.nan, col), np.where(lost, np.nan, line)
 
     def _at(self, line: Floats) -> tuple[Floats, Floats]:

@@ -14,16 +14,14 @@ import numpy as np
 
 from geomosaic.arrays import Floats, Floats32, Ints
 from geomosaic.ccd.columns import BOX_PX
-from geomosaic.ccd.expected import Expected
+from geomosaic.ccd.expected import NOISE_SHARE, Expected
+from geomosaic.ccd.paths import WINDOW_BLOCKS
 from geomosaic.ccd.rows import RowPair
+from geomosaic.ccd.volumes import BLOCK_LINES
 from geomosaic.constants import tuned
 
-_KNOTS_APART = tuned(10, "knots", "left out at a step: fewer include its smoothed part; more say less")
-_ENOUGH_PAIRS = tuned(3, "pairs", "for a median as motion of all: of two it has half of either's step")
-_STEEP_KNOTS = tuned(8, "knots", "of a rise, and of lines fitted beyond: fewer follow noise; more see relief")
-_AROUND_LINES = tuned(256, "lines", "compared on each side: fewer may miss the step; more include another")
+_STEEP_KNOTS = tuned(8, "knots", "of a rise, of lines fitted beyond: fewer follow noise; more see relief")
 _SHARP_LINES = tuned(48, "lines", "on which one offset must win: fewer are noise; more merge near steps")
-_MOST_MISFIT = tuned(0.3, "share", "of the other offset's: less misses noisy steps; more finds false ones")
 _LEAST_SEEN = tuned(0.6, "share", "valid pixels at a step: less decides beside clouds; more misses some")
 
 
@@ -43,7 +41,7 @@ def steps(pairs: Sequence[RowPair], offset_px: Floats, likely: Expected) -> list
     A place shows one step, of the CCD that one or two pairs share: the largest.
     """
     found: list[LineStep] = []
-    knot_lines, alone = likely.knot_lines, len(pairs) < _ENOUGH_PAIRS
+    knot_lines, alone = likely.knot_lines, len(pairs) <= 2
     least_px = likely.steep_px(_STEEP_KNOTS * knot_lines, alone)
     curves = [_pair_curve(offset_px, index, knot_lines) for index in range(len(pairs))]
     for knot in _steep(offset_px[..., 1], least_px):
@@ -76,7 +74,7 @@ def lasting(found: Sequence[LineStep]) -> list[LineStep]:
 
 def _steep(dline_px: Floats, least_px: float) -> list[int]:
     """Knots, some apart, about which any pair's curve rises or falls more than motion and relief let it."""
-    apart = dline_px - np.median(dline_px, axis=0) if len(dline_px) >= _ENOUGH_PAIRS else dline_px
+    apart = dline_px - np.median(dline_px, axis=0) if len(dline_px) > 2 else dline_px
     rise = np.abs(apart[:, _STEEP_KNOTS:] - apart[:, :-_STEEP_KNOTS]).max(axis=0)
     found = []
     while rise.size and rise.max() > least_px:
@@ -97,18 +95,18 @@ class _PairCurve:
 
 def _pair_curve(offset_px: Floats, index: int, knot_lines: int) -> _PairCurve:
     others = np.delete(offset_px, index, axis=0)
-    motion = np.median(others, axis=0) if len(others) >= _ENOUGH_PAIRS else np.zeros(offset_px.shape[1:])
+    motion = np.median(others, axis=0) if len(others) > 2 else np.zeros(offset_px.shape[1:])
     return _PairCurve(offset_px[index] - motion, motion, knot_lines)
 
 
 def _step(pair: RowPair, curve: _PairCurve, knot: int) -> tuple[int, int] | None:
     """The line from which on dline is larger, and by how much; None where there is no step."""
-    near, far = _KNOTS_APART, _KNOTS_APART + _STEEP_KNOTS
+    near, far = _STEEP_KNOTS, 2 * _STEEP_KNOTS
     own, motion, knot_lines = curve.own, curve.motion, curve.knot_lines
     if knot < far or knot + far >= len(own):
         return None
-    first = max((knot * knot_lines) - _AROUND_LINES, 0)
-    u = np.arange(first, min(first + 2 * _AROUND_LINES, len(pair)), dtype=np.intp)
+    first = max((knot * knot_lines) - WINDOW_BLOCKS * BLOCK_LINES, 0)
+    u = np.arange(first, min(first + 2 * WINDOW_BLOCKS * BLOCK_LINES, len(pair)), dtype=np.intp)
     at = (u - (knot_lines - 1) / 2) / knot_lines
     left, right = np.arange(knot - far, knot - near), np.arange(knot + near, knot + far)
     moved = np.stack([np.interp(at, np.arange(len(motion)), axis) for axis in motion.T])
@@ -143,7 +141,7 @@ def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float
     ):
         return None
     (here, there), (back, then) = ahead.sum(axis=1), behind.sum(axis=1)
-    sharp = here < _MOST_MISFIT * there and then < _MOST_MISFIT * back
+    sharp = here < NOISE_SHARE * there and then < NOISE_SHARE * back
     return (float(here + then), int(u[where])) if sharp else None
 
 

@@ -26,6 +26,7 @@ fix their order."""
 MEASURED, BRIDGED, UNRELIABLE = range(len(LABELS))
 RELIABLE_SD_PX = sourced(0.6, "px", "more admits misplaced lines; less loses usable ones", "1 px / 1.645")
 SURE_SD_PX = tuned(0.25, "px", "for a measured line, to learn from: more admits what hangs on neighbours")
+LOCKING_SD_PX = tuned(0.02, "px", "of places between pixels: less lets a few decide; more weighs all alike")
 UNKNOWN_SD_PX = tuned(10.0, "px", "of unseen lines, as far as TH-1 is off nominal: less claims too much")
 
 

@@ -16,15 +16,12 @@ import numpy as np
 
 from geomosaic.arrays import Bools, Floats
 from geomosaic.ccd.banded import Banded
-from geomosaic.ccd.expected import Expected
+from geomosaic.ccd.expected import NOMINAL_SD_PX, Expected
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse, solve
 
-_OWN_PX = tuned(2.0, "px", "deviation of own parts: less flattens relief and warmth; more runs off in gaps")
 _FREE_KNOTS = tuned(60, "knots", "pulled to the level as one: fewer flatten slow motion; more run off")
 _JERK = tuned(2.1, "usual motion", "prior of a knot's change: less smooths jitter; more follows noise")
-_RELIEF = tuned(1.4, "usual relief", "prior of an own part's change: less cuts hills; more bridges at random")
-_LASTING: float = tuned(8.0**0.5, "learned steps", "of a level, as slopes last for 8: less claims too much")
 _MOTION_ORDER = tuned(12, "knots", "autoregression, two a tone: fewer cannot bridge jitter; more learn noise")
 _OWN_STRIDE = tuned(4, "knots", "between knots of own parts: nearer slopes are noise; farther lose hills")
 _MOST_RADIUS = tuned(0.9995, "1", "of roots; half in 1386 knots: 1 never decays; less damps jitter in gaps")
@@ -73,7 +70,7 @@ def prediction(order: int) -> Floats:
 def first_habits(likely: Expected) -> Habits:
     """What is expected before anything was seen: motion by its usual change, own parts by relief."""
     jerk = _JERK * likely.moves_px_per_line * likely.knot_lines
-    relief = _RELIEF * likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
+    relief = likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
     motion = (Curve(prediction(2), jerk),)
     fine, warmth = (0.02, 0.03), 0.05
     own = [
@@ -150,7 +147,7 @@ def _equations(
         mine = slice(2 + 2 * p, 4 + 2 * p)
         diagonal[:, mine, mine] = diagonal[:, :2, mine] = diagonal[:, mine, :2] = information[p]
         right[:, mine] = pulled[p]
-    spread = np.array([habits.reach_px] * 2 + [_OWN_PX] * (2 * k))
+    spread = np.array([habits.reach_px] * 2 + [NOMINAL_SD_PX] * (2 * k))
     diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
     own, *others = _bands(habits, n, k)
     diagonal[:, np.arange(size), np.arange(size)] += own
@@ -178,6 +175,7 @@ def learned(solution: Smoothed, known: Bools, before: Habits) -> Habits:
         for axis in (0, 1)
     ]
     apart = []
+    lasting = (2.0 * _OWN_STRIDE) ** 0.5  # steps of a level, as slopes last for two strides
     for axis in (0, 1):
         curves = list(own[:, :, axis])
         bending, slow, level = before.own[axis]
@@ -185,7 +183,7 @@ def learned(solution: Smoothed, known: Bools, before: Habits) -> Habits:
             (
                 _spread(curves, list(known), Curve(prediction(4), 0.002), bending, 1.2),
                 _spread(curves, list(known), Curve(prediction(2), 0.003, _OWN_STRIDE), slow, 1.2),
-                _spread(curves, list(known), Curve(prediction(1), 0.003, _OWN_STRIDE), level, _LASTING),
+                _spread(curves, list(known), Curve(prediction(1), 0.003, _OWN_STRIDE), level, lasting),
             )
         )
     return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)

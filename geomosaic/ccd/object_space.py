@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.line_poses import LinePoses, on_height
-from geomosaic.constants import tuned
+from geomosaic.constants import HEIGHT_ROUNDS, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.model import Warn
@@ -22,7 +22,6 @@ from geomosaic.survey.strips import StripGeometry
 Heights = Callable[[Floats, Floats], Floats]
 """Ellipsoidal heights (m) of longitudes and latitudes (degrees)."""
 
-_HEIGHT_ROUNDS = tuned(3, "rounds", "of ray and ground (TH-1): one leaves 1.5 m, two 8 mm, three 0.05 mm")
 _DEM_SD_M = tuned(10.0, "m", "0.04 px of TH-1's: less makes virtual_line claim too much; more too little")
 _NO_DEM_SD_M = tuned(200.0, "m", "of ground without a DEM: less calls hills reliable; more hardly any line")
 SAMPLE_LINES = tuned(129, "lines", "of a scene, to sample the DEM: fewer miss hills; more read more of it")
@@ -47,7 +46,7 @@ class ObjectSpace:
         """Earth-fixed places (..., 3) where pixels of a camera see the ground."""
         origin, ray = poses.rays(ccd, col, line)
         height = np.full(origin.shape[:-1], self.mean_m)
-        for _ in range(_HEIGHT_ROUNDS):
+        for _ in range(HEIGHT_ROUNDS):
             lonlath = geodetic_from_ecef(on_height(origin, ray, height))
             height = self.height_at(lonlath[..., 0], lonlath[..., 1])
         return on_height(origin, ray, height)

@@ -13,14 +13,12 @@ from geomosaic.ccd.line_poses import STEP_LINES, LinePoses
 from geomosaic.ccd.object_space import ObjectSpace
 from geomosaic.ccd.scene_rpc import SceneRpc
 from geomosaic.ccd.virtual_layout import ideal_camera
-from geomosaic.constants import tuned
+from geomosaic.constants import ROUNDS, tuned
 from geomosaic.estimation.linear import solve_each
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strips import StripGeometry
 
-_ALONG = tuned(33, "points", "per long side: 33 are within 1.1 m, 9 within 4 m; more make long files")
-_ACROSS = tuned(9, "points", "per short side: two are 65 m off; more make long files")
-_RPC_ROUNDS = tuned(8, "rounds", "of Newton's method: one leaves 67 m, two 0.4 mm; more for bent RPCs")
+_POINTS = tuned(33, "points", "per side: 33 are within 1.1 m, 9 within 4 m; more make long files")
 _STEP_DEG = tuned(1e-5, "degrees", "of a numerical slope, 1 m: less drowns in rounding; more misses bends")
 
 
@@ -64,7 +62,7 @@ def outlines(
 def lonlat_by_rpc(rpc: Rpc, image: Floats) -> Floats:
     """Longitude and latitude (n, 2) that cols and lines (n, 2) have at the RPC's middle height."""
     at = np.tile(rpc.offset[[3, 2, 4]], (len(image), 1))
-    for _ in range(_RPC_ROUNDS):
+    for _ in range(ROUNDS):
         here = rpc.image_from_ground(at)
         by = [(rpc.image_from_ground(at + _STEP_DEG * unit) - here) / _STEP_DEG for unit in np.eye(3)[:2]]
         at[:, :2] += solve_each(np.stack(by, axis=-1), (image - here)[..., None])[..., 0]
@@ -77,8 +75,8 @@ def _lonlat(space: ObjectSpace, poses: LinePoses, ccd: int, ring: Floats) -> Flo
 
 def _ring(width: float, height: float) -> Floats:
     """Cols and lines (n, 2) around a raster, clockwise as seen in it, from its origin back to it."""
-    right, down = np.linspace(0.0, width, _ACROSS), np.linspace(0.0, height, _ALONG)
-    top = np.stack([right, np.zeros(_ACROSS)], axis=-1)
-    far = np.stack([np.full(_ALONG, width), down], axis=-1)
+    right, down = np.linspace(0.0, width, _POINTS), np.linspace(0.0, height, _POINTS)
+    top = np.stack([right, np.zeros(_POINTS)], axis=-1)
+    far = np.stack([np.full(_POINTS, width), down], axis=-1)
     bottom, near = top[::-1] + np.array([0.0, height]), far[::-1] - np.array([width, 0.0])
     return np.concatenate([top, far[1:], bottom[1:], near[1:]])

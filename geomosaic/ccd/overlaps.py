@@ -17,6 +17,7 @@ from rasterio.windows import Window
 from geomosaic.arrays import Floats
 from geomosaic.ccd.model import Overlap
 from geomosaic.ccd.object_space import ObjectSpace
+from geomosaic.constants import tuned
 from geomosaic.doors.raster import READ_CACHE_BYTES
 from geomosaic.errors import FileError
 from geomosaic.survey.strip_pixels import open_strip
@@ -26,6 +27,7 @@ Edge = Literal["left", "right"]
 Columns = Callable[[int, Edge, int, int], NDArray[Any]]
 """The first (`left`) or last (`right`) read_px columns of a CCD's strip, of its lines start to stop."""
 _FIX = "copy it again, then run once more"
+PIECE_LINES = tuned(4096, "lines", "of a strip at once: more take memory; fewer read margins twice")
 
 
 class Strips:

@@ -16,12 +16,11 @@ from geomosaic.ccd.volumes import BLOCK_LINES
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 
 _BIN_PX = sourced(2, "px", "a whole shift of halved images; another scales all offsets", "volumes.volume")
-_WINDOW_BLOCKS = tuned(8, "blocks", "summed for an own part: fewer follow clouds; more miss relief")
+WINDOW_BLOCKS = tuned(8, "blocks", "summed for an own part: fewer follow clouds; more miss relief")
 _JUMP = tuned(250.0, "log-likelihood", "a jump's cost: below 240 windows jump alone; more misses lost lines")
 _WARMTH_PX = tuned(0.05, "px", "own change without relief: less forbids steps; more lets clouds lead")
 _CERTAIN = tuned(8.0, "deviations", "peak of a certain layer, its gain: more lets frequent clouds win")
 _FAR_COST = tuned(6.0, "log-likelihood", "cap of a far layer's cost: less admits clouds; more loses ground")
-_LEVELS_SD_BINS = tuned(1.0, "bins", "least deviation of levels: less binds offset CCDs; more follows clouds")
 _HOLD = tuned(0.4, "log-likelihood", "a bin's square off the level: less follows clouds; more misses relief")
 
 
@@ -104,7 +103,7 @@ def _step_costs(likely: Expected) -> tuple[float, float]:
     Half the square of how often the usual change it is, with what mounting and warmth add to own parts.
     """
     motion = likely.moves_px_per_line * BLOCK_LINES
-    own = math.hypot(likely.bends_px_per_line * _WINDOW_BLOCKS * BLOCK_LINES, _WARMTH_PX)
+    own = math.hypot(likely.bends_px_per_line * WINDOW_BLOCKS * BLOCK_LINES, _WARMTH_PX)
     return 0.5 * (_BIN_PX / motion) ** 2, 0.5 * (_BIN_PX / own) ** 2
 
 
@@ -113,12 +112,12 @@ def _slow_parts(volumes: Floats, motion: Ints, likely: Expected, step: float) ->
     k, n, h, c = volumes.shape
     levels = _levels(volumes, motion, likely)
     i, j = np.arange(h)[:, None] - levels[:, 0, None, None], np.arange(c) - levels[:, 1, None, None]
-    windows = -(-n // _WINDOW_BLOCKS)
-    padded = np.zeros((k, windows * _WINDOW_BLOCKS, h, c))
+    windows = -(-n // WINDOW_BLOCKS)
+    padded = np.zeros((k, windows * WINDOW_BLOCKS, h, c))
     padded[:, :n] = volumes
-    summed = padded.reshape(k, windows, _WINDOW_BLOCKS, h, c).sum(axis=2)
-    path = best_path(summed - _WINDOW_BLOCKS * _HOLD * (i**2 + j**2)[:, None], step, _JUMP)
-    return np.asarray(np.repeat(path, _WINDOW_BLOCKS, axis=1)[:, :n], dtype=np.intp)
+    summed = padded.reshape(k, windows, WINDOW_BLOCKS, h, c).sum(axis=2)
+    path = best_path(summed - WINDOW_BLOCKS * _HOLD * (i**2 + j**2)[:, None], step, _JUMP)
+    return np.asarray(np.repeat(path, WINDOW_BLOCKS, axis=1)[:, :n], dtype=np.intp)
 
 
 def _levels(volumes: Floats, motion: Ints, likely: Expected) -> Ints:
@@ -141,7 +140,7 @@ def _levels(volumes: Floats, motion: Ints, likely: Expected) -> Ints:
     if k < 3:
         return found
     middle = np.median(found, axis=0)
-    spread = np.maximum(NORMAL_PER_MAD * np.median(np.abs(found - middle), axis=0), _LEVELS_SD_BINS)
+    spread = np.maximum(NORMAL_PER_MAD * np.median(np.abs(found - middle), axis=0), 1.0)
     return _highest(score - 0.5 * (((at - middle) / spread) ** 2).sum(axis=-1))
 
 

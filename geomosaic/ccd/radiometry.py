@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -13,21 +13,32 @@ from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.ccd.columns import column_gains
-from geomosaic.ccd.model import MEASURED, UNRELIABLE, Overlap, PairOffsets, Progress, StripOffsets
+from geomosaic.ccd.model import (
+    MEASURED,
+    UNRELIABLE,
+    CcdSettings,
+    Overlap,
+    PairOffsets,
+    Progress,
+    StripOffsets,
+)
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import tuned
+from geomosaic.matching.displacement import LEAST_CORRELATION
 
-_PIECE_LINES = tuned(512, "lines", "read at once: fewer resolve columns' gains worse; more take memory")
 _MOST_PIECES = tuned(64, "pieces", "of a strip, nearly a whole TH-1 scene: more take time and change nothing")
-_SPARE_LINES = tuned(32, "lines", "margin of a piece, past the search of 24: fewer lose blocks at its ends")
 _BLOCK_PX = tuned((16, 8), "lines, columns", "of a mean grey: smaller is noisy; larger has less contrast")
 _ROUGH_BLOCK_PX = tuned((64, 24), "lines, columns", "the same without offsets: smaller sees different ground")
 _LEAST_BLOCKS = tuned(24, "blocks", "for a gain and an offset: fewer are chance; more fail in narrow overlap")
 _OFFSET_SD = tuned(0.01, "full scale", "prior of an offset: less makes it a gain; more makes it noise")
 _ODD_COLUMN = tuned(0.1, "share", "off its neighbours: less drops good columns; more keeps dead ones")
-_LEAST_CORRELATION = tuned(0.3, "1", "below, the flatter side is noise: less lets a stuck CCD in")
 _LIKE_VARIANCE = tuned(4.0, "ratio", "of variances that needs no correlation: less parts level ground")
+
+
+_PIECE_LINES: Final = CcdSettings.segment_lines
+_SPARE_LINES: Final = CcdSettings.search_lines_px
+"""Margin of a piece: as far as offsets go."""
 
 
 @dataclass(frozen=True)
@@ -192,5 +203,5 @@ def _stuck(xx: float, yy: float, xy: float) -> bool:
     """
     low, high = sorted((xx, yy))
     return low <= float(np.finfo(np.float32).eps) * max(high, 1.0) or (
-        high > _LIKE_VARIANCE * low and xy < _LEAST_CORRELATION * float(np.sqrt(low * high))
+        high > _LIKE_VARIANCE * low and xy < LEAST_CORRELATION * float(np.sqrt(low * high))
     )

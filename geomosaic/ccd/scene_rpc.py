@@ -20,7 +20,6 @@ from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.strip_companions import read_rpc
 from geomosaic.survey.strips import StripGeometry
 
-_COLS_OF_A_CCD = tuned(5, "columns", "in each row: 2 to 17 agree within 1e-4 px; more take time")
 _NODES = tuned((15, 25, 5), "columns, lines, heights", "of the fit: 3 heights leave 1.1 px, 5 1e-4 px")
 _SPAN_M = tuned(500.0, "m", "margin of heights: 0 leaves level ground no span; 2000 fits as well")
 
@@ -105,7 +104,7 @@ def _seen(
             first = max(first, int(np.ceil(seams[k - 1])))
         if k < len(seams) and geometry.lines[k + 1]:
             last = min(last, int(np.floor(seams[k])))
-        x = np.linspace(first, last, _COLS_OF_A_CCD)
+        x = np.array([first, last], dtype=np.float64)
         for row in rows:
             places = layout.places(k, int(row), int(row) + 1)
             col, line = (np.interp(x, places.knots_px, image[0]) for image in places.image_px)

@@ -13,18 +13,12 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.ccd.expected import Expected
-from geomosaic.constants import NORMAL_PER_MAD, SIX_SIGMA, sourced, tuned
+from geomosaic.ccd.expected import LEAST_STEP_PX, NOISE_SHARE, Expected
+from geomosaic.ccd.model import LOCKING_SD_PX
+from geomosaic.constants import NORMAL_PER_MAD, SIX_SIGMA, tuned
 
 _SIDE_KNOTS = tuned(4, "knots", "each side of a step: fewer find stray knots; more blur a cloud's edge")
-_MOST_APART_KNOTS = tuned(24, "knots", "between the sides' middles: fewer miss gaps; more hide motion")
-_LEAST_PX = tuned(0.5, "px", "of a step: ground has 0.1, 0.26 at low contrast; more passes low clouds")
-_MOST_SPREAD = tuned(0.3, "share", "scatter of a side: more makes steps of noise; less misses half a pixel")
-_PIECE_KNOTS = tuned(3, "knots", "two give a slope, the middle one its straightness; the code needs three")
-_STRAIGHT_PX = tuned(0.15, "px", "bend of a piece: 99 % have 0.06; more admits noisy slopes; less leaves few")
-_MOST_AHEAD_KNOTS = sourced(12, "knots", "to the next piece: a miss has grown 64-fold there", "(12 / 3)^3")
-_LEAST_BREAK_PX = tuned(0.6, "px", "of a break: ground has 0.11, 0.35 at low contrast; more passes clouds")
-_LEAST_SD_PX = tuned(0.03, "px", "of misses, as over ground: less breaks still curves; more hides far breaks")
+_MOST_APART_KNOTS = tuned(24, "knots", "between two sides or pieces: fewer miss gaps; more hide motion")
 
 
 def widest_step(offset_px: Floats, sd_px: Floats, own: Bools, known_px: Floats, likely: Expected) -> float:
@@ -63,9 +57,9 @@ def _against(offset_px: Floats, sd_px: Floats, both: Bools, likely: Expected) ->
     relief = np.outer(apart * likely.knot_lines * likely.steepest_px_per_line, [0.0, 1.0])
     length = np.hypot(*step.T)
     sd = _middle_sd(np.hypot(*sd_px[:, knots]))
-    least_px = np.maximum(_LEAST_PX, SIX_SIGMA * np.hypot(sd[_SIDE_KNOTS:], sd[:-_SIDE_KNOTS]))
+    least_px = np.maximum(LEAST_STEP_PX, SIX_SIGMA * np.hypot(sd[_SIDE_KNOTS:], sd[:-_SIDE_KNOTS]))
     found = (step > least_px + relief).any(axis=1) & (apart <= _MOST_APART_KNOTS)
-    found &= noise_px < _MOST_SPREAD * length
+    found &= noise_px < NOISE_SHARE * length
     return float(length[found].max(initial=0.0))
 
 
@@ -80,23 +74,23 @@ def _broken(offset_px: Floats, sd_px: Floats, knots: np.ndarray) -> float:
 
     A smooth curve's pieces miss by the third power of their distance; how much at the least is the curve's.
     """
-    size = _PIECE_KNOTS
+    size = 3  # a middle knot shows whether two others make a slope
     if len(knots) < 2 * size:
         return 0.0
     pieces = np.lib.stride_tricks.sliding_window_view(offset_px, size, axis=0)
     at = np.lib.stride_tricks.sliding_window_view(knots, size)
     slope = (pieces[..., -1] - pieces[..., 0]) / (size - 1)
     bent = np.abs(pieces[..., 1] - 0.5 * (pieces[..., 0] + pieces[..., -1])).max(axis=1)
-    whole = (at[:, -1] - at[:, 0] == size - 1) & (bent < _STRAIGHT_PX)
+    whole = (at[:, -1] - at[:, 0] == size - 1) & (bent < NOISE_SHARE * LEAST_STEP_PX)
     middle, before, after = pieces.mean(axis=2), slice(0, -size), slice(size, None)
     apart = (at[after, 1] - at[before, 1]).astype(np.float64)
     miss = np.abs(middle[after] - middle[before] - 0.5 * apart[:, None] * (slope[after] + slope[before]))
-    asked = whole[after] & whole[before] & (apart <= _MOST_AHEAD_KNOTS)
+    asked = whole[after] & whole[before] & (apart <= _MOST_APART_KNOTS)
     near = asked & (apart == size)
     if near.sum() < 2 * size:
         return 0.0
-    sd = np.maximum(NORMAL_PER_MAD * np.median(miss[near], axis=0), _LEAST_SD_PX)
-    most = np.maximum(_LEAST_BREAK_PX, SIX_SIGMA * sd * (apart[:, None] / size) ** 3)
+    sd = np.maximum(NORMAL_PER_MAD * np.median(miss[near], axis=0), LOCKING_SD_PX)
+    most = np.maximum(LEAST_STEP_PX, SIX_SIGMA * sd * (apart[:, None] / size) ** 3)
     variance = np.lib.stride_tricks.sliding_window_view(sd_px**2, size, axis=0).mean(axis=2)
     chance = (variance[after] + variance[before]) * (1.0 / size + 0.125 * apart[:, None] ** 2)
     most = np.maximum(most, SIX_SIGMA * np.sqrt(chance))

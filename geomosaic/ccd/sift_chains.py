@@ -29,10 +29,9 @@ from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.matching.features import grey, sift_features
 from geomosaic.survey.strips import StripGeometry
 
-_AGREE_PX = tuned(1.0, "px", "of one shift: less parts points by jitter; more admits low clouds")
 NEAR_PX = tuned(0.5, "px", "off the scene's offset, for measured lines: more admits misplaced ones")
-_LEAST_POINTS = tuned(6, "points", "that agree: fewer do by chance among 100; more lose low contrast")
-_ABNORMAL_PX = tuned(2.0, "px", "off its neighbours' line: less rejects jitter; more keeps clouds")
+LEAST_POINTS = tuned(6, "points", "that agree: fewer do by chance among 100; more lose low contrast")
+ABNORMAL_PX = tuned(2.0, "px", "off its neighbours' line: less rejects jitter; more keeps clouds")
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ def matched_points(
     return Matched(a[near] + [0.0, overlap.first_line], moved[near])
 
 
-def consensus(moved_px: Floats, agree_px: float = _AGREE_PX) -> tuple[Floats, Bools]:
+def consensus(moved_px: Floats, agree_px: float = 2.0 * NEAR_PX) -> tuple[Floats, Bools]:
     """The shift on which most agree, and who does: each point's is tried.
 
     Args: moved_px (m, 2). Returns: (2,) their mean, (m,).
@@ -168,10 +167,10 @@ def _one_offset(lines: int, pair: int, parts: list[tuple[int, int, Matched]]) ->
     shift, inside = consensus(moved)
     label = np.full(lines, UNRELIABLE, dtype=np.uint8)
     sd = np.full(2, UNKNOWN_SD_PX)
-    if inside.sum() >= _LEAST_POINTS:
+    if inside.sum() >= LEAST_POINTS:
         sd = np.maximum(NORMAL_PER_MAD * np.median(np.abs(moved - shift), axis=0), moved[inside].std(axis=0))
         for first, stop, part in parts:
-            enough = len(part) >= _LEAST_POINTS
+            enough = len(part) >= LEAST_POINTS
             near = enough and np.hypot(*(np.median(part.moved_px, axis=0) - shift)) <= NEAR_PX
             label[first:stop] = MEASURED if near else BRIDGED
     dcol, dline, sd_col, sd_line = (np.full(lines, value) for value in (*shift, *sd))
@@ -186,7 +185,7 @@ def segments(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple
         found = matched_points(overlap, strips.geometry, settings, settings.enhance)
         offset, inside = consensus(found.moved_px)
         points, sd, centre = int(inside.sum()), np.full(2, UNKNOWN_SD_PX), 0.5 * (first + stop - 1)
-        if points >= _LEAST_POINTS:
+        if points >= LEAST_POINTS:
             sd = found.moved_px[inside].std(axis=0, ddof=1) / points**0.5
             centre = float(found.left_px[inside, 1].mean()) - 0.5
         rows[pair].append((first, stop, centre, *offset, *sd, points))
@@ -196,7 +195,7 @@ def segments(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple
 
 def _segments(pair: int, rows: Floats) -> Segments:
     first, stop, points = (rows[:, i].astype(np.intp) for i in (0, 1, 7))
-    kept = steady(rows[:, 2], rows[:, 3:5], points >= _LEAST_POINTS)
+    kept = steady(rows[:, 2], rows[:, 3:5], points >= LEAST_POINTS)
     return Segments(pair, first, stop, rows[:, 2], rows[:, 3:5], rows[:, 5:7], points, kept)
 
 
@@ -216,7 +215,7 @@ def steady(at: Floats, values: Floats, given: Bools) -> Bools:
             line = v[end] - v[one] - (v[two] - v[one]) * (t[end] - t[one]) / (t[two] - t[one])
             away[end] = np.where(np.abs(line) < np.abs(v[end] - v[one]), line, v[end] - v[one])
         worst = np.abs(away).max(axis=1)
-        if worst.max() <= _ABNORMAL_PX:
+        if worst.max() <= ABNORMAL_PX:
             break
         kept[index[int(worst.argmax())]] = False
     return kept

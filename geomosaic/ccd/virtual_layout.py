@@ -6,21 +6,19 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
 from geomosaic.ccd.layout import Ends, StripLookup
-from geomosaic.ccd.line_poses import EVERY_LINES, SPARE_LINES, STEP_LINES, LinePoses
-from geomosaic.ccd.object_space import ObjectSpace
+from geomosaic.ccd.line_poses import SPARE_LINES, STEP_LINES, LinePoses
+from geomosaic.ccd.object_space import SAMPLE_LINES, ObjectSpace
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.estimation.linear import least_squares
 from geomosaic.survey.strips import StripGeometry
 
 KNOT_PX = tuned(64, "columns", "knot spacing: 64 is off by 2e-4 px, 256 by 4e-3; closer takes time")
-_HEIGHT_ROWS = tuned(16, "rows", "between ground heights, of EVERY_LINES: 16 is off by 8e-6 px, 64 by 1e-4")
-_SAMPLE_LINES = tuned(512, "lines", "of extents and first guesses, off by 1.4: more miss jitter's peaks")
-_FIT_POINTS = tuned(2000, "points", "of the mean attitude: 500 leave 0.01 px of jitter, 8000 differ by 0.003")
 _NOWHERE_PX = tuned(-1e6, "px", "a place no line sees: nearer ones would draw parts of the strip there")
 
 
@@ -31,7 +29,7 @@ def ideal_camera(geometry: StripGeometry, model: Pushbroom) -> Pushbroom:
     the real ones as may be.
     """
     g, last = geometry, max(geometry.lines)
-    lines = np.linspace(0.0, last, _FIT_POINTS)
+    lines = np.arange(0.0, last + 1.0)
     share = lines / last - 0.5
     level, slope = least_squares(np.stack([np.ones_like(share), share], axis=1), model.attitude_rad(lines))
     spare = g.row_separation_lines + SPARE_LINES
@@ -91,21 +89,19 @@ class VirtualLayout:
     def places(self, ccd: int, top: int, bottom: int) -> StripLookup:
         """Where raster rows top to bottom - 1 see the strip; knots every 64 columns.
 
-        Heights are taken at every 16th row, the strip's columns and lines solved at every 4th.
+        The strip's columns and lines are solved at every 4th row.
         """
         first, last = self.cols(ccd)
         knots = np.arange(first, last + KNOT_PX, KNOT_PX, dtype=np.float64)
         start, rows = self.first_line + top + 0.5, bottom - top
-        heights_at = start + _steps(rows, _HEIGHT_ROWS)
-        poses = LinePoses(self.camera, heights_at[0], heights_at[-1] + 1.0, _HEIGHT_ROWS)
-        ground = self.space.ground(poses, 0, knots, heights_at[:, None])
-        ground = _rows_between(ground, _HEIGHT_ROWS, EVERY_LINES)
-        solved_at = start + EVERY_LINES * np.arange(float(len(ground)))
+        solved_at = start + np.arange(0.0, max(rows - 1, 1) + STEP_LINES, STEP_LINES)
+        poses = LinePoses(self.camera, solved_at[0], solved_at[-1] + 1.0, STEP_LINES)
+        ground = self.space.ground(poses, 0, knots, solved_at[:, None])
         near = solved_at + np.interp(solved_at, self.sample_lines, self.shift_lines[ccd])
         real = LinePoses(self.space.model, near[0] - SPARE_LINES, near[-1] + SPARE_LINES)
         image = np.nan_to_num(np.stack(real.image(ccd, ground, near[:, None])), nan=_NOWHERE_PX)
-        image = np.moveaxis(_rows_between(np.moveaxis(image, 0, -1), EVERY_LINES, 1)[:rows], -1, 0)
-        return StripLookup(knots, image)
+        at = start + np.arange(float(rows))
+        return StripLookup(knots, make_interp_spline(solved_at, image, k=1, axis=1)(at))
 
 
 def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "all") -> VirtualLayout:
@@ -116,12 +112,11 @@ def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "al
     g, camera = geometry, ideal_camera(geometry, space.model)
     spare = 0.5 * g.row_separation_lines + 2.0 * SPARE_LINES
     longest = max(g.lines)
-    count = math.ceil((longest + 2.0 * spare) / _SAMPLE_LINES) + 1
-    at = np.linspace(-spare, longest + spare, count)
+    at = np.linspace(-spare, longest + spare, SAMPLE_LINES)
     ideal = LinePoses(camera, at[0], at[-1], STEP_LINES)
     real = LinePoses(space.model, at[0] - spare, at[-1] + spare, STEP_LINES)
     step, width = g.width_px - g.overlap_px, g.width_px
-    shifts, columns, starts, stops = np.zeros((len(g.ccds), count)), [], [], []
+    shifts, columns, starts, stops = np.zeros((len(g.ccds), SAMPLE_LINES)), [], [], []
     lefts, rights = [], []
     for k, ccd in enumerate(g.ccds):
         scene_cols = k * step + np.array([0.0, 0.5 * width, width])
@@ -150,16 +145,3 @@ def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "al
         )
     seams = tuple(0.5 * (rights[k] + lefts[k + 1]) for k in g.pairs)
     return VirtualLayout(g, space, camera, float(first), height, seams, tuple(columns), at, shifts)
-
-
-def _steps(rows: int, step: int) -> Floats:
-    """Rows step apart, two at least, that enclose rows 0 to rows - 1."""
-    return np.arange(0.0, max(rows - 1, 1) + step, step)
-
-
-def _rows_between(values: Floats, step: int, wanted: int) -> Floats:
-    """Values (n, ...) at rows `step` apart straight in between, at rows `wanted` apart."""
-    parts = step // wanted
-    share = (np.arange(parts) / parts).reshape(-1, *[1] * (values.ndim - 1))
-    between = values[:-1, None] + share * (values[1:] - values[:-1])[:, None]
-    return np.concatenate([between.reshape(-1, *values.shape[1:]), values[-1:]])

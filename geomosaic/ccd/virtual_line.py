@@ -8,17 +8,23 @@ import numpy as np
 
 from geomosaic.arrays import Floats
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.ccd.line_poses import EVERY_LINES, SPARE_LINES, LinePoses
-from geomosaic.ccd.model import BRIDGED, RELIABLE_SD_PX, UNRELIABLE, CcdSettings, PairOffsets, Progress
+from geomosaic.ccd.line_poses import SPARE_LINES, STEP_LINES, LinePoses
+from geomosaic.ccd.model import (
+    BRIDGED,
+    RELIABLE_SD_PX,
+    UNKNOWN_SD_PX,
+    UNRELIABLE,
+    CcdSettings,
+    PairOffsets,
+    Progress,
+)
 from geomosaic.ccd.object_space import ObjectSpace, level_ground
-from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.overlaps import PIECE_LINES, Strips
 from geomosaic.constants import NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.survey.strips import StripGeometry
 
-_PIECE_LINES = tuned(8192, "lines", "predicted at once: more take memory; fewer make poses more often")
 _MODEL_SD_PX = tuned(0.1, "px", "left by a calibrated model: less claims too much; 0.6 trusts nothing")
-_STEP_M = tuned(50.0, "m", "of the numerical parallax: 5 to 500 agree; far less drowns in rounding")
 
 
 def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
@@ -43,20 +49,20 @@ def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> t
     out = []
     for pair in strips.pairs:
         n = strips.lines(pair)
-        found, parallax, known = np.empty((2, n)), np.empty((2, n)), np.empty(n, dtype=bool)
+        found, by_height, known = np.empty((2, n)), np.empty((2, n)), np.empty(n, dtype=bool)
         for start, stop in _pieces(n):
             poses = _poses(space, g, pair, start, stop)
             line = np.arange(float(start), stop) + 0.5
             found[:, start:stop] = _predicted(space, g, poses, pair, line)
-            parallax[:, start:stop] = _parallax(space, g, poses, pair, 0.5 * (start + stop))[:, None]
+            by_height[:, start:stop] = _height_sd_px(space, g, poses, pair, 0.5 * (start + stop))[:, None]
             right = line + g.side(pair) * g.row_separation_lines + found[1, start:stop]
             known[start:stop] = (right >= covered[0]) & (right <= covered[1])
             done += stop - start
             progress(done, total)
         known &= np.isfinite(found).all(axis=0)
         noise = np.sqrt(2.0) * np.array([[noise_col], [noise_line]])
-        sd = np.sqrt(_MODEL_SD_PX**2 + (parallax * space.height_sd_m) ** 2 + noise**2)
-        sd[:, ~known] = np.maximum(sd[:, ~known], 10.0)
+        sd = np.sqrt(_MODEL_SD_PX**2 + by_height**2 + noise**2)
+        sd[:, ~known] = np.maximum(sd[:, ~known], UNKNOWN_SD_PX)
         label = np.where(sd.max(axis=0) <= RELIABLE_SD_PX, BRIDGED, UNRELIABLE)
         col, line = (_filled(axis) for axis in found)
         out.append(PairOffsets(pair, col, line, sd[0], sd[1], label.astype(np.uint8)))
@@ -78,7 +84,7 @@ def relief_px(geometry: StripGeometry, space: ObjectSpace) -> dict[int, Floats]:
         out[pair] = np.empty(n)
         for start, stop in _pieces(n):
             poses = _poses(space, geometry, pair, start, stop)
-            knots = np.arange(float(start), stop + EVERY_LINES, EVERY_LINES) + 0.5
+            knots = np.arange(float(start), stop + STEP_LINES, STEP_LINES) + 0.5
             on_dem, on_level = (
                 _predicted(heights, geometry, poses, pair, knots)[1] for heights in (space, level)
             )
@@ -88,8 +94,8 @@ def relief_px(geometry: StripGeometry, space: ObjectSpace) -> dict[int, Floats]:
 
 
 def _pieces(lines: int) -> Iterator[tuple[int, int]]:
-    for start in range(0, lines, _PIECE_LINES):
-        yield start, min(start + _PIECE_LINES, lines)
+    for start in range(0, lines, PIECE_LINES):
+        yield start, min(start + PIECE_LINES, lines)
 
 
 def _poses(space: ObjectSpace, g: StripGeometry, pair: int, start: int, stop: int) -> LinePoses:
@@ -110,14 +116,14 @@ def _offsets(g: StripGeometry, poses: LinePoses, pair: int, line: Floats, ground
     return np.stack([col - 0.5 * g.overlap_px, seen - nominal])
 
 
-def _parallax(space: ObjectSpace, g: StripGeometry, poses: LinePoses, pair: int, line: float) -> Floats:
-    """By how much dcol and dline (2,) change for a metre of height."""
+def _height_sd_px(space: ObjectSpace, g: StripGeometry, poses: LinePoses, pair: int, line: float) -> Floats:
+    """By how much dcol and dline (2,) change for a deviation of the heights."""
     at = np.array([line])
     low, high = (
-        _predicted(level_ground(space.model, space.mean_m + step), g, poses, pair, at)
-        for step in (-_STEP_M, _STEP_M)
+        _predicted(level_ground(space.model, space.mean_m + by), g, poses, pair, at)
+        for by in (-space.height_sd_m, space.height_sd_m)
     )
-    return np.abs(high - low)[:, 0] / (2.0 * _STEP_M)
+    return np.abs(high - low)[:, 0] / 2.0
 
 
 def _filled(values: Floats) -> Floats:

@@ -9,10 +9,8 @@ import numpy as np
 from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import tuned
+from geomosaic.constants import FEW as FEW
 from geomosaic.projection.ground import GroundSurface
-
-FEW = tuned(0.1, "share", "of frames of another kind: less lets one decide; more ignores nadir ones")
 
 
 def ground_from_image(pose: Pose, camera: Camera, ground: GroundSurface, image_px: Floats) -> Floats:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
 from geomosaic.arrays import Floats, Floats32
-from geomosaic.constants import MOST_ROUNDS, sourced, tuned
+from geomosaic.constants import HEIGHT_ROUNDS, MOST_ROUNDS, sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.walk import GridRays, first_drops
@@ -232,7 +232,7 @@ def flat_ground(work_frame: LocalFrame, height_ellipsoidal_m: float, reach_m: fl
     axis = np.arange(-n, n + 1) * spacing_m
     east, north = np.meshgrid(axis, axis)
     up = np.zeros_like(east)
-    for _ in range(3):
+    for _ in range(HEIGHT_ROUNDS):
         height = work_frame.geodetic_from_enu(np.stack([east, north, up], axis=-1))[..., 2]
         up += height_ellipsoidal_m - height
     return GroundSurface("flat", float(axis[0]), float(axis[0]), spacing_m, up)

@@ -18,7 +18,7 @@ from geomosaic.arrays import Floats, Floats32
 from geomosaic.camera.exterior import Pose, row_moved_px
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import turned_by
-from geomosaic.constants import MOST_ROUNDS, TOGETHER, tuned
+from geomosaic.constants import HEIGHT_ROUNDS, MOST_ROUNDS, TOGETHER, tuned
 from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
@@ -28,7 +28,6 @@ from geomosaic.projection.map_grid import MapGrid
 Axes = tuple[Floats32, Floats32, Floats32]
 """x, y and z in the camera of ground points, in m."""
 _NODES = tuned(5, "nodes a side", "of the projection's polynomial, odd: 3 are 1.0 mm off over 10 km, 5 0.8")
-_HEIGHT_ROUNDS = tuned(3, "rounds", "of node and height on hills: one leaves 6 cm, two 2e-5 m, three 1e-8")
 _CONVERGED_PX = tuned(0.004, "px", "row step that ends it: more shows at breaks; less is lost in rounding")
 
 
@@ -97,7 +96,7 @@ def bare_window(grid: MapGrid, work_frame: LocalFrame, ground: GroundSurface) ->
     level_m = work_frame.height_ellipsoidal_m + float(ground.up_m.mean())
     base, above = work_frame.enu_from_geodetic(lon, lat, level_m + np.array([0.0, 1e3])[:, None, None])
     vertical, rise = (above - base) / 1e3, np.zeros(lon.shape)
-    for _ in range(_HEIGHT_ROUNDS):
+    for _ in range(HEIGHT_ROUNDS):
         enu = base + rise[..., None] * vertical
         rise += ground.up_at(enu[..., 0], enu[..., 1]) - enu[..., 2]
     if ground.kind != "flat":

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.ccd.model import LABELS, MEASURED, StripOffsets
-from geomosaic.constants import sourced, tuned
+from geomosaic.ccd.model import LABELS, MEASURED, CcdSettings, StripOffsets
+from geomosaic.ccd.volumes import BLOCK_LINES
+from geomosaic.constants import sourced
 from geomosaic.quality.figures import interval_of
 from geomosaic.survey.strips import StripGeometry
 
+SEGMENT_LINES: Final = CcdSettings.segment_lines
+"""Of one RMS."""
 LIMIT_PX = sourced(1.0, "px", "misplacement of a bad scene", "Cheng et al. 2018, SRRS 39(2), table 1")
-SEGMENT_LINES = tuned(512, "lines", "of one RMS: longer drowns a fault; shorter lets chance decide")
-_LEAST_LINES = tuned(32, "lines", "known of a segment: fewer let a patch decide; more leave it unjudged")
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def segment_rms(errors_px: Floats) -> Floats:
         return np.empty(0)
     count = np.add.reduceat(known.astype(np.float64), starts)
     total = np.add.reduceat(np.where(known, square, 0.0), starts)
-    return np.asarray(np.sqrt(np.where(count >= _LEAST_LINES, total, np.nan) / np.maximum(count, 1.0)))
+    return np.asarray(np.sqrt(np.where(count >= BLOCK_LINES, total, np.nan) / np.maximum(count, 1.0)))
 
 
 def scene_errors(offsets: StripOffsets, truth: Mapping[int, Floats], geometry: StripGeometry) -> SceneErrors:

@@ -9,8 +9,17 @@ import numpy as np
 
 from geomosaic.arrays import Bools, Floats, Ints64
 from geomosaic.ccd.columns import flattened
-from geomosaic.ccd.model import BRIDGED, LABELS, MEASURED, PairOffsets, Progress, StripOffsets
-from geomosaic.ccd.overlaps import Strips
+from geomosaic.ccd.image_registration import PATCH_LINES
+from geomosaic.ccd.model import (
+    BRIDGED,
+    LABELS,
+    LOCKING_SD_PX,
+    MEASURED,
+    PairOffsets,
+    Progress,
+    StripOffsets,
+)
+from geomosaic.ccd.overlaps import PIECE_LINES, Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.constants import tuned
 from geomosaic.matching.displacement import VALID_SHARE, Displacements, PatchMatching, measure_displacements
@@ -25,17 +34,15 @@ from geomosaic.quality.strip_figures import (
 )
 from geomosaic.quality.strip_resampling import resampled_onto
 
-BLOCK_LINES = tuned(64, "lines", "of one residual: fewer do not hold two rows of patches; more lose jitter")
-_PIECE_LINES = tuned(64 * BLOCK_LINES, "lines", "read at once: more take memory; fewer read margins twice")
 _PATCH_PX = tuned(28, "px", "three fit an overlap of 96 px: smaller match by chance; larger leave few")
+BLOCK_LINES: Final = PATCH_LINES
+"""Of one residual."""
 _MARGIN_LINES: Final = 2 * BLOCK_LINES
 """Around a piece."""
 _SEARCH_PX: Final = _PATCH_PX // 2
 _AGREE_PX: Final = 0.5 * LIMIT_PX
 """Between patches: half of the limit."""
 _LEAST_AGREEING = tuned(0.75, "share", "of a block's patches: less mixes clouds in; 1 fails by one patch")
-_LEAST_PATCHES = tuned(2, "patches", "that agree in a block: one always does; more lose narrow overlaps")
-_LEAST_SD_PX = tuned(0.01, "px", "of a patch: less lets a few decide; more weighs all alike")
 
 
 @dataclass(frozen=True)
@@ -187,8 +194,8 @@ def _pieces(
     """Of each pair what its pieces show."""
     lines = [strips.lines(pair.pair) for pair in offsets.pairs]
     found: list[list[tuple[Floats, Floats, Floats]]] = [[] for _ in lines]
-    for start in range(0, max(lines, default=0), _PIECE_LINES):
-        stop = start + _PIECE_LINES
+    for start in range(0, max(lines, default=0), PIECE_LINES):
+        stop = start + PIECE_LINES
         here = [k for k, of_pair in enumerate(lines) if of_pair > start]
 
         def shown(k: int, start: int = start, stop: int = stop) -> tuple[Floats, Floats, Floats]:
@@ -260,10 +267,10 @@ def _of_blocks(found: Displacements, corners: Ints64, asked: Bools, blocks: int)
         of_block = (block == b) & among
         if not of_block.any():
             continue
-        shift, own_sd = found.displacement_px[of_block], np.maximum(found.sd_px[of_block], _LEAST_SD_PX)
+        shift, own_sd = found.displacement_px[of_block], np.maximum(found.sd_px[of_block], LOCKING_SD_PX)
         off = np.abs(shift - np.median(shift, axis=0)).max(axis=1)
         agree = off <= np.maximum(_AGREE_PX, 3.0 * own_sd)
-        if agree.sum() < max(_LEAST_PATCHES, _LEAST_AGREEING * agree.size):
+        if agree.sum() == 1 or agree.sum() < _LEAST_AGREEING * agree.size:
             continue
         weight = own_sd[agree] ** -2
         mean = weight @ shift[agree] / weight.sum()
