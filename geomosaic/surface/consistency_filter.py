@@ -10,11 +10,14 @@ import numpy as np
 
 from geomosaic.arrays import Bytes, Floats32
 from geomosaic.constants import tuned
+from geomosaic.matching.displacement import LEAST_CORRELATION
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
-from geomosaic.surface.edge_refinement import AROUND_CELLS
+from geomosaic.surface.costs import AGREEING
+from geomosaic.surface.edge_refinement import AROUND_CELLS, STEP_CELLS
 from geomosaic.surface.refinement import SURE, UNSEEN
-from geomosaic.surface.tile_sgm import TileHeights
+from geomosaic.surface.tile_sgm import PAST_HEIGHTS, TileHeights
+from geomosaic.surface.void_fill import SHARE_AROUND
 
 _ALIKE: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Correlations for which the two tables below hold; straight between."""
@@ -22,18 +25,13 @@ _SD_CELLS = tuned((1.0, 0.3, 0.15, 0.1, 0.05), "cells", "by correlation; 68 % of
 _WRONG = tuned((0.5, 0.35, 0.22, 0.12, 0.02), "share", "that have a step's other height, by correlation")
 _ASIDE_CELLS = tuned(0.3, "cells", "horizontal error: simulated crowns of slope 3 are off by 0.6 to 1.3")
 _DISTINCT_BITS = tuned(4.5, "bits", "kept without correlation: simulated lakes stay below 4.6, woods do not")
-_WITNESSES = tuned(3, "frames", "for a cell kept by cost alone: two lift meadows at the rim by 14 to 24 m")
 _SUPPORT = tuned(0.12, "share", "sure cells around: lakes reach 0.05, so less keeps waves; 0.25 loses groves")
-_LIKE_AROUND_CELLS = tuned(7, "cells", "window for equal sure cells: crowns vary too much over 13")
-_LIKE_CELLS = tuned(5.0, "cells", "range of equal heights: crowns rise by 2 to 3 a cell; 2.5 loses some")
-_SUPPORT_OF_TWO = tuned(0.35, "share", "sure, equal cells around: less leaves spikes; more gives up crowns")
-_SURE_ABOUT_TWO = tuned(0.25, "share", "of sure cells around: less keeps islands on water; more loses roofs")
-_LEAST_ALIKE = tuned(0.2, "correlation", "of a cell seen by two: lower is chance; 0.4 loses edges of roofs")
 _EVENED_CELLS = tuned(9, "cells", "window of the bilateral filter: larger takes longer and rounds off ridges")
 _NOISE_CELLS = tuned(0.4, "cells", "height noise, 2 to 3 deviations: larger removes kerbs and low walls")
+_LIKE_AROUND_CELLS: Final = AROUND_CELLS // 2 + 1
+"""Window for equal sure cells: crowns vary too much over more."""
 RIM_CELLS: Final = 12
 """Margin around a tile that `consistent_heights` reads: six cells for support, four for the filter."""
-_END_CELLS = tuned(4.0, "cells", "height margin that counts as a limit: smaller misses cut-off relief")
 
 
 @dataclass(frozen=True)
@@ -78,10 +76,10 @@ def consistent_heights(
     base_m = base.up_at(east, north[:, None]).astype(np.float32)
     sure = (found.alike >= SURE).astype(np.float32)
     support = cv2.blur(sure, (AROUND_CELLS, AROUND_CELLS), borderType=cv2.BORDER_CONSTANT)
-    witnessed = found.seeing >= _WITNESSES
+    witnessed = found.seeing > AGREEING
     distinct = witnessed & (found.distinct >= _DISTINCT_BITS)
-    by_two = ~witnessed & (found.alike >= _LEAST_ALIKE) & (support >= _SURE_ABOUT_TWO)
-    by_two &= _support_at_same_height(found, cells.cell_m) >= _SUPPORT_OF_TWO
+    by_two = ~witnessed & (found.alike >= LEAST_CORRELATION) & (support >= SHARE_AROUND)
+    by_two &= _support_at_same_height(found, cells.cell_m) >= SHARE_AROUND
     supported = by_two | (witnessed & (support >= _SUPPORT))
     kept = (supported | distinct) & (found.alike > UNSEEN)
     views = np.where(kept, np.maximum(found.views, np.uint8(2) * (distinct | by_two)), np.uint8(0))
@@ -89,10 +87,10 @@ def consistent_heights(
     sd_m = np.where(kept, _sd_m(found, cells.cell_m), np.float32(np.nan))
     inner = slice(RIM_CELLS, -RIM_CELLS), slice(RIM_CELLS, -RIM_CELLS)
     over_m, sd_m, views = (np.ascontiguousarray(a[inner]) for a in (over_m * kept, sd_m, views))
-    ends_m = np.array(reach_m) + np.array([1.0, -1.0]) * _END_CELLS * cells.cell_m
+    ends_m = np.array(reach_m) + np.array([1.0, -1.0]) * PAST_HEIGHTS / 2.0 * cells.cell_m
     matched, alike = views > 0, found.views[inner]
     beyond = matched & ((over_m < ends_m[0]) | (over_m > ends_m[1]))
-    of = found.alike[inner] > UNSEEN, matched, beyond, alike > 0, (alike > 0) & (alike < _WITNESSES)
+    of = found.alike[inner] > UNSEEN, matched, beyond, alike > 0, (alike > 0) & (alike <= AGREEING)
     return FilteredTile(over_m, sd_m, views, MatchCounts(*(int(cells.sum()) for cells in of)))
 
 
@@ -106,7 +104,7 @@ def _support_at_same_height(found: TileHeights, cell_m: float) -> Floats32:
     for down in range(2 * reach + 1):
         for right in range(2 * reach + 1):
             apart = sure[down : down + rows, right : right + cols] - found.up_m
-            count += np.abs(apart, out=apart) < np.float32(_LIKE_CELLS * cell_m)
+            count += np.abs(apart, out=apart) < np.float32(2.0 * STEP_CELLS * cell_m)
     return np.asarray(count / np.float32(_LIKE_AROUND_CELLS**2), dtype=np.float32)
 
 

@@ -30,11 +30,9 @@ TERRAIN: Final = "terrain"
 WIDEST_M = sourced(50.0, "m", "widest object; more cuts hilltops", "Pingel et al. 2013, 3.1: 36; halls: more")
 _SQUARE_M = sourced(1.0, "m", "larger loses lanes; smaller shows noise and rims", "Pingel et al. 2013, 3.1")
 _LOW = tuned(0.25, "share", "quantile that stands for a square: lower takes blunders for ground; 0.5 shrubs")
-_PIT_M = tuned(1.0, "m", "depth below neighbours of a blunder: larger keeps pits; smaller loses ditches")
 _SLOPES = tuned((0.5, 0.2), "m per m", "by pass: 0.2 alone cuts steep hills, 0.5 alone keeps leaves in woods")
 _STEP_M = sourced(0.2, "m", "rise besides slope: less loses rough land", "Zhang et al. 2003, table 2")
 _HILLS_M = tuned(10.0, "m", "Gaussian that makes hills: narrower keeps objects; wider leaves hillsides")
-_OFF_M = tuned(0.3, "m", "least tolerance: 0.5 lets crown rims lift the ground; less loses rough land")
 _EVENED = tuned(30, "rounds", "smoothing passes a level: fewer show coarse squares; more change nothing")
 _BEND = tuned(0.008, "1 / m", "curvature of unseen land: 68 % within 0.08 m at 5 to 8 m, 0.28 at 12 to 20")
 _CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -89,7 +87,7 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
 def _is_ground(up_m: Floats32, about_m: Floats32, cell_m: float, noise_m: float) -> Bools:
     """Where heights are those of the ground around squares, and no rim of what stands."""
     slope_of = np.hypot(*np.gradient(about_m, cell_m)) if min(about_m.shape) > 1 else np.zeros_like(about_m)
-    may_miss_m = max(_OFF_M, noise_m) + _SQUARE_M / 2.0 * slope_of
+    may_miss_m = max(_STEP_M, noise_m) + _SQUARE_M / 2.0 * slope_of
     del slope_of
     over_m = up_m - about_m
     high = cv2.morphologyEx((over_m > may_miss_m).astype(np.uint8), cv2.MORPH_OPEN, _SQUARE) > 0
@@ -155,7 +153,7 @@ def _standing(low_m: Floats32, square_m: float, reach_m: float, slope: float, no
     """
     margin = min(int(np.ceil(reach_m / square_m)), *(n - 1 for n in low_m.shape))
     wide = np.pad(low_m, margin, mode="reflect") if margin > 0 else low_m
-    step_m, found = max(_STEP_M, noise_m), -_morphological_opening(-wide, 1) - wide > max(_PIT_M, noise_m)
+    step_m, found = max(_STEP_M, noise_m), -_morphological_opening(-wide, 1) - wide > max(_SQUARE_M, noise_m)
     last, radius = filled(wide, ~found), 0
     while radius * square_m < reach_m:
         by = max(1, radius // 8)

@@ -15,21 +15,20 @@ import numpy as np
 
 from geomosaic.arrays import Bools, Bytes, Floats32
 from geomosaic.constants import sourced, tuned
+from geomosaic.surface.refinement import SIDE_CELLS, SURE
 from geomosaic.surface.squares import Squares, SquareView, SweptPictures, by_first, dense
 from geomosaic.surface.visibility import Asked, hidden_from
 
-_SIDES = tuned(0.7, "correlation", "to be offered to neighbours: 0.5 leaves 20 % wrong wall edges, not 18 %")
 _REACH_CELLS = sourced(6, "cells", "reach of offers", "wrong wall edges: 2: 26 %, 4: 22 %, 6 to 10: 18 %")
 AROUND_CELLS: Final = 2 * _REACH_CELLS + 1
 """Side of a window: the reach both ways and the cell itself."""
 STEP_CELLS = tuned(2.5, "cells", "range that makes a step: less is slope and noise; 4 loses 1.5 % of crowns")
 _MOVES_CELLS = tuned(((0.0, -2.0, 2.0), (0.0, -2.0, 2.0), (0.0, -1.0, 1.0)), "cells", "moves tried by round")
-_WINDOW = tuned(3, "half cells", "comparison window: larger cuts corners; 5 has 19 % wrong crowns, not 17")
 _MOST_GREY = tuned(30, "grey levels", "cap, and value where unseen: higher lets single pixels decide")
 _KEPT_GREY = tuned(0.5, "grey levels", "gain that another height needs: 0 lets noise move cells")
 _DENSER: Final = 2
 """Windows' pixels along a cell's side."""
-_RIM_CELLS: Final = _WINDOW // 2 // _DENSER + 2
+_RIM_CELLS: Final = SIDE_CELLS // 2 // _DENSER + 2
 """Reach of windows past a square."""
 REFINED_CELLS: Final = _REACH_CELLS + _RIM_CELLS
 """Reach of all that is refined."""
@@ -42,7 +41,7 @@ def refine_edges(swept: SweptPictures, height_m: Floats32, alike: Floats32, aske
     Args: height_m, alike (rows, cols): see `refined`; asked: blocks of cells, and the frames that are asked
     there.
     """
-    sure, cell_m = alike >= _SIDES, swept.sweep.cells.cell_m
+    sure, cell_m = alike >= SURE, swept.sweep.cells.cell_m
     window = np.ones((AROUND_CELLS, AROUND_CELLS), dtype=np.uint8)
     lowest = cv2.erode(np.where(sure, height_m, _FAR_M), window)
     highest = cv2.dilate(np.where(sure, height_m, -_FAR_M), window)
@@ -89,12 +88,13 @@ def _differences(
 def _two_most_alike(shown: Sequence[SquareView]) -> Bytes:
     """The sum of the two least differences with the first frame that sees a place."""
     first, others = by_first(shown)
+    window = SIDE_CELLS, SIDE_CELLS
     least, second = (np.full(first.shape, _MOST_GREY, dtype=np.uint8) for _ in range(2))
     for grey, sees in others:
         if sees is not None and not sees.any():
             continue
         apart = cv2.absdiff(_flat(first), _flat(_balanced(grey, first, sees)))
-        apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), (_WINDOW, _WINDOW)).reshape(first.shape)
+        apart = cv2.blur(np.minimum(apart, np.uint8(_MOST_GREY)), window).reshape(first.shape)
         if sees is not None:
             np.copyto(apart, np.uint8(_MOST_GREY), where=~sees)
         np.minimum(second, np.maximum(least, apart), out=second)

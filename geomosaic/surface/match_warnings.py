@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from geomosaic.constants import tuned
+from geomosaic.constants import FEW, tuned
 from geomosaic.surface.consistency_filter import MatchCounts
 from geomosaic.surface.pyramid import PyramidLevel
 
 _LEAST_MATCHED = tuned(0.3, "share", "of the cells that frames see: below, the surface is mostly filled")
-_MOST_AT_END = tuned(0.1, "share", "of matched cells at a limit of the search: above, relief was cut off")
 
 
 def match_warnings(counted: MatchCounts, level: PyramidLevel, known: str) -> Iterator[tuple[str, str]]:
@@ -32,7 +31,7 @@ def match_warnings(counted: MatchCounts, level: PyramidLevel, known: str) -> Ite
             "overlap would",
         )
     beyond = counted.beyond / max(counted.matched, 1)
-    if beyond > _MOST_AT_END:
+    if beyond > FEW:
         ground, fix = (
             ("elevation model that was given", "its heights may count from another level (--dem-offset)")
             if known == "dem"

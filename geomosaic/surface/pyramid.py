@@ -21,7 +21,6 @@ TILE_CELLS = tuned(304, "cells", "320 with the refined margin: smaller is mostly
 _BELOW = tuned(0.1, "flying heights", "search below the base: less misses ditches and land beside woods")
 _ABOVE = tuned(0.3, "flying heights", "search above the base: less cuts off what stands high")
 _TALL_M = tuned(15.0, "m", "least search height, whatever the flying height: lower cuts off houses and trees")
-_HIGHEST = tuned(0.6, "flying heights", "upper limit of the search: nearer to the camera nothing matches")
 
 
 MOST_CELLS = tuned(16_000_000, "cells", "17 bytes each in memory; 160 frames of 10 MP have as many at 4 GSD")
@@ -102,7 +101,7 @@ def pyramid_levels(cells: Cells, flying_m: float) -> list[PyramidLevel]:
     """The coarse level and the fine one, whose cells are given; a cell is two of their pictures' pixels wide,
     which halves errors against one."""
     lowest_m = -_BELOW * flying_m
-    highest_m = min(max(_TALL_M, _ABOVE * flying_m), _HIGHEST * flying_m)
+    highest_m = min(max(_TALL_M, _ABOVE * flying_m), 2.0 * _ABOVE * flying_m)
     coarse = cells.coarser(_BY)
     return [
         PyramidLevel(coarse, coarse.cell_m / 2.0, lowest_m, highest_m, fine=False),

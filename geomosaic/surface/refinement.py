@@ -18,8 +18,8 @@ from geomosaic.surface.squares import Squares, SweptPictures, by_first
 from geomosaic.surface.visibility import Asked
 
 _ROUNDS = tuned(2, "rounds", "each halves the step: one leaves a tenth of a step; a third gains a hundredth")
-_SIDE_CELLS = tuned(3, "cells", "window of comparison: smaller follows noise; larger rounds off edges")
-_RIM_CELLS: Final = _SIDE_CELLS // 2
+SIDE_CELLS = tuned(3, "(half) cells", "window of comparison: smaller follows noise; larger cuts corners")
+_RIM_CELLS: Final = SIDE_CELLS // 2
 _AGREEING = tuned(3, "frames", "best ones beside the first: more, and one behind a wall spoils the match")
 NOISE_GREY = tuned(2.0, "grey levels", "image noise: blank areas vary by less and correlate by chance")
 SURE = tuned(0.6, "correlation", "to trust a height: 10 % off by > 1 m above it, 31 % below (simulated)")
@@ -118,6 +118,6 @@ def _mean_and_spread(picture: Floats32) -> tuple[Floats32, Floats32]:
 
 def _mean(values: Floats32) -> Floats32:
     """In windows; squares lie one below the other, and are mixed at their rims, which nobody looks at."""
-    side = (_SIDE_CELLS, _SIDE_CELLS)
+    side = (SIDE_CELLS, SIDE_CELLS)
     found = cv2.boxFilter(values.reshape(-1, values.shape[-1]), -1, side)
     return np.asarray(found, dtype=np.float32).reshape(values.shape)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
@@ -21,16 +22,15 @@ from geomosaic.surface.edge_refinement import REFINED_CELLS, refine_edges
 from geomosaic.surface.plane_sweep import PlaneSweep, SweepView
 from geomosaic.surface.refinement import UNSEEN, likeness, refined
 from geomosaic.surface.squares import SweptPictures
-from geomosaic.surface.visibility import Asked, asked_frames, hidden_from
+from geomosaic.surface.visibility import REACH_CELLS, Asked, asked_frames, hidden_from
+from geomosaic.surface.void_fill import NEAR_CELLS
 from geomosaic.survey.small import means, padded
 
 Steps = NDArray[np.int16]
-MARGIN_CELLS = tuned(16, "cells", "run-in of the paths: smaller makes tile borders visible")
-_NEAR_HEIGHTS = tuned(24, "heights", "least search around the coarse height: fewer lose masts and crown rims")
-_PAST_HEIGHTS = tuned(8, "heights", "search past the coarse range: fewer cut off what that level missed")
-_MOST_HEIGHTS = tuned(40, "heights", "cap at high walls: time is proportional; 64 gains less than 0.2 %")
-_ABOUT_CELLS = tuned(5, "cells", "window for the coarse range: smaller misses a wall's other side")
-_WALLS_SHARE = tuned(0.995, "share", "of a tile's cells that its search range covers: 1 lets outliers set it")
+MARGIN_CELLS: Final = REACH_CELLS
+"""Run-in of the paths, and of what hides cells."""
+_HEIGHTS = tuned(32, "heights", "searched about the coarse one: fewer lose masts and crowns; more take time")
+PAST_HEIGHTS = tuned(8, "heights", "search past the coarse range: fewer cut off what that level missed")
 _BLOCK_CELLS = tuned(32, "cells", "square with one choice of frames: larger fits worse; smaller is slow")
 _FRAMES = tuned(5, "frames", "for a cell's height: three give a third larger errors; seven worse edges")
 _CANDIDATES = tuned(6, "frames", "asked for agreement: with fewer, a group that agrees may be missed")
@@ -148,13 +148,11 @@ def _all_steps(search: HeightSearch, shape: tuple[int, ...]) -> Steps:
 def search_steps(about: Floats32) -> Steps:
     """(heights, rows, cols) that are looked at, from the lowest to the highest (in steps over the base) of
     the level above around a cell, and past them; where that is too much, about the cell's own."""
-    window = np.ones((_ABOUT_CELLS, _ABOUT_CELLS), dtype=np.uint8)
+    window = np.ones((NEAR_CELLS, NEAR_CELLS), dtype=np.uint8)
     highest, lowest = cv2.dilate(about, window), cv2.erode(about, window)
-    apart = float(np.quantile(highest - lowest, _WALLS_SHARE)) + _PAST_HEIGHTS
-    count = 2 * round(min(max(apart, _NEAR_HEIGHTS), _MOST_HEIGHTS) / 2.0)
-    middle, to_end = (highest + lowest) / 2.0, np.float32(count - _PAST_HEIGHTS) / 2.0
+    middle, to_end = (highest + lowest) / 2.0, np.float32(_HEIGHTS - PAST_HEIGHTS) / 2.0
     own = about.clip(np.minimum(lowest + to_end, middle), np.maximum(highest - to_end, middle))
-    return ring(np.round(own).astype(np.int16) - np.int16(count // 2), count)
+    return ring(np.round(own).astype(np.int16) - np.int16(_HEIGHTS // 2), _HEIGHTS)
 
 
 def _smoothed(height_m: Floats32) -> Floats32:

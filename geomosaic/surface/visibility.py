@@ -13,7 +13,7 @@ from geomosaic.constants import tuned
 from geomosaic.surface.plane_sweep import WHOLE, Block, PlaneSweep
 
 Asked = Sequence[tuple[Block, Sequence[int]]]
-_REACH_CELLS = tuned(16, "cells", "along a ray: shorter sees through high houses; longer takes time")
+REACH_CELLS = tuned(16, "cells", "along a ray: shorter sees through high houses; longer takes time")
 _NEAREST_CELLS = tuned(1.5, "cells", "start of the occlusion search: nearer, a leaning surface hides itself")
 
 _MOST_HIDDEN = tuned(0.3, "share", "of a block seen by < 2 frames: yards have less, uncertain crowns more")
@@ -57,7 +57,7 @@ def hidden_below(
     rows, cols = (np.arange(n, dtype=np.float32)[s] for n, s in zip(height_m.shape, at, strict=True))
     col, row = np.meshgrid(cols, rows)
     low = np.full(rise.shape, -np.inf, dtype=np.float32)
-    for away in np.arange(_NEAREST_CELLS, _REACH_CELLS, 1.0, dtype=np.float32):
+    for away in np.arange(_NEAREST_CELLS, REACH_CELLS, 1.0, dtype=np.float32):
         there = cv2.remap(
             height_m,
             col + away * east,

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Floats32
 from geomosaic.constants import tuned
+from geomosaic.surface.visibility import REACH_CELLS
 
-_REACH_CELLS = tuned(32, "cells", "search each way: a house of 10 m hides 12 m of ground at 50 degrees")
+SHARE_AROUND = tuned(0.25, "share", "known cells around: less keeps islands on water; more loses roofs")
+NEAR_CELLS = tuned(5, "cells", "median of filled heights, coarse range: smaller leaves streaks, misses walls")
 _ENCLOSED = tuned(6, "directions", "with a known cell that enclose a void: fewer extend houses past the rim")
-_SHARE_AROUND = tuned(0.25, "share", "known cells around: fewer, as on water, are partly chance and too low")
-_MEDIAN_CELLS = tuned(5, "cells", "median of filled heights: smaller leaves streaks; a mean makes ramps")
-SEARCH_CELLS: Final = _REACH_CELLS + _MEDIAN_CELLS // 2
+_REACH_CELLS: Final = 2 * REACH_CELLS
+"""Search each way: a void is what walls on both sides hide."""
+SEARCH_CELLS: Final = _REACH_CELLS + NEAR_CELLS // 2
 """About some cells, from where their heights come."""
 
 
@@ -40,10 +42,10 @@ def void_heights(values: Floats32, known: Bools) -> tuple[Floats32, Bools]:
             np.minimum(lowest, near, out=lowest)
             count += near < np.inf
     far = np.float32(np.finfo(np.float32).max)
-    evened = np.asarray(cv2.medianBlur(np.minimum(second, far), _MEDIAN_CELLS), dtype=np.float32)
+    evened = np.asarray(cv2.medianBlur(np.minimum(second, far), NEAR_CELLS), dtype=np.float32)
     window = (_REACH_CELLS + 1, _REACH_CELLS + 1)
     share = cv2.blur(known.astype(np.float32), window, borderType=cv2.BORDER_CONSTANT)
-    there = (evened < far) & (share >= _SHARE_AROUND)
+    there = (evened < far) & (share >= SHARE_AROUND)
     return np.where(there, evened, np.float32(np.inf)), there & (count >= _ENCLOSED)
 
 
