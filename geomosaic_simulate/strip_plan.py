@@ -10,7 +10,8 @@ import numpy as np
 
 from geomosaic.arrays import Ints64
 from geomosaic.errors import InputError
-from geomosaic.survey.strips import EARTH_RADIUS_M, Ccd, StripGeometry
+from geomosaic.geodesy.ellipsoid import MEAN_RADIUS_M
+from geomosaic.survey.strips import Ccd, StripGeometry
 
 JITTER_HZ = (1.1, 4.7, 22.0)
 _HIGHEST_M = 2e6
@@ -125,7 +126,7 @@ class StripPlan:
         The rows' rays meet the ground at an angle of separation * pixel * (1 / altitude + 1 / R): the second
         part is the turn of the vertical between the two places from which they look.
         """
-        return 1.0 / (1.0 / (self.parallax_m_per_line * self.row_separation_lines) - 1.0 / EARTH_RADIUS_M)
+        return 1.0 / (1.0 / (self.parallax_m_per_line * self.row_separation_lines) - 1.0 / MEAN_RADIUS_M)
 
     @property
     def pixel_rad(self) -> float:

@@ -17,7 +17,7 @@ from geomosaic.errors import FileError, InputError
 _STORES: Final = {"s3": "/vsis3/", "gs": "/vsigs/", "az": "/vsiaz/"}
 _KNOWN: Final = "https://, s3://, gs:// or az://"
 _SPOILED: Final = re.compile(r"(?:^|/)(https?|ftp|s3|gs|az):/+(.*)", re.DOTALL)
-_NAME_BYTES = tuned(200, "bytes", "of a file's name: systems allow 255, and the temporary name takes 40 more")
+NAME_BYTES = tuned(200, "bytes", "of a file's name: systems allow 255, and the temporary name takes 40 more")
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def file_name(name: str, shown: str) -> str:
 
     Raises: `InputError` for one that leads elsewhere or can't be shown.
     """
-    if printable(name) != name or {"/", "\\"} & set(name) or len(name.encode()) > _NAME_BYTES:
+    if printable(name) != name or {"/", "\\"} & set(name) or len(name.encode()) > NAME_BYTES:
         problem = "names a file that no file of a survey can be called"
         raise InputError(problem, file=printable(shown), fix="rename it there, or take it out of the list")
     return name

@@ -70,9 +70,10 @@ def check_regular(path: Path, fix: str, named: str = "") -> None:
         raise FileError(f"is no regular file but {kind}{named}", file=file, fix=fix)
 
 
+MOST_PARTS = tuned(20_000, "parts", "tags, points, characters of a line; more takes time and memory")
 PIECE_BYTES = tuned(8 << 20, "bytes", "read at once: less takes more requests; more delays a stop")
 SHORT_BYTES = tuned(1 << 20, "bytes", "of XMP, an RPC or a projection, which have some kB; more takes time")
-TEXT_BYTES = tuned(128 << 20, "bytes", "of text: a reconstruction of a large block; more fills the memory")
+TEXT_BYTES = tuned(128 << 20, "bytes", "of a file read whole: a large block's table; more fills the memory")
 
 
 def read_bytes(path: Path, most_bytes: int, kind: str, fix: str) -> bytes:

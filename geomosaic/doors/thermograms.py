@@ -16,10 +16,9 @@ import numpy as np
 from geomosaic.arrays import Floats32
 from geomosaic.constants import tuned
 from geomosaic.doors.at_hand import at_hand
-from geomosaic.doors.files import read_bytes
+from geomosaic.doors.files import TEXT_BYTES, read_bytes
 from geomosaic.errors import FileError, InputError
 
-_MOST_BYTES = tuned(64 << 20, "bytes", "of a FLIR JPEG, usually 1 MB: more takes memory and time")
 _MOST_RECORDS = tuned(1000, "records", "of a FLIR JPEG, usually 12: a damaged number would take hours")
 _MOST_PX = tuned(16 << 20, "px", "of a thermogram, usually 0.3e6: more takes minutes to unpack")
 _MARK: Final = re.compile(rb"\xff\xe1..FLIR\0", re.DOTALL)
@@ -53,7 +52,7 @@ def thermogram(path: Path) -> Floats32:
         if not 0 < width * height <= _MOST_PX:
             raise FileError(f"its temperatures are {width} x {height} pixels", file=path, fix=_FIX)
         values = parse_thermogram(
-            stream, records, BytesIO(read_bytes(at_hand(path), _MOST_BYTES, "a frame", _FIX))
+            stream, records, BytesIO(read_bytes(at_hand(path), TEXT_BYTES, "a frame", _FIX))
         ).celsius
         return np.asarray(values, dtype=np.float32)
 
@@ -63,7 +62,7 @@ def _records(path: Path) -> Iterator[tuple[BytesIO, dict[int, Any]]]:
     """The FLIR data in a JPEG, and where its records lie."""
     from flyr.records import extract_flir_app1, parse_flir_records
 
-    data = read_bytes(at_hand(path), _MOST_BYTES, "a frame", _FIX)
+    data = read_bytes(at_hand(path), TEXT_BYTES, "a frame", _FIX)
     if _MARK.search(data) is None:
         raise FileError("holds no temperatures of a FLIR camera", file=path, fix=_CONVERT)
     try:

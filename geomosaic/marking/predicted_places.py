@@ -9,13 +9,12 @@ import numpy as np
 
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import FEW, sourced
 from geomosaic.marking.marked_places import placed_point, places_of_others
 from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.marking.pose_correction import FrameMarks, common_correction, corrected_frame, moved
 from geomosaic.survey.model import ControlPoint
 
-_BEYOND = tuned(0.08, "share of a side", "outside, listed; less: poor poses hide frames; more: too many")
 SUSPECT = sourced(3.72, "deviations", "of a mark, two numbers: 0.1 % are beyond", "chi-squared, 2 degrees")
 
 
@@ -33,7 +32,7 @@ class PredictedPlaces:
         """Frames that show a point inside them or close to them, by its distance from their middle. sizes_px
         (frames, 2)."""
         away = self.image_px[:, point] / sizes_px - 0.5
-        inside = (np.abs(np.nan_to_num(away, nan=np.inf)) <= 0.5 + _BEYOND).all(axis=1)
+        inside = (np.abs(np.nan_to_num(away, nan=np.inf)) <= 0.5 + FEW).all(axis=1)
         away = np.linalg.norm(away, axis=1)
         return [int(i) for i in np.argsort(np.where(inside, away, np.inf), kind="stable")[: inside.sum()]]
 

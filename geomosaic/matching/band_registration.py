@@ -40,7 +40,6 @@ _MOST_CAPTURES = tuned(12, "captures", "spread over the flight; each shows a hun
 _PATCH_PX = tuned(96, "ground px", "side; smaller: too few common edges; larger: relief shifts them apart")
 _PATCHES = tuned(120, "patches a capture", "about; of some bands few correlate; more take time alone")
 _SEARCH_PX: tuple[int, int] = tuned((96, 8), "ground px", "of two rounds: 3 degrees in 960 px, then the rest")
-_MOST_SD_PX = tuned(0.3, "px", "of a match; patches with more have no edges, or edges one way only")
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i
         other,
         own,
         patch_corners(own.pixels.shape, _PATCH_PX, step_px),
-        PatchMatching(_PATCH_PX, search_px, LEAST_CORRELATION, _MOST_SD_PX),
+        PatchMatching(_PATCH_PX, search_px, LEAST_CORRELATION),
     )
     points = window.points_m()
     there_m = _bilinear(points, found.centres_px + found.displacement_px)

@@ -9,10 +9,10 @@ import numpy as np
 from pyproj import Geod
 
 from geomosaic.arrays import Bools, Floats
+from geomosaic.constants import ASSUMED_SD_SHARE as ASSUMED_SD_SHARE
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
-ASSUMED_SD_SHARE = tuned(0.1, "share", "of an assumed height: less binds poses; more frees the scale")
 ASSUMED_HEIGHT_M = sourced(120.0, "m", "over ground, where none is reported", "EU 2019/947: the most allowed")
 LEAST_HEIGHT_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
 _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")

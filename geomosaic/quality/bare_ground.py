@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import FEW, sourced, tuned
 from geomosaic.matching.model import TiePoints
+from geomosaic.matching.tracks import FEW_CELLS
 from geomosaic.projection.footprint import footprint, ground_from_image
 from geomosaic.survey.extent import TOO_FAR_M
 
-_CELLS = tuned(8, "cells", "per frame side: fewer hide a pond; more empty good ground")
 _SEEN_BY = tuned(2, "frames", "others that see the ground: fewer expect ties at single coverage")
 _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: land up to 3 %, water 75 %")
-_BARE_PART = tuned(0.1, "share", "of a frame in one piece, six cells: less reports chance")
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class BareGround:
         if self.share > _BARE or not self.parts:
             return self.share > _BARE
         cell_m2 = np.nanmedian(shapely.area(_squares(self.corners_m.reshape(-1, 4, 2))))
-        return bool(self.parts[0].area > _BARE_PART * _CELLS**2 * cell_m2)
+        return bool(self.parts[0].area > FEW * FEW_CELLS**2 * cell_m2)
 
     def worst(self) -> list[int]:
         """Frames of which most is bare, worst first."""
@@ -73,9 +72,9 @@ def bare_ground(adjusted: Adjusted, ties: TiePoints) -> BareGround:
     }
     rings = {i: o for i, o in outlines.items() if np.isfinite(o).all()}
     tree = shapely.STRtree([shapely.Polygon(ring) for ring in rings.values()])
-    lattice = np.stack(np.meshgrid(*[np.arange(2 * _CELLS + 1) / (2.0 * _CELLS)] * 2), axis=-1)
-    seen = np.zeros((len(rings), _CELLS**2), dtype=bool)
-    corners_m = np.full((len(rings), _CELLS**2, 4, 2), np.nan)
+    lattice = np.stack(np.meshgrid(*[np.arange(2 * FEW_CELLS + 1) / (2.0 * FEW_CELLS)] * 2), axis=-1)
+    seen = np.zeros((len(rings), FEW_CELLS**2), dtype=bool)
+    corners_m = np.full((len(rings), FEW_CELLS**2, 4, 2), np.nan)
     for k, i in enumerate(rings):
         camera = adjusted.cameras[i]
         px = lattice * [camera.width_px, camera.height_px]
@@ -92,13 +91,13 @@ def bare_ground(adjusted: Adjusted, ties: TiePoints) -> BareGround:
 
 def _tied_cells(adjusted: Adjusted, ties: TiePoints) -> Bools:
     """Which cells of each frame have tie points, (n, cells)."""
-    tied = np.zeros((len(adjusted.status), _CELLS**2), dtype=bool)
+    tied = np.zeros((len(adjusted.status), FEW_CELLS**2), dtype=bool)
     for t in ties.pairs:
         for i, px in ((t.left, t.left_px), (t.right, t.right_px)):
             camera = adjusted.cameras[i]
             share = px / [max(camera.width_px, 1), max(camera.height_px, 1)]
-            col, row = np.clip(np.nan_to_num(share) * _CELLS, 0, _CELLS - 1).astype(np.int64).T
-            tied[i, row * _CELLS + col] = True
+            col, row = np.clip(np.nan_to_num(share) * FEW_CELLS, 0, FEW_CELLS - 1).astype(np.int64).T
+            tied[i, row * FEW_CELLS + col] = True
     return tied
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import sourced
+from geomosaic.doors.addresses import NAME_BYTES
 from geomosaic.doors.files import TEXT_BYTES, printable
 from geomosaic.doors.plain import read_json
 from geomosaic.errors import FileError
@@ -52,7 +53,6 @@ CRITERIA = (
     ScoreQuestion("overall", "The mosaic as a whole"),
 )
 
-_MOST_LETTERS = tuned(200, "letters", "of a run's or viewer's name: more do not fit a line")
 _FIX: Final = "give files that a report's score form saved"
 
 
@@ -87,9 +87,7 @@ def read_opinion(path: Path) -> Opinion:
         if type(score) is not int or score not in levels:
             raise FileError(f"has no score of 1 to 5 for {criterion.key!r}", file=path, fix=_FIX)
         scores[criterion.key] = score
-    run, viewer, date = (
-        printable(str(content.get(k) or ""))[:_MOST_LETTERS] for k in ("run", "viewer", "date")
-    )
+    run, viewer, date = (printable(str(content.get(k) or ""))[:NAME_BYTES] for k in ("run", "viewer", "date"))
     return Opinion(run or printable(path.stem), viewer, date, scores)
 
 

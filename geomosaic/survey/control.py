@@ -12,7 +12,8 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import SLIGHT, sourced, tuned
+from geomosaic.constants import SLIGHT, sourced
+from geomosaic.doors.files import MOST_PARTS
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
@@ -25,7 +26,6 @@ from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import ParsedTable
 
-_MOST_POINTS = tuned(20_000, "points", "each adds to the solve: more is another kind of file")
 LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 
@@ -66,8 +66,8 @@ def read_control(
     of: dict[str, list[int]] = {}
     for i, (name, (lon, lat, _)) in enumerate(zip(table.texts("name"), places.tolist(), strict=True)):
         of.setdefault(name or f"{lon:.8f} {lat:.8f}", []).append(i)
-    if len(of) > _MOST_POINTS:
-        problem = f"has {len(of):,} points, more than {_MOST_POINTS:,}"
+    if len(of) > MOST_PARTS:
+        problem = f"has {len(of):,} points, more than {MOST_PARTS:,}"
         raise InputError(problem, file=path, fix="leave out the less accurate ones")
     merged = {name: _one_place(name, places[rows], table, rows) for name, rows in of.items()}
     seen, absent = _measurements(table, of, frames)

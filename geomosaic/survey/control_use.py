@@ -10,14 +10,13 @@ from typing import Final
 import numpy as np
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import tuned
+from geomosaic.constants import FEW
 from geomosaic.errors import InputError
 from geomosaic.survey.control import LEAST_POINTS, ControlFile
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import some
 from geomosaic.survey.places import away_from
 
-_SLIPS = tuned(0.1, "share of image marks", "outside their images as slips; more: marks of other images")
 _LEANS: Final = (
     "no frame has a position, and two control points leave open how the block leans about the line "
     "through them: add a third point off that line"
@@ -114,7 +113,7 @@ def _without_marks(file: ControlFile) -> InputError | None:
 def _marks_of_others(points: Sequence[ControlPoint], outside: Sequence[_Outside]) -> InputError | None:
     """Of marks that were measured in other images than these, such as larger ones."""
     marks = len(outside) + sum(len(p.images) for p in points)
-    if len(outside) <= _SLIPS * marks:
+    if len(outside) <= FEW * marks:
         return None
     return InputError(
         f"{len(outside)} of {marks} image marks lie outside their images, the first {outside[0]}",

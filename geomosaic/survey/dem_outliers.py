@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from geomosaic.arrays import Bools, Floats, Floats32
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import ENOUGH, ROUNDS, sourced, tuned
 
 _LAND_M = sourced((-600.0, 9100.0), "m", "land, so no -999 or 9999", "Dead Sea shore -430 m, Everest 8849 m")
 _FILL_BELOW_M = tuned(20.0, "m", "step around a low fill: less loses the sea beside cliffs; more keeps fills")
@@ -15,8 +15,6 @@ _FILL_ABOVE_M = tuned(300.0, "m", "step around a high fill: less loses towers wi
 _FILL_STEPS = tuned(4.0, "99 % steps", "a fill's step over the usual: less loses cliffs in mountains")
 _SPIKE_M = tuned(50.0, "m", "height of a lone wrong pixel: less does a mosaic no harm")
 _SPIKE_SPREADS = tuned(10.0, "95 % differences", "of a lone wrong pixel: less loses sharp summits")
-_LEAST_STEPS = tuned(100, "steps", "that show the usual step: of fewer one cliff decides")
-_MOST_FILLS = tuned(4, "values", "of either sign, as files mix them: each takes a pass over the raster")
 
 
 def outliers(height_m: Floats, mixed: bool = False) -> Bools:
@@ -30,7 +28,7 @@ def outliers(height_m: Floats, mixed: bool = False) -> Bools:
         bad = (height_m < _LAND_M[0]) | (height_m > _LAND_M[1])
         left = np.where(bad, np.nan, height_m).astype(np.float32)
     for lowest in (True, False):
-        for _ in range(_MOST_FILLS):
+        for _ in range(ROUNDS):
             fill = _fill(left, lowest)
             if fill is None:
                 break
@@ -59,7 +57,7 @@ def _fill(height_m: Floats32, lowest: bool) -> Bools | None:
         at_border.append(step[here & np.isfinite(step)])
         elsewhere.append(step[~here & np.isfinite(step) & ~_both(its, axis)])
     border, ordinary = np.concatenate(at_border), np.concatenate(elsewhere)
-    if not border.size or ordinary.size < _LEAST_STEPS:
+    if not border.size or ordinary.size < ENOUGH:
         return None
     usual = float(np.percentile(ordinary, 99.0))
     small = np.count_nonzero(its) < 0.5 * np.count_nonzero(known)

@@ -9,7 +9,7 @@ from typing import Final
 
 from geomosaic.constants import tuned
 from geomosaic.doors.camera_formats import CAMERA_FORMATS
-from geomosaic.doors.files import RUN_MARKER, check_name, printable, read_bytes
+from geomosaic.doors.files import RUN_MARKER, TEXT_BYTES, check_name, printable, read_bytes
 from geomosaic.doors.raster import MASK, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.header import (
@@ -25,7 +25,6 @@ from geomosaic.survey.png import png_damage
 from geomosaic.survey.timestamp_mrk import matches
 
 _SUFFIXES: Final = JPEG_SUFFIXES | TIFF_SUFFIXES
-_MOST_MASK_BYTES = tuned(256 << 20, "bytes", "of a mask: 200 megapixels unpacked; more would fill the memory")
 _MASK_ENDINGS: Final = ("_mask", ".mask")
 _HOMES: Final = ("images", "dcim")
 """Where OpenDroneMap's projects and cameras' cards hold frames; what else they hold is made of them."""
@@ -216,7 +215,7 @@ def _check_size(mask: Path, header: FrameHeader) -> None:
                 check_blocks(raster, mask, MASK.fix)
         damage = ""
         if raster.driver == "PNG":
-            damage = png_damage(read_bytes(mask, _MOST_MASK_BYTES, "a mask", MASK.fix))
+            damage = png_damage(read_bytes(mask, TEXT_BYTES, "a mask", MASK.fix))
     if damage:
         raise FileError(f"the mask is damaged: {damage}", file=mask, fix="copy or make it again")
     if size != (header.width_px, header.height_px):

@@ -10,6 +10,7 @@ import numpy as np
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import LEAST_RECORDED, Turns
 from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.robust import LEAST_OBSERVATIONS
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import FASTEST, FASTEST_TURN, SLOWEST
 from geomosaic.survey.xmp import Xmp, numbers
@@ -26,7 +27,6 @@ _SAMPLE = sourced(
 )
 _SAMPLES_A_TURN = tuned(4, "samples", "between tabled rotations, half of the fewest: more cut vibration off")
 _FARTHEST_RAD = tuned(0.25, "rad", "rotation within a frame: more is wrong samples, or nothing is sharp")
-_EDGE = tuned(5, "samples", "averaged past each end: fewer extend noise; more an outdated rate")
 
 
 def turns_of(header: FrameHeader) -> Turns | None:
@@ -40,7 +40,7 @@ def turns_of(header: FrameHeader) -> Turns | None:
         return None
     time_s, rates = samples
     span_s = float(time_s[-1])
-    before, after = rates[:_EDGE].mean(axis=0), rates[-_EDGE:].mean(axis=0)
+    before, after = rates[:LEAST_OBSERVATIONS].mean(axis=0), rates[-LEAST_OBSERVATIONS:].mean(axis=0)
     time_s = np.concatenate([[-span_s], time_s, [2.0 * span_s]])
     rates = np.concatenate([[before], rates, [after]]) @ CAMERA_FROM_UNIT.T
     steps = (rates[1:] + rates[:-1]) / 2.0 * np.diff(time_s)[:, None]

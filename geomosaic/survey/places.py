@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import ENOUGH, sourced, tuned
 from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
@@ -24,10 +24,8 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.table import ParsedTable
 
 _FAR_OUTSIDE_M = tuned(500_000.0, "m", "off a CRS's area: less refuses next zones; more accepts wrong ones")
-_RADIANS = sourced((np.pi, np.pi / 2.0), "rad", "of both; no land within, as degrees", "definition")
 _FAR_M = tuned(5000.0, "m", "beyond the frames' reach: less refuses points; more accepts swapped columns")
 _SAME_FOOT = sourced(1e-5, "of a foot", "feet of the US survey are 2 ppm longer", "NIST SP 811, B.6")
-_ENOUGH = tuned(100, "points", "of a table, tried in each candidate CRS: more take minutes")
 NOWHERE: Floats = np.column_stack([[], []])
 """Longitudes and latitudes of no frames: none has a position, or they aren't known yet."""
 
@@ -165,7 +163,7 @@ def _chosen(stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> tuple[CRS,
     every = [stated.meant(group) for group in stated.groups]
     alike = [[crs for crs in group if crs.is_geographic == degrees] for group in every]
     groups = [group for group in alike if group] or every
-    some = xy[:: len(xy) // _ENOUGH + 1]
+    some = xy[:: len(xy) // ENOUGH + 1]
     for frames in (near, NOWHERE) if len(near) else (NOWHERE,):
         for swapped in (False, True):
             for group in groups:
@@ -234,7 +232,8 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
         problem = "longitude and latitude are both 0, as a receiver writes without satellites"
         fix = "correct them, or take the line and its frame out"
         raise table.error(int(np.argmax(nowhere)), problem, fix)
-    if (np.abs(lonlat) <= _RADIANS).all() and (np.abs(np.degrees(lonlat)) > _RADIANS).any():
+    whole = np.array([np.pi, np.pi / 2.0])
+    if (np.abs(lonlat) <= whole).all() and (np.abs(np.degrees(lonlat)) > whole).any():
         raise InputError(
             f"longitude and latitude look like radians (line {table.lines[0]}: {lonlat[0, 0]:g}, "
             f"{lonlat[0, 1]:g}): as degrees they would lie in the sea off Africa",

@@ -50,7 +50,7 @@ FASTEST: Final = Limit(1000.0, "m/s", "three times the speed of sound", "SR-71: 
 FASTEST_TURN: Final = Limit(
     35.0, "rad/s", "2000 degrees a second: gyroscopes end there", "InvenSense MPU-6000"
 )
-_NEIGHBOURS = tuned(8, "frames", "that judge a height: of fewer two wrong ones decide; more reach slopes")
+NEIGHBOURS = tuned(8, "frames", "that judge a height: of fewer two wrong ones decide; more reach slopes")
 
 
 def plausible_positions(
@@ -159,7 +159,7 @@ def _strangers(at_m: Floats, heights_m: Floats) -> Bools:
     Too low a one does no harm to others, and may be a take-off; below the ground, placement finds it.
     """
     n = len(heights_m)
-    most = min(_NEIGHBOURS, n - 1)
+    most = min(NEIGHBOURS, n - 1)
     _, near = cKDTree(at_m).query(at_m, k=most + 1)
     first = np.clip(np.arange(n) - most // 2, 0, n - 1 - most)
     ordered = first[:, None] + np.arange(most + 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import ASSUMED_SD_SHARE, sourced, tuned
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.plausible import SLOWEST
 from geomosaic.survey.xmp import number
@@ -26,7 +26,6 @@ _READOUTS_BY_SIZE = sourced(
     "images of other sizes than most by the model, which read other rows",
     "OpenDroneMap, opendm/rollingshutter.py",
 )
-READOUT_SD_SHARE = tuned(0.1, "share", "of a model's: crops have a sixth fewer rows; less binds wrong ones")
 GLOBAL_SHUTTERS: Final = {
     "fc6310", "fc6310r", "fc6310s", "fc6360", "fc6510", "m3e", "zenmusep1", "s.o.d.a.",
     "rededge", "rededge-m", "rededge-mx", "altum",
@@ -82,5 +81,5 @@ def _of_sensor(header: FrameHeader) -> Shutter:
         size = 1e-6 * (width_px or header.width_px) * (height_px or header.height_px)
         least, most, other_s = _READOUTS_BY_SIZE.get(model, (0.0, 0.0, 0.0))
         seconds = other_s if least <= size < most else READOUTS_S[model]
-        return Shutter(seconds, READOUT_SD_SHARE * seconds, "model")
+        return Shutter(seconds, ASSUMED_SD_SHARE * seconds, "model")
     return Shutter(0.0, UNREPORTED_SD_S, "unreported")

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
+from geomosaic.constants import CHOSEN, FEW, NORMAL_PER_MAD, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.cameras import unreported
@@ -27,20 +27,18 @@ from geomosaic.survey.lens_tags import label
 from geomosaic.survey.model import Position, UnusedImage, Warn
 from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.platforms import LEAST_FRAMES
-from geomosaic.survey.plausible import Limit
+from geomosaic.survey.plausible import NEIGHBOURS, Limit
 
 LEAVE_OUT: Final = ("auto", "none")
 COPY: Final = Limit(0.995, "correlation", "of small versions of copies; neighbours have less", CHOSEN)
 _COPY_GREYS = tuned(4.0, "grey levels", "of mean and contrast: more takes bands for copies")
 LOW: Final = Limit(0.3, "usual heights", "above ground: sees a tenth of what others see, in a climb", CHOSEN)
-_FEW_LOW = tuned(0.1, "share", "of frames in climb or landing: more would be a part of the survey")
 APART: Final = Limit(2.0, "extents", "of both flights, between them: their mosaic is mostly empty", CHOSEN)
 _NEAR_M = tuned(500.0, "m", "between flights: less splits small surveys; fields of a flight are as far")
 BLURRED: Final = Limit(
     2.3, "log detail", "a tenth of its neighbours', blurred over 4 px", "2 px blur: 2.4 to 3"
 )
 SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", CHOSEN)
-_NEAREST = tuned(5, "frames", "each side, to compare sharpness: fewer let one decide; more reach other land")
 _WORDS: Final = {
     "frame-other-bands": "other bands or type than most frames have",
     "frame-other-camera": "taken by another of the aircraft's cameras (--camera-kind chooses one)",
@@ -219,7 +217,7 @@ def _low_at_ends(above_m: Floats) -> Bools:
         return out
     usual = float(np.median(known))
     low = above_m < LOW.value * usual
-    most = max(int(_FEW_LOW * len(above_m)), min(LEAST_FRAMES, len(above_m) // 4))
+    most = max(int(FEW * len(above_m)), min(LEAST_FRAMES, len(above_m) // 4))
     spread = NORMAL_PER_MAD * float(np.median(np.abs(known - usual)))
     if SPREADS.value * spread > usual:  # no usual height: hand-flown, or heights that drift
         return out
@@ -262,9 +260,8 @@ def blurred(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | No
     n = len(detail)
     if np.isfinite(detail).sum() < 2 * LEAST_FRAMES:
         return []
-    neighbours = [
-        [j for j in range(max(0, i - _NEAREST), min(n, i + _NEAREST + 1)) if j != i] for i in range(n)
-    ]
+    reach = NEIGHBOURS // 2
+    neighbours = [[j for j in range(max(0, i - reach), min(n, i + reach + 1)) if j != i] for i in range(n)]
     lack = np.array([np.nanmedian(detail[b]) if np.isfinite(detail[b]).any() else np.nan for b in neighbours])
     lack -= detail
     off = np.abs(lack - np.nanmedian(lack))

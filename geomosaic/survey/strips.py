@@ -11,11 +11,12 @@ from typing import Any, Final
 import numpy as np
 
 from geomosaic.camera.pushbroom import Pushbroom
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import tuned
 from geomosaic.doors.files import check_regular
 from geomosaic.doors.plain import YAML_BYTES, read_yaml, shown
 from geomosaic.doors.raster import STRIP, open_raster
 from geomosaic.errors import FileError, InputError, UnknownNameError
+from geomosaic.geodesy.ellipsoid import MEAN_RADIUS_M
 from geomosaic.geodesy.local import geodetic_from_ecef
 from geomosaic.survey.elevation import check_dem
 from geomosaic.survey.strip_companions import check_cover, check_pixel, check_rpc, checked_model
@@ -23,7 +24,6 @@ from geomosaic.survey.strip_pixels import GreyScale
 
 _MOST_CCDS = tuned(64, "CCDs", "of a focal plane: TH-1 has 8; each opens a file and takes memory")
 _MOST = tuned(1e9, "any unit", "largest number in a geometry file: products stay in 64 bits")
-EARTH_RADIUS_M = sourced(6371000.0, "m", "by which the vertical turns between rows", "GRS 80, mean radius")
 _ALTITUDE_M = tuned(500e3, "m", "where no model says it: imaging satellites fly at 400 to 800 km")
 _LEAST_OVERLAP_PX = tuned(8, "px", "of neighbouring strips: narrower ones cannot be matched")
 _KINDS: Final = frozenset({"uint8", "uint16", "int16", "float32"})
@@ -88,7 +88,7 @@ class StripGeometry:
         Their rays meet at an angle of separation * pixel * (1 / altitude + 1 / R), the second part being the
         turn of the vertical between the two places from which they look.
         """
-        bend = 1.0 / self.altitude_m + 1.0 / EARTH_RADIUS_M
+        bend = 1.0 / self.altitude_m + 1.0 / MEAN_RADIUS_M
         return 1.0 / (self.row_separation_lines * bend) if self.row_separation_lines else 0.0
 
     @property

@@ -14,13 +14,12 @@ import numpy as np
 
 from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
-from geomosaic.doors.files import TEXT_BYTES, decoded, read_bytes
+from geomosaic.doors.files import MOST_PARTS, TEXT_BYTES, decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.column_names import UNITS, Aliases, columns_of
 
 _MOST_LINES = tuned(200_000, "lines", "the largest blocks have 50,000 frames: more is a log, or another file")
-_LONGEST_LINE = tuned(20_000, "characters", "500 columns of 40: a longer line is no table's")
 _MOST_COLUMNS = tuned(500, "columns", "of a header; each is looked up under every name")
 _WANTED: Final = "give a table as text (CSV) with a header line and a line per frame or point"
 _OTHER_KINDS: Final = (
@@ -118,9 +117,9 @@ def read_lines(path: Path, item: str) -> list[Line]:
         raise FileError(problem, file=path, fix="is it the right file?")
     lines = []
     for number, raw in enumerate(found, start=1):
-        if len(raw) > _LONGEST_LINE:
+        if len(raw) > MOST_PARTS:
             problem = f"line {number} has {len(raw):,} characters"
-            raise FileError(problem, file=path, fix="give a line per item, of at most 20,000 characters")
+            raise FileError(problem, file=path, fix=f"give lines of at most {MOST_PARTS:,} characters")
         stripped = raw.strip()
         bare = stripped.lstrip("/" if stripped.startswith("//") else "#").lstrip()
         if bare and not (number == 1 and _SEPARATOR_NAMED.fullmatch(bare)):

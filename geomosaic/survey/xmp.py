@@ -11,19 +11,18 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from geomosaic.constants import tuned
-from geomosaic.doors.files import SHORT_BYTES, printable
+from geomosaic.doors.files import MOST_PARTS, SHORT_BYTES, printable
+from geomosaic.survey.exif_tags import LONGEST_BYTES
 
 Xmp = dict[str, str]
 """Texts by `room:Name`, whatever prefix the file uses: rooms are `drone-dji`, `drone-parrot`,
 `sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
 last word."""
 
-_MOST_MARKS = tuned(20_000, "tags", "cameras write 400, editors 5000; more fills the XML reader's memory")
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
 _NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
 _MOST_PREFIXES = tuned(100, "prefixes", "of a packet: far more than programs write; each is declared")
-_LONGEST_NUMBER = tuned(80, "characters", "doubles have 25; thousands of digits take long to read")
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
 
@@ -37,7 +36,7 @@ def parse_xmp(data: bytes) -> Xmp | None:
     packet = _packet(data[:SHORT_BYTES])
     if packet is None:
         return {}
-    if packet.count(b"<") > _MOST_MARKS or _LONG_NAMESPACE.search(packet):
+    if packet.count(b"<") > MOST_PARTS or _LONG_NAMESPACE.search(packet):
         return None
     try:
         root = fromstring(_declared(packet), forbid_dtd=True)
@@ -67,7 +66,7 @@ def number(xmp: Xmp, *names: str) -> float | None:
     """The first of some properties that is a finite number (`+12.5`, or a fraction `25/2`)."""
     for name in names:
         text = xmp.get(name, "")
-        match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST_NUMBER else None
+        match = _NUMBER.fullmatch(text) if len(text) <= LONGEST_BYTES else None
         if match and float(match[2] or 1):
             value = float(match[1]) / float(match[2] or 1)
             if math.isfinite(value):

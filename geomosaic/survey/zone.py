@@ -10,14 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from geomosaic.constants import tuned
 from geomosaic.errors import GeomosaicError, InputError
+from geomosaic.estimation.robust import LEAST_OBSERVATIONS
 from geomosaic.geodesy.mapcrs import utm_crs
 from geomosaic.survey.header import read_header
 from geomosaic.survey.onboard import onboard_position
 
 _EXAMPLE: Final = re.compile(r"such as EPSG:n\b")
-_ENOUGH = tuned(9, "frames", "whose positions place a survey: fewer may be a receiver's first wrong ones")
 
 LonLat = tuple[float, float]
 
@@ -45,7 +44,7 @@ def zone_of(lonlat: Collection[LonLat]) -> str:
 def tagged_positions(frames: Collection[Path]) -> list[LonLat]:
     """Longitudes and latitudes that the tags of some frames hold, evenly taken from all."""
     found = []
-    for path in [*frames][:: len(frames) // _ENOUGH + 1]:
+    for path in [*frames][:: len(frames) // LEAST_OBSERVATIONS + 1]:
         with suppress(GeomosaicError):
             header = read_header(path)
             position = onboard_position(header.exif, header.xmp or {})
