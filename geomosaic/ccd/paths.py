@@ -36,7 +36,7 @@ class Coarse:
     suspect: Suspect | None
 
 
-def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected, rounds: int = 3) -> Coarse:
+def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected) -> Coarse:
     """Offsets of all pairs at once, to about a bin: the shared motion, and a slow part of each pair.
 
     By turns: the evidence of all pairs is summed, each moved by its own slow part, and the best path taken
@@ -48,10 +48,10 @@ def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected, rounds
     """
     bright = bright_part(brightness)
     if bright is None:
-        return Coarse(_px(volumes, _solve(volumes, likely, rounds)), None)
+        return Coarse(_px(volumes, _solve(volumes, likely)), None)
     parts = bright, replace(bright, brighter=False)
     hidden = [part.hides(brightness)[..., None, None] for part in parts]
-    offsets = [_px(volumes, _solve(np.where(of, 0.0, volumes), likely, rounds)) for of in hidden]
+    offsets = [_px(volumes, _solve(np.where(of, 0.0, volumes), likely)) for of in hidden]
     dark, light = (np.median(of.reshape(-1, 2), axis=0) for of in offsets)
     far = np.abs(light - dark).max() > _BIN_PX
     which = int(far and _cost(light, dark, likely) < _cost(dark, light, likely))
@@ -74,7 +74,7 @@ def _cost(ground_px: Floats, clouds_px: Floats, likely: Expected) -> float:
     return 0.5 * float(((ground_px / likely.ground_sd_px) ** 2 + moved**2).sum())
 
 
-def _solve(volumes: Floats, likely: Expected, rounds: int) -> Ints:
+def _solve(volumes: Floats, likely: Expected) -> Ints:
     """Paths (pairs, blocks, 2) as indices."""
     k, n, h, c = volumes.shape
     middle = np.array([h // 2, c // 2])
@@ -87,7 +87,7 @@ def _solve(volumes: Floats, likely: Expected, rounds: int) -> Ints:
     own = np.repeat(np.rint(np.median(first, axis=1)).astype(np.intp)[:, None], n, axis=1)
     own -= np.rint(np.median(own, axis=0)).astype(np.intp)
     motion = np.zeros((n, 2), dtype=np.intp)
-    for _ in range(rounds):
+    for _ in range(3):
         summed = sum(shifted(volumes[p], own[p]) for p in range(k)) + prior
         motion = best_path(summed[None], motion_step)[0] - middle
         own = (

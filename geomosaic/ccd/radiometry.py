@@ -29,7 +29,6 @@ from geomosaic.matching.displacement import LEAST_CORRELATION
 
 _MOST_PIECES = tuned(64, "pieces", "of a strip, nearly a whole TH-1 scene: more take time and change nothing")
 _BLOCK_PX = tuned((16, 8), "lines, columns", "of a mean grey: smaller is noisy; larger has less contrast")
-_ROUGH_BLOCK_PX = tuned((64, 24), "lines, columns", "the same without offsets: smaller sees different ground")
 _LEAST_BLOCKS = tuned(24, "blocks", "for a gain and an offset: fewer are chance; more fail in narrow overlap")
 _OFFSET_SD = tuned(0.01, "full scale", "prior of an offset: less makes it a gain; more makes it noise")
 _ODD_COLUMN = tuned(0.1, "share", "off its neighbours: less drops good columns; more keeps dead ones")
@@ -64,16 +63,15 @@ class Blocks:
     sure: Bools
 
 
-def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress) -> Radiometry:
+def radiometry(strips: Strips, offsets: StripOffsets, progress: Progress) -> Radiometry:
     """Gains and offsets of all CCDs; in each unbroken run the gains' mean is 1 and the offsets' mean is 0.
 
     A run ends where a CCD is dead or a pair has too little to compare (`straight_line`), as beside a CCD that
-    is stuck at one grey. Of long strips 64 pieces of 512 lines, evenly spread, are seen. offsets: None
-    compares larger blocks at the nominal geometry.
+    is stuck at one grey. Of long strips 64 pieces of 512 lines, evenly spread, are seen.
     """
     g = strips.geometry
     lag = round(g.row_separation_lines)
-    curves = {} if offsets is None else {pair.pair: pair for pair in offsets.pairs}
+    curves = {pair.pair: pair for pair in offsets.pairs}
     longest = max(g.lines)
     tops = np.arange(0, longest, _PIECE_LINES)
     tops = tops[np.unique(np.linspace(0, len(tops) - 1, min(len(tops), _MOST_PIECES)).astype(np.intp))]
@@ -84,7 +82,7 @@ def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress)
         if stop <= first:
             return []
         overlap = strips.overlap(pair, first - _SPARE_LINES, stop + _SPARE_LINES)
-        return [blocks(overlap, strips, curves.get(pair))]
+        return [blocks(overlap, strips, curves[pair])]
 
     found: dict[int, list[Blocks]] = {pair: [] for pair in strips.pairs}
     for done, top in enumerate(tops.tolist()):
@@ -108,13 +106,13 @@ def radiometry(strips: Strips, offsets: StripOffsets | None, progress: Progress)
     return Radiometry(gain, offset)
 
 
-def blocks(overlap: Overlap, strips: Strips, offsets: PairOffsets | None) -> Blocks:
+def blocks(overlap: Overlap, strips: Strips, offsets: PairOffsets) -> Blocks:
     """The blocks of a piece of an overlap that has `_SPARE_LINES` more at either end.
 
     The right strip is moved by the offsets. Columns whose response is a tenth off are left out.
     """
     g = strips.geometry
-    high, wide = _ROUGH_BLOCK_PX if offsets is None else _BLOCK_PX
+    high, wide = _BLOCK_PX
     count = (len(overlap.left) - 2 * _SPARE_LINES) // high
     rows = _SPARE_LINES + np.arange(count * high)
     margin = g.read_px - g.overlap_px
@@ -124,12 +122,9 @@ def blocks(overlap: Overlap, strips: Strips, offsets: PairOffsets | None) -> Blo
         none = np.empty(shape[::2])
         return Blocks(none, none, np.zeros(none.shape, dtype=bool), np.zeros(count, dtype=bool))
     at = np.clip(rows + overlap.first_line, 0, strips.lines(overlap.pair) - 1)
-    dcol, dline, sure = np.zeros(len(rows)), np.zeros(len(rows)), np.ones(len(rows), dtype=bool)
-    known = sure
-    if offsets is not None:
-        apart = overlap.side * g.row_separation_lines
-        dcol, dline = offsets.dcol_px[at], offsets.dline_px[at] + apart - round(apart)
-        sure, known = offsets.label[at] == MEASURED, offsets.label[at] != UNRELIABLE
+    apart = overlap.side * g.row_separation_lines
+    dcol, dline = offsets.dcol_px[at], offsets.dline_px[at] + apart - round(apart)
+    sure, known = offsets.label[at] == MEASURED, offsets.label[at] != UNRELIABLE
     map_x = (cols[None, :] - margin + dcol[:, None]).astype(np.float32)
     map_y = np.broadcast_to((rows + dline)[:, None], map_x.shape).astype(np.float32)
     left, use_left = (a[rows[:, None], cols] for a in _counts(overlap.left, overlap.valid, g.bit_depth))

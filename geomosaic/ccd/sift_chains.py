@@ -131,13 +131,14 @@ def matched_points(
     return Matched(a[near] + [0.0, overlap.first_line], moved[near])
 
 
-def consensus(moved_px: Floats, agree_px: float = 2.0 * NEAR_PX) -> tuple[Floats, Bools]:
+def consensus(moved_px: Floats) -> tuple[Floats, Bools]:
     """The shift on which most agree, and who does: each point's is tried.
 
     Args: moved_px (m, 2). Returns: (2,) their mean, (m,).
     """
     if not len(moved_px):
         return np.zeros(2), np.zeros(0, dtype=bool)
+    agree_px = 2.0 * NEAR_PX
     agreeing = cKDTree(moved_px).query_ball_point(moved_px, agree_px, p=np.inf, return_length=True)
     inside = np.asarray((np.abs(moved_px - moved_px[np.argmax(agreeing)]) <= agree_px).all(axis=1))
     for _ in range(3):

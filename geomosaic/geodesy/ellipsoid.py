@@ -14,7 +14,7 @@ _WGS84: Final = "NGA.STND.0036_1.0.0_WGS84 (2014), table 3.1"
 SEMI_MAJOR_M = sourced(6378137.0, "m", "equatorial radius; defines WGS 84", _WGS84)
 FLATTENING: float = sourced(1.0 / 298.257223563, "1", "of the ellipsoid; defines WGS 84", _WGS84)
 SEMI_MINOR_M: Final = SEMI_MAJOR_M * (1.0 - FLATTENING)
-MEAN_RADIUS_M: Final = (2.0 * SEMI_MAJOR_M + SEMI_MINOR_M) / 3.0
+MEAN_RADIUS_M: Final = float(np.mean([SEMI_MAJOR_M, SEMI_MAJOR_M, SEMI_MINOR_M]))
 ECCENTRICITY_SQ: Final = FLATTENING * (2.0 - FLATTENING)
 SECOND_ECCENTRICITY_SQ: Final = ECCENTRICITY_SQ / (1.0 - ECCENTRICITY_SQ)
 

@@ -15,14 +15,13 @@ from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
-from geomosaic.constants import ROUNDS, sourced, tuned
+from geomosaic.constants import ROUNDS, SLIGHT, sourced, tuned
 from geomosaic.estimation.robust import cauchy_weight
 
 MARK_SD_PX = tuned(1.5, "px", "of a mark and a lens; less: marks look wrong; more: wrong marks look right")
 _OWN = tuned(0.5, "share of the stated deviations", "of one frame beside all; more: nothing is in common")
 STEP = sourced(np.finfo(float).eps ** (1 / 3), "deviations", "of central differences", "Press et al., 5.7")
 _EQUAL_ROUNDS = tuned(3, "rounds", "before weights are robust; less: all marks of a wrong start are rejected")
-_SMALL_STEP = tuned(1e-3, "deviations", "of a last step: less changes no pixel")
 
 
 @dataclass(frozen=True)
@@ -106,6 +105,6 @@ def _fitted(frames: Sequence[FrameMarks], sd: Floats, own: float) -> tuple[Float
         normal = np.eye(6) + np.einsum("m,mij,mik->jk", weights, slopes, slopes)
         step = np.linalg.solve(normal, np.einsum("m,mij,mi->j", weights, slopes, off) - correction)
         correction = correction + step
-        if done > _EQUAL_ROUNDS and np.abs(step).max() < _SMALL_STEP:
+        if done > _EQUAL_ROUNDS and np.abs(step).max() < SLIGHT:
             break
     return correction, normal, weights

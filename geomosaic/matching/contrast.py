@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Bytes, Floats, Floats32
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import FEW, sourced, tuned
 from geomosaic.matching.features import SIFT_CONTRAST, away_from_invalid, shrunk
 
 _LOWE_SIGMA_PX = sourced(1.6, "px", "scale of the first layer with keypoints", "Lowe 2004, section 3.3")
-_REACHED = sourced(0.1, "share", "extrema with SIFT's contrast", "nine flights: > 0.2; faint thermal: < 0.02")
 _TILES = tuned(4, "tiles", "per side, judged singly: fewer hide faint parts; more lack extrema")
 _WINDOW_SHARE = tuned(0.05, "share", "of the side, local statistics: half and twice tie no more pairs")
 _TARGET_SD = tuned(40.0, "grey levels", "local deviation to reach: more is clipped at black and white")
@@ -67,7 +66,7 @@ def faint_tiles(image: Bytes, valid: Bytes | None, levels: float) -> Bools:
     if valid is not None:
         extreme &= away_from_invalid(valid) > 0
     reached = extreme & (np.abs(layer) >= SIFT_CONTRAST / 3.0 * 255.0 * levels)
-    return _tile_sums(reached) < _REACHED * _tile_sums(extreme)
+    return _tile_sums(reached) < FEW * _tile_sums(extreme)
 
 
 def noise_sd(image: Bytes, valid: Bytes | None) -> float:

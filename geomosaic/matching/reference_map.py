@@ -15,7 +15,6 @@ from geomosaic.matching.match import Matching, MatchKeypoints, match_pair
 from geomosaic.matching.planes import Guess, through
 
 _MARGIN_PX = tuned(48, "px", "about a tile, so that keypoints at its edges are found: less loses coarse ones")
-_LEAST_FRAMES = tuned(2, "frames", "that show a place: one leaves its height open, which moves it in plan")
 
 
 @dataclass(frozen=True)
@@ -140,11 +139,11 @@ def found_on_map(how: Matching, frame: Features, on_map: ExpectedOnMap, pixel_px
 
 def spread_places(found: Sequence[FoundOnMap], at_m: Floats, cell_m: float) -> list[int]:
     """Numbers of map keypoints that place a block: of each cell of cell_m the one that most frames show, if
-    these are two or more. Args: at_m (n, 2): places of all keypoints of the map."""
+    these are two or more: one leaves its height open. Args: at_m (n, 2): places of the map's keypoints."""
     numbers = np.concatenate([np.zeros(0, np.intp), *(np.unique(f.number) for f in found)])
     count = np.bincount(numbers, minlength=len(at_m))
     cell = np.floor(at_m / cell_m).astype(np.int64)
     order = np.lexsort((np.arange(len(at_m)), -count, cell[:, 1], cell[:, 0]))
     first = np.diff(cell[order], axis=0, prepend=cell[order[:1]] - 1).any(axis=1)
     best = order[first]
-    return sorted(best[count[best] >= _LEAST_FRAMES].tolist())
+    return sorted(best[count[best] > 1].tolist())

@@ -16,9 +16,11 @@ from geomosaic.constants import HEIGHT_ROUNDS, MOST_ROUNDS, sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.walk import GridRays, first_drops
+from geomosaic.survey.dem import MOST_PIXELS
 
 Grid = NDArray[np.floating[Any]]
-MOST_NODES = tuned(4_000_000, "nodes", "of a ground, 32 MB a worker: fewer lose relief; more take memory")
+MOST_NODES: Final = MOST_PIXELS**2
+"""Of a ground, 32 MB a worker."""
 _MOST_FLAT_NODES = tuned(250_000, "nodes", "of flat ground, 2 MB: 7 mm off over 150 km; more gain nothing")
 _FLAT_SPACING_M = sourced(100.0, "m", "on flat ground: 0.2 mm below the Earth's curvature", "s^2 / (8 R)")
 _RAY_SAMPLES = tuned(48, "samples", "of an oblique ray: 24 miss 6 % of first crossings, 48 3 %, 96 1 %")

@@ -19,9 +19,8 @@ LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservatio
 LEAST_POINTS = tuned(3, "check or control points", "fewer say less than the covariance does")
 _OVER_M = tuned(100.0, "m", "length of the distances that are stated beside the whole map's")
 _PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; less is called right elsewhere")
-_RTK_M = tuned(0.3, "m", "stated deviation below which positions are of carrier phases: code GNSS is above")
+_RTK_M = tuned(0.3, "m", "stated deviation of carrier phases at most; by code GNSS, distances over 100 m")
 _GNSS_M = tuned(3.0, "m", "deviation of a coordinate by code GNSS; less would call most flights doubtful")
-_PERMILLE = tuned(3.0, "per mille", "of distances in a map by code GNSS: 30 cm over 100 m")
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,7 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
         why = "RTK positions" if sd_m < _RTK_M else "GNSS positions"
     if sd_m >= _RTK_M:
         sd_m = sd_m if by_control else max(sd_m, _GNSS_M)
-        least_permille = max(least_permille, _PERMILLE)
+        least_permille = max(least_permille, 1000.0 * _RTK_M / _OVER_M)
     plan_m = adjusted.poses.positions_m[:, :2]
     spread_m = float(np.linalg.norm(plan_m - plan_m.mean(axis=0)))
     scale_permille = 1000.0 * sd_m / max(spread_m, 1e-9)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import shapely
@@ -35,7 +35,7 @@ from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import brightness
 
 WINDOW_PX = tuned(256, "mosaic px", "tested place: smaller lacks patches; larger leaves the overlap")
-PATCH_PX = tuned(64, "mosaic px", "smaller matches by chance; larger averages houses and ground")
+PATCH_PX: Final = PatchMatching.patch_px
 SEARCH_PX = tuned(48, "mosaic px", "farther is not found: less misses jumps; more finds other ground")
 LEAST_PATCHES = tuned(4, "patches", "of 49 found: fewer are chance; more leave woods unmeasured")
 
@@ -156,7 +156,7 @@ def jump_between(place: tuple[Sights, Sights]) -> Jump:
         for s in place
     )
     corners = patch_corners((WINDOW_PX, WINDOW_PX), PATCH_PX, PATCH_PX // 2)
-    found = measure_displacements(right, left, corners, PatchMatching(PATCH_PX, SEARCH_PX))
+    found = measure_displacements(right, left, corners, PatchMatching(search_px=SEARCH_PX))
     count = len(found.displacement_px)
     none = np.full(2, np.nan)
     return Jump(count, np.median(found.displacement_px, axis=0) if count >= LEAST_PATCHES else none)

@@ -20,7 +20,7 @@ from geomosaic.geodesy.heights import length_m, unit_m, vertical_crs
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
-_MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
+MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
 _AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills and spikes at its edge")
 
 
@@ -123,7 +123,7 @@ def read_heights(
             raise FileError("the DEM does not cover the survey", file=path, fix=fix)
         t, sides = source.transform, (wanted.height, wanted.width)
         pixels = zip(sides, (-t.e, t.a), strict=True)
-        steps = [max(1.0, side / _MOST_PIXELS, finest / pixel) for side, pixel in pixels]
+        steps = [max(1.0, side / MOST_PIXELS, finest / pixel) for side, pixel in pixels]
         window = _window(source, bounds, (int(steps[0] * _AROUND), int(steps[1] * _AROUND))) or wanted
         sides = (window.height, window.width)
         shape = tuple(max(1, int(side / step)) for side, step in zip(sides, steps, strict=True))
