@@ -133,7 +133,7 @@ class StoredResult(Reference, Generic[Result]):
         path = self.path
 
         def read() -> tuple[Result, int]:
-            size = max(at_hand(path).stat().st_size, _MEMORY_BYTES // TOGETHER)  # a mapped file is an open one
+            size = max(at_hand(path).stat().st_size, _MEMORY_BYTES // TOGETHER)  # mapped, it stays open
             return _read(path, lambda file: decode(file, self.returns, mapped=True)), size
 
         return typing.cast(Result, _memory.get(f"{self.mark} mapped", read))
