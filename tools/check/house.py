@@ -33,7 +33,7 @@ def counts() -> dict[str, Any]:
     functions: list[tuple[int, str]] = []
     wide: list[str] = []
     arrows: set[tuple[str, str]] = set()
-    constants = 0
+    constants = lines_of_constants = 0
     for path in sorted(PACKAGE.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         length, room = text.count("\n"), room_of(path)
@@ -47,6 +47,7 @@ def counts() -> dict[str, Any]:
                     wide.append(f"{path}:{node.name}")
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("tuned", "sourced"):
                 constants += 1
+                lines_of_constants += (node.end_lineno or 0) - node.lineno + 1
             elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("geomosaic."):
                 to = str(node.module).split(".")[1]
                 if to != room:
@@ -60,6 +61,7 @@ def counts() -> dict[str, Any]:
             p.read_text().count("\n") for p in Path("geomosaic_simulate").rglob("*.py")
         ),
         "constants": constants,
+        "lines_of_constants": lines_of_constants,
         "rooms": sum(path.is_dir() for path in PACKAGE.iterdir() if path.name != "__pycache__"),
         "arrows": len(arrows),
         "longest_function": {"lines": longest[0], "where": longest[1]},

@@ -356,9 +356,10 @@ def of_marking(data: Any, command: str, date: str) -> Iterator[Row]:
 
 def of_house(data: Any, command: str, date: str) -> Iterator[Row]:
     targets = {
-        "lines": ("lines of `geomosaic/`, the simulator apart", 60_000),
+        "lines": ("lines of `geomosaic/`, the simulator apart (72,579 with it when counted first)", 60_000),
         "lines_of_adjustment_and_estimation": ("lines of `adjustment/` with `estimation/`", 7_000),
-        "constants": ("constants with a record (`python -m geomosaic.constants`)", 400),
+        "constants": ("constants with a record (`python -m geomosaic.constants`; 840 at first)", 400),
+        "lines_of_constants": ("lines of these records (7,069 at first)", 1_500),
         "of_them_in_adjustment": ("signatures of the adjustment with more than five arguments", 0),
         "signatures_over_5_arguments": ("signatures with more than five arguments", 0),
     }
