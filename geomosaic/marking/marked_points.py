@@ -16,6 +16,7 @@ from geomosaic.export.references import write_odm_control
 from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.pipeline import files
 from geomosaic.survey.control import read_control
+from geomosaic.survey.control_table import OR_POS_CRS
 from geomosaic.survey.extent import lonlat_of
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames
@@ -46,7 +47,7 @@ def read_points(
     try:
         given = read_control(path, names, near, datum)
     except InputError as error:
-        error.reword(lambda text: text.replace("--gcp", "--points"))
+        error.reword(lambda text: text.replace("--gcp", "--points").removesuffix(OR_POS_CRS))
         raise
     notes = [*given.notes]
     if given.absent:

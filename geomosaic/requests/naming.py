@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.requests.mosaic_request import MosaicRequest
-from geomosaic.requests.option import flag_of, option_of
+from geomosaic.requests.option import Option, flag_of, option_of
 from geomosaic.requests.run_request import RunRequest
 from geomosaic.requests.strips_request import StripsRequest
 
@@ -34,8 +34,8 @@ _FAULT: Final = re.compile(r"(?:^|(?<=: ))stage (\w+\.\w+): (\w+) = ")
 @contextmanager
 def named_as_typed(request: type[RunRequest], given: Mapping[str, Any]) -> Iterator[None]:
     """Errors raised inside name the options of a command. given: their values by field."""
-    own = {sets: flag_of(its) for its in fields(request) if (sets := option_of(its).sets)}
-    typed = {sets for its in fields(request) if (sets := _given(its.name, option_of(its).sets, given))}
+    own = {sets: flag_of(its) for its in fields(request) if (sets := _takes(option_of(its)))}
+    typed = {sets for its in fields(request) if (sets := _given(its.name, _takes(option_of(its)), given))}
     by_set = {text.partition("=")[0].strip() for text in given.get("set") or ()}
     with _reworded(_TypedOptions(request, own, typed, by_set).named):
         yield
@@ -91,12 +91,12 @@ def _reworded(change: Callable[[str, str], str]) -> Iterator[None]:
 def in_python(text: str, request: type[RunRequest]) -> str:
     """A message whose options are named as arguments: `pos_crs` for `--pos-crs`."""
     flags = {flag_of(its): its.name for its in fields(request)}
-    own = {sets: its.name for its in fields(request) if (sets := option_of(its).sets)}
+    own = {sets: its.name for its in fields(request) if (sets := _takes(option_of(its)))}
 
     def argument(parameter: str, name: str | None, value: str | None) -> str:
         if name is not None:
             return f"{name}={_literal(value)}" if value else name
-        return f"set={{'{parameter}': {_literal(value or 'VALUE')}}}"
+        return f"set={{'{parameter}': {_literal(value or _switched().get(parameter) or 'VALUE')}}}"
 
     def option(found: re.Match[str]) -> str:
         name, parameter = flags.get(found[1]), _elsewhere().get(found[1], "")
@@ -152,7 +152,19 @@ def _elsewhere() -> Mapping[str, str]:
 @cache
 def _metavars() -> Mapping[str, str]:
     every = [option_of(its) for kind in (MosaicRequest, StripsRequest) for its in fields(kind)]
-    return {option.sets: option.metavar or "true" for option in every}
+    return {option.sets: option.value or option.metavar or "true" for option in every}
+
+
+@cache
+def _switched() -> Mapping[str, str]:
+    """The value that a switch gives to its parameter, where that is a text."""
+    every = [option_of(its) for its in fields(MosaicRequest)]
+    return {option.sets: option.value for option in every if option.value is not None}
+
+
+def _takes(option: Option) -> str:
+    """The parameter that takes the option's value as it is typed."""
+    return "" if option.value is not None else option.sets
 
 
 def _given(name: str, sets: str, given: Mapping[str, Any]) -> str:

@@ -26,15 +26,16 @@ _KEY: Final = "option"
 @dataclass(frozen=True)
 class Option:
     """help: as the command line's help shows it. metavar: its value in the help. heading: of the help, ''
-    for an argument without a flag. sets: STAGE.PARAMETER that takes the value. flags: if they are others than
-    the field's name. parse: of a text that the command line gives. least, most: of a number. methods:
-    whether the help names the choices of the parameter. toolbox: whether QGIS offers it too, where it sets no
-    parameter."""
+    for an argument without a flag. sets: STAGE.PARAMETER that takes the value. value: what a switch sets, if
+    not true. flags: if they are others than the field's name. parse: of a text that the command line gives.
+    least, most: of a number. methods: whether the help names the choices of the parameter. toolbox: whether
+    QGIS offers it too, where it sets no parameter."""
 
     help: str
     metavar: str | None = None
     heading: str = ""
     sets: str = ""
+    value: str | None = None
     flags: tuple[str, ...] = ()
     parse: Callable[[str], Any] | None = None
     least: float | None = None

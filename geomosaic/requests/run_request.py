@@ -148,10 +148,10 @@ class RunRequest(ABC):
         """The values that are given, by stage and parameter."""
         found: Parameters = {}
         for its in fields(self):
-            value, sets = getattr(self, its.name), option_of(its).sets
-            if sets and value is not None and value is not False:
-                stage, _, name = sets.rpartition(".")
-                found.setdefault(stage, {})[name] = value
+            value, option = getattr(self, its.name), option_of(its)
+            if option.sets and value is not None and value is not False:
+                stage, _, name = option.sets.rpartition(".")
+                found.setdefault(stage, {})[name] = option.value or value
         return found
 
     def recorded(self) -> RecordOptions:

@@ -75,7 +75,7 @@ class SurveyParams(StageParams):
         False, help="go on without control where no point of gcp can be used; it is an error otherwise"
     )
     crs: str = param("auto", help="the map's CRS; auto is the UTM zone of the middle")
-    pos_crs: str | None = param(None, help="CRS of x and y in the POS file")
+    pos_crs: str | None = param(None, help="CRS of x and y in the POS file, and in gcp if that states none")
     attitude_convention: str = param("auto", help="what the POS file's angles mean", choices=CONVENTIONS)
     damaged: str = param(
         "leave_out",

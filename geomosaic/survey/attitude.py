@@ -65,7 +65,7 @@ def _lacks(table: ParsedTable, convention: str, columns: str) -> InputError:
     return InputError(
         f"has no columns {columns} for the attitude convention '{convention}'",
         file=table.path,
-        fix=f"name them, or give --set survey.read.attitude_convention=NAME ({', '.join(CONVENTIONS)})",
+        fix=f"name them, or give --attitude NAME ({', '.join(CONVENTIONS)})",
     )
 
 
@@ -80,7 +80,7 @@ def _convention(table: ParsedTable, pitches_deg: Floats) -> tuple[str, list[Warn
     convention, nadir = ("gimbal", -90) if abs(middle + 90.0) < 45.0 else ("body", 0)
     text = (
         f"{table.path.name}: the middle pitch is {middle:.1f} degrees, so angles are read as those of a "
-        f"{convention} (nadir {nadir}); else give --set survey.read.attitude_convention=NAME"
+        f"{convention} (nadir {nadir}); if they are others, give --attitude NAME ({', '.join(CONVENTIONS)})"
     )
     return convention, [Warn("pos-attitude-convention", "", text)]
 

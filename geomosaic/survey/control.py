@@ -42,7 +42,11 @@ class ControlFile:
 
 
 def read_control(
-    path: Path, frames: FrameNames, near: Floats = NOWHERE, datum: CRS | None = None
+    path: Path,
+    frames: FrameNames,
+    near: Floats = NOWHERE,
+    datum: CRS | None = None,
+    crs: str | None = None,
 ) -> ControlFile:
     """Control points with where they were measured in images, and what was assumed.
 
@@ -53,10 +57,10 @@ def read_control(
     A point without a height determines the plan alone; where all heights are 0 none has one.
 
     Args: near: longitudes and latitudes (k, 2) of the frames, where these have positions. datum: what
-    heights count from that state nothing else.
+    heights count from that state nothing else. crs: of x and y, where the file does not state one.
     Raises: `InputError` naming the file, the line and the fix.
     """
-    table, stated = control_table(path, frames)
+    table, stated = control_table(path, frames, crs)
     found = places_of(table, stated, near, GIVE_CRS)
     heights, doubts = heights_of(table, found.crs, found.lonlat, datum)
     given = np.concatenate([table.numbers(c) for c in _HEIGHTS if c in table.factors] or [heights])

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from geomosaic.errors import InputError
-from geomosaic.geodesy.crs_names import StatedCrs
+from geomosaic.geodesy.crs_names import StatedCrs, required_crs
 from geomosaic.survey.column_names import Aliases
 from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.names import FrameNames
@@ -34,15 +34,21 @@ ALIASES: Final[Aliases] = {
 }  # fmt: skip
 """Columns of a table of control points; a point has one line per image it was measured in, or one."""
 
-GIVE_CRS: Final = "write the EPSG code of x and y in the first line of the --gcp file, such as EPSG:n"
+OR_POS_CRS: Final = ", or give it with --pos-crs"
+GIVE_CRS: Final = (
+    f"write the EPSG code of x and y in the first line of the --gcp file, such as EPSG:n{OR_POS_CRS}"
+)
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
 _MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(?=\s|$)", re.IGNORECASE)
 """Of a line of gcp_list.txt what stands before the image, and the image up to its extension."""
 
 
-def control_table(path: Path, frames: FrameNames) -> tuple[ParsedTable, StatedCrs | None]:
+def control_table(
+    path: Path, frames: FrameNames, crs: str | None = None
+) -> tuple[ParsedTable, StatedCrs | None]:
     """A table with a line per measurement or point, and the CRS of x and y.
 
+    Args: crs: of x and y, where neither the file's first line nor a .prj file of the same name states one.
     Raises: `InputError` naming the file, the line and the fix.
     """
     lines = read_lines(path, "measurements")
@@ -50,6 +56,8 @@ def control_table(path: Path, frames: FrameNames) -> tuple[ParsedTable, StatedCr
         raise InputError("the file of control points is empty", file=path, fix="give a line per measurement")
     stated, lines = read_head(path, lines, ALIASES, GIVE_CRS)
     stated = stated or given_crs(path, None, GIVE_CRS)
+    if stated is None and crs is not None:
+        stated = required_crs(crs, GIVE_CRS)
     lines = [line if line.comment else replace(line, text=frames.quoted(line.text)) for line in lines]
     if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)

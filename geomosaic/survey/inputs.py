@@ -7,11 +7,14 @@ from pathlib import Path
 
 from pyproj import CRS
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.heights import height_datum_in_metres
 from geomosaic.survey.camera_files import read_cameras
+from geomosaic.survey.control import ControlFile, read_control
 from geomosaic.survey.folder import frame_files
 from geomosaic.survey.names import FrameNames
+from geomosaic.survey.places import NOWHERE
 from geomosaic.survey.pos import read_pos
 from geomosaic.survey.pos_row import PosFile
 
@@ -22,8 +25,9 @@ class SurveyInputs:
 
     frames: the folder. pos, camera, dem, gcp: files. dem_offset_m: what is added to the DEM's values to have
     ellipsoidal heights. gcp_optional: a gcp of which no point can be used is a warning. crs: the map's,
-    `auto` for the UTM zone of the middle. pos_crs: of x and y in pos. attitude_convention: one of
-    `attitude.CONVENTIONS`. damaged: one of `usable.DAMAGED`. leave_out: one of `strays.LEAVE_OUT`.
+    `auto` for the UTM zone of the middle. pos_crs: of x and y in pos, and in a gcp
+    that states none. attitude_convention: one of `attitude.CONVENTIONS`. damaged: one of `usable.DAMAGED`.
+    leave_out: one of `strays.LEAVE_OUT`.
     camera_kind: of the aircraft's cameras, see `strays.camera_kind`; several with a + between them. every:
     one frame of so many is used. height_datum: what heights count from whose source doesn't state it, a name
     for `height_datum_in_metres`. strict: unusable frames, frames without a line in pos and lines
@@ -85,3 +89,8 @@ class SurveyInputs:
     def cameras(self) -> tuple[Camera, ...]:
         """Cameras of the camera file, () where none is given."""
         return () if self.camera is None else read_cameras(self.camera)
+
+    def control(self, frames: FrameNames, near: Floats = NOWHERE) -> ControlFile | None:
+        """The file of control points, None where none is given. Args: near: longitudes and latitudes (k, 2)
+        of the frames."""
+        return None if self.gcp is None else read_control(self.gcp, frames, near, self.datum, self.pos_crs)

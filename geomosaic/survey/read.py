@@ -8,7 +8,6 @@ from typing import Final
 
 from geomosaic.geodesy.crs_names import AmbiguousCrsError
 from geomosaic.geodesy.mapcrs import map_crs
-from geomosaic.survey.control import read_control
 from geomosaic.survey.control_use import check_marks
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.elevation import check_dem
@@ -52,7 +51,7 @@ PROCEDURE: Final[tuple[Callable[[SurveyDraft], SurveyDraft], ...]] = (
 
 def check_survey_files(inputs: SurveyInputs) -> None:
     """Raises what `read_survey` would raise without opening a frame: of a survey's files each by itself."""
-    files, datum = inputs.frame_files(), inputs.datum
+    files = inputs.frame_files()
     names = FrameNames(files.values())
     near: list[tuple[float, float]] = []
     with proposing_zone(files, near):
@@ -64,11 +63,10 @@ def check_survey_files(inputs: SurveyInputs) -> None:
         inputs.cameras()
         if inputs.dem is not None:
             check_dem(inputs.dem)
-        if inputs.gcp is not None:
-            with suppress(AmbiguousCrsError):
-                control = read_control(inputs.gcp, names, datum=datum)
-                if not inputs.gcp_optional:
-                    check_marks(control)
+        with suppress(AmbiguousCrsError):
+            control = inputs.control(names)
+            if control is not None and not inputs.gcp_optional:
+                check_marks(control)
 
 
 def read_survey(

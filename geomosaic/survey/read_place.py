@@ -13,7 +13,6 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import label, required_crs
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import map_crs, utm_crs
-from geomosaic.survey.control import read_control
 from geomosaic.survey.control_use import lonlat_of_control, used_control
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.elevation import read_elevation
@@ -30,10 +29,10 @@ def with_control(draft: SurveyDraft) -> SurveyDraft:
 
     Raises: `InputError` for what needs a place on the Earth, where the survey has none.
     """
-    if draft.inputs.gcp is not None:
+    with proposing_zone([h.path for h in draft.headers], draft.near.tolist()):
+        file = draft.inputs.control(FrameNames(draft.names), draft.near)
+    if file is not None:
         sizes = {h.name: (h.width_px, h.height_px) for h in draft.headers}
-        with proposing_zone([h.path for h in draft.headers], draft.near.tolist()):
-            file = read_control(draft.inputs.gcp, FrameNames(draft.names), draft.near, draft.inputs.datum)
         optional = draft.inputs.gcp_optional
         control, warnings = used_control(file, draft.near, sizes, optional=optional)
         draft = replace(draft, control=control, control_warnings=tuple(warnings))

@@ -77,7 +77,7 @@ def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:
         names = [o.name for c, o in left_out if c == code]
         if names:
             few = f" ({len(names)}: {some(names)})" if len(names) > 1 else ""
-            text = f"left out: {words}{few}; use them with --set survey.read.leave_out=none"
+            text = f"left out: {words}{few}; --keep-strays uses them"
             out.append(Warn(code, names[0] if len(names) == 1 else "", text))
     return out
 

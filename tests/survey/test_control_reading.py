@@ -322,6 +322,34 @@ def test_stated_deviations_are_used(read: Read, columns: str, values: str, sd_m:
     assert (stated.sd_assumed, silent.sd_assumed) == (False, True)
 
 
+@pytest.mark.parametrize(
+    ("named", "beside", "given", "taken"),
+    [
+        ("", "", "EPSG:32632", "EPSG:32632"),
+        ("", "", "EPSG:32633", "EPSG:32633"),
+        ("EPSG:32633\n", "", "EPSG:32632", "EPSG:32633"),
+        ("", "EPSG:32633", "EPSG:32632", "EPSG:32633"),
+    ],
+)
+@pytest.mark.parametrize("place", [ROME, (9.2, 44.9)])
+def test_a_file_without_a_system_is_in_that_of_pos_crs(
+    tmp_path: Path, named: str, beside: str, given: str, taken: str, place: tuple[float, float]
+) -> None:
+    path = tmp_path / "points.csv"
+    x, y = xy(taken, place)
+    path.write_text(f"{named}name,x,y,height,image,col,row\np,{x:.4f},{y:.4f},31.5,a.jpg,80.5,60.25\n")
+    if beside:
+        path.with_suffix(".prj").write_text(beside)
+    inputs = SurveyInputs(tmp_path, gcp=path, pos_crs=given)
+    file = inputs.control(FrameNames(FRAMES), np.array([place, (place[0] + 1e-3, place[1])]))
+    assert file is not None
+    (point,) = file.points
+    assert (point.lon_deg, point.lat_deg, point.height_ellipsoidal_m) == pytest.approx(
+        (*place, 31.5), abs=1e-8
+    )
+    assert point.images == (("a.jpg", 80.5, 60.25),)
+
+
 def test_pos_files_name_their_system_too(tmp_path: Path) -> None:
     path = tmp_path / "geo.txt"
     x, y = xy("EPSG:2180", BORUSZYN)

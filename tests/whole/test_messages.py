@@ -145,6 +145,8 @@ def test_the_proposed_code_of_control_works_in_the_first_line(
     line = message(capfd, "mosaic", kenya.frames, "--gcp", gcp, DRY)
     found = re.search(r"in the first line of the --gcp file, such as (EPSG:\d+)", line)
     assert found is not None and found[1] == "EPSG:32737", line
+    assert line.endswith(", or give it with --pos-crs"), line
+    check_survey_files(SurveyInputs(kenya.frames, gcp=gcp, pos_crs=found[1]))
     gcp.write_text(f"{found[1]}\n{text}", encoding="utf-8")
     check_survey_files(SurveyInputs(kenya.frames, gcp=gcp))
 
