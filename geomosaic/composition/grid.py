@@ -44,8 +44,10 @@ def far_from_own(gsd_m: float, ground_pixel_m: float) -> str:
     """What a ground pixel far from the frames' own means, in words; empty where it isn't far."""
     both = f"the mosaic's pixel is {gsd_m:.3g} m, the frames' own is {ground_pixel_m:.3g} m"
     if gsd_m < _FINER * ground_pixel_m:
-        return f"{both}: it can't show more than the frames do, and takes room and time for nothing"
-    return f"{both}: most of what the frames show is lost" if gsd_m > COARSER * ground_pixel_m else ""
+        return f"{both}: it can't show more than the frames do, and takes room and time; leave out --gsd"
+    if gsd_m > COARSER * ground_pixel_m:
+        return f"{both}: most of what the frames show is lost; give a finer --gsd to keep it"
+    return ""
 
 
 def output_grid(

@@ -31,6 +31,7 @@ from geomosaic.survey.model import Survey, Warn
 TRIM: Final = "trim"
 EDGES: Final = (TRIM, "keep")
 _SEEN = tuned(0.98, "share", "of an area; less is not only cells cut at its edge")
+_CORRECT = "correct its position with --pos, or take it out of the folder"
 _CORRECTED = (
     "polygons that cross themselves were corrected: check the mosaic's edge, or correct them in a GIS"
 )
@@ -140,7 +141,10 @@ class MosaicScene:
         used = {i for i, use in enumerate(frames.used) if use}
         if self.edges is None:
             for i in sorted(used - {view.frame for view in frames.views()}):
-                text = "its middle does not see the ground: left out of the mosaic"
+                text = (
+                    "its middle does not see the ground: left out of the mosaic; nothing to do if it shows "
+                )
+                text += "the horizon, else correct its attitude with --pos"
                 yield Warn("looks-past-ground", names[i], text)
             return
         left = used - self.flung - {view.frame for view in self.scene.views}
@@ -187,7 +191,7 @@ class SceneChoice:
         if found is None:
             text = (
                 "no frame sees the area steeply and finely enough: the mosaic shows what oblique or "
-                "coarse views there are; expect distortion"
+                "coarse views there are, which are distorted; fly it with the camera looking down"
             )
             warn("edges-kept", "", text)
             found = choice._within(None, warn)
@@ -208,7 +212,7 @@ class SceneChoice:
         names = ", ".join(frames.survey.frames[i].name for i in sorted(out))
         text = (
             f"{number} no other frame, and other frames show the same ground or it looks at the "
-            f"horizon: left out of the mosaic ({names})"
+            f"horizon: left out of the mosaic ({names}); if ground is missing, --edges keep uses them"
         )
         warn("untied-left-out", "", text)
         used = [use and i not in out for i, use in enumerate(frames.used)]
@@ -230,7 +234,7 @@ class SceneChoice:
             moved_m = np.linalg.norm(frames.poses.positions_m[view.frame] - self.reported_m[view.frame])
             text = f"the adjustment placed it {moved_m / 1000.0:,.1f} km from where its position says"
             name = survey.frames[view.frame].name
-            warn("frame-flung", name, f"{text}: left out of the mosaic; check its position")
+            warn("frame-flung", name, f"{text}: left out of the mosaic; {_CORRECT}")
         flung = frozenset(view.frame for view in far)
         scene = Scene(survey.work_frame, frames.ground, self._grid(views), views)
         if limits is not None:

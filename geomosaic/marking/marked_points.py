@@ -51,7 +51,8 @@ def read_points(
         raise
     notes = [*given.notes]
     if given.absent:
-        text = f"{len(given.absent)} marks are in images that are not in the folder and are left out"
+        text = f"{len(given.absent)} marks are in images that are not in the folder and are left out; "
+        text += "give the folder that holds these images to keep them"
         notes.append(Warn("control-image-missing", "", f"{path.name}: {text}"))
     points = {point.name: point for point in given.points}
     if (folder / TABLE).is_file():

@@ -98,7 +98,8 @@ def precision_warnings(control: Sequence[GroundControl], figures: Mapping[str, f
     if not words:
         return []
     text = (
-        f"control points agree to {' and '.join(words)}: weighted by that; the map lies no surer than they do"
+        f"control points agree to {' and '.join(words)}: weighted by that; the map is no better than they "
+        "are: measure them again if it has to be"
     )
     return [Warn("control-imprecise", "", text)]
 

@@ -96,7 +96,7 @@ def _datum(
     if theirs is None:
         warn(
             f"{path.name}: no vertical datum, so its heights are taken in the surface's: a constant "
-            "difference may be that of the datums"
+            "difference may be that of the datums; give it with --set quality.surface.offset_m=METRES"
         )
         return 0.0, "assumed to share the surface's datum"
     if ours is not None and theirs == ours:

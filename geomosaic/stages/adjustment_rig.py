@@ -20,7 +20,7 @@ class RigParams(StageParams):
 
 
 @stage(
-    "adjustment.rig", "Register a rig's bands", group="Adjustment", version=4, outputs="rig",
+    "adjustment.rig", "Register a rig's bands", group="Adjustment", version=5, outputs="rig",
     wants_frames=True,
 )  # fmt: skip
 def adjustment_rig(survey: Survey, adjusted: Adjusted, params: RigParams, context: Context) -> RigPoses:
@@ -34,13 +34,14 @@ def adjustment_rig(survey: Survey, adjusted: Adjusted, params: RigParams, contex
         if not np.isfinite(band.after_px):
             text = (
                 f"band {band.name}: too few matches to align it with the first band: placed by its "
-                "tags, so its edges may show colour fringes"
+                "tags, so its edges may show colour fringes; to map without the band, take its files out of "
+                "the folder"
             )
             context.warn("band-not-registered", "", text)
         elif band.after_px > _DOUBTFUL_PX:
             text = (
                 f"band {band.name}: still {band.after_px:.1f} px off the first band in the median: "
-                "edges show colour fringes"
+                "edges show colour fringes; a coarser --gsd hides them"
             )
             context.warn("band-doubtful", "", text)
     return rig

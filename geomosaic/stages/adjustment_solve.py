@@ -82,7 +82,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=97, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=98, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -210,8 +210,8 @@ def _warn_of_loose_frames(context: Context, block: Block, adjusted: Adjusted, by
             how += f" (standard deviation in plan {sd_m:.1f} m)"
         why = f" ({reasons[frame]})" if frame in reasons else ""
         text = (
-            f"no tie points with other frames{why}: placed by its position and attitude{how}, so "
-            "seams may show there"
+            f"no tie points with other frames{why}: placed by its position and attitude{how}: "
+            "seams may show there; fly more overlap, or take it out of the folder"
         )
         context.warn("no-tie-points", block.names[frame], text)
     large = [part for part in parts if len(part) > 1]

@@ -75,7 +75,8 @@ def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) 
     if far is not None:
         text = (
             f"all matches lie {far[0]:+.0f} columns and {far[1]:+.0f} lines off the nominal "
-            "geometry: the scene shows only clouds, or row_separation_lines is wrong"
+            "geometry, so seams are off: the scene shows only clouds, or row_separation_lines is wrong; "
+            "correct it in the geometry file"
         )
         context.warn("far-from-nominal", "", text)
     context.metric("offsets.method", params.method)
@@ -106,12 +107,13 @@ def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> 
     assert right is not None
     unreliable = (offsets.label == UNRELIABLE)[common_lines(geometry, offsets.pair, offsets.dline_px)]
     if not unreliable.size or unreliable.all():
-        text = f"no matches with {right.name}: joined by the nominal geometry, so the seam may be off"
+        text = f"no matches with {right.name}: joined by the nominal geometry, so the seam may be off: "
+        text += "nothing to do over clouds or water, else check the order of 'ccds' in the geometry file"
         context.warn("overlap-unmeasured", left.name, text)
     elif unreliable.mean() > 0.1:
         text = (
             f"few matches with {right.name} on {100 * unreliable.mean():.0f} % of the lines: the seam "
-            "may be off there"
+            "may be off there; nothing to do over clouds or water, else give 'model' in the geometry file"
         )
         context.warn("offsets-unreliable", left.name, text)
     line = np.arange(0, len(offsets.label), _RECORDED_LINES)

@@ -39,7 +39,7 @@ class OrthosParams(StageParams):
 
 
 @stage(
-    "export.orthos", "Write the frames' orthos", group="Export", version=5, outputs="orthos_folder",
+    "export.orthos", "Write the frames' orthos", group="Export", version=6, outputs="orthos_folder",
     results=(ORTHOS,), wants_frames=True,
 )  # fmt: skip
 def export_orthos(
@@ -61,8 +61,8 @@ def export_orthos(
     names = ortho_names([f.name for f in survey.frames])
     if survey.other_bands and not rig.bands:
         text = (
-            f"orthos show only {survey.band} of the rig's bands; add the stage adjustment.rig to the "
-            "recipe to have all"
+            f"orthos show only {survey.band} of the rig's bands, as this recipe aligns no others: make the "
+            "run with geomosaic mosaic, or put the stage adjustment.rig into the recipe"
         )
         context.warn("bands-left-out", "", text)
     adjusted, used = of.adjusted, ownership.used.tolist()

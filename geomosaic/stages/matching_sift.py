@@ -35,7 +35,8 @@ from geomosaic.survey.model import Survey
 
 _REVERSED: Final = (
     "all headings of the POS file point to the images' bottoms: its rows are in reverse order, which turns "
-    "the map by 180 degrees, or the camera is mounted the other way round; turned here"
+    "the map by 180 degrees, or the camera is mounted the other way round; turned here: check the "
+    "order of the rows in --pos"
 )
 
 
@@ -62,7 +63,7 @@ class SiftParams(KeypointParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=22, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=23, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(
@@ -196,11 +197,12 @@ def _report(
             "yaw-wrong",
             names[frame],
             f"its heading was given as {np.degrees(yaw[frame]) % 360.0:.0f} degrees and is about "
-            f"{np.degrees(heading):.0f} by its neighbours' images; set by them",
+            f"{np.degrees(heading):.0f} by its neighbours' images, which set it: nothing to do",
         )
     for frame, quarters in turns.items():
         context.warn(
             "frame-turned",
             names[frame],
-            f"its pixels were turned by {quarters * 90} degrees after the flight; turned back here",
+            f"its pixels were turned by {quarters * 90} degrees after the flight; turned back here: nothing "
+            "to do",
         )

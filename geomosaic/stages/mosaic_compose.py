@@ -72,7 +72,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=19, outputs=("mosaic", "raster_file"),
+    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=20, outputs=("mosaic", "raster_file"),
     results=(SOURCES,), plugged=plugged_blend, conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def mosaic_compose(
@@ -93,7 +93,10 @@ def mosaic_compose(
         return compose(frames, ownership, files, options, context)
 
     if survey.other_bands and not rig.bands:
-        text = f"only {survey.band} of the rig's bands: the recipe has no stage adjustment.rig"
+        text = (
+            f"the mosaic shows only {survey.band} of the rig's bands, as this recipe aligns no others: make "
+            "the run with geomosaic mosaic, or put the stage adjustment.rig into the recipe"
+        )
         context.warn("bands-left-out", "", text)
     used = ownership.used.tolist()
     frames = PosedFrames(survey, of.adjusted.poses, of.adjusted.cameras, used, of.ground)

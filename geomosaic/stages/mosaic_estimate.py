@@ -20,7 +20,7 @@ from geomosaic.stages.surface_dense import surface_dense
 from geomosaic.survey.model import Survey
 
 
-@stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=2, cached=False, looks_ahead=True)
+@stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=3, cached=False, looks_ahead=True)
 def mosaic_estimate(
     survey: Survey, prior_ground: GroundSurface, prior_placement: Placement, context: Context
 ) -> None:
@@ -74,6 +74,6 @@ def mosaic_estimate(
             "mosaic-stretched",
             names[view.frame],
             f"lies so far out that without it the mosaic would have {100.0 * share:.2g} % of its size; "
-            "check its position and height",
+            "correct its position and height with --pos, or take it out of the folder",
         )
     report_estimate(context, expected)

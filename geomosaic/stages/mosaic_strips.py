@@ -112,7 +112,8 @@ def _report(
         },
     )
     for first, last in mosaic.gaps_px:
-        text = f"columns {first} to {last - 1} of the scene stay empty: no CCD covers them"
+        text = f"columns {first} to {last - 1} of the scene stay empty, as no CCD covers them: "
+        text += "nothing to do if a CCD is dead, else give its 'path' in the geometry file"
         context.warn("scene-gap", "", text)
     if rpc is not None and rpc.rms_px is not None:
         context.metric("rpc.rms_px", round(rpc.rms_px, 4))

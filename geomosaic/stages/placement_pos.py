@@ -44,7 +44,7 @@ def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "placement.pos", "Place frames by POS", group="Placement", version=10, outputs="prior_placement",
+    "placement.pos", "Place frames by POS", group="Placement", version=11, outputs="prior_placement",
     plans=_plans,
 )  # fmt: skip
 def placement_pos(
@@ -70,7 +70,8 @@ def placement_pos(
             context.warn(
                 "horizon",
                 name,
-                "part of the frame shows sky or land beyond the horizon: that part is not used",
+                "part of the frame shows sky or land beyond the horizon and is not used: nothing to do if it "
+                "looked there, else correct its attitude with --pos",
             )
     outlines = [o[np.isfinite(o).all(axis=1)] for o in outlines]
     located = np.array(survey.located)
@@ -110,16 +111,17 @@ def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
         if np.isnan(a) and np.isfinite(b) and f.position.known
     ]
     if filled:
-        text = f"no height of their own: taken from the frames before and after ({some(filled)})"
+        text = f"no height of their own: taken from the frames before and after ({some(filled)}): "
+        text += "nothing to do unless the aircraft climbed there, else give heights with --pos"
         context.warn("height-by-neighbours", filled[0] if len(filled) == 1 else "", text)
     heights, implausible = possible_heights(heights, below_m)
     if implausible.any():
         named = [n for n, wrong in zip(names, implausible, strict=True) if wrong]
         text = (
             "the given height lies at the ground, below it or far above other frames: estimated from "
-            "the images instead"
+            f"the images instead ({some(named)}); correct it with --pos, or the DEM with --dem-offset"
         )
-        context.warn("height-not-believed", named[0] if len(named) == 1 else "", f"{text} ({some(named)})")
+        context.warn("height-not-believed", named[0] if len(named) == 1 else "", text)
     for name, height, floor in zip(names, heights.m, below_m, strict=True):
         if not height > floor:
             problem = (

@@ -44,7 +44,7 @@ class GroundParams(StageParams):
 
 
 @stage(
-    "projection.ground", "Make the ground surface", group="Projection", version=9,
+    "projection.ground", "Make the ground surface", group="Projection", version=10,
     outputs=("prior_ground", "levelled_survey"),
     formerly={"prior_ground": "ground", "levelled_survey": "survey"},
 )  # fmt: skip
@@ -89,7 +89,7 @@ def _as_measured(survey: Survey, flown: FlyingHeight | None, context: Context) -
         "",
         (
             f"flying height above the ground estimated from the images: {above:.0f} m; heights and "
-            "scale of the map rest on it"
+            "scale of the map rest on it; give --dem, or the ground's height with --ground-height METRES"
         ),
     )
     return with_heights_above_ground(survey, above)

@@ -62,7 +62,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "quality.compare", "Compare with a reference", group="Quality", version=4, outputs=("comparison",
+    "quality.compare", "Compare with a reference", group="Quality", version=5, outputs=("comparison",
     "reference_seen"), check=_check, conclusions=_conclusions,
 )  # fmt: skip
 def quality_compare(
@@ -92,8 +92,8 @@ def quality_compare(
             "little-measured",
             "",
             f"only {100 * comparison.figures.share_measured:.0f} % of the patches match "
-            f"{comparison.reference}; the figures hold for those alone; another season or "
-            "resolution lowers the share",
+            f"{comparison.reference}; the figures hold for those alone; give a --reference of the "
+            "same season and pixel size to measure more",
         )
     if params.truth is not None and flown is not None:
         _report_frame_errors(flown, params.truth, context)

@@ -87,7 +87,7 @@ def surface_dense(
     if cells.cell_m > wanted_m:
         text = (
             f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: a surface may have no "
-            "more; details smaller than that are smoothed"
+            "more; smaller details are smoothed: to keep them, map parts of the flight by themselves"
         )
         context.warn("surface-coarse", "", text)
     context.metric("surface.cell_m", cells.cell_m)
@@ -95,7 +95,8 @@ def surface_dense(
         context.warn(
             "surface-not-matched",
             "",
-            "one frame alone gives no surface: the ground is used as without --surface dense",
+            "one frame alone gives no surface: the ground is used as without --surface dense; give frames "
+            "that overlap",
         )
         surface = mosaic_tiles(cells, base, ())
         return surface.ground(), surface

@@ -44,7 +44,7 @@ def _files(params: StripParams) -> dict[str, Path]:
 
 
 @stage(
-    "survey.strips", "Read the strips' geometry", group="Survey", version=1, outputs="strips", check=_check,
+    "survey.strips", "Read the strips' geometry", group="Survey", version=2, outputs="strips", check=_check,
     files=_files,
 )  # fmt: skip
 def survey_strips(params: StripParams, context: Context) -> StripGeometry:
@@ -59,10 +59,13 @@ def survey_strips(params: StripParams, context: Context) -> StripGeometry:
     longest = max(geometry.lines)
     for k, (ccd, lines) in enumerate(zip(geometry.ccds, geometry.lines, strict=True), 1):
         if ccd.path is None:
-            context.warn("ccd-missing", f"CCD {k}", "has no strip: its columns of the scene stay empty")
+            text = "has no strip, so its columns of the scene stay empty: nothing to do if it is dead, else "
+            text += "give its 'path' in the geometry file"
+            context.warn("ccd-missing", f"CCD {k}", text)
             continue
         if lines < longest:
-            text = f"has {lines} lines, the longest strip {longest}; the rest of its columns stays empty"
+            text = f"has {lines} lines, the longest strip {longest}; the rest of its columns stays empty: "
+            text += "give the whole strip"
             context.warn("strip-short", ccd.path.name, text)
     paths = [ccd.path for ccd in geometry.ccds if ccd.path is not None]
     with unreferenced_is_fine(), Env(GDAL_CACHEMAX=READ_CACHE_BYTES):

@@ -20,25 +20,27 @@ def match_warnings(counted: MatchCounts, level: PyramidLevel, known: str) -> Ite
     if counted.share < _LEAST_MATCHED:
         yield (
             "surface-not-matched",
-            f"frames show the same in {100.0 * counted.share:.0f} % of the cells alone (water, blank or "
-            "moving ground, too little overlap, or ground far off what was known before); elsewhere the "
-            "surface is held by what was known before",
+            f"frames agree on {100.0 * counted.share:.0f} % of the surface alone (water, blank or moving "
+            "ground, too little overlap, or ground far off the tie points'); the rest is interpolated: fly "
+            "more overlap, or give --dem",
         )
     elif 2 * counted.by_two > counted.alike:
         yield (
             "surface-two-views",
-            "most of the surface is shown by two frames only, so that nothing contradicts a mistake; more "
-            "overlap would",
+            "most of the surface is shown by two frames only, so that mistakes in its heights stay "
+            "undetected: fly more overlap",
         )
     beyond = counted.beyond / max(counted.matched, 1)
     if beyond > FEW:
-        ground, fix = (
-            ("elevation model that was given", "its heights may count from another level (--dem-offset)")
+        ground = "elevation model that was given" if known == "dem" else "ground from the tie points"
+        fix = (
+            "correct the level of its heights with --dem-offset"
             if known == "dem"
-            else ("ground from the tie points", "an elevation model (--dem) tells where to search")
+            else "give an elevation model with --dem"
         )
         yield (
             "surface-out-of-reach",
-            f"{100.0 * beyond:.0f} % of the surface lies at the end of what is searched, "
-            f"{-level.lowest_m:.0f} m below to {level.highest_m:.0f} m above the {ground}; {fix}",
+            f"{100.0 * beyond:.0f} % of the surface lies at the end of the search, "
+            f"{-level.lowest_m:.0f} m below to {level.highest_m:.0f} m above the {ground}: relief is cut off "
+            f"there; {fix}",
         )

@@ -35,6 +35,7 @@ from geomosaic.survey.model import Warn
 from geomosaic.survey.plausible import SLOWEST, focal_length_can_be, lens_problem, strange_lenses, warn
 from geomosaic.survey.shutters import shutter
 
+_GIVE_READOUT: Final = "give that time as readout_s in a --camera file"
 _TAGS: Final = {
     "dji-dewarp": "DewarpData",
     "xmp-perspective": "PerspectiveDistortion",
@@ -83,7 +84,9 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
         names.append(camera.name)
     if any(wrong):
         files = [h.name for h in headers]
-        warnings.append(warn("focal-length-absurd", files, np.array([bool(w) for w in wrong]), wrong))
+        absurd = np.array([bool(w) for w in wrong])
+        fix = "give the lens with --camera"
+        warnings.append(warn("focal-length-absurd", files, absurd, wrong, fix))
     return CameraChoice(tuple(found.values()), tuple(names), tuple(warnings))
 
 
@@ -126,7 +129,7 @@ def shutter_warnings(header: FrameHeader, camera: Camera) -> list[Warn]:
             f"{camera.name}: its LineReadoutTime is implausible (all rows take {SLOWEST.value:g} s at "
             "most) and not used"
         )
-        return [Warn("readout-absurd", "", f"{text}: taken as not given")]
+        return [Warn("readout-absurd", "", f"{text}: if rows are read one after the other, {_GIVE_READOUT}")]
     return []
 
 

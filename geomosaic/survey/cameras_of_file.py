@@ -39,7 +39,8 @@ def cameras_from_file(
             scaled = _scaled(camera, header.width_px, header.height_px, len(cameras) > 1 or bool(found))
             if scaled.name not in found:
                 text = (
-                    f"{camera.name}: of {camera.width_px} x {camera.height_px} pixels, scaled by {scale:.4g}"
+                    f"{camera.name}: of {camera.width_px} x {camera.height_px} pixels, scaled by "
+                    f"{scale:.4g} to the frames' size: give another --camera if these were cut"
                 )
                 warnings.append(Warn("camera-scaled", "", text))
             camera = scaled

@@ -147,7 +147,8 @@ def _unused_columns(table: ParsedTable) -> Warn | None:
     """One line for the columns whose names are not known."""
     if not table.unknown_columns:
         return None
-    text = f"{table.path.name}: columns not used: {some(table.unknown_columns, 20)}"
+    text = f"{table.path.name}: columns not used: {some(table.unknown_columns, 20)}; name those "
+    text += "that matter lon, lat, x, y, height, image, col, row or sd"
     return Warn("control-columns-ignored", "", text)
 
 

@@ -153,10 +153,14 @@ def _unused_marks(
     of, out = f"of {marks} image marks", []
     if file.absent:
         images = some(dict.fromkeys(image for _, image in file.absent))
-        text = f"{len(file.absent)} {of} are in images that are not in the survey ({images})"
+        text = f"{len(file.absent)} {of} are in images that are not in the survey ({images}) and "
+        text += "are not used: give the folder of those images, or remove the marks"
         out.append(Warn("control-image-missing", "", f"{file.path.name}: {text}"))
     if outside:
-        text = f"{len(outside)} {of} lie outside their images and are not used, the first {outside[0]}"
+        text = (
+            f"{len(outside)} {of} lie outside their images and are not used, the first {outside[0]}; correct "
+        )
+        text += "or remove them"
         out.append(Warn("control-mark-outside", "", f"{file.path.name}: {text}"))
     return out
 
@@ -176,5 +180,6 @@ def _unused_points(file: ControlFile, points: Sequence[ControlPoint]) -> list[Wa
     reasons = ", ".join(f"{count} {reason}" for reason, count in why.items())
     text = f"{file.path.name}: {len(unused)} of {len(points)} points are not used ({some(unused)}): {reasons}"
     if not any(p.images and not p.check for p in points) and not all(p.check for p in points):
-        text += "; only check points are left"
+        text += "; only check points are left, so that none corrects the map"
+    text += "; mark them with geomosaic control if they matter"
     return [Warn("control-points-unused", "", text)]

@@ -77,7 +77,10 @@ def outliers_warning(found: tuple[tuple[float, int], ...], path: Path) -> Warn:
     count = sum(n for _, n in found)
     values = ", ".join(f"{value:g} m ({n:,} times)" for value, n in found[:3])
     more = f" and {len(found) - 3} other values" if len(found) > 3 else ""
-    text = f"{count:,} heights far from all around them are treated as no data: {values}{more}"
+    text = (
+        f"{count:,} heights far from all around them are treated as no data: {values}{more}; nothing to do "
+    )
+    text += "if they mark gaps, else correct them in the file"
     return Warn("dem-outliers", "", f"{path.name}: {text}")
 
 

@@ -51,7 +51,7 @@ def read_elevation(
     if gaps:
         text = (
             f"{path.name}: no heights under {len(gaps)} frames, where the nearest are used "
-            f"({', '.join(gaps[:3])})"
+            f"({', '.join(gaps[:3])}): relief displaces the map there; give a --dem that covers them"
         )
         warnings.append(Warn("dem-gaps", "", text))
     return model, heights, warnings

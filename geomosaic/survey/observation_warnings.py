@@ -15,25 +15,35 @@ from geomosaic.survey.onboard import onboard_heights
 from geomosaic.survey.tagged_place import APART, FINER, SIGNED, TaggedPlace, tagged_place
 
 _TEXTS: Final = {
-    "position-missing": "no position: placed by the images",
+    "position-missing": "no position: placed by the images; give it with --pos if its ground is missing",
     "height-datum-unknown": "the altitude's vertical datum is unknown, taken as ellipsoidal with its wide "
     "sigma; give --height-datum if you know it",
-    "height-unknown": "no height at all",
-    "height-above-take-off": "height above the take-off point taken as height above ground",
-    "hemisphere-assumed": "EXIF doesn't say north or south, east or west: taken as north and east",
-    "hemisphere-by-xmp": "EXIF and XMP differ in north or south, east or west: XMP's signs are taken",
+    "height-unknown": "no height at all: estimated from other frames and the images; give heights with --pos",
+    "height-above-take-off": "height above the take-off point taken as height above ground: over hills the "
+    "map's scale may be off; give ellipsoidal heights with --pos",
+    "hemisphere-assumed": "EXIF doesn't say north or south, east or west: taken as north and east; "
+    "if the map lies wrong, give --pos",
+    "hemisphere-by-xmp": "EXIF and XMP differ in north or south, east or west: XMP's signs are taken; if the "
+    "map lies wrong, give --pos",
     "position-by-xmp": "EXIF's position is cut to whole seconds or minutes of arc: XMP's is taken",
     "position-contradicts": "EXIF and XMP give different positions: EXIF's is taken; if the map lies wrong, "
     "give positions by --pos",
-    "xmp-unreadable": "the XMP packet is damaged and was not used",
-    "attitude-unknown": "no attitude: taken to look down, heading unknown",
-    "attitude-in-part": "only part of the attitude is known; the rest as for frames without any",
-    "attitude-of-aircraft": "only the aircraft's attitude is known, pitch and roll are not the camera's",
-    "frame-looks-to-horizon": "the camera looks to the horizon or up",
-    "image-edited": "saved by an image viewer after the flight: may have been turned",
+    "xmp-unreadable": "the XMP packet is damaged and was not used: heights and attitude in it are lost; copy "
+    "the frame again from the card",
+    "attitude-unknown": "no attitude: taken to look down, and the images find the heading; nothing to do if "
+    "the camera looked down, else give attitudes with --pos",
+    "attitude-in-part": "only part of the attitude is known; the rest is taken as looking down: nothing to "
+    "do if the camera did, else give attitudes with --pos",
+    "attitude-of-aircraft": "only the aircraft's attitude is known, pitch and roll are not the "
+    "camera's: nothing to do if it looked down, else give attitudes with --pos",
+    "frame-looks-to-horizon": "the camera looks to the horizon or up: only ground that it sees steeply is "
+    "mapped; nothing to do, or take it out of the folder",
+    "image-edited": "saved by an image viewer after the flight: may have been turned; "
+    "give the file as the camera wrote it",
     "positions-all-alike": "all frames have the same position: only their overlaps show how they lie to each "
-    "other",
-    "position-far-away": "the position lies far from all others",
+    "other; give positions with --pos",
+    "position-far-away": "the position lies far from all others: correct it with --pos, or take the frame "
+    "out of the folder",
 }
 """What each warning says, in their order."""
 

@@ -157,13 +157,13 @@ def _matched(
     if strangers:
         text = (
             f"{len(strangers)} of {len(pos.rows)} lines name no frame in the folder and are not used: "
-            f"{some(r.name for r in strangers)}"
+            f"{some(r.name for r in strangers)}; correct the names if they are of these frames"
         )
         warnings.append(Warn("pos-line-without-frame", "", f"{pos.path.name}: {text}"))
     if lacking:
         text = (
             f"no line for {len(lacking)} of {len(own)} frames: {some(lacking)}; they keep the "
-            "positions in their tags, if they have any"
+            "positions in their tags, if they have any; add lines for them to --pos"
         )
         warnings.append(Warn("pos-frame-without-line", "", f"{pos.path.name}: {text}"))
     return [rows.get(name) for name in own], warnings

@@ -124,7 +124,7 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
         where = f"far from the frames in {crs.name}" if len(near) else f"outside the area of {crs.name}"
         text = (
             f"{name}: x is read as northing and y as easting: as they are written, the positions would "
-            f"lie {where}"
+            f"lie {where}; nothing to do if that CRS is right"
         )
         notes.append(Warn("xy-exchanged", "", text))
         xy = xy[:, ::-1]

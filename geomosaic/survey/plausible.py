@@ -101,14 +101,16 @@ def plausible_attitudes(
     return kept, [warn("attitude-absurd", names, wrong, texts)] if wrong.any() else []
 
 
-def warn(code: str, names: Sequence[str], concerned: Bools, what: Sequence[str]) -> Warn:
-    """One line for all frames that a kind of absurd value concerns, with the first one's."""
+def warn(
+    code: str, names: Sequence[str], concerned: Bools, what: Sequence[str], fix: str = "correct it with --pos"
+) -> Warn:
+    """One line for all frames that a kind of absurd value concerns, with the first one's and what to do."""
     which = [name for name, c in zip(names, concerned, strict=True) if c]
     first = what[int(np.argmax(concerned))]
     if len(which) == 1:
-        return Warn(code, which[0], f"{first} can't be: taken as not given")
+        return Warn(code, which[0], f"{first} can't be: taken as not given; {fix}")
     few = f"{len(which)} of {len(names)} frames: {some(which)}"
-    return Warn(code, "", f"{first} in {which[0]} can't be, and others: taken as not given ({few})")
+    return Warn(code, "", f"{first} in {which[0]} can't be, and others: taken as not given ({few}); {fix}")
 
 
 def focal_length_can_be(focal_length_px: float, width_px: int, height_px: int) -> bool:

@@ -122,7 +122,11 @@ def read_pos(
         table = _without_empty_angles(table, notes)
     if table.unknown_columns:
         unused = some(table.unknown_columns, 20)
-        notes.append(Warn("pos-columns-ignored", "", f"{path.name}: columns not used: {unused}"))
+        text = (
+            f"{path.name}: columns not used: {unused}; name those that matter lon, lat, x, y, height, yaw, "
+        )
+        text += "pitch, roll, sd_horizontal or sd_vertical"
+        notes.append(Warn("pos-columns-ignored", "", text))
     places = places_of(table, stated, NOWHERE, _GIVE_CRS)
     lonlat = places.lonlat
     heights, doubts = heights_of(table, places.crs, lonlat, datum)
@@ -219,7 +223,8 @@ def _without_empty_angles(table: ParsedTable, notes: list[Warn]) -> ParsedTable:
         angles = np.stack([table.numbers(column) for column in group])
         if np.isnan(angles).all() or (np.nan_to_num(angles) != 0.0).any():
             continue
-        text = f"{table.path.name}: all angles are 0 and taken as unknown ({', '.join(group)})"
+        text = f"{table.path.name}: all angles are 0 and taken as unknown ({', '.join(group)}): "
+        text += "nothing to do unless they were measured, else give --attitude NAME"
         notes.append(Warn("pos-attitude-empty", "", text))
         table = replace(
             table,

@@ -23,6 +23,7 @@ _CAPTURE_TAGS: Final = (
 )
 _OWN: Final = ("green", "red", "rededge", "red edge")
 """Bands by how much of a field or a town they show with sharp edges: the first there is carries the rig."""
+_COPY_BANDS: Final = "copy the missing files from the card"
 _SUFFIX: Final = re.compile(r"(.+)_([A-Za-z]{1,4}|\d{1,2})", re.ASCII)
 """`IMG_0001_GRE`, `IMG_0001_4`: the capture's name and the band's."""
 
@@ -84,11 +85,15 @@ def incomplete_captures(rig: CaptureGroups, used: Sequence[str]) -> list[Warn]:
     out = []
     if lost := rig.incomplete:
         out.append(
-            f"{len(lost)} files of captures without the rig's first band: {some(h.name for h in lost)}"
+            f"{len(lost)} files of captures without the rig's first band are not used: "
+            f"{some(h.name for h in lost)}; {_COPY_BANDS}"
         )
     for band, files in rig.others.items():
         if lacking := [name for name in used if name not in files]:
-            out.append(f"no file of the band {band} beside {some(lacking)}: other captures show that ground")
+            out.append(
+                f"no file of the band {band} for {some(lacking)}: other captures show that ground; "
+                f"{_COPY_BANDS}"
+            )
     return [Warn("capture-incomplete", "", text) for text in out]
 
 

@@ -101,7 +101,7 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
     if vertical is None:
         text = (
             f"{path.name}: no vertical datum, so its heights are taken as ellipsoidal: the scene may be "
-            "shifted by parallax"
+            "shifted by parallax; give a 'dem' whose CRS has a vertical part"
         )
         warnings.append(Warn("dem-datum-assumed", "", text))
         model = ElevationModel(str(path), 0.0, "taken for ellipsoidal")
@@ -122,7 +122,10 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
     heights.span_m = float(sampled[known].min()), float(sampled[known].max())
     lacking = 1.0 - known.sum() / len(lonlat)
     if lacking > 0.0:
-        text = f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene, where the nearest are used"
+        text = (
+            f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene, where the nearest are used: "
+        )
+        text += "it may be shifted there; give a 'dem' that covers it"
         warnings.append(Warn("dem-gaps", "", text))
     if heights.outliers:
         warnings.append(outliers_warning(heights.outliers, path))

@@ -52,7 +52,8 @@ def read_timestamp_mrk(path: Path, frames: FrameNames) -> PosFile:
     pairs = [(row, name) for (_, row), names in zip(exposures, named, strict=True) for name in names]
     rows = tuple(replace(row, name=name) for row, name in pairs if row is not None)
     without = sum(row is None for _, row in exposures)
-    text = f"{path.name}: {without} exposures have no fix; their frames keep their own tags' positions"
+    text = f"{path.name}: {without} exposures have no fix; their frames keep their own tags' positions: "
+    text += "nothing to do"
     return PosFile(path, rows, (Warn("pos-no-fix", "", text),) if without else ())
 
 

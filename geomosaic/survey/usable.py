@@ -89,7 +89,11 @@ def usable(
     if lost and (strict or not used):
         raise unreadable[lost[0]]
     left_out = tuple(UnusedImage(name, _reason(unreadable[name], spoiled.get(name))) for name in lost)
-    warnings = [*(Warn("frame-damaged", o.name, f"left out: {o.reason}") for o in left_out), *warnings]
+    notes = [f"left out: {o.reason}; copy it again from the card" for o in left_out]
+    warnings = [
+        *(Warn("frame-damaged", o.name, text) for o, text in zip(left_out, notes, strict=True)),
+        *warnings,
+    ]
     return Usable(used, whole_rows, looks, valid_masks, left_out, tuple(warnings))
 
 

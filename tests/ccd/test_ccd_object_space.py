@@ -119,9 +119,8 @@ def test_gaps_take_the_nearest_height_and_the_edge_goes_on(tmp_path: Path) -> No
     heights = read_dem_heights(path, lonlat)
     np.testing.assert_allclose(heights(*lonlat.T), [100.0, 105.0, 138.0, 198.0], atol=0.01)
     assert heights.span_m == pytest.approx((100.0, 138.0), abs=0.01)
-    assert (
-        heights.warnings[-1].text == "dem.tif: no heights for 25 % of the scene, where the nearest are used"
-    )
+    text = "dem.tif: no heights for 25 % of the scene, where the nearest are used: "
+    assert heights.warnings[-1].text.startswith(text)
     with pytest.raises(InputError, match=r"dem.tif: the DEM does not cover the strips; give a DEM of"):
         read_dem_heights(path, lonlat[3:])
 

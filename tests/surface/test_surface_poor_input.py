@@ -50,7 +50,7 @@ def test_a_dem_given_as_well_is_where_the_search_starts(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("known", "fix"), [("flat", "(--dem)"), ("tie_surface", "(--dem)"), ("dem", "--dem-offset")]
+    ("known", "fix"), [("flat", "with --dem"), ("tie_surface", "with --dem"), ("dem", "--dem-offset")]
 )
 def test_who_gave_an_elevation_model_is_not_told_to_give_one(known: str, fix: str) -> None:
     level = pyramid_levels(Cells(0.0, 0.0, 0.4, 8, 8), 100.0)[-1]

@@ -161,7 +161,7 @@ def test_before_frames_are_read_a_name_of_two_systems_passes(tmp_path: Path) -> 
     assert survey.map_crs == "EPSG:2180"
     assert [w.text for w in survey.warnings if w.code == "xy-exchanged"] == [
         "list.txt: x is read as northing and y as easting: as they are written, the positions would lie "
-        "far from the frames in WGS 84"
+        "far from the frames in WGS 84; nothing to do if that CRS is right"
     ]
 
 

@@ -170,11 +170,13 @@ def test_points_of_which_some_cannot_be_used_are_one_line(
     absent = sum(line[6] == names[0] for line in lines)
     assert warnings(survey, "control-points-unused") == [
         f"gcp_list.txt: 2 of 6 points are not used ({names[0]}, {names[2]}): "
-        "1 marked only in images that are not in the survey, 1 marked only outside the images"
+        "1 marked only in images that are not in the survey, 1 marked only outside the images; "
+        "mark them with geomosaic control if they matter"
     ]
     marks = f"of {len(changed)} image marks"
     assert warnings(survey, "control-image-missing") == [
-        f"gcp_list.txt: {absent} {marks} are in images that are not in the survey (gone.jpg)"
+        f"gcp_list.txt: {absent} {marks} are in images that are not in the survey (gone.jpg) and are not used: "
+        "give the folder of those images, or remove the marks"
     ]
     (outside,) = warnings(survey, "control-mark-outside")
     assert outside.startswith(
@@ -196,7 +198,8 @@ def test_many_points_without_marks_beside_marked_ones_are_counted(
     (text,) = texts(read_survey(SurveyInputs(flown.frames, gcp=gcp)), "control")
     assert text == (
         "mixed.csv: 6 of 8 points are not used (R0, R1, R2 and 3 more): 6 without an image mark; "
-        "only check points are left"
+        "only check points are left, so that none corrects the map; mark them with geomosaic control if they "
+        "matter"
     )
 
 

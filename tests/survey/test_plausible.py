@@ -415,7 +415,8 @@ def test_slips_among_honest_heights_are_found(kind: str, seed: int, count: int, 
 def test_a_slip_is_named_with_its_value(height: float) -> None:
     given_ = positions(np.arange(9) * 20.0, 0.0, [616.3] * 4 + [height] + [616.1] * 4, 90.0)
     kept, (told,) = plausible_positions([f"{i}.jpg" for i in range(9)], given_)
-    assert told == Warn("height-absurd", "4.jpg", f"a height of {height:g} m can't be: taken as not given")
+    text = f"a height of {height:g} m can't be: taken as not given; correct it with --pos"
+    assert told == Warn("height-absurd", "4.jpg", text)
     assert kept[4] == replace(given_[4], height_ellipsoidal_m=None)
     assert kept[:4] + kept[5:] == tuple(given_[:4] + given_[5:])
 

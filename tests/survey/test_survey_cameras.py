@@ -372,7 +372,7 @@ def test_a_resized_frame_scales_its_camera() -> None:
     choice = cameras_from_file([header(1000, 750)], [CAMERA], Path("c.json"), [None])
     assert choice.cameras == (Camera("big", 1000, 750, 875.0, 497.5, 377.5, k1=-0.1, focal_length_sd_px=2.0),)
     assert choice.warnings[0].code == "camera-scaled"
-    assert choice.warnings[0].text == "big: of 4000 x 3000 pixels, scaled by 0.25"
+    assert choice.warnings[0].text.startswith("big: of 4000 x 3000 pixels, scaled by 0.25 to ")
 
 
 def test_a_camera_of_another_shape_is_refused() -> None:

@@ -95,12 +95,16 @@ def usable(block: Block) -> tuple[Block, tuple[Warn, ...]]:
     poses, warnings = _usable_poses(block)
     ties, lost = _usable_ties(block.ties)
     if lost:
-        warnings.append(Warn("tie-points-not-finite", "", f"{lost} tie points are no numbers; left out"))
+        text = f"{lost} tie points have coordinates that are no numbers and are left out: nothing to do"
+        warnings.append(Warn("tie-points-not-finite", "", text))
     most_m = POSITION["none"].sd_vertical_m
     control = tuple(replace(c, sd_m=_sound(c.sd_m, _LEAST_SD_M, most_m)) for c in block.control if _finite(c))
     gone = [c.name for c in block.control if not _finite(c)]
     if gone:
-        text = f"control or check points whose coordinates are no numbers are left out ({some(gone)})"
+        text = (
+            f"control or check points whose coordinates are no numbers are left out ({some(gone)}): correct "
+        )
+        text += "them in the --gcp file"
         warnings.append(Warn("control-not-finite", "", text))
     return replace(block, poses=poses, ties=ties, control=control), tuple(warnings)
 
@@ -112,7 +116,8 @@ def _usable_poses(block: Block) -> tuple[Poses, list[Warn]]:
     for what, good in (("position", placed), ("attitude", looking)):
         bad = [block.names[i] for i in np.flatnonzero(~good)]
         if bad:
-            text = f"the {what} of {len(bad)} frames is no number and counts as unknown ({some(bad)})"
+            text = f"the {what} of {len(bad)} frames is no number and counts as unknown ({some(bad)}): "
+            text += "the images decide it; correct it in the --pos file or the frames' tags"
             warnings.append(Warn("pose-not-finite", "", text))
     middle = np.median(poses.positions_m[placed], axis=0) if placed.any() else np.array([0.0, 0.0, 100.0])
     unknown = POSITION["none"]

@@ -32,6 +32,10 @@ WITHIN_PX = tuned(8.0, "px", "residual of a point that agrees; rolling shutters 
 _TRIALS = sourced(1000, "samples of five", "with 1/3 of good points", "Fischler 1981: 1 - (1 - 3^-5)^1000")
 _DOWNWARDS = np.diag([1.0, -1.0, -1.0])
 """From camera axes with z backwards to OpenCV's with z forwards."""
+_LEFT_OUT = (
+    "left out, and other frames show its ground; if ground is missing, correct its position with --pos"
+)
+_TURNED_BACK = "turned back: nothing to do"
 _UPRIGHT_DEG = tuned(20.0, "degrees", "most tilt of a nadir view")
 
 
@@ -101,12 +105,12 @@ def contradicted_frames(block: Block, poses: Poses, shares: Floats) -> dict[int,
     found = {}
     for i in np.flatnonzero((far > limit) & (shares < 0.5)).tolist():
         text = f"{100.0 * (1.0 - shares[i]):.0f} % of its tie points contradict those of other frames, "
-        text += f"which put it {far[i]:.0f} m from its own position; left out"
+        text += f"which put it {far[i]:.0f} m from its own position: {_LEFT_OUT}"
         found[i] = Warn("frame-contradicted", block.names[i], text)
     for i in np.flatnonzero(aside).tolist():
         text = (
             f"by the images it looks {tilt[i]:.0f} degrees aside of straight down, {far[i]:.0f} m from its "
-            "own position; left out"
+            f"own position: {_LEFT_OUT}"
         )
         found[i] = Warn("frame-oblique", block.names[i], text)
     return found
@@ -140,17 +144,20 @@ def wrong_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
     causes = explained(evidence).reshape(len(given), 8).argmax(axis=1)
     out = []
     for i in np.flatnonzero(far > limit).tolist():
-        text = f"its position was off by {far[i]:.0f} m; placed by its neighbours"
+        text = (
+            f"its position was off by {far[i]:.0f} m; placed by its neighbours: nothing to do for a single "
+        )
+        text += "frame; for many check names and order in --pos"
         out.append((i, "position-wrong", text))
     for i in np.flatnonzero((np.abs(off_deg) > most_deg) & ~heading_assumed(block.poses)).tolist():
         turned = causes[i] % 4 == 2
         if turned:
             out.append(
-                (i, "frame-turned", "its pixels were turned by 180 degrees after the flight; turned back")
+                (i, "frame-turned", f"its pixels were turned by 180 degrees after the flight; {_TURNED_BACK}")
             )
         if not turned or causes[i] >= WRONG:
             text = f"its heading was given as {given[i]:.0f} degrees and is {found[i]:.0f}"
-            out.append((i, "yaw-wrong", f"{text}; set by its neighbours"))
+            out.append((i, "yaw-wrong", f"{text} by its neighbours, which set it: nothing to do"))
     return [Warn(code, block.names[i], text) for i, code, text in out if i not in strayed]
 
 
@@ -165,7 +172,7 @@ def implausible_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
     rows = strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)
     text = (
         "the images draw its principal point farther off than a lens can have it; kept as given. Something "
-        "else bends the block: another kind of lens, rows read one after the other, wrong positions"
+        "else bends the block: check the positions in --pos, or give a calibrated lens with --camera"
     )
     return [
         Warn("lens-strayed", "", f"{c.name}: {text}")
@@ -177,7 +184,10 @@ def implausible_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
 def undetermined_unknowns(shared: SharedUnknowns, cameras: Sequence[Camera]) -> list[Warn]:
     """Warnings of requested, undetermined unknowns beyond the lens; of readouts unless reported."""
     reported = {c.name for c in cameras if c.readout_s}
-    text = "this block does not determine it; kept as given. It takes lines flown there, back and across"
+    text = (
+        "this block does not determine it; kept as given, and the map is as true as that is. To determine "
+        "it, fly lines there, back and across"
+    )
     return [
         Warn("not-determined", "", f"{name}: {text}")
         for of, name, fixed in zip(shared.of, shared.names, shared.fixed, strict=True)
@@ -187,5 +197,8 @@ def undetermined_unknowns(shared: SharedUnknowns, cameras: Sequence[Camera]) -> 
 
 def unsolved_frames(block: Block, left_out: Bools) -> list[Warn]:
     """Warnings of frames with singular equations."""
-    text = "its tie points don't determine its pose; placed beside its neighbours as well as can be"
+    text = (
+        "its tie points don't determine its pose; placed as its neighbours suggest, so seams may show there: "
+        "fly more overlap, or take it out of the folder"
+    )
     return [Warn("pose-not-determined", block.names[i], text) for i in np.flatnonzero(left_out)]

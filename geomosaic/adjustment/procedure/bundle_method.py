@@ -91,7 +91,8 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         try:
             work = step(work)
         except NotSolvableError as error:
-            text = f"the step '{name}' of the adjustment cannot be solved ({error}); it is left out"
+            text = f"the step '{name}' of the adjustment cannot be solved ({error}) and is left out: "
+            text += "nothing to do if the verdict is good, else give a calibrated lens with --camera"
             skipped.append(Warn("adjustment-step-failed", "", text))
         steps += _named(name, work.steps[before:])
     adjusted = as_filed(bundle_outcome(work), replace(block, turned=work.turned))

@@ -199,7 +199,7 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
         return block, ()
     text = (
         f"all {len(marks)} image marks of the control points lie in the first {100.0 * share:.0f} % of the "
-        f"width and height of their images, and their rays meet if the marks are enlarged by {best:.3f}: "
+        f"width and height of their images. Their rays meet if the marks are enlarged by {best:.3f}: "
         "taken as measured in images reduced by that; give marks of the full images to be sure"
     )
     enlarged = tuple(

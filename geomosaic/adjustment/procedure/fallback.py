@@ -60,13 +60,13 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
             lambda block, _: _outcome(block, start_poses(block, offset_net(block))),
             "bundle-failed",
             "the bundle adjustment cannot be solved ({why}): frames are shifted, turned and scaled over the "
-            "ground until they agree, without tilts or lens; more overlap or frames with positions help",
+            "ground until they agree, without tilts or lens; fly more overlap, or give positions with --pos",
         ),
         (
             _by_positions,
             "bundle-failed",
             "the frames cannot be adjusted ({why}): each lies where its position and attitude put it, and "
-            "seams will not fit; more overlap or frames with positions help",
+            "seams will not fit; fly more overlap, or give positions with --pos",
         ),
     )
 

@@ -192,7 +192,8 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     if read and not held and block.poses.turns is None and velocities_known(block).mean() <= 0.5:
         share = 100.0 * CRUISE_M_PER_S * max(read) / block.ground_pixel_m
         text = f"at {CRUISE_M_PER_S:g} m/s the map would be stretched by {share:.1f} % along the lines"
-        text = f"rolling shutter, and neither times nor tags say how fast the frames flew: {text}"
+        text = f"rolling shutter, and neither times nor tags say how fast the frames flew: {text}; give "
+        text += "positions with --pos, or control points with --gcp"
         out.append(Warn("velocity-unknown", "", text))
     if choice is None:
         return out
@@ -212,11 +213,13 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     incomplete = turns is not None and bool(np.isfinite(turns.recorded_until_s).any())
     if {"turning", "vibrating"} & set(choice.taken) and not incomplete:
         why = "no gyroscope reports how" if block.poses.turns is None else "not as the gyroscope reports"
-        text = f"frames turn while their rows are read, and {why}: their shapes are estimated"
+        text = f"frames turn while their rows are read, and {why}: their shapes are estimated; "
+        text += "measure check points (--gcp) to be sure of the map"
         out.append(Warn("shutter-doubtful", "", text))
     elif choice.contradicted:
         what = _TEXTS[choice.contradicted[0].split("+")[-1]]
-        text = f"tie points would fit better with {what}, but the positions speak against it; not taken"
+        text = f"not taken, as the positions contradict it, though tie points fit better: {what}; "
+        text += "give a calibrated lens with --camera, or control points with --gcp"
         out.append(Warn("shutter-doubtful", "", text))
     return out
 

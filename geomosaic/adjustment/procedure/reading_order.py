@@ -73,7 +73,10 @@ def turned_back(work: Work, quarters: tuple[int, ...]) -> Work:
     few = turned(work.few)
     tracks = few if work.few is work.tracks else turned(work.tracks)
     text = "its rows are read from the other end: its pixels were turned by 180 degrees after the flight; "
-    notes = [Warn("frame-turned", block.names[i], f"{text}turned back") for i in np.flatnonzero(half)]
+    notes = [
+        Warn("frame-turned", block.names[i], f"{text}turned back: nothing to do")
+        for i in np.flatnonzero(half)
+    ]
     return replace(
         work, given=given, block=block, tracks=tracks, few=few, turned=quarters, notes=(*work.notes, *notes)
     )

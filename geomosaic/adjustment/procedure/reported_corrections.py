@@ -83,7 +83,8 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
         common[part] = np.where(observed[part], off, 0.0)
         text = (
             f"the headings of {int(observed[part].sum())} frames are {abs(np.degrees(off)):.0f} degrees too "
-            f"{'small' if off < 0.0 else 'large'} in common, as their positions show; corrected"
+            f"{'small' if off < 0.0 else 'large'} in common, as their positions show: corrected, "
+            "nothing to do"
         )
         warnings.append(Warn("headings-off", "", text))
     rotations = about_z(common) @ block.poses.rotations
@@ -119,7 +120,13 @@ class HeightDrift:
         stated_m = float(np.median(block.poses.positions_sd_m[self.order, 2]))
         more = f", and {len(self.parts) - 1} more such" if len(self.parts) > 1 else ""
         text = f"heights {does} against the images (stated deviation {stated_m:.1f} m){more}"
-        return [Warn("heights-drift", first, f"{text}; set by the images")]
+        return [
+            Warn(
+                "heights-drift",
+                first,
+                f"{text}; set by the images: give control points with --gcp where heights matter",
+            )
+        ]
 
 
 def height_drift(block: Block, poses: Poses, frames: Ints) -> HeightDrift:

@@ -58,7 +58,9 @@ def write_rrd(recording: Recording, path: Path) -> None:
         stream.disconnect()
         temporary.replace(path)
     except (RuntimeError, ValueError) as error:
-        raise FileError(f"Rerun can't show it ({error})", file=recording.path) from error
+        raise FileError(
+            f"Rerun can't show it ({error})", file=recording.path, fix="record the run again"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
 

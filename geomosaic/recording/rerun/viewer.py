@@ -54,7 +54,8 @@ def screenshot(file: Path, png: Path, seconds: float = 8.0) -> None:
                 if viewer.poll() is not None:
                     raise GeomosaicError(_NO_SCREEN) from error
                 if not tries_left:
-                    raise OutputError(f"no screenshot ({error})", file=png) from error
+                    fix = "choose another file, or run it again"
+                    raise OutputError(f"no screenshot ({error})", file=png, fix=fix) from error
 
 
 def free_port() -> int:
