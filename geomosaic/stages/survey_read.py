@@ -137,7 +137,7 @@ def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "survey.read", "Read the survey", group="Survey", version=35, outputs="survey", wants_frames=True,
+    "survey.read", "Read the survey", group="Survey", version=36, outputs="survey", wants_frames=True,
     check=_check, files=_files, plans=_plans,
 )  # fmt: skip
 def survey_read(params: SurveyParams, context: Context) -> Survey:

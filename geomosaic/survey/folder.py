@@ -21,6 +21,7 @@ from geomosaic.survey.header import (
     mask_size_error,
 )
 from geomosaic.survey.names import FrameNames, frame_name, natural_key
+from geomosaic.survey.other_files import advice
 from geomosaic.survey.png import png_damage
 from geomosaic.survey.timestamp_mrk import matches
 
@@ -31,17 +32,6 @@ _HOMES: Final = ("images", "dcim")
 _PROJECT_FILES: Final = {"pos": "geo.txt", "gcp": "gcp_list.txt"}
 _DEEPEST = tuned(4, "folders", "DCIM has two, MicaSense three: deeper ones are another survey's")
 _MOST_FOLDERS = tuned(2000, "folders", "1000 flights of two: more is a whole disk, searched for minutes")
-_OTHER_KINDS: Final = (
-    (
-        {".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".raw"},
-        "convert raw images to JPEG or TIFF first, with their tags (exiftool -tagsFromFile RAW JPEG)",
-    ),
-    (
-        {".mp4", ".mov", ".avi", ".mkv", ".m4v"},
-        "take frames out of the video first: geomosaic frames FILE -o FRAMES",
-    ),
-)
-"""Suffixes of files that people give for frames, and how to make frames of them."""
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 
@@ -77,7 +67,7 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
         there += [f"{len(folders)} folder{'s' * (len(folders) > 1)} without any"] * bool(folders)
         problem = f"holds no JPEG, TIFF or PNG frames ({', '.join(there) or 'it is empty'})"
         others = [p for f in _below(folder) for p in _listed(f)[0]]
-        raise InputError(problem, file=folder, fix=_advice(others))
+        raise InputError(problem, file=folder, fix=advice(others))
     return _called(frames, top)
 
 
@@ -93,14 +83,6 @@ def _found(folder: Path, inputs: Collection[Path], suffixes: Collection[str]) ->
         if frames:
             return frames, top
     return [], folder
-
-
-def _advice(files: Collection[Path]) -> str:
-    """What to do with a folder that holds no frames, by the files that it holds."""
-    for suffixes, advice in _OTHER_KINDS:
-        if any(path.suffix.lower() in suffixes for path in files):
-            return advice
-    return "give the folder that holds the frames themselves"
 
 
 def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]:

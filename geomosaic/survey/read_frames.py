@@ -20,6 +20,7 @@ from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import observe, on_datum
 from geomosaic.survey.onboard import platform_of
+from geomosaic.survey.other_files import unused_files
 from geomosaic.survey.platforms import with_platforms
 from geomosaic.survey.rig import captures
 from geomosaic.survey.strays import (
@@ -50,8 +51,8 @@ def readable_frames(inputs: SurveyInputs, inspect: Inspect, progress: Progress |
     text = (
         f"images in folders next to the frames are not used: {some(inner)}; give the folder above to use all"
     )
-    warnings = (Warn("frames-in-folders", "", text),) if inner else ()
-    return SurveyDraft(inputs, pos, cameras, found, headers, in_time, folder_warnings=warnings)
+    warnings = [*([Warn("frames-in-folders", "", text)] if inner else []), *unused_files(files)]
+    return SurveyDraft(inputs, pos, cameras, found, headers, in_time, folder_warnings=tuple(warnings))
 
 
 def with_temperatures(draft: SurveyDraft) -> SurveyDraft:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,34 @@ def test_frames_beside_folders_count_alone_and_it_is_said(tmp_path: Path) -> Non
     assert [f.name for f in survey.frames] == ["DJI_0001.JPG", "DJI_0002.JPG"]
     (text,) = [w.text for w in survey.warnings if w.code == "frames-in-folders"]
     assert text.startswith("images in folders next to the frames are not used: small")
+
+
+@pytest.mark.parametrize(
+    ("others", "says"),
+    [
+        (("DJI_0001.DNG", "dji_0002.heic", "DJI_0001.SRT", "flight.MRK", "notes.txt", "._DJI_0009.MP4"), ""),
+        (("DJI_0003.DNG",), "1 file is not used (1 .dng), such as DJI_0003.DNG, .*; convert them to JPEG"),
+        (
+            ("DJI_0010.MP4", "DJI_0009.MP4", "DJI_0009.SRT"),
+            "2 files are not used (2 .mp4), such as DJI_0009.MP4, .*; take frames out of the video first: "
+            "geomosaic frames FILE -o FRAMES$",
+        ),
+        (
+            ("IMG_7.HEIC", "IMG_7.MOV", "A.ARW"),
+            "3 files are not used (1 .heic, 1 .arw, 1 .mov), such as IMG_7.HEIC, .*; convert them to JPEG .*; "
+            "convert raw images to JPEG or TIFF first, .*; take frames out of the video first: ",
+        ),
+    ],
+)
+def test_files_that_could_be_frames_are_counted(tmp_path: Path, others: tuple[str, ...], says: str) -> None:
+    """But for the same photograph in another format, and files that only go with frames."""
+    folder = survey_folder(tmp_path / "f", 2)
+    touched(*(folder / name for name in others))
+    survey = read_survey(SurveyInputs(folder))
+    assert [f.name for f in survey.frames] == ["DJI_0001.JPG", "DJI_0002.JPG"]
+    texts = [w.text for w in survey.warnings if w.code == "files-not-used"]
+    assert len(texts) == bool(says)
+    assert all(re.match(says.replace("(", "\\(").replace(")", "\\)"), text) for text in texts), texts
 
 
 def project(folder: Path) -> Path:
