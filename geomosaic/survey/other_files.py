@@ -23,7 +23,7 @@ _OTHER_KINDS: Final = (
     ),
 )
 """Suffixes of files that people give for frames, and how to make frames of them."""
-_BESIDE_FRAMES: Final = (
+_AMONG_FRAMES: Final = (
     *((its.suffixes, f"{its.convert}, or map them from a folder of their own") for its in CAMERA_FORMATS),
     *_OTHER_KINDS,
 )
@@ -56,7 +56,7 @@ def unused_files(frames: Collection[Path]) -> list[Warn]:
         and (path.parent, path.stem.casefold()) not in stems
     ]
     fixes = {
-        what: [path for path in left if path.suffix.lower() in suffixes] for suffixes, what in _BESIDE_FRAMES
+        what: [path for path in left if path.suffix.lower() in suffixes] for suffixes, what in _AMONG_FRAMES
     }
     unused = [path for paths in fixes.values() for path in paths]
     if not unused:
