@@ -21,7 +21,15 @@ const layout = {
   configById: {
     "map!1": { layer: "custom", customTileUrl: "", disabledTopics: [], followTopic: "/location/tied", zoomLevel: 16.6, topicColors: { "/footprints/placed": "#888888", "/location/placed": "#ffffff" } },
     "ImageViewPanel!1": { ...image, cameraTopic: "/images/mosaic" },
-    "ImageViewPanel!2": { ...image, cameraTopic: "/chips" },
+    "3D!1": {
+      followTf: "map", followMode: "follow-pose", imageMode: {}, layers: {}, publish: {}, transforms: {},
+      scene: { transforms: { axisScale: 12, showLabel: false, lineWidth: 0, editable: false } },
+      cameraState: { perspective: true, distance: 210, phi: 52, thetaOffset: 25, target: [0, 0, 0], targetOffset: [0, 0, 0], targetOrientation: [0, 0, 0, 1], fovy: 45, near: 0.5, far: 5000 },
+      topics: {
+        "/points/ties": { visible: true, pointSize: 4, colorMode: "colormap", colorMap: "turbo", colorField: "z" },
+        "/path": { visible: true, type: "line", gradient: ["#ffffffff", "#ffffffff"], lineWidth: 0.4 },
+      },
+    },
     "Plot!1": {
       paths: [step("sigma_px"), step("step_m")], xAxisVal: "custom", xAxisPath: step("iteration"), isSynced: false,
       showXAxisLabels: true, showYAxisLabels: true, showLegend: true, legendDisplay: "floating", sidebarDimension: 240,
@@ -31,7 +39,7 @@ const layout = {
   },
   layout: side(
     "column",
-    side("row", "map!1", side("row", "ImageViewPanel!1", "ImageViewPanel!2")),
+    side("row", "map!1", side("row", "3D!1", "ImageViewPanel!1")),
     side("row", "Plot!1", side("row", "RosOut!1", "RawMessages!1")),
   ),
   globalVariables: {}, userNodes: {}, playbackConfig: { speed: 1 },

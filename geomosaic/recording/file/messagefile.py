@@ -25,8 +25,8 @@ class MessageFile:
     """Topics, schemas and times of a recording's messages.
 
     The sequence number counts all messages. Log times rise strictly: the wall clock, or with `fixed_time`
-    steps of 1 ms from the epoch. A message that brings a `timestamp`, that of an exposure, has it as log
-    time instead.
+    steps of 1 ms from the epoch. A message that brings a `timestamp`, that of an exposure, has it as publish
+    time; Foxglove plots no file whose log times span more than 104 days.
     Threads may write at once. A path of None is no file.
     Every method raises OutputError where the file can't be written, and from then on always.
     """
@@ -75,16 +75,16 @@ class MessageFile:
         """A protobuf message; the first on a topic settles the topic's schema."""
         fields = message.DESCRIPTOR.fields_by_name
         with self._lock, self._writing():
-            at_ns = self._now_ns()
+            at_ns = published_ns = self._now_ns()
             if "recorded_ns" in fields:
                 message.recorded_ns = at_ns
             if "timestamp" in fields:
-                at_ns = _nanoseconds(message.timestamp) or at_ns
-                message.timestamp.FromNanoseconds(at_ns)
+                published_ns = _nanoseconds(message.timestamp) or at_ns
+                message.timestamp.FromNanoseconds(published_ns)
             self._writer.add_message(
                 channel_id=self._channel_id(topic, type(message)),
                 log_time=at_ns,
-                publish_time=at_ns,
+                publish_time=published_ns,
                 sequence=self._sequence & 0xFFFFFFFF,
                 data=message.SerializeToString(deterministic=True),
             )

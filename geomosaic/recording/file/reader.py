@@ -167,8 +167,7 @@ def take(recording: Recording, item: Item) -> None:
     recording.topics[item.topic].messages += 1
     kind = KINDS.get(item.schema)
     if kind is not None and kind.take is not None:
-        if not kind.captured:
-            recording.last_ns = max(recording.last_ns, record.log_time)
+        recording.last_ns = max(recording.last_ns, record.log_time)
         at = At(item.topic, record.log_time, record.sequence, item.offset)
         kind.take(recording, kind.of(record.data), at)
 
