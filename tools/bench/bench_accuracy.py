@@ -32,6 +32,8 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.quality.compare import Comparison
 from geomosaic.quality.figures import Figures, figures, touching_patches
 from geomosaic.quality.misalignment import trend
+from tools.bench.bench_accuracy_rows import result_rows
+from tools.bench.result_rows import add_options, write_rows
 
 Floats = NDArray[np.float64]
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
@@ -151,6 +153,8 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         "frames": told["frames"]["total"],
         "wrong": len(wrong),
         "named": len(wrong & warned),
+        "named_by_code": {c: _named(wrong, warned, c) for c in NAMED.values()},
+        "sigma_px": told["metrics"]["adjustment"].get("sigma_px"),
         "ground": told["metrics"]["ground"]["kind"],
         "seconds": sum(told["timings_s"].values()),
     }
@@ -167,6 +171,12 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         and set(case.told) <= {code for code, _ in warned}
     )
     return row
+
+
+def _named(wrong: set[tuple[str, str]], warned: set[tuple[str, str]], code: str) -> tuple[int, int]:
+    """How many frames are wrong in this way, and how many of them are named."""
+    mine = {w for w in wrong if w[0] == code}
+    return len(mine & warned), len(mine)
 
 
 def _of_frames(comparison: Comparison, at_m: Floats, frames: list[int]) -> Figures:
@@ -229,6 +239,7 @@ def main() -> int:
         action="store_true",
         help="the other methods as well: on the cases of --only, or the first",
     )
+    add_options(parser)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     rows = []
@@ -242,6 +253,8 @@ def main() -> int:
                 rows.append(run(case, args.out, seed, method))
                 print(_line(case, rows[-1]), flush=True)
                 (args.out / "accuracy.json").write_text(json.dumps(rows, indent=1))
+    bounds = {c.name: (c.after_px, c.jumps_px) for c in CASES}
+    write_rows(args, result_rows([r for r in rows if r["method"] == "bundle"], bounds))
     return 0 if all(r["good"] for r in rows if r["method"] == "bundle") else 1
 
 

@@ -26,8 +26,28 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.projection.ground import GroundSurface
+from tools.bench.result_rows import ResultRow, RowKind, add_options, write_rows
+from tools.docs.results_page import FAST
 
 MOST_S, MOST_GB = 60.0, 2.0
+TARGETS = {1000: (MOST_S, MOST_GB), 5000: (159.0, 3.28)}
+"""Seconds and GB of the rows of results, by the number of frames."""
+ROWS = {
+    "with target": RowKind(
+        FAST,
+        "adjustment of {frames:,} frames, {observations:,} observations",
+        "{most_s:g} s, {most_gb:g} GB",
+        "{seconds} s, {peak_gb:.2f} GB",
+        measured=("observations",),
+    ),
+    "other size": RowKind(
+        FAST,
+        "adjustment of {frames:,} frames, {observations:,} observations",
+        "",
+        "{seconds} s, {peak_gb:.2f} GB",
+        measured=("observations",),
+    ),
+}
 LEAST_TIES = 12
 POSITION_SD_M = np.array([1.5, 1.5, 2.0])
 TURN_SD_RAD = np.radians([0.3, 0.3, 1.0])
@@ -131,6 +151,17 @@ def _told(profile: cProfile.Profile, adjusted: Adjusted, truth: Poses) -> None:
             print(f"{title:32s} {sum(r[0] for r in rows):6d} {sum(r[3] for r in rows):7.2f}")
 
 
+def result_row(frames: int, observations: int, took_s: float, peak_gb: float) -> ResultRow:
+    """The row of results; the target is that of a block of so many frames."""
+    seconds = f"{took_s:.{1 if took_s < 100.0 else 0}f}"
+    figures = {"frames": frames, "observations": observations, "seconds": seconds, "peak_gb": peak_gb}
+    if frames not in TARGETS:
+        return ROWS["other size"].row(None, **figures)
+    most_s, most_gb = TARGETS[frames]
+    met = took_s <= most_s and peak_gb <= most_gb
+    return ROWS["with target"].row(met, most_s=most_s, most_gb=most_gb, **figures)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--lines", type=int, default=20)
@@ -140,6 +171,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--stats", type=Path, help="write the profile here")
     parser.add_argument("--whole", action="store_true", help="time the whole alone, without its parts")
+    add_options(parser)
     told = parser.parse_args()
     relief_m = 10.0 if told.relief else 0.0
     block, truth = fly(told.lines, told.per_line, told.observations, relief_m, told.seed)
@@ -159,6 +191,7 @@ def main() -> int:
         profile.dump_stats(told.stats)
     peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory {peak_gb:.2f} GB")
+    write_rows(told, [result_row(len(truth), round(adjusted.figures["observations"]), took_s, peak_gb)])
     if took_s > MOST_S or peak_gb > MOST_GB:
         print(f"over {MOST_S:.0f} s or {MOST_GB:.0f} GB", file=sys.stderr)
         return 1

@@ -19,7 +19,6 @@ import os
 import platform
 import shlex
 import shutil
-import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,15 +26,27 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import geomosaic
 from geomosaic.errors import GeomosaicError
 from tools.bench.bench_flights_figures import figures_of, figures_of_failed
 from tools.bench.bench_flights_sheet import Flight, read_flights
 from tools.bench.bench_flights_table import tables
 from tools.bench.bench_speed_measure import measured
 from tools.bench.contact_sheet import write_page
+from tools.bench.result_rows import RowKind, add_options, commit, write_rows
+from tools.docs.results_page import FLIGHTS
 
 PROGRAM = Path(sys.executable).with_name("geomosaic")
+
+
+SCALE_WITHIN = 0.01
+ROWS = {
+    "scale": RowKind(
+        FLIGHTS,
+        "{flight}: scale of the map over that of its GNSS positions",
+        "1",
+        "{scale:.3f}",
+    )
+}
 
 
 def run_flight(flight: Flight, data: Path, asked: argparse.Namespace) -> dict[str, Any]:
@@ -82,13 +93,6 @@ def missed(flight: Flight, figures: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def commit() -> str:
-    """Of the tree that geomosaic is imported from."""
-    tree = Path(geomosaic.__file__).parents[1]
-    words = ["git", "-C", tree, "describe", "--always", "--dirty", "--exclude=*"]
-    return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
-
-
 def merge(results: Path, rows: Mapping[str, Any]) -> None:
     """Writes RESULTS.json and RESULTS.md: new rows replace those of the same flights."""
     path = results.with_suffix(".json")
@@ -116,6 +120,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, default=Path("docs/results/flights"), help="without suffix")
     parser.add_argument("--out", type=Path, default=Path("out/bench-flights"), help="for the run folders")
     parser.add_argument("--before", type=Path, help="--out of an earlier bench: crops stand side by side")
+    add_options(parser)
     asked = parser.parse_args(argv)
     data = asked.data.resolve()
     if not data.is_dir():
@@ -139,6 +144,9 @@ def main(argv: list[str] | None = None) -> int:
     if not rows:
         print(f"skipped: {asked.data} has no flights to run")
         return 0
+    scales = {name: row["scale_over_gnss"] for name, row in rows.items() if row.get("scale_over_gnss")}
+    within = {name: abs(scale - 1.0) <= SCALE_WITHIN for name, scale in scales.items()}
+    write_rows(asked, [ROWS["scale"].row(within[n], flight=n, scale=s) for n, s in scales.items()], argv)
     runs = [asked.out / name for name in rows]
     write_page(asked.out / "crops.html", [r for r in runs if (r / "run.json").is_file()], asked.before)
     print("\n" + tables(rows))

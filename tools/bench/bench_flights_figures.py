@@ -18,6 +18,7 @@ from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.placement.graph import connected_parts
+from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_figures
 from geomosaic.quality.figures import best_similarity
@@ -52,12 +53,26 @@ def figures_of(run: Path, check_points: Path | None) -> dict[str, Any]:
         "mosaic": mosaic,
         "megapixels": mosaic["width"] * mosaic["height"] / 1e6,
         "trimmed_share": (summary.get("trimmed") or {}).get("share"),
+        "scale_over_gnss": _scale_over_gnss(run, summary, tied),
         "stages_s": summary["timings_s"],
         "stages_mb": summary["memory_mb"],
     }
     if check_points is not None:
         figures["check"] = _check(run, summary, check_points)
     return figures
+
+
+def _scale_over_gnss(run: Path, summary: dict[str, Any], adjusted: Adjusted) -> float | None:
+    """Scale of the similarity from the positions of the survey to the adjusted ones, both in plan; None for
+    fewer than three tied frames with positions."""
+    placed: Placement = load_artefact(run, summary, "placement", Placement)
+    survey: Survey = load_artefact(run, summary, "survey", Survey)
+    known = np.array(survey.located)
+    known &= np.array(adjusted.status) == "tied"
+    if known.sum() < 3:
+        return None
+    at_m = placed.poses.positions_m[known, :2]
+    return float(best_similarity(at_m, adjusted.poses.positions_m[known, :2] - at_m)[0].scale)
 
 
 def figures_of_failed(geomosaic: Path, run: Path) -> dict[str, Any]:

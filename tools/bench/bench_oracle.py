@@ -54,11 +54,21 @@ from geomosaic.matching.tracks import Tracks
 from geomosaic.projection.footprint import ground_from_images
 from tools.bench.bench_monte_carlo import FRAMES, Case, draw
 from tools.bench.cramer_rao import Draw
+from tools.bench.result_rows import RowKind, add_options, write_rows
+from tools.docs.results_page import BLOCK
 
 Floats = NDArray[np.float64]
 K1 = -0.05
 CAUCHY = 3.0
 APART_LIMIT = 0.05
+ROWS = {
+    "apart": RowKind(
+        BLOCK,
+        "poses against COLMAP's on the same tie points, largest difference",
+        "",
+        "{apart:.3f} of a deviation",
+    )
+}
 CASES = (
     Case("3 x 8", replace(FRAMES, k1=K1), 0.19, lens_drawn=False),
     Case("10 x 20", replace(FRAMES, k1=K1, lines=10, frames_per_line=20), 0.06, lens_drawn=False),
@@ -344,6 +354,7 @@ def main() -> int:
     parser.add_argument("--pycolmap", type=Path, default=Path("out/oracle"), help="where pip put it")
     parser.add_argument("--only", nargs="*", choices=[c.name for c in CASES], help="names of surveys")
     parser.add_argument("--seed", type=int, default=1)
+    add_options(parser)
     args = parser.parse_args()
     sys.path.append(str(args.pycolmap))
     try:
@@ -355,6 +366,7 @@ def main() -> int:
     pycolmap.logging.minloglevel = 2
     print(f"pycolmap {pycolmap.__version__}, seed {args.seed}\n\n{HEADER}", flush=True)
     apart_sd = [compare(pycolmap, c, args.seed) for c in CASES if not args.only or c.name in args.only]
+    write_rows(args, [ROWS["apart"].row(None, apart=max(apart_sd))])
     if max(apart_sd) > APART_LIMIT:
         print(f"the two are {max(apart_sd):.3f} deviations apart", file=sys.stderr)
         return 1

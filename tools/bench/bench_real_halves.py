@@ -59,11 +59,20 @@ class Wanted:
 SMOOTH = Wanted(rmse_px=1.0)
 
 
+@dataclass(frozen=True)
+class Halves:
+    """Rows of the table, and the figures (px) of halves with their own adjustments and with one."""
+
+    rows: list[Row]
+    own: dict[str, float]
+    one: dict[str, float]
+
+
 def halves(
     data: Path, out: Path, full: Path, *options: str, own: Wanted = SMOOTH, one: Wanted = SMOOTH
-) -> list[Row]:
-    """Rows of the table; full: the run folder of the whole flight; options: of each half's command; own, one:
-    what is wanted of halves with their own adjustments and with one."""
+) -> Halves:
+    """Both halves; full: the run folder of the whole flight; options: of each half's command; own, one: what
+    is wanted of halves with their own adjustments and with one."""
     folder = data / "brighton_beach"
     frames = sorted((folder / "images").glob("*.JPG"))
     cloud = read_cloud(folder / "model.laz")
@@ -73,13 +82,15 @@ def halves(
         _half(frames[k::2], out / f"brighton-{name}", options) for k, name in enumerate(("odd", "even"))
     ]
     found = compare(*mosaics, ComparisonOptions(search_px=160))
-    rows = [_row("split-half: own adjustments", found, cloud, out / "halves.json", own)]
-    rows.append(halves_of_one(full, out, cloud, one))
-    return rows
+    row, figures = _row("split-half: own adjustments", found, cloud, out / "halves.json", own)
+    row_of_one, figures_of_one = halves_of_one(full, out, cloud, one)
+    return Halves([row, row_of_one], figures, figures_of_one)
 
 
-def halves_of_one(full: Path, out: Path, cloud: Floats | None, wanted: Wanted) -> Row:
-    """The row of both halves' mosaics on the poses, lenses and ground of a finished run of all frames."""
+def halves_of_one(
+    full: Path, out: Path, cloud: Floats | None, wanted: Wanted
+) -> tuple[Row, dict[str, float]]:
+    """Row and figures of both halves' mosaics on the poses, lenses and ground of a run of all frames."""
     alike = [_composed(full, k, out / f"brighton-one-{name}.tif") for k, name in enumerate(("odd", "even"))]
     what = "split-half: one adjustment of all frames, composed from each half"
     return _row(what, compare(*alike), cloud, None, wanted)
@@ -121,7 +132,9 @@ def _composed(run: Path, first: int, path: Path) -> Path:
     return path
 
 
-def _row(what: str, found: Comparison, cloud: Floats | None, file: Path | None, wanted: Wanted) -> Row:
+def _row(
+    what: str, found: Comparison, cloud: Floats | None, file: Path | None, wanted: Wanted
+) -> tuple[Row, dict[str, float]]:
     at, apart = found.vectors_m[:, :2], found.vectors_m[:, 2:]
     where = "all that matched"
     if cloud is not None:
@@ -140,10 +153,11 @@ def _row(what: str, found: Comparison, cloud: Floats | None, file: Path | None, 
     }
     if file is not None:
         file.write_text(json.dumps(figures, indent=1))
-    return (
+    row: Row = (
         f"{what} ({where}, {len(length_px)} patches of {found.patch_px} px)",
         f"RMSE {figures['rmse_px']:.2f} px, median {figures['median_px']:.2f}, 90 % {figures['p90_px']:.2f}; "
         f"scale {100.0 * (similarity.scale - 1.0):+.2f} %",
         str(wanted),
         all(figures[name] < limit for name, limit in asdict(wanted).items()),
     )
+    return row, figures

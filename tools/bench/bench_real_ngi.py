@@ -28,7 +28,10 @@ from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.compare import compare
 from geomosaic.quality.compared_block import ComparisonOptions
 from geomosaic.survey.model import Survey
+from tools.bench.bench_real_rows import ROWS
 from tools.bench.bench_real_table import Row
+from tools.bench.bench_surface_rows import ROWS as SURFACE_ROWS
+from tools.bench.result_rows import ResultRow, listed
 
 Floats = NDArray[np.float64]
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
@@ -56,11 +59,12 @@ class Agreement:
     mean_px: Floats
 
 
-def ngi(data: Path, out: Path) -> list[Row]:
-    """The rows of the table: orthos by the given poses, and by spoilt and adjusted ones."""
+def ngi(data: Path, out: Path, results: list[ResultRow]) -> list[Row]:
+    """The rows of the table: orthos by the given poses, and by spoilt and adjusted ones; adds to results."""
     folder = data / "ngi"
     given = agreements(mosaic(folder, folder / "ngi_xyz_opk.csv", out / "ngi", "none"), out / "ngi-orthos")
     rows = [_row("ngi, orthos by the given poses", given)]
+    adjusted_px: list[float] = []
     for seed in range(1, DRAWS + 1):
         pos = spoilt_poses(folder / "ngi_xyz_opk.csv", out / f"ngi-spoilt-{seed}.csv", seed)
         for method in ("none", "bundle"):
@@ -71,11 +75,15 @@ def ngi(data: Path, out: Path) -> list[Row]:
                 rows.append(_row(f"{what}, as they are", found, wanted=False))
             else:
                 rows.append(_row(f"{what}, adjusted", found))
+                adjusted_px.append(rmse_px(found))
+    given_px, fields = rmse_px(given), {"wanted_px": WANTED_PX, "moved_m": MOVED_M, "turned_deg": TURNED_DEG}
+    met = max(given_px, *adjusted_px) < WANTED_PX
+    results.append(ROWS["ngi"].row(met, given=given_px, adjusted=listed(adjusted_px, ".2f"), **fields))
     return rows
 
 
-def ngi_surface(data: Path, out: Path) -> list[Row]:
-    """The dense surface by the given poses against the DEM; none without the data."""
+def ngi_surface(data: Path, out: Path, results: list[ResultRow]) -> list[Row]:
+    """The dense surface by the given poses against the DEM; none without the data; adds to results."""
     folder = data / "ngi"
     if not folder.is_dir():
         print(f"skipped: {folder} is missing")
@@ -98,6 +106,8 @@ def ngi_surface(data: Path, out: Path) -> list[Row]:
         f"{matched['n']:,} matched points; within 1 and 2 deviations {within[0]:.0f} and {within[1]:.0f} %; "
         f"verdict {told['verdict']['grade']}: {told['verdict']['text']}"
     )
+    met = nmad_px < WANTED_NMAD_PX
+    results.append(SURFACE_ROWS["ngi"].row(met, nmad_px=nmad_px, wanted_px=WANTED_NMAD_PX))
     return [
         ("ngi, dense surface against the DEM", text, f"NMAD < {WANTED_NMAD_PX} px", nmad_px < WANTED_NMAD_PX)
     ]
@@ -176,16 +186,23 @@ def agreements(run: Path, orthos: Path) -> list[Agreement]:
     return out
 
 
+def rmse_px(found: list[Agreement]) -> float:
+    """Over the patches of all pairs; infinite without a pair."""
+    if not found:
+        return float("inf")
+    patches = np.array([a.patches for a in found])
+    return float(np.sqrt((patches * np.array([a.rmse_px for a in found]) ** 2).sum() / patches.sum()))
+
+
 def _row(what: str, found: list[Agreement], *, wanted: bool = True) -> Row:
     """RMSE over the patches of all pairs against the bound, and that of every pair."""
     if not found:
         return (what, "no pair could be compared", f"< {WANTED_PX} px" if wanted else "", not wanted)
-    patches = np.array([a.patches for a in found])
-    rmse_px = float(np.sqrt((patches * np.array([a.rmse_px for a in found]) ** 2).sum() / patches.sum()))
+    patches, all_px = sum(a.patches for a in found), rmse_px(found)
     pairs = ", ".join(f"{a.pair[0]}-{a.pair[1]}: {a.rmse_px:.2f}" for a in found)
     return (
         what,
-        f"RMSE {rmse_px:.2f} frame px at {patches.sum()} patches ({pairs})",
+        f"RMSE {all_px:.2f} frame px at {patches} patches ({pairs})",
         f"< {WANTED_PX} px" if wanted else "",
-        not wanted or rmse_px < WANTED_PX,
+        not wanted or all_px < WANTED_PX,
     )

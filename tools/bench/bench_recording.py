@@ -25,9 +25,25 @@ from pathlib import Path
 from mcap.records import Message
 
 from geomosaic.recording.file.mcapfile import items, opened
+from tools.bench.result_rows import ResultRow, RowKind, add_options, write_rows
+from tools.docs.results_page import RECORDED
 
 MOST_SHARE = 0.05
 MOST_MB_A_FRAME = 1.0
+ROWS = {
+    "time": RowKind(
+        RECORDED,
+        "time of the recorder, share of the run",
+        f"{100.0 * MOST_SHARE:.0f} %",
+        "{percent:.1f} %",
+    ),
+    "size": RowKind(
+        RECORDED,
+        "size a frame at `normal`",
+        f"{MOST_MB_A_FRAME:.0f} MB",
+        "{mb:.2f} MB",
+    ),
+}
 _GEOMOSAIC = [sys.executable, "-c", "from geomosaic.cli.main import main; import sys; sys.exit(main())"]
 
 
@@ -104,6 +120,7 @@ def main() -> int:
     parser.add_argument("--frames", type=Path, help="a folder of frames [a simulated survey of 24]")
     parser.add_argument("--rounds", type=int, default=3, help="runs of each level")
     parser.add_argument("--levels", default="off,summary,normal,full")
+    add_options(parser)
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     frames = given.frames
@@ -123,6 +140,7 @@ def main() -> int:
     count = json.loads((given.out / f"run-{next(iter(spent))}" / "run.json").read_text())["frames"]["total"]
     without = min(spent["off"])
     failed = False
+    results: list[ResultRow] = []
     print(f"\n{count} frames, least of {given.rounds} runs\n\n| level | s | more | MB a frame |")
     print("|---|---|---|---|")
     for level, seconds in spent.items():
@@ -130,6 +148,8 @@ def main() -> int:
         mb = recording.stat().st_size / 1e6 / count if recording.exists() else 0.0
         share = min(seconds) / without - 1.0
         print(f"| {level} | {min(seconds):.2f} | {100.0 * share:+.1f} % | {mb:.2f} |")
+        if level == "normal":
+            results.append(ROWS["size"].row(mb <= MOST_MB_A_FRAME, mb=mb))
         failed = failed or (level == "normal" and (share > MOST_SHARE or mb > MOST_MB_A_FRAME))
     if "normal" in spent:
         run = given.out / "run-normal"
@@ -137,10 +157,12 @@ def main() -> int:
         places = [str(path.absolute()) for path in (frames, run)]
         inside, whole = within_s(["mosaic", places[0], "-o", places[1], "--workers", "1"])
         more = 100.0 * inside / (whole - inside)
+        results.append(ROWS["time"].row(more <= 100.0 * MOST_SHARE, percent=more))
         print(f"\nwithin the recorder: {inside:.2f} s of {whole:.2f}, {more:+.1f} %")
         print("\n| topic | KB |\n|---|---|")
         for topic, size in sizes(given.out / "run-normal" / "run.mcap").most_common(12):
             print(f"| {topic} | {size / 1e3:.0f} |")
+    write_rows(given, results)
     return int(failed)
 
 

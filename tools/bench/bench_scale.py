@@ -35,7 +35,9 @@ import rasterio
 
 from geomosaic.report.plots import Axis, Series, line_plot
 from tools.bench.bench_flights import PROGRAM, commit
+from tools.bench.bench_scale_rows import result_rows
 from tools.bench.bench_speed_measure import measured
+from tools.bench.result_rows import add_options, write_rows
 
 BLOCKS = {
     50: (5, 10), 100: (10, 10), 200: (10, 20), 500: (20, 25), 1000: (25, 40), 2000: (40, 50), 5000: (50, 100)
@@ -230,6 +232,7 @@ def main() -> int:
     ask.add_argument("--no-plan", action="store_true", help="leave the planning of 50,000 windows out")
     ask.add_argument("--out", type=Path, default=Path("out/bench-scale"))
     ask.add_argument("--results", type=Path, default=Path("docs/results/scale"))
+    add_options(ask)
     asked = ask.parse_args()
     out = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
@@ -256,6 +259,7 @@ def main() -> int:
     }
     write(results, table(runs), asked.results)
     asked.results.with_suffix(".svg").write_text(plot(runs))
+    write_rows(asked, result_rows(results))
     return int("**" in asked.results.with_suffix(".md").read_text())
 
 

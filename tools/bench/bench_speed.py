@@ -39,9 +39,11 @@ from geomosaic.errors import GeomosaicError
 from tools.bench.bench_speed_judge import FAR_M, Frames, against_truth, area_m2, placed, steps_figure
 from tools.bench.bench_speed_measure import Taken, measured
 from tools.bench.bench_speed_parts import parts_of
+from tools.bench.bench_speed_rows import Measured, result_rows
 from tools.bench.bench_speed_table import Result, against_floor, missed, side_by_side
 from tools.bench.peers.environments import UnavailableError
 from tools.bench.peers.peer import PEERS, Peer
+from tools.bench.result_rows import ResultRow, add_options, write_rows
 
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 TOOLS = Path(__file__).parent
@@ -61,6 +63,8 @@ class Flight:
     frames: Path
     out: Path
     ortho: Path | None = None
+    row_names: tuple[str, str] = ("18 real frames", "18 real frames of 9 MP")
+    """Short, and with the size of a frame, as the rows of results have it."""
 
     @property
     def paths(self) -> list[Path]:
@@ -84,8 +88,10 @@ def simulated(out: Path, frames: int, width_px: int, seed: int) -> Flight:
         command = [str(GEOMOSAIC), "simulate", "frames", str(folder), *options]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         (folder / "done").touch()
-    name = f"{frames} simulated frames of {width_px * height_px / 1e6:.0f} MP"
-    return Flight(name, folder / "frames", folder / "results", folder / "truth" / "ortho.tif")
+    short = f"{frames} simulated frames"
+    name = f"{short} of {width_px * height_px / 1e6:.0f} MP"
+    truth = folder / "truth" / "ortho.tif"
+    return Flight(name, folder / "frames", folder / "results", truth, (short, name))
 
 
 @dataclass(frozen=True)
@@ -194,8 +200,11 @@ class Judge:
         return {"area_m2": area_m2(laid), "steps_grey": steps_figure(self._frames.steps(laid))}
 
 
-def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> tuple[dict[str, Any], bool]:
-    """All of one flight: prints its tables; returns the figures, and whether all aims are reached."""
+def bench(
+    flight: Flight, home: Path, asked: argparse.Namespace, results: list[ResultRow]
+) -> tuple[dict[str, Any], bool]:
+    """All of one flight: prints its tables, and adds its rows to results. Returns the figures, and whether
+    all aims are reached."""
     flight.out.mkdir(parents=True, exist_ok=True)
     for path in flight.paths:
         path.read_bytes()
@@ -219,6 +228,10 @@ def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> tuple[dict[s
     ours, *others = map(judge.judged, made)
     beside = side_by_side(ours, others)
     print("", *beside, "", judge.words(), sep="\n", flush=True)
+    measured_here = Measured(
+        *flight.row_names, len(flight.paths), floor["whole_s"], told["timings_s"], taken.wall_s, peak_mb
+    )
+    results += result_rows(measured_here, ours, others)
     figures = {
         "floor": floor,
         "stages_s": told["timings_s"],
@@ -243,6 +256,7 @@ def main() -> int:
     ask.add_argument("--no-peers", action="store_true")
     ask.add_argument("--peer-s", type=float, default=7200.0, help="a peer is stopped after so many seconds")
     ask.add_argument("--peer-gb", type=float, default=16.0, help="or if it holds so much")
+    add_options(ask)
     asked = ask.parse_args()
     out = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
@@ -255,12 +269,13 @@ def main() -> int:
             print(f"the real flight is left out: there is no {real}")
     if asked.only != "real":
         flights.append(simulated(out, asked.frames, asked.width_px, asked.seed))
-    results, good = {}, True
+    results, rows, good = {}, list[ResultRow](), True
     with rasterio.Env(GDAL_CACHEMAX=JUDGE_CACHE_BYTES):
         for flight in flights:
-            results[flight.name], reached = bench(flight, out / "peers", asked)
+            results[flight.name], reached = bench(flight, out / "peers", asked, rows)
             good &= reached
             (out / "speed.json").write_text(json.dumps(results, indent=1))
+    write_rows(asked, rows)
     return 0 if good else 1
 
 

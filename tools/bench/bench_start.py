@@ -40,6 +40,8 @@ from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.quality.figures import best_similarity
 from geomosaic.stages.adjustment_solve import block_of
 from geomosaic.survey.model import Survey
+from tools.bench.result_rows import RowKind, add_options, counted, in_words, write_rows
+from tools.docs.results_page import DIRTY
 
 Floats = NDArray[np.float64]
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
@@ -52,6 +54,14 @@ LARGER = [*BLOCK, *["--width-px", "1336", "--height-px", "1002", "--pos-in", "ex
 WITH_CSV = [*(word for word in SMALL if word not in ("--pos-in", "exif")), "--no-relative-height-told"]
 KEYPOINTS = 1500
 RIGHT_PX, RIGHT_SDS = 0.2, 3.0
+ROWS = {
+    "found": RowKind(
+        DIRTY,
+        "initialisation: blocks of {kinds} kinds of wrong tags that are found",
+        "all",
+        "{right:d} of {blocks:d}, seeds {seeds}",
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -248,6 +258,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1, help="the first seed")
     parser.add_argument("--seeds", type=int, default=20, help="how many seeds")
     parser.add_argument("--match-only", action="store_true", help="simulate and match, don't solve")
+    add_options(parser)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
@@ -269,6 +280,11 @@ def main() -> int:
         rows += mine
         if mine:
             print(f"{case.name}: {sum(r['right'] for r in mine)} of {len(mine)} right", flush=True)
+    if rows:
+        right, seeds = sum(r["right"] for r in rows), sorted({r["seed"] for r in rows})
+        kinds = in_words(len({r["case"] for r in rows}))
+        figures = {"kinds": kinds, "right": right, "blocks": len(rows), "seeds": counted(seeds)}
+        write_rows(args, [ROWS["found"].row(right == len(rows), **figures)])
     return 0 if all(r["right"] for r in rows) else 1
 
 

@@ -38,6 +38,8 @@ from geomosaic.quality.strip_figures import scene_errors
 from geomosaic.survey.strips import StripGeometry
 from geomosaic_simulate.strip_overlaps import simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
+from tools.bench.bench_strips_rows import result_rows
+from tools.bench.result_rows import add_options, write_rows
 from tools.bench.strips_resampled import resampled_scene
 
 LINES, MIXED_LINES, WIDTH_PX = 16384, 8192, 4096
@@ -259,6 +261,7 @@ def main() -> None:
     parser.add_argument("--resampled", type=int, default=0, help="so many scenes of each that is resampled")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("out/bench-strips"))
+    add_options(parser)
     asked = parser.parse_args()
     usual = "whole_scene,piecewise_linear,joint" if asked.mixed else "joint"
     methods = (*RIVALS, "joint") if asked.methods == "all" else tuple((asked.methods or usual).split(","))
@@ -273,9 +276,11 @@ def main() -> None:
     elif asked.resampled:
         cases, name = list(RESAMPLED), "resampled.md"
     jobs = [(case, seed, methods) for case in cases for seed in seeds]
-    lines = table(run(jobs, asked.out, asked.workers))
+    measured_rows = run(jobs, asked.out, asked.workers)
+    lines = table(measured_rows)
     print("\n".join(lines))
     (asked.out / name).write_text("\n".join(lines) + "\n")
+    write_rows(asked, result_rows(measured_rows, len(jobs)))
 
 
 if __name__ == "__main__":

@@ -32,9 +32,25 @@ from geomosaic.survey.strips import StripGeometry, read_geometry
 from geomosaic_simulate.strip_files import open_whole_strip
 from geomosaic_simulate.strip_overlaps import simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
+from tools.bench.result_rows import RowKind, add_options, write_rows
+from tools.docs.results_page import STRIPS
 
 gdal.UseExceptions()
 MOST_OF_FLOOR, MOST_GB = 1.4, 1.0
+ROWS = {
+    "time": RowKind(
+        STRIPS,
+        "{ccds:d} strips of {width:d} x {lines:,}: time over the floor",
+        f"{MOST_OF_FLOOR:g}",
+        "{ratio:.2f}",
+    ),
+    "memory": RowKind(
+        STRIPS,
+        "{ccds:d} strips: peak memory",
+        f"{MOST_GB:g} GB",
+        "{peak:.2f} GB",
+    ),
+}
 TILE_LINES = 1024
 
 
@@ -127,6 +143,7 @@ def main() -> int:
     ask.add_argument("--out", type=Path, default=Path("out/bench-strips-speed"))
     ask.add_argument("--keep", action="store_true", help="keep the strips")
     ask.add_argument("--floor", action="store_true", help=argparse.SUPPRESS)
+    add_options(ask)
     told = ask.parse_args()
     out = told.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
@@ -160,6 +177,9 @@ def main() -> int:
             shutil.rmtree(out)
     print(f"the whole takes {np.median(ratios):.2f} of the floor's time, ", end="")
     print(f"{np.median(of_processors):.2f} of its processors' time, {peak:.2f} GB")
+    ratio, size = float(np.median(ratios)), {"ccds": told.ccds, "width": told.width, "lines": told.lines}
+    time_row = ROWS["time"].row(ratio <= MOST_OF_FLOOR, ratio=ratio, **size)
+    write_rows(told, [time_row, ROWS["memory"].row(peak <= MOST_GB, peak=peak, **size)])
     return int(np.median(ratios) > MOST_OF_FLOOR or peak > MOST_GB)
 
 

@@ -25,7 +25,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geomosaic.quality.surface import compare_surface
 from tools.bench.bench_real_cloud import read_cloud, write_bare_ground
@@ -36,20 +35,30 @@ from tools.bench.bench_surface_judge import Judged, judged
 from tools.bench.bench_surface_land import judged_land
 from tools.bench.bench_surface_rival import stereo_sgbm
 from tools.bench.bench_surface_roofs import FAR_PX, Roofs, roofs, similarity_by_tile
+from tools.bench.bench_surface_rows import (
+    ROWS,
+    SAME_SSIM,
+    WANTED_NMAD_PX,
+    WANTED_OFF_1_M,
+    WORSE_SSIM,
+    Town,
+    gain_of,
+    town_rows,
+)
 from tools.bench.bench_surface_scale import TOWN, called, large, scale
+from tools.bench.result_rows import ResultRow, add_options, write_rows
 
 LINES = ["--lines", "3"]
 SIZE = ["--width-px", "2000", "--height-px", "1500", "--frames-per-line", "6"]
 SMALL = ["--width-px", "1000", "--height-px", "750", "--frames-per-line", "5"]
-WANTED_NMAD_PX = {"ground": 1.2, "roofs": 1.5}
-WANTED_OFF_1_M = {"edges": 0.25, "trees": 0.15}
 WANTED_S, WANTED_MB = 15.0, 1500.0
 _CELL_PX, _BARE_REACH_M, _TOLD = 4.0, 1.0, 3
-_SAME_SSIM, _WORSE_SSIM = 1e-4, 0.005
 
 
-def town(out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival: bool) -> list[Row]:
-    """Rows of one simulated town."""
+def town(
+    out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival: bool
+) -> tuple[list[Row], Town]:
+    """Rows of one simulated town, and what was measured of it."""
     survey, run = out / f"town-{seed}", out / f"run-{seed}"
     truth = survey / "truth"
     if not (truth / "truth.json").is_file():
@@ -64,7 +73,7 @@ def town(out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival:
     ]
     rows: list[Row] = []
     took: list[str] = []
-    similar: dict[str, NDArray[np.float64]] = {}
+    of_town = Town(seed)
     compared = (("tie points' ground", "ties"), ("ground with roofs in place", "auto")) * with_roofs
     grounds = (*compared, ("surface", "dense", "--ortho", "surface"))
     for name, *how in grounds:
@@ -72,14 +81,18 @@ def town(out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival:
         took.append(f"mosaic on the {name} {taken.processor_s:.0f}")
         if with_roofs:
             begun = time.process_time()
-            rows += _roof_rows(f"town {seed}, mosaic on the {name}", roofs(run / "mosaic.tif", truth))
-            similar[how[0]] = similarity_by_tile(run / "mosaic.tif", truth)
+            shown = roofs(run / "mosaic.tif", truth)
+            rows += _roof_rows(f"town {seed}, mosaic on the {name}", shown)
+            of_town.houses[how[0]] = shown["houses"]
+            of_town.tiles[how[0]] = similarity_by_tile(run / "mosaic.tif", truth)
             took.append(f"roofs {time.process_time() - begun:.0f}")
     if with_roofs:
-        rows += [_tile_row(seed, how, similar) for how in ("auto", "dense")]
+        rows += [_tile_row(of_town, how) for how in ("auto", "dense")]
     begun = time.process_time()
     found, cell_m = judged(run, truth)
     (run / "judged.json").write_text(json.dumps({k: asdict(v) for k, v in found.items()}), encoding="utf-8")
+    of_town.cells = found
+    of_town.nmad_px = {name: of.nmad_m / (cell_m / _CELL_PX) for name, of in found.items()}
     rows += [_class_row(f"town {seed}, {name}", name, of, cell_m) for name, of in found.items()]
     land = judged_land(run, truth)
     rows.append((f"town {seed}, land of the mosaic ({land.places:,} places)", *land.told()))
@@ -88,12 +101,13 @@ def town(out: Path, seed: int, size: list[str], *, with_roofs: bool, with_rival:
         begun = time.process_time()
         rival, _ = stereo_sgbm(run)
         took.append(f"StereoSGBM {time.process_time() - begun:.0f}")
-        for name, of in judged(run, truth, rival)[0].items():
+        of_town.rival = judged(run, truth, rival)[0]
+        for name, of in of_town.rival.items():
             what, text, _, _ = _class_row(f"town {seed}, StereoSGBM, {name}", name, of, cell_m)
             rows.append((what, text.split(";")[0], "", True))
     stage_s = json.loads((run / "run.json").read_text(encoding="utf-8"))["timings_s"]["surface.dense"]
     rows.append((f"town {seed}, processor s", f"{', '.join(took)}; surface.dense {stage_s:.1f} s", "", True))
-    return rows
+    return rows, of_town
 
 
 def _roof_rows(what: str, found: dict[str, Roofs]) -> list[Row]:
@@ -112,17 +126,16 @@ def _roof_rows(what: str, found: dict[str, Roofs]) -> list[Row]:
     return rows
 
 
-def _tile_row(seed: int, how: str, similar: dict[str, NDArray[np.float64]]) -> Row:
+def _tile_row(of: Town, how: str) -> Row:
     """Tiles that a mosaic shows less like the truth than that on the tie points' ground."""
-    gain = similar[how] - similar["ties"]
-    gain = gain[np.isfinite(gain)]
-    changed = gain[np.abs(gain) > _SAME_SSIM]
+    gain = gain_of(of, how)
+    changed = gain[np.abs(gain) > SAME_SSIM]
     by = float(changed.mean()) if changed.size else 0.0
     text = (
         f"{changed.size} of {gain.size} tiles changed, by {by:+.3f} SSIM; "
-        f"{int((gain < -_WORSE_SSIM).sum())} worse by more than {_WORSE_SSIM}, at most by {-gain.min():.3f}"
+        f"{int((gain < -WORSE_SSIM).sum())} worse by more than {WORSE_SSIM}, at most by {-gain.min():.3f}"
     )
-    return f"town {seed}, --surface {how} against ties", text, "", True
+    return f"town {of.seed}, --surface {how} against ties", text, "", True
 
 
 def _far(of: Roofs) -> str:
@@ -153,8 +166,8 @@ def _class_row(what: str, name: str, of: Judged, cell_m: float) -> Row:
     return what, text, "", True
 
 
-def flight(out: Path, data: Path) -> list[Row]:
-    """Rows of the real flight; none without it."""
+def flight(out: Path, data: Path, results: list[ResultRow]) -> list[Row]:
+    """Rows of the real flight; none without it; adds to results."""
     frames = data / "brighton_beach" / "images"
     if not frames.is_dir():
         print(f"skipped: {frames} is missing")
@@ -167,10 +180,16 @@ def flight(out: Path, data: Path) -> list[Row]:
     matched = summary["metrics"]["surface"]["matched"]
     text = f"{seconds:.1f} s, the whole run {taken.peak_mb:.0f} MB at most, {100.0 * matched:.0f} % matched"
     good = seconds <= WANTED_S and taken.peak_mb <= WANTED_MB
+    figures = {"seconds": seconds, "peak_mb": taken.peak_mb, "most_s": WANTED_S, "most_mb": WANTED_MB}
+    results.append(ROWS["real"].row(good, **figures))
     rows: list[Row] = [("18 frames of 9 MP", text, f"{WANTED_S:.0f} s, {WANTED_MB:.0f} MB", good)]
     dense = ("--surface", "dense", "--ortho", "surface")
-    rows += halves(data, out, run, *dense, own=Wanted(median_px=1.0), one=Wanted(median_px=0.5, p90_px=1.2))
-    return [*rows, *_cloud_rows(run, data / "brighton_beach" / "model.laz")]
+    own, one = Wanted(median_px=1.0), Wanted(median_px=0.5, p90_px=1.2)
+    split = halves(data, out, run, *dense, own=own, one=one)
+    for name, wanted, of in (("own surfaces", own, split.own), ("one surface", one, split.one)):
+        met = of["median_px"] < wanted.median_px and of["p90_px"] < wanted.p90_px
+        results.append(ROWS[name].row(met, most_median=wanted.median_px, most_p90=wanted.p90_px, **of))
+    return [*rows, *split.rows, *_cloud_rows(run, data / "brighton_beach" / "model.laz")]
 
 
 def _cloud_rows(run: Path, model: Path) -> list[Row]:
@@ -204,20 +223,26 @@ def main() -> int:
     parser.add_argument(
         "--small", action="store_true", help="15 frames of 1000 x 750 px a town, to try the bench"
     )
+    add_options(parser)
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     asked = {"with_roofs": given.roofs, "with_rival": given.rival}
     rows: list[Row] = []
+    towns: list[Town] = []
     for seed in filter(None, given.seeds.split(",")):
-        rows += town(given.out, int(seed), SMALL if given.small else SIZE, **asked)
+        of_town, found = town(given.out, int(seed), SMALL if given.small else SIZE, **asked)
+        rows += of_town
+        towns.append(found)
+    results = town_rows(towns, given.small)
     if given.scale:
         rows += scale(given.out)
     if given.large:
-        rows += large(given.out)
+        rows += large(given.out, results)
     if not given.no_real:
-        rows += ngi_surface(given.real, given.out) + flight(given.out, given.real)
+        rows += ngi_surface(given.real, given.out, results) + flight(given.out, given.real, results)
     (given.out / "surface.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
     print_table(rows)
+    write_rows(given, results)
     return int(not all(good for *_, good in rows))
 
 

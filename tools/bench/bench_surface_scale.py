@@ -10,6 +10,8 @@ from pathlib import Path
 
 from tools.bench.bench_real_table import Row
 from tools.bench.bench_speed_measure import Taken, measured
+from tools.bench.bench_surface_rows import ROWS
+from tools.bench.result_rows import ResultRow
 
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 BLOCKS = {20: (4, 5), 60: (6, 10), 200: (10, 20)}
@@ -54,8 +56,9 @@ def scale(out: Path, seed: int = 31) -> list[Row]:
     return rows
 
 
-def large(out: Path, seed: int = 908) -> list[Row]:
-    """Time and memory of surface.dense on 160 large frames, with as many workers as there are cores."""
+def large(out: Path, results: list[ResultRow], seed: int = 908) -> list[Row]:
+    """Time and memory of surface.dense on 160 large frames, with as many workers as there are cores; adds to
+    results."""
     survey, run = out / "large", out / "large-run"
     if not (survey / "truth" / "truth.json").is_file():
         called(out, "simulate", "frames", survey, *TOWN, *LARGE, "--seed", seed)
@@ -69,6 +72,8 @@ def large(out: Path, seed: int = 908) -> list[Row]:
         f"{100.0 * surface['matched']:.0f} % matched"
     )
     good = seconds <= LARGE_S and taken.peak_mb <= LARGE_MB
+    figures = {"seconds": seconds, "peak_mb": taken.peak_mb, "most_s": LARGE_S, "most_mb": LARGE_MB}
+    results.append(ROWS["large"].row(good, **figures))
     return [(f"160 frames of 10 MP: {STAGE}", text, f"{LARGE_S:.0f} s, {LARGE_MB:.0f} MB", good)]
 
 

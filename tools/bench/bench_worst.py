@@ -34,6 +34,9 @@ import cv2
 import numpy as np
 import rasterio
 
+from tools.bench.result_rows import RowKind, add_options, write_rows
+from tools.docs.results_page import FAULTS
+
 GEOMOSAIC = Path(sys.executable).with_name("geomosaic")
 WATER, NO_WATER = 0.10, 0.01
 """Of the ground that three frames see: as much has to be named, as little mustn't."""
@@ -45,6 +48,15 @@ LEAST_RIGHT = 0.99
 STAGES = ("survey.read", "matching.flying_height", "projection.ground", "placement.pos", "mosaic.estimate",
           "matching.sift", "adjustment.solve")  # fmt: skip
 BARE = "ground-without-ties"
+ROWS = {
+    "unseen": RowKind(
+        FAULTS,
+        "unseen surveys with faults of headings, images and positions: named right; "
+        "named where there is none",
+        "all; none",
+        "{right:d} of {simulated:d}; {false:d}",
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -203,6 +215,7 @@ def main() -> int:
     parser.add_argument("--dry", type=int, default=1)
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--results", type=Path)
+    add_options(parser)
     args = parser.parse_args()
     found: list[Named] = []
     surveys, water = [], []
@@ -244,6 +257,9 @@ def main() -> int:
         )
         head += " [worst.json](worst.json). What the columns mean: `tools/bench/bench_worst.py`.\n"
         args.results.with_suffix(".md").write_text(f"{head}{text}\n{table(surveys)}")
+    right, simulated, false = (sum(of[key] for of in rows(found)) for key in ("right", "simulated", "false"))
+    met = right == simulated and not false
+    write_rows(args, [ROWS["unseen"].row(met, right=right, simulated=simulated, false=false)])
     sure = calibration(found)[0]
     return int(bool(water) or any(f.simulated != f.named for f in found)
                or sure["right"] < LEAST_RIGHT * sure["faults"])  # fmt: skip

@@ -7,14 +7,27 @@ What QGIS must be able to do stands in `qgis_window.py`, which QGIS' own Python 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+from tools.bench.result_rows import RowKind, add_options, write_rows
+from tools.docs.results_page import GIS
+
 HERE = Path(__file__).parent
 PYTHONS = ("/usr/bin/python3", "python3", "/Applications/QGIS.app/Contents/MacOS/bin/python3")
+ROWS = {
+    "layers": RowKind(
+        GIS,
+        "layers with all expressions and styles in QGIS {version}",
+        "all",
+        "{good:d} of {layers:d}",
+        measured=("version",),
+    )
+}
 OFFSCREEN = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
 for _name in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"):
     OFFSCREEN.pop(_name, None)
@@ -100,18 +113,32 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/check-qgis"))
     parser.add_argument("--run", type=Path, help="open this finished run instead")
     parser.add_argument("window", nargs="*", help="options of qgis_window.py, after --")
+    add_options(parser)
     options = parser.parse_args()
     python, out = qgis_python(), options.out
     out.mkdir(parents=True, exist_ok=True)
     runs = [frames_run(out), strips_run(out)] if options.run is None else [options.run]
+    found: list[dict[str, str | int]] = []
     for run in runs:
         picture = out / f"{run.name}.png"
         command = [python, str(HERE / "qgis_window.py"), str(run), "--picture", str(picture)]
+        counts = out / f"{run.name}-layers.json"
+        counts.unlink(missing_ok=True)
+        command += ["--counts", str(counts)]
         done = subprocess.run([*command, *options.window], check=False, env=OFFSCREEN)
+        if counts.exists():
+            found.append(json.loads(counts.read_text(encoding="utf-8")))
         if done.returncode:
-            sys.exit(done.returncode)
+            break
+    if found:
+        good, layers = (sum(int(of[key]) for of in found) for key in ("good", "layers"))
+        row = ROWS["layers"].row(good == layers, version=found[0]["version"], good=good, layers=layers)
+        write_rows(options, [row])
+    if done.returncode:
+        sys.exit(done.returncode)
     if options.run is None:
         processing(python, out)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -6,10 +6,12 @@ Run by the Python that QGIS has (`make check-qgis` finds it): no package of this
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
 from qgis.core import (
+    Qgis,
     QgsApplication,
     QgsExpression,
     QgsExpressionContext,
@@ -142,6 +144,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--picture", type=Path)
+    parser.add_argument(
+        "--counts", type=Path, help="write the version and the counts of layers here, as JSON"
+    )
     parser.add_argument("--show", default="", help="layers to switch on, by name")
     parser.add_argument("--hide", default="")
     parser.add_argument("--part", type=float, default=1.0, help="share of the map's width that is shown")
@@ -161,8 +166,19 @@ def main() -> None:
     layers = list(project.mapLayers().values())
     if not layers:
         fail("project.qgz is empty")
+    good = 0
     for layer in layers:
-        check_layer(layer)
+        try:
+            check_layer(layer)
+            good += 1
+        except SystemExit as error:
+            print(error, file=sys.stderr)
+    if options.counts is not None:
+        version = ".".join(Qgis.version().split(".")[:2])
+        counts = {"version": version, "layers": len(layers), "good": good}
+        options.counts.write_text(json.dumps(counts))
+    if good < len(layers):
+        fail(f"{len(layers) - good} of {len(layers)} layers fail")
     for node in project.layerTreeRoot().findLayers():
         if node.layer() is None:
             fail(f"the tree's {node.layerId()} is no layer of the project")

@@ -38,7 +38,23 @@ QUESTIONS = (
     "Is the reflectance of multispectral frames right?",
     "Can others carry the code on?",
 )
-FLIGHTS, DIRTY, STATED, _, FAULTS, _, LOOKS, FAST, PAPER, _, _, SAFE, GIS, REFLECTED, HOUSE = QUESTIONS
+(
+    FLIGHTS,
+    DIRTY,
+    STATED,
+    BLOCK,
+    FAULTS,
+    SURFACE,
+    LOOKS,
+    FAST,
+    PAPER,
+    STRIPS,
+    RECORDED,
+    SAFE,
+    GIS,
+    REFLECTED,
+    HOUSE,
+) = QUESTIONS
 SIGNIFICANT = 2.6
 """Standard deviations beyond which a slope differs from 0 (99 %)."""
 HEAD = """# Results
@@ -109,7 +125,7 @@ def all_rows(folder: Path) -> Iterator[Row]:
         "fixes": of_fixes, "worst": of_worst, "paper": of_paper, "house": of_house,
         "reflectance": of_reflectance, "cluster": of_cluster, "light": of_light,
         "marking": of_marking, "incremental": of_incremental,
-        "peers": of_peers, "scale": of_scale,
+        "peers": of_peers,
     }  # fmt: skip
     for name, reader in readers.items():
         data = _read(folder / f"{name}.json")
@@ -257,31 +273,6 @@ def of_incremental(data: Any, command: str, date: str) -> Iterator[Row]:
         ):
             value, most = row[name], wanted[name]
             yield Row(into, f"{of}: {what}", f"{most:g}", f"{value:.3f}", value <= most, command, date)
-
-
-def of_scale(data: Any, command: str, date: str) -> Iterator[Row]:
-    wanted, runs, planned = data["targets"], data["runs"], data["plan"]
-    fewest, most = (f"{pick(r['frames'] for r in runs):,} frames" for pick in (min, max))
-
-    def row(what: str, target: str, value: str, met: bool | None) -> Row:
-        return Row(FAST, what, target, value, met, command, date)
-
-    for key, of in (("wall", "time"), ("processors", "time of the processors")):
-        grown = data["growth"][key]
-        yield row(f"{of} of a frame, {fewest} to {most}: growth", f"{wanted['growth']}",
-                  f"{grown:.2f}", grown <= wanted["growth"])  # fmt: skip
-    last = runs[-1]
-    minutes, frame_s = last["wall_s"] / 60.0, last["wall_s"] / last["frames"]
-    yield row(f"{most} of 0.3 MP: time, in all and a frame", "", f"{minutes:.0f} min, {frame_s:.2f} s", None)
-    yield row(f"{most}: frames tied", "all", f"{last['tied']:,}", last["tied"] == last["frames"])
-    yield row(f"{most}: peak memory of all processes", f"{wanted['peak_gb']:g} GB",
-              f"{last['peak_mb'] / 1e3:.2f} GB", last["peak_mb"] <= 1e3 * wanted["peak_gb"])  # fmt: skip
-    yield row(f"{most}: run folder over the raw mosaic", f"{wanted['disk']}",
-              f"{last['disk']:.2f}", last["disk"] <= wanted["disk"])  # fmt: skip
-    if planned:
-        seconds = sum(planned["seconds"].values())
-        yield row(f"{planned['windows']:,} windows over {planned['frames']:,} frames planned",
-                  f"{wanted['plan_s']:g} s", f"{seconds:.1f} s", seconds <= wanted["plan_s"])  # fmt: skip
 
 
 def of_light(data: Any, command: str, date: str) -> Iterator[Row]:

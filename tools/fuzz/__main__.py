@@ -25,7 +25,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 sys.dont_write_bytecode = True  # a case may write nothing but its results
 
+from tools.bench.result_rows import add_options, write_rows
 from tools.fuzz.fuzz_kinds import KINDS
+from tools.fuzz.fuzz_rows import result_row
 from tools.fuzz.fuzz_trials import Case, Trials
 from tools.trials.trial_tables import write_tables
 
@@ -116,6 +118,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="leave out so many: a trial that goes on")
     parser.add_argument("--minutes", type=float, help="stop after so long, wherever it stands")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
+    add_options(parser)
     asked = parser.parse_args(argv)
     if asked.case is not None and asked.only is None:
         parser.error("--case needs --only KIND")
@@ -147,7 +150,10 @@ def main(argv: list[str] | None = None) -> int:
                 if asked.minutes is not None and time.monotonic() - started > 60 * asked.minutes:
                     break
         tell(cases, asked.seed, out, time.monotonic() - started, trials.box.closed)
-    return int(any(FAILURES & set(case.problems) for case in cases))
+    failed = sum(bool(FAILURES & set(case.problems)) for case in cases)
+    row = result_row(asked.only, failed, len(cases)) if asked.case is None else None
+    write_rows(asked, [row] if row else [], argv)
+    return int(failed > 0)
 
 
 def tell(cases: list[Case], seed: int, out: Path, seconds: float, closed: bool) -> None:

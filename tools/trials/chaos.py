@@ -32,6 +32,8 @@ from mcap.records import Attachment, Message
 from geomosaic.recording import read_recording
 from geomosaic.recording.file.mcapfile import items, opened
 from geomosaic.recording.inspect.inspection import Inspection
+from tools.bench.result_rows import ResultRow, RowKind, add_options, write_rows
+from tools.docs.results_page import SAFE
 from tools.trials.chaos_changes import CHANGES, change, put_back
 from tools.trials.chaos_world import PROGRAM, Ended, Running, Trial, World, items_of, result_of
 from tools.trials.trial_box import changes, snapshot
@@ -51,6 +53,32 @@ AMID = {
 }
 """One of them begins each trial of a flight: a stage, behind the one after which it is looked for."""
 KINDS = ("frames", "frames", "flight", "strips", "strips")
+ROWS = {
+    "result": RowKind(
+        SAFE,
+        "runs killed, stopped, starved, inputs changed: a result that differs",
+        "none",
+        "{differing:d} of {runs:d}",
+    ),
+    "traceback": RowKind(
+        SAFE,
+        "runs that printed a traceback on the way",
+        "none",
+        "{printed:d} of {runs:d}",
+    ),
+    "flight": RowKind(
+        SAFE,
+        "interrupted flights whose result is equal; finished items made again",
+        "all; none",
+        "{equal:d} of {runs:d}; {again}",
+    ),
+    "ctrl-c": RowKind(
+        SAFE,
+        "Ctrl-C until the program has ended, slowest",
+        "{most_s:g} s",
+        "{slowest_s:.2f} s",
+    ),
+}
 Items = dict[Path, tuple[int, int]]
 STOP_S = 3.0
 """Within so long a run that was asked to stop has ended."""
@@ -301,6 +329,26 @@ def tell(trials: list[Trial], seed: int, seconds: float, out: Path, own_disk: bo
     write_tables(out / "chaos", "Runs that were hit", facts, rows, listed, [asdict(t) for t in trials])
 
 
+def result_rows(trials: list[Trial]) -> list[ResultRow]:
+    """The rows of results: of flights where all trials are flights, else of all runs."""
+    runs = len(trials)
+    differing = sum(bool({"another result", "another end"} & set(t.problems)) for t in trials)
+    if all(t.what == "flight" for t in trials):
+        again = sum(t.again for t in trials)
+        figures = {"equal": runs - differing, "runs": runs, "again": again or "none"}
+        return [ROWS["flight"].row(not differing and not again, **figures)]
+    printed = sum(any(p.startswith("traceback") for p in t.problems) for t in trials)
+    rows = [
+        ROWS["result"].row(not differing, differing=differing, runs=runs),
+        ROWS["traceback"].row(not printed, printed=printed, runs=runs),
+    ]
+    stopped_s = [t.seconds["ctrl-c"] for t in trials if "ctrl-c" in t.seconds]
+    if stopped_s:
+        slowest_s = max(stopped_s)
+        rows.append(ROWS["ctrl-c"].row(slowest_s <= STOP_S, slowest_s=slowest_s, most_s=STOP_S))
+    return rows
+
+
 def main(argv: list[str] | None = None) -> int:
     """Runs the trials; 1 if any failed."""
     parser = argparse.ArgumentParser(
@@ -315,6 +363,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--blow", action="append", choices=(*BLOWS, *AMID), help="one a trial, by turns")
     parser.add_argument("--no-dask", action="store_true", help="local workers only")
     parser.add_argument("--out", type=Path, default=Path("out/chaos"))
+    add_options(parser)
     asked = parser.parse_args(argv)
     out: Path = asked.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
@@ -337,6 +386,7 @@ def main(argv: list[str] | None = None) -> int:
         finally:
             world.close()
     tell(trials, asked.seed, time.monotonic() - started, out, world.disk.own)
+    write_rows(asked, result_rows(trials), argv)
     return int(any(t.problems for t in trials))
 
 

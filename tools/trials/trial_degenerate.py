@@ -21,7 +21,18 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.bundle_method import pose_block
+from tools.bench.result_rows import RowKind, add_options, write_rows
+from tools.docs.results_page import FLIGHTS
 from tools.trials.degenerate_blocks import draw
+
+ROWS = {
+    "finite": RowKind(
+        FLIGHTS,
+        "degenerate blocks that end with finite values and without an exception",
+        "all",
+        "{finite:,} of {blocks:,}",
+    )
+}
 
 
 def problems(adjusted: Adjusted, frames: int) -> list[str]:
@@ -67,6 +78,7 @@ def main() -> int:
     words.add_argument("--seed", type=int, default=1)
     words.add_argument("--workers", type=int, default=2)
     words.add_argument("--out", type=Path, default=Path("out/trial-degenerate"))
+    add_options(words)
     asked = words.parse_args()
     begin = time.perf_counter()
     seeds = range(asked.seed, asked.seed + asked.draws)
@@ -98,6 +110,8 @@ def main() -> int:
     print(
         f"{asked.draws} draws, {len(failed)} failed, {result['total_s']:.0f} s; warnings {result['warnings']}"
     )
+    finite = asked.draws - len(failed)
+    write_rows(asked, [ROWS["finite"].row(not failed, finite=finite, blocks=asked.draws)])
     return 1 if failed else 0
 
 
