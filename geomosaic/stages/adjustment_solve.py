@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, Block, Settings, SolvedBlock
+from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.procedure.changed_part import EarlierBlock
 from geomosaic.adjustment.procedure.control_points import ground_control
 from geomosaic.adjustment.procedure.earlier_solution import EARLIER
 from geomosaic.adjustment.procedure.lens_start import lens_notes
+from geomosaic.adjustment.procedure.local_adjustment import adjusted_in_part, kept_poses
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
+from geomosaic.composition.composed_tiles import MOST_MOVED_PX
 from geomosaic.matching.model import TiePoints
+from geomosaic.pipeline.earlier_run import EarlierRun
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.flights import flights_of
@@ -82,7 +86,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=98, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=99, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -93,18 +97,12 @@ def adjustment_solve(
     if map_places is not None:
         survey = replace(survey, control=(*survey.control, *map_places.points))
     block = block_of(survey, matched.prior_ground, matched.placement, matched.ties)
-    block = replace(block, earlier=_earlier(survey, context))
-    settings = Settings(**params.model_dump(exclude={"method"}))
-    adjusted = METHODS[params.method](block, settings, context)
+    adjusted = _adjusted(block, survey, params, context)
     of_control = (*precision_warnings(block.control, adjusted.figures), *control_warnings(adjusted.control))
     adjusted = replace(adjusted, warnings=(*adjusted.warnings, *of_control))
     _warn_of_loose_frames(context, block, adjusted, params.method == "bundle")
     residual = np.concatenate([np.zeros((0, 2)), *adjusted.residuals_m])
     residual = residual[np.isfinite(residual).all(axis=1)]
-    if context.earlier is not None and params.method == "bundle":
-        warm = any(step.solve == EARLIER for step in adjusted.steps)
-        context.metric("reused.adjustment", warm)
-        context.inform("begins from the run before" if warm else "whole: the run before fits no more")
     context.metric("adjustment.method", params.method)
     context.metric("adjustment.rounds", len(adjusted.rounds))
     context.metric(
@@ -134,21 +132,45 @@ def adjustment_solve(
     return adjusted, adjusted.ground
 
 
-def _earlier(survey: Survey, context: Context) -> SolvedBlock | None:
-    """What the run before found of the frames that are as they were, in this survey's work frame."""
-    if context.earlier is None:
-        return None
-    unchanged = context.earlier.unchanged(Path(frame.path) for frame in survey.frames)
+def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Context) -> Adjusted:
+    """By the method of choice; a bundle goes on from the run before, in part where the rest would stay within
+    `MOST_MOVED_PX`."""
+    settings, before = Settings(**params.model_dump(exclude={"method"})), context.earlier
+    if before is None:
+        return METHODS[params.method](block, settings, context)
+    unchanged = before.unchanged(Path(frame.path) for frame in survey.frames)
     context.metric("reused.frames", len(unchanged))
     context.metric("reused.frames_of", len(survey.frames))
-    before: Survey | None = context.earlier.artefact("survey", Survey)
-    adjusted: Adjusted | None = context.earlier.artefact("adjusted", Adjusted)
-    if before is None or adjusted is None or adjusted.solved is None:
+    if params.method != "bundle":
+        return METHODS[params.method](block, settings, context)
+    earlier = _earlier_block(block, survey, unchanged, before)
+    found = None if earlier is None else adjusted_in_part(block, earlier)
+    if found is None or earlier is None:
+        solved = None if earlier is None else earlier.solved
+        found = METHODS[params.method](replace(block, earlier=solved), settings, context)
+        warm = any(step.solve == EARLIER for step in found.steps)
+        context.inform("begins from the run before" if warm else "whole: the run before fits no more")
+    else:
+        warm, kept = True, int(kept_poses(found, earlier).sum())
+        context.metric("reused.poses", kept)
+        context.inform(f"{kept:,} of {len(block.names):,} frames stay where they are")
+    context.metric("reused.adjustment", warm)
+    return found
+
+
+def _earlier_block(
+    block: Block, survey: Survey, unchanged: frozenset[str], before: EarlierRun
+) -> EarlierBlock | None:
+    """What the run before found, in this survey's work frame."""
+    was: Survey | None = before.artefact("survey", Survey)
+    placed: Placement | None = before.artefact("placement", Placement)
+    ties: TiePoints | None = before.artefact("ties", TiePoints)
+    adjusted: Adjusted | None = before.artefact("adjusted", Adjusted)
+    if was is None or placed is None or ties is None or adjusted is None or adjusted.solved is None:
         return None
-    was, now = before.work_frame, survey.work_frame
-    turn = now.enu_from_local_rotation(was.lon_deg, was.lat_deg)
-    shift_m = now.enu_from_geodetic(was.lon_deg, was.lat_deg, was.height_ellipsoidal_m)
-    return adjusted.solved.of(unchanged).moved(turn, shift_m)
+    names, bound_m = tuple(f.name for f in was.frames), MOST_MOVED_PX * block.ground_pixel_m
+    earlier = EarlierBlock(names, placed.poses, ties, adjusted, unchanged, bound_m)
+    return earlier.in_frame(was.work_frame, survey.work_frame)
 
 
 def _of_map(context: Context, adjusted: Adjusted) -> Adjusted:

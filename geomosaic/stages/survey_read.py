@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from geomosaic.geodesy.local import LocalFrame
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
@@ -136,9 +137,19 @@ def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [("frames", f"{counts['frames']}, {counts['left_out']} left out")]
 
 
+def _work_frame(survey: Survey, context: Context) -> LocalFrame:
+    """That of the run before, if most frames are the same: else all coordinates would differ for any new
+    frame."""
+    was: Survey | None = None if context.earlier is None else context.earlier.artefact("survey", Survey)
+    if was is None or context.earlier is None or was.map_crs != survey.map_crs:
+        return survey.work_frame
+    same = context.earlier.unchanged(Path(frame.path) for frame in survey.frames)
+    return was.work_frame if 2 * len(same) >= len(survey.frames) else survey.work_frame
+
+
 @stage(
-    "survey.read", "Read the survey", group="Survey", version=36, outputs="survey", wants_frames=True,
-    check=_check, files=_files, plans=_plans,
+    "survey.read", "Read the survey", group="Survey", version=37, outputs="survey", wants_frames=True,
+    check=_check, files=_files, plans=_plans, goes_on=True,
 )  # fmt: skip
 def survey_read(params: SurveyParams, context: Context) -> Survey:
     """Reads headers, positions, attitudes, cameras, DEM and control; decodes every frame small."""
@@ -158,6 +169,7 @@ def survey_read(params: SurveyParams, context: Context) -> Survey:
         return [looks[path].load().wholeness for path in paths]
 
     survey = read_survey(survey_inputs, inspect=inspect, progress=context.progress)
+    survey = replace(survey, work_frame=_work_frame(survey, context))
     context.metric("survey.frames", len(survey.frames))
     context.metric("survey.left_out", len(survey.left_out))
     if survey.quantity is not None:

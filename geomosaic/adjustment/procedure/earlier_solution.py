@@ -51,14 +51,14 @@ def begun_from_earlier(
         earlier.settings, ground=asked.ground, self_calibration=asked.self_calibration, model=asked.model
     )
     net = offset_net(given)
-    poses = _beside(start_poses(given, net), earlier, given, known)
+    poses = beside_earlier(start_poses(given, net), earlier, given, known)
     block = replace(given, cameras=tuple(known_lenses[c.name] for c in given.cameras))
     block, notes = with_common_heading(placed_by_images(block, poses), poses)
     rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     if rolling:
         block, _ = with_solved_velocities(block, poses)
         poses = replace(poses, velocities_m_per_s=block.poses.velocities_m_per_s)
-    start = _start(block, settings, few, poses)
+    start = start_from_earlier(block, settings, few, poses)
     found = block_solution(BlockTask(block, settings, few, few is not tracks), poses, start)
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
     return Work(
@@ -77,7 +77,7 @@ def still_fits(work: Work, earlier: SolvedBlock) -> bool:
     return bool((now / before) ** 2 <= _MOST_COST + THREE_SIGMA * chance)
 
 
-def _beside(begun: Poses, earlier: SolvedBlock, block: Block, known: Bools) -> Poses:
+def beside_earlier(begun: Poses, earlier: SolvedBlock, block: Block, known: Bools) -> Poses:
     """The earlier poses of known frames; of the others the initial ones, moved as those beside them were."""
     at = {name: k for k, name in enumerate(earlier.names)}
     rows = np.array([at[name] for name, its in zip(block.names, known, strict=True) if its], dtype=np.intp)
@@ -88,7 +88,7 @@ def _beside(begun: Poses, earlier: SolvedBlock, block: Block, known: Bools) -> P
     return replace(moved, positions_sd_m=begun.positions_sd_m, rotations_sd_rad=begun.rotations_sd_rad)
 
 
-def _start(block: Block, settings: Settings, tracks: Tracks, poses: Poses) -> Start:
+def start_from_earlier(block: Block, settings: Settings, tracks: Tracks, poses: Poses) -> Start:
     """What a solve of the block goes on from; points begin where the rays of these poses meet."""
     earlier = block.earlier
     assert earlier is not None

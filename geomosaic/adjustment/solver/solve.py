@@ -173,6 +173,12 @@ def last_steps(begun: Solution) -> Solution:
     return replace(solved, implausible=begun.implausible, fixed=begun.fixed)
 
 
+def converged_solution(problem: BlockProblem, start: Start) -> Solution:
+    """The solution with the variance components and fixed unknowns of a start. Raises: NotSolvableError."""
+    solved = _at_last(Progress(replace(problem, fixed=start.fixed), start.estimate, start.components))
+    return replace(solved, fixed=start.fixed)
+
+
 def few_steps(problem: BlockProblem, start: Start) -> Start:
     """A few steps from a solution of another model, the first of them that of a score test (Rao 1948).
     Residuals weigh by their present median and priors as stated; then variance components are estimated once.

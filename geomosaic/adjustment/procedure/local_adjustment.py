@@ -1,0 +1,176 @@
+"""The changed part of a block solved between earlier poses, which stay: only the new work.
+
+A whole adjustment moves every frame a little for each new one. Where that is less than a stated bound, the
+frames whose tie points changed are solved alone. Lenses and variance components are those of before.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from geomosaic.adjustment.ground.ground_choice import flying_height_m, off_ground_m, surface_of
+from geomosaic.adjustment.model import Adjusted, Block
+from geomosaic.adjustment.paper.misalignment import offset_net
+from geomosaic.adjustment.procedure.block_problem import block_problem, part_of_frames, terrain_of
+from geomosaic.adjustment.procedure.block_solution import points_on_ground
+from geomosaic.adjustment.procedure.blunder_detection import contradicted_frames, counted_shares
+from geomosaic.adjustment.procedure.changed_part import (
+    ChangedPart,
+    EarlierBlock,
+    changed_frames,
+    moved_m,
+    tied_with,
+    whole_block_shift_m,
+)
+from geomosaic.adjustment.procedure.earlier_solution import beside_earlier, start_from_earlier
+from geomosaic.adjustment.procedure.initialisation import start_poses
+from geomosaic.adjustment.procedure.merged_blocks import SolvedPart, merged, merged_surface
+from geomosaic.adjustment.solver.problem import BlockProblem
+from geomosaic.adjustment.solver.solution import Solution, Start
+from geomosaic.adjustment.solver.solve import converged_solution
+from geomosaic.adjustment.solver.variance_components import local_factors
+from geomosaic.arrays import Bools
+from geomosaic.camera.exterior import Poses
+from geomosaic.errors import NotSolvableError
+from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.matching.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
+from geomosaic.placement.prior import position_assumed
+
+CHANGED: Final = "the changed part"
+"""What the solve of it is called."""
+
+
+def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
+    """The block with the earlier poses, but for frames whose tie points changed and as many about them as
+    move by more than the bound. None where a whole adjustment is needed: the new positions would move the
+    frames of before by more than the bound, new images fit the earlier lenses badly, or the block has what
+    ties all frames together (control points, rolling shutters, unknowns of the platform)."""
+    if earlier.solved is None or earlier.moved is not None or _ties_all(block, earlier):
+        return None
+    was, changed = changed_frames(block, earlier)
+    if position_assumed(block.poses)[was < 0].any():
+        return None
+    with suppress(NotSolvableError):
+        while changed.any():
+            frames = np.flatnonzero(tied_with(block, changed))
+            part = ChangedPart(was, frames, changed[frames])
+            if 2 * int(part.free.sum()) > len(block.names):
+                return None
+            found = _adjusted(block, part, earlier)
+            if found is None or whole_block_shift_m(block, found.poses, was) > earlier.bound_m:
+                return None
+            known = np.flatnonzero(changed & (was >= 0))
+            moved = known[moved_m(found, (earlier.adjusted.poses, was), known) > earlier.bound_m]
+            grown = np.isin(np.arange(len(was)), moved)
+            grown = changed | tied_with(block, grown)
+            if (grown == changed).all():
+                return found
+            changed = grown
+        none = np.zeros(0, dtype=np.intp)
+        return merged(block, earlier, ChangedPart(was, none, none.astype(bool)), None)
+    return None
+
+
+def kept_poses(found: Adjusted, earlier: EarlierBlock) -> Bools:
+    """Which frames (n,) have the very position of one in the earlier block."""
+    before = {position.tobytes() for position in earlier.adjusted.poses.positions_m}
+    return np.array([position.tobytes() in before for position in found.poses.positions_m], dtype=bool)
+
+
+def _ties_all(block: Block, earlier: EarlierBlock) -> bool:
+    """Whether something joins all frames that a part does not show."""
+    adjusted, solved = earlier.adjusted, earlier.solved
+    assert solved is not None
+    known = {camera.name for camera in adjusted.cameras}
+    settings = solved.settings
+    turned = any(block.turned) or block.poses.turns is not None
+    rolling = settings.rolling_shutter or any(c.readout_s for c in (*block.cameras, *adjusted.cameras))
+    platform = settings.boresight or settings.lever_arm or settings.gps_lag or bool(block.flight_of.any())
+    unlike = not known.issuperset(camera.name for camera in block.cameras)
+    return bool(block.control or turned or rolling or platform or unlike or adjusted.control)
+
+
+def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adjusted | None:
+    """The block with the part solved; None where its images fit the earlier lenses badly."""
+    solved, adjusted = earlier.solved, earlier.adjusted
+    assert solved is not None
+    lenses = {c.name: c for c in adjusted.cameras}
+    part = replace(
+        changed.of(block),
+        cameras=tuple(lenses[block.cameras[i].name] for i in changed.frames),
+        earlier=replace(solved, cameras=tuple(lenses.values())),
+    )
+    if adjusted.ground.kind != "tie_surface":
+        part = replace(part, ground=adjusted.ground)
+    was = changed.was[changed.frames]
+    poses = beside_earlier(start_poses(part, offset_net(part)), solved, part, was >= 0)
+    sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
+    tracks = thin_tracks(join_tracks(part.ties), sizes, solved.settings.observations_per_frame)
+    if not tracks.points:
+        return None
+    solution, ties = _solution(_kept(part, poses, changed.free, earlier.bound_m), poses, tracks, earlier)
+    shares = counted_shares(ties, solution, len(part.names))
+    wrong = contradicted_frames(part, solution.poses, shares)
+    if (shares[changed.free] < 0.5).any() or any(changed.free[i] for i in wrong):
+        return None
+    ground = adjusted.ground
+    if ground.kind == "tie_surface":
+        ground = merged_surface(ground, surface_of(part, part.ground, solution))
+    earlier = replace(earlier, adjusted=replace(adjusted, ground=ground))
+    return merged(block, earlier, changed, SolvedPart(part, ties, solution))
+
+
+def _kept(part: Block, poses: Poses, free: Bools, bound_m: float) -> Block:
+    """The part whose frames that are not solved are reported where they are, so that they move by no more
+    than the bound."""
+    given, kept, sd_m = part.poses, ~free[:, None], bound_m / THREE_SIGMA
+    reported = replace(
+        given,
+        positions_m=np.where(kept, poses.positions_m, given.positions_m),
+        rotations=np.where(kept[:, :, None], poses.rotations, given.rotations),
+        positions_sd_m=np.where(kept, sd_m, given.positions_sd_m),
+        rotations_sd_rad=np.where(kept, sd_m / flying_height_m(part), given.rotations_sd_rad),
+    )
+    return replace(part, poses=reported)
+
+
+def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) -> tuple[Solution, Tracks]:
+    """The part solved with free points, then bound to the ground if the block lies on one; and its tracks.
+    Lenses are known. Raises: NotSolvableError."""
+    solved = earlier.solved
+    assert solved is not None
+    points, ties = points_on_ground(poses, part.cameras, part.ground, tracks)
+    points = nearest_to_rays(ties, poses, part.cameras, points)
+    problem = block_problem(part, solved.settings, ties, points)
+    known = tuple(replace(u, sd=np.zeros_like(u.sd)) for u in problem.interior)
+    effect = earlier.adjusted.figures.get("design_effect", 1.0)
+    image = replace(problem.image, design_effect=effect)
+    problem = replace(problem, interior=known, image=image)
+    start = start_from_earlier(part, solved.settings, ties, poses)
+    estimate = replace(start.estimate, layout=problem.layout, shared=problem.layout.given, points_m=points)
+    start = replace(start, estimate=estimate, fixed=np.zeros(problem.layout.size, dtype=bool))
+    found = _weighed(problem, start)
+    ground = earlier.adjusted.ground
+    if ground.kind != "tie_surface":
+        off_m = off_ground_m(part, ground, found, part_of_frames(part)[ties.frame[_first(ties)]])
+        near = replace(terrain_of(part, problem.image), sd_share=off_m / flying_height_m(part))
+        found = _weighed(replace(found.problem, terrain=near), found)
+    return found, ties
+
+
+def _weighed(problem: BlockProblem, start: Start) -> Solution:
+    """The solution, then once more with the weights that its residuals have."""
+    found = converged_solution(problem, start)
+    image, at = found.problem.image, found.estimate
+    local = local_factors(image.tracks, at.points_m, image.lengths_px(at), image.used)
+    problem = replace(found.problem, image=replace(image, local=local))
+    return converged_solution(problem.reweighted(at, found.components), found)
+
+
+def _first(ties: Tracks) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """The first observation of each point, (p,)."""
+    return np.unique(ties.point, return_index=True)[1]

@@ -1,0 +1,95 @@
+"""The changed part of a block, solved between earlier poses that stay, ends where a whole adjustment does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjustment_blocks import Flown, fly
+
+from geomosaic.adjustment.methods import METHODS
+from geomosaic.adjustment.model import Adjusted, Block, Settings
+from geomosaic.adjustment.procedure.block_part import part_of_block
+from geomosaic.adjustment.procedure.changed_part import EarlierBlock, changed_frames
+from geomosaic.adjustment.procedure.local_adjustment import adjusted_in_part, kept_poses
+
+BUNDLE = METHODS["bundle"]
+PIXEL_M = 0.1
+
+
+@pytest.fixture(scope="module")
+def flown() -> Flown:
+    return fly(4, per_line=8, position_sd_m=np.array([0.02, 0.02, 0.03]))
+
+
+def of_earlier(block: Block, bound_m: float = 0.2 * PIXEL_M, without: tuple[str, ...] = ()) -> EarlierBlock:
+    """A block as an earlier run left it; frames in `without` are replaced by others of the same name."""
+    adjusted = BUNDLE(block, Settings())
+    unchanged = frozenset(block.names) - frozenset(without)
+    return EarlierBlock(block.names, block.poses, block.ties, adjusted, unchanged, bound_m)
+
+
+@pytest.fixture(scope="module")
+def whole(flown: Flown) -> Adjusted:
+    return BUNDLE(flown.block, Settings())
+
+
+def off_px(one: Adjusted, other: Adjusted) -> float:
+    """Most that frames lie apart in plan, in ground pixels."""
+    return float(np.abs(one.poses.positions_m - other.poses.positions_m)[:, :2].max() / PIXEL_M)
+
+
+def test_frames_added(flown: Flown, whole: Adjusted) -> None:
+    """Two frames more at the end of the last line: frames far from them keep their poses, bit by bit."""
+    earlier = of_earlier(part_of_block(flown.block, np.arange(22)))
+    found = adjusted_in_part(flown.block, earlier)
+    assert found is not None
+    kept = kept_poses(found, earlier)
+    assert kept.any() and not kept[22:].any()
+    assert off_px(found, whole) < 0.1
+    assert found.status == whole.status
+    assert found.solved is not None and found.solved.names == flown.block.names
+    assert len(found.residuals_m) == len(whole.residuals_m)
+    assert whole.image_residuals is not None and found.image_residuals is not None
+    assert set(found.image_residuals.frame.tolist()) == set(whole.image_residuals.frame.tolist())
+    assert found.poses.positions_sd_m == pytest.approx(whole.poses.positions_sd_m, rel=0.5)
+
+
+def test_a_frame_removed(flown: Flown, whole: Adjusted) -> None:
+    """Its neighbours are solved again."""
+    left = part_of_block(flown.block, np.arange(1, 24))
+    earlier = of_earlier(flown.block)
+    was, changed = changed_frames(left, earlier)
+    assert was.tolist() == list(range(1, 24))
+    assert changed.any() and not changed.all()
+    found = adjusted_in_part(left, earlier)
+    assert found is not None
+    assert off_px(found, BUNDLE(left, Settings())) < 0.1
+
+
+def test_a_frame_replaced(flown: Flown, whole: Adjusted) -> None:
+    """One by another file of the same name counts as new."""
+    earlier = of_earlier(flown.block, without=(flown.block.names[-1],))
+    found = adjusted_in_part(flown.block, earlier)
+    assert found is not None
+    assert changed_frames(flown.block, earlier)[1].tolist() == [False] * 23 + [True]
+    assert off_px(found, whole) < 0.1
+
+
+def test_nothing_changed(flown: Flown) -> None:
+    earlier = of_earlier(flown.block)
+    found = adjusted_in_part(flown.block, earlier)
+    assert found is not None
+    assert found.poses.positions_m.tobytes() == earlier.adjusted.poses.positions_m.tobytes()
+
+
+def test_a_whole_adjustment_is_needed(flown: Flown) -> None:
+    """Positions that move the whole block, most frames new, another work frame, a bound of next to nothing."""
+    before = part_of_block(flown.block, np.arange(22))
+    earlier = of_earlier(before)
+    assert adjusted_in_part(flown.block, replace(earlier, bound_m=1e-4)) is None
+    assert adjusted_in_part(flown.block, replace(earlier, moved=(np.eye(3), np.ones(3)))) is None
+    assert adjusted_in_part(flown.block, replace(earlier, unchanged=frozenset(before.names[:4]))) is None
+    far = flown.block.poses.positions_m.copy()
+    far[22:] += [3.0, 0.0, 0.0]
+    moved = replace(flown.block, poses=replace(flown.block.poses, positions_m=far))
+    assert adjusted_in_part(moved, earlier) is None
