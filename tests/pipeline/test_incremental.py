@@ -7,6 +7,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -21,6 +22,7 @@ from geomosaic.requests.perform import perform
 from geomosaic_simulate.survey import SimulatedSurvey
 from tools.bench.bench_incremental import TARGET_GREY, TARGET_PX, differences
 
+LARGER = {"lines": 6, "frames_per_line": 4, "width_px": 240, "height_px": 180, "seed": 9}
 SIZE = {"lines": 3, "frames_per_line": 3, "width_px": 240, "height_px": 180, "seed": 9}
 RTK = {"position_sd_m": 0.01, "height_sd_m": 0.01}
 FIRST, ALL = 6, 9
@@ -134,3 +136,40 @@ def test_a_line_more_then_a_frame_less(
     off = differences(tmp_path / "gone-on", tmp_path / "fresh")
     assert off["shift_px"] < TARGET_PX
     assert off["grey"] < TARGET_GREY
+
+
+def replaced(frame: Path) -> None:
+    """The same picture in another file of the same name."""
+    cv2.imwrite(str(frame), cv2.imread(str(frame)), [cv2.IMWRITE_JPEG_QUALITY, 98])
+
+
+def near(run: Path, fresh: Path) -> bool:
+    """Whether mosaics show the same, pixel by pixel, within the targets."""
+    off = differences(run, fresh)
+    return bool(off["shift_px"] < TARGET_PX and off["grey"] < TARGET_GREY)
+
+
+@pytest.mark.proof
+def test_earlier_frames_stay(tmp_path: Path) -> None:
+    """Two frames are added, one is replaced, one removed: the adjustment solves those about them, and the
+    mosaic is that of a fresh run."""
+    made = small_survey(tmp_path / "survey", **LARGER, **RTK)
+    count = len(list(made.frames.iterdir()))
+    frames, run = copied(made, tmp_path / "frames", 0, count - 2), tmp_path / "run"
+    assert mosaic(frames, run, *given(made)) == 0
+    copied(made, frames, count - 2, count)
+    assert mosaic(frames, tmp_path / "fresh", *given(made)) == 0
+
+    def again(unchanged: int) -> int:
+        """How many frames keep their poses."""
+        assert mosaic(frames, run, *given(made), "--incremental") == 0
+        reused = summary(run)["metrics"]["reused"]
+        assert reused["frames"] == unchanged
+        assert near(run, tmp_path / "fresh")
+        return int(reused["poses"])
+
+    assert count - 2 > again(count - 2) > count // 3
+    replaced(sorted(frames.iterdir())[9])
+    assert again(count - 1) > count // 3
+    sorted(frames.iterdir())[0].unlink()
+    assert again(count - 1) > count // 3

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, SolvedBlock
-from geomosaic.adjustment.paper.misalignment import offset_net, ties_on_ground
+from geomosaic.adjustment.paper.misalignment import keypoints_on_ground, offset_net
 from geomosaic.adjustment.procedure.blunder_detection import wrong_tags
 from geomosaic.adjustment.procedure.changed_part import ChangedPart, EarlierBlock
 from geomosaic.adjustment.solver.solution import Solution
@@ -49,13 +49,14 @@ def merged(block: Block, earlier: EarlierBlock, changed: ChangedPart, part: Solv
     net, still = offset_net(block), np.zeros((len(was), 2))
     moves = (poses.positions_m - block.poses.positions_m)[:, :2]
     residuals = _residuals(earlier, changed, free, part)
+    plan_m, ends = keypoints_on_ground(as_found, poses, cameras, adjusted.ground)
     return replace(
         adjusted,
         poses=poses,
         cameras=cameras,
         status=tuple("tied" if its else "placed" for its in tied),
         rounds=(Round(net.misalignments_m(still), moves),),
-        residuals_m=tuple(b - a for a, b in ties_on_ground(as_found, poses, cameras, adjusted.ground)),
+        residuals_m=tuple(plan_m[right] - plan_m[left] for left, right in ends),
         warnings=_warnings(block, earlier, free, part),
         figures=adjusted.figures | _figures(residuals),
         pose_covariance=covariance,
