@@ -38,7 +38,7 @@ from geomosaic.pipeline.recipe import RECORDING, RUN_JSON
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.run_results import load_artefact, read_summary
 from geomosaic.requests.mosaic_request import MosaicRequest
-from geomosaic.requests.naming import named_as_arguments
+from geomosaic.requests.naming import in_python, named_as_arguments
 from geomosaic.requests.option import kinds_of, option_of
 from geomosaic.requests.perform import check_result, perform
 from geomosaic.requests.recipe_request import RecipeRequest
@@ -252,7 +252,7 @@ def _with_options(function: Callable[..., Run], kind: type[RunRequest]) -> None:
             kinds = kinds_of(kind)[its.name]
             keyword = inspect.Parameter.KEYWORD_ONLY
             more.append(inspect.Parameter(its.name, keyword, default=its.default, annotation=kinds))
-            lines.append(f"    {its.name}: {option.help}")
+            lines.append(f"    {its.name}: {in_python(option.help, kind)}")
     function.__signature__ = inspect.Signature([*own, *more], return_annotation="Run")  # type: ignore[attr-defined]
     said = inspect.getdoc(function) or ""
     first, example, rest = said.partition("\n\n>>>")

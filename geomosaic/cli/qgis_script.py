@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import Field, fields
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, get_args
 
 import typer
 
 from geomosaic.errors import OutputError
 from geomosaic.requests import mosaic_stages, strips_request
 from geomosaic.requests.mosaic_request import MosaicRequest
-from geomosaic.requests.option import flag_of, kinds_of, option_of
+from geomosaic.requests.option import RARE, choices_of, flag_of, kinds_of, option_of
 from geomosaic.requests.strips_request import StripsRequest
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.stage import Stage
+    from geomosaic.requests.run_request import RunRequest
 
 _COMMANDS: Final = {
     "mosaic": (
@@ -38,14 +40,9 @@ _REQUESTS: Final[dict[str, tuple[type[MosaicRequest | StripsRequest], Sequence[s
     "mosaic": (MosaicRequest, mosaic_stages.STAGES),
     "strips": (StripsRequest, strips_request.STAGES),
 }
-_PLAIN: Final = (
-    "survey.read.pos", "survey.read.camera", "survey.read.dem", "survey.read.gcp", "survey.read.crs",
-    "mosaic.seams.gsd_m", "mosaic.seams.aoi", "mosaic.seams.align_to", "ccd.offsets.method",
-)  # fmt: skip
-"""What is seen at first; all else is under `Advanced`."""
-_BY_FLAG: Final = "matching.reference"
-"""A stage that only `--coregister` adds, which the toolbox does not offer."""
 _KINDS: Final = {"true or false": "bool", "whole number": "int", "number": "float", "path": "file"}
+_FLAG: Final = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
+_TYPES: Final = {bool: "bool", int: "int", float: "float", Path: "file"}
 _PROFILE: Final = Path("QGIS/QGIS3/profiles/default/processing/scripts")
 
 
@@ -85,68 +82,79 @@ def declared(command: str) -> dict[str, Any]:
 
     title, help, first = _COMMANDS[command]
     request, ids = _REQUESTS[command]
-    flags = {
-        option_of(its).sets: flag_of(its)
-        for its in fields(request)
-        if kinds_of(request)[its.name] is not bool
-    }
     by_id = {stage.id: stage for stage in installed().all()[0]}
+    of_stages = _of_stages(by_id[id] for id in ids if id in by_id)
+    of_options = [_of_option(its, request, of_stages) for its in fields(request) if option_of(its).toolbox]
+    taken = {option_of(its).sets for its in fields(request)}
+    params = [*of_options, *(p for name, p in of_stages.items() if name not in taken)]
     return {
         "name": f"geomosaic_{command}",
         "display_name": title,
         "help": help,
         "command": [sys.executable, "-m", "geomosaic.cli.main", command],
-        "params": [
-            *_params((by_id[id] for id in ids if id in by_id and id != _BY_FLAG), first, flags),
-            *(_switch(its) for its in fields(request) if option_of(its).toolbox),
-        ],
+        "params": sorted(params, key=lambda p: (p["advanced"], p["name"] != first)),
     }
 
 
-def _switch(its: Field[Any]) -> dict[str, Any]:
-    """An option without a value."""
-    text = option_of(its).help
-    return {
+def _of_option(
+    its: Field[Any], request: type[RunRequest], of_stages: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """An option of the command; where it gives a stage's parameter its value, with that one's name and
+    limits."""
+    option = option_of(its)
+    kind, choices = kinds_of(request)[its.name], choices_of(option)
+    own = {
         "key": its.name.upper(),
         "name": its.name,
-        "option": flag_of(its),
-        "kind": "bool",
-        "text": f"{text[:1].upper()}{text[1:]}",
-        "required": False,
-        "advanced": True,
-        "default": its.default,
-        **dict.fromkeys(("choices", "min", "max")),
+        "kind": "choice" if choices else next((k for t, k in _TYPES.items() if t in _types(kind)), "text"),
+        "text": _sentence(option.help),
+        "choices": list(choices) or None,
+        "default": None if its.default is MISSING else its.default,
+        "min": option.least,
+        "max": option.most,
+    }
+    given = of_stages.get(option.sets) if option.value is None else None
+    if given is not None:
+        own |= given
+        own["text"] = _sentence(option.help if kind is bool else given["help"])
+    return own | {
+        "option": flag_of(its) if option.heading else "",
+        "required": not option.heading,
+        "advanced": option.heading.startswith(RARE),
     }
 
 
-def _params(stages: Iterable[type[Stage]], first: str, flags: Mapping[str, str]) -> Sequence[dict[str, Any]]:
+def _types(kind: Any) -> set[Any]:
+    return set(get_args(kind)) or {kind}
+
+
+def _of_stages(stages: Iterable[type[Stage]]) -> dict[str, dict[str, Any]]:
+    """The parameters of stages by name, each set with `--set`."""
     from geomosaic.cli.stages import describe
 
-    found, plain = [], (first, *_PLAIN)
-    for stage in stages:
-        of = describe(stage)
+    found = {}
+    for of in map(describe, stages):
         for p in of["params"]:
-            name = f"{of['id']}.{p['name']}"
+            name, unit = f"{of['id']}.{p['name']}", f" ({p['unit']})" if p["unit"] else ""
             kind = "choice" if p["choices"] else _KINDS.get(p["type"], "text")
-            found.append(
-                {
-                    "key": name.replace(".", "_").upper(),
-                    "name": name,
-                    "option": "" if name == first else flags.get(name, "--set"),
-                    "kind": "folder" if name == "survey.read.frames" else kind,
-                    "text": _text(of["display_name"] if name not in plain else "", p),
-                    "required": name == first,
-                    "advanced": name not in plain,
-                    **{key: p[key] for key in ("choices", "default", "min", "max")},
-                }
-            )
-    return sorted(found, key=lambda p: (p["advanced"], p["name"] != first))
+            found[name] = {
+                "key": name.replace(".", "_").upper(),
+                "name": name,
+                "option": "--set",
+                "kind": "folder" if name == "survey.read.frames" else kind,
+                "help": f"{p['help']}{unit}",
+                "text": f"{of['display_name']}: {p['help']}{unit}",
+                "required": False,
+                "advanced": True,
+                **{key: p[key] for key in ("choices", "default", "min", "max")},
+            }
+    return found
 
 
-def _text(stage: str, p: Mapping[str, Any]) -> str:
-    """`Place the seamlines: share of ... (m)`."""
-    unit = f" ({p['unit']})" if p["unit"] else ""
-    return f"{stage}: {p['help']}{unit}" if stage else f"{p['help'][:1].upper()}{p['help'][1:]}{unit}"
+def _sentence(text: str) -> str:
+    """A help text as a label, where options are names of other fields."""
+    plain = _FLAG.sub(lambda found: found[1].replace("-", " "), text)
+    return f"{plain[:1].upper()}{plain[1:]}"
 
 
 def _scripts() -> Path:

@@ -115,7 +115,7 @@ class MosaicRequest(SurveyRequest):
     )
     surface_reference: Path | None = asked(
         Option(
-            "elevation model or point cloud to compare the surface of --surface dense with",
+            "elevation model or point cloud to compare the dense surface with",
             "FILE",
             ACCURACY,
             sets="quality.surface.reference",

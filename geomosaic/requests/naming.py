@@ -16,12 +16,12 @@ from typing import Any, Final
 
 from geomosaic.errors import GeomosaicError
 from geomosaic.requests.mosaic_request import MosaicRequest
-from geomosaic.requests.option import Option, flag_of, option_of
+from geomosaic.requests.option import Option, choices_of, flag_of, option_of
 from geomosaic.requests.run_request import RunRequest
 from geomosaic.requests.strips_request import StripsRequest
 
 _VALUE: Final = r"(?:[A-Z]{2,}(?::\w+)?|-?\d[\d.]*)(?![\w.])"
-_FLAG: Final = re.compile(rf"(?<![\w-])(--[a-z][a-z-]*)(?: ({_VALUE}))?")
+_FLAG: Final = re.compile(rf"(?<![\w-])(--[a-z][a-z-]*)(?: ({_VALUE}|[a-z_]+))?")
 _SET: Final = re.compile(r"--set (\w+\.\w+\.\w+)(?:=([^\s,;)]+))?")
 _PLAIN: Final = re.compile(
     r"(?<![\w./'-])(?:[a-z][a-z0-9]*(?:_[a-z0-9]+)+|(?<=^)[a-z]+(?= is |: "
@@ -100,11 +100,13 @@ def in_python(text: str, request: type[RunRequest]) -> str:
 
     def option(found: re.Match[str]) -> str:
         name, parameter = flags.get(found[1]), _elsewhere().get(found[1], "")
-        return argument(parameter, name, found[2]) if name or parameter else found[0]
+        value, rest = _value(found)
+        return argument(parameter, name, value) + rest if name or parameter else found[0]
 
     text = re.sub(r"(?<![\w-])-o(?![\w-])", "output", text)
     text = _FLAG.sub(lambda found: found[0] if found[1] == "--set" else option(found), text)
     text = _SET.sub(lambda found: argument(found[1], own.get(found[1]), found[2]), text)
+    text = re.sub(r"(?<![\w-])--set(?![\w-])", "set", text)
     return _FAULT.sub(lambda f: f"{own[name]} = " if (name := f"{f[1]}.{f[2]}") in own else f[0], text)
 
 
@@ -138,8 +140,17 @@ class _TypedOptions:
 
 def _set_instead(found: re.Match[str]) -> str:
     """What sets the parameter of an option that the command at hand does not take."""
-    parameter = _elsewhere().get(found[1])
-    return f"--set {parameter}={found[2] or _metavars()[parameter]}" if parameter else found[0]
+    parameter, (value, rest) = _elsewhere().get(found[1]), _value(found)
+    return f"--set {parameter}={value or _metavars()[parameter]}{rest}" if parameter else found[0]
+
+
+def _value(found: re.Match[str]) -> tuple[str | None, str]:
+    """The value that a text names after an option, and the rest: a word is one if the option has that
+    choice."""
+    word = found[2]
+    if word is None or not re.fullmatch("[a-z_]+", word) or word in _choices().get(found[1], ()):
+        return word, ""
+    return None, f" {word}"
 
 
 @cache
@@ -147,6 +158,13 @@ def _elsewhere() -> Mapping[str, str]:
     """The parameter that each option of `geomosaic mosaic` and `geomosaic strips` sets, by the option."""
     every = [its for kind in (MosaicRequest, StripsRequest) for its in fields(kind)]
     return {flag_of(its): sets for its in every if option_of(its).heading and (sets := option_of(its).sets)}
+
+
+@cache
+def _choices() -> Mapping[str, tuple[str, ...]]:
+    """The choices of each option that has some, by the option."""
+    every = [its for kind in (MosaicRequest, StripsRequest) for its in fields(kind)]
+    return {flag_of(its): choices_of(option_of(its)) for its in every}
 
 
 @cache

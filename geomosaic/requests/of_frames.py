@@ -35,15 +35,13 @@ class FramesRequest(NewRunRequest, ABC):
             "go on from the finished run in RUN: do anew only what added, removed and replaced frames change",
             None,
             RUNNING,
-            toolbox=True,
         ),
         False,
     )
     dask: str | None = asked(DASK)
     strict: bool = asked(
         Option(
-            "end the run if a frame cannot be used or a position has no frame; exit with 3 if the verdict "
-            "is bad",
+            "end with an error if a frame cannot be used, a position has no frame or the verdict is bad",
             None,
             RUNNING,
             sets="survey.read.strict",

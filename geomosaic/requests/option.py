@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
@@ -29,7 +30,7 @@ class Option:
     for an argument without a flag. sets: STAGE.PARAMETER that takes the value. value: what a switch sets, if
     not true. flags: if they are others than the field's name. parse: of a text that the command line gives.
     least, most: of a number. methods: whether the help names the choices of the parameter. toolbox: whether
-    QGIS offers it too, where it sets no parameter."""
+    QGIS offers it too."""
 
     help: str
     metavar: str | None = None
@@ -41,7 +42,7 @@ class Option:
     least: float | None = None
     most: float | None = None
     methods: bool = False
-    toolbox: bool = False
+    toolbox: bool = True
 
 
 def asked(option: Option, default: Any = None) -> Any:
@@ -58,6 +59,12 @@ def option_of(its: Field[Any]) -> Option:
     """The option of a request's field."""
     option: Option = its.metadata[_KEY]
     return option
+
+
+def choices_of(option: Option) -> tuple[str, ...]:
+    """The values that an option may have, by its metavar; none where it takes others."""
+    values = tuple((option.metavar or "").split("|"))
+    return values if len(values) > 1 and all(re.fullmatch("[a-z_]+", value) for value in values) else ()
 
 
 @cache

@@ -67,6 +67,7 @@ class RunRequest(ABC):
             OUTPUT,
             flags=("-o", "--output"),
             parse=folder_given,
+            toolbox=False,
         )
     )
     overwrite: bool = asked(
@@ -77,6 +78,7 @@ class RunRequest(ABC):
             "set a parameter of a stage ('geomosaic stages' lists them); may be repeated",
             "STAGE.PARAM=VALUE",
             RARE,
+            toolbox=False,
         ),
         (),
     )
@@ -178,14 +180,14 @@ class NewRunRequest(RunRequest, ABC):
     )
     private_places: bool = asked(
         Option(
-            "as --private, and move all places by a secret offset; the recording cannot be replayed, and "
-            "its images still show the ground",
+            "what --private does, and move all places by a secret offset; the recording cannot be replayed, "
+            "and its images still show the ground",
             None,
             RARE,
         ),
         False,
     )
-    live: bool = asked(Option("show the run in Rerun while it works", None, RARE), False)
+    live: bool = asked(Option("show the run in Rerun while it works", None, RARE, toolbox=False), False)
 
     def recorded(self) -> RecordOptions:
         """How the run is recorded. Raises: `UnknownNameError` for another level, `InputError` if nothing is

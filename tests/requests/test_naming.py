@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from typing import Any
 
 import pytest
 
+import geomosaic
 from geomosaic.errors import InputError
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.naming import in_python, named_as_options, named_as_typed
@@ -36,6 +39,11 @@ def test_a_value_is_named_by_the_option_that_gave_it() -> None:
             "give --pos with heights",
             "give --pos with heights",
             "give --set survey.read.pos=FILE with heights",
+        ),
+        (
+            "add --radiometry reflectance",
+            "add --radiometry reflectance",
+            "add --set survey.read.radiometry=reflectance",
         ),
         ("or add --gcp-optional", "or add --gcp-optional", "or add --set survey.read.gcp_optional=true"),
         (
@@ -95,7 +103,8 @@ def test_bare_parameters_are_options_of_a_command_of_one_stage(text: str, typed:
     ("text", "python"),
     [
         ("give --pos-crs, such as EPSG:32737", "give pos_crs, such as EPSG:32737"),
-        ("add --surface dense", "add surface dense"),
+        ("add --surface dense", "add surface='dense'"),
+        ("with --pos heights", "with pos heights"),
         ("give --dem-offset METRES, or install it", "give dem_offset=METRES, or install it"),
         ("use --set survey.read.dem=PATH", "use dem=PATH"),
         ("use --set survey.read.leave_out=none", "use set={'survey.read.leave_out': 'none'}"),
@@ -107,3 +116,11 @@ def test_bare_parameters_are_options_of_a_command_of_one_stage(text: str, typed:
 )
 def test_python_names_arguments(text: str, python: str) -> None:
     assert in_python(text, MosaicRequest) == python
+
+
+def test_help_in_python_names_arguments() -> None:
+    """Not options of the command line, whose help has the same text."""
+    for function in (geomosaic.mosaic, geomosaic.strips, geomosaic.run, geomosaic.replay):
+        said = inspect.getdoc(function) or ""
+        assert not re.findall(r"(?<![\w-])--[a-z][a-z-]*", said), function
+    assert "in the pos file, and in a gcp file" in (inspect.getdoc(geomosaic.mosaic) or "")

@@ -6,6 +6,7 @@ import ast
 import json
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from geomosaic.pipeline.recipe import recipe_from
 from geomosaic.pipeline.registry import installed
 from geomosaic.requests import mosaic_stages as mosaic
 from geomosaic.requests import strips_request as strips
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.option import RARE, flag_of, option_of
 
 
 def written(folder: Path) -> dict[str, str]:
@@ -47,11 +50,33 @@ def test_the_scripts_hold_all_that_stages_declare(tmp_path):
         assert imported == {"pathlib", "qgis.core"}, "QGIS' Python has none of our packages"
 
 
-def test_an_option_that_sets_no_parameter_is_a_switch():
-    """`--incremental` has no value on the command line."""
-    (switch,) = (p for p in declared("mosaic")["params"] if "." not in p["name"])
-    assert (switch["name"], switch["option"], switch["kind"]) == ("incremental", "--incremental", "bool")
-    assert not switch["default"]
+@pytest.mark.parametrize(
+    ("command", "request_"), [("mosaic", MosaicRequest), ("strips", strips.StripsRequest)]
+)
+def test_each_option_of_the_command_is_offered(command, request_):
+    """Without those that QGIS gives itself, or that show another window."""
+    offered = {p["option"]: p for p in declared(command)["params"] if p["option"] not in ("", "--set")}
+    options = {flag_of(its): option_of(its) for its in fields(request_) if option_of(its).heading}
+    assert options.keys() - offered.keys() == {"--output", "--set", "--live"}
+    rare = {flag for flag, option in options.items() if option.heading.startswith(RARE)}
+    assert {flag for flag, p in offered.items() if p["advanced"]} == rare & offered.keys()
+    assert not [p["text"] for p in offered.values() if "--" in p["text"]]
+
+
+def test_switches_and_choices_are_what_they_are_on_the_command_line():
+    """`--incremental` has no value there."""
+    offered = {p["name"]: p for p in declared("mosaic")["params"]}
+    for name in ("incremental", "coregister", "overwrite", "private", "keep_strays", "survey.read.strict"):
+        assert (offered[name]["kind"], offered[name]["default"]) == ("bool", False), name
+    assert offered["survey.read.strict"]["option"] == "--strict", "it fails by the verdict too"
+    assert offered["surface"]["choices"] == ["ties", "auto", "dense"]
+    assert offered["record"]["choices"] == ["off", "summary", "normal", "full"]
+    assert (offered["workers"]["kind"], offered["workers"]["min"], offered["workers"]["max"]) == (
+        "int",
+        1,
+        1024,
+    )
+    assert "survey.read.leave_out" not in offered, "keep_strays sets it"
     template = (Path(declared.__code__.co_filename).parent / "qgis_algorithm.py.in").read_text()
     assert 'if declared["kind"] == "bool" and option != "--set":\n            return [option]' in template
 
@@ -60,8 +85,8 @@ def test_an_option_that_sets_no_parameter_is_a_switch():
 def test_each_parameter_can_be_set_as_the_script_does(command, stages, tmp_path):
     (tmp_path / "file").touch()
     of = [p for p in declared(command)["params"] if "." in p["name"]]
-    needed = {p["name"]: tmp_path for p in of if "reference" in p["option"] or not p["option"]}
-    plain = {"stages": [{"stage": stage} for stage in stages if stage != "matching.reference"]}
+    needed = {p["name"]: tmp_path for p in of if p["name"].endswith(".reference") or not p["option"]}
+    plain = {"stages": [{"stage": stage} for stage in stages]}
     for p in of:
         value = (
             p["default"] if p["default"] is not None else {"int": 1, "float": 50.0}.get(p["kind"], tmp_path)
