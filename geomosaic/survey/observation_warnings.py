@@ -19,8 +19,8 @@ _TEXTS: Final = {
     "height-datum-unknown": "the altitude's vertical datum is unknown, taken as ellipsoidal with its wide "
     "sigma; give --height-datum if you know it",
     "height-unknown": "no height at all: estimated from other frames and the images; give heights with --pos",
-    "height-above-take-off": "height above the take-off point taken as height above ground: over hills the "
-    "map's scale may be off; give ellipsoidal heights with --pos",
+    "height-above-take-off": "height above the take-off point taken as height above ground: nothing to do "
+    "over flat land, over hills give --dem, and ellipsoidal heights with --pos",
     "hemisphere-assumed": "EXIF doesn't say north or south, east or west: taken as north and east; "
     "if the map lies wrong, give --pos",
     "hemisphere-by-xmp": "EXIF and XMP differ in north or south, east or west: XMP's signs are taken; if the "

@@ -64,5 +64,5 @@ def unused_files(frames: Collection[Path]) -> list[Warn]:
     kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(p.suffix.lower() for p in unused).items())
     number = f"{len(unused)} files are" if len(unused) > 1 else "1 file is"
     todo = "; ".join(what for what, paths in fixes.items() if paths)
-    text = f"{number} not used ({kinds}), such as {printable(unused[0].name)}, and the map lacks what only "
-    return [Warn("files-not-used", "", f"{text}they show; {todo}")]
+    text = f"{number} not used ({kinds}), such as {printable(unused[0].name)}, so ground may be missing"
+    return [Warn("files-not-used", "", f"{text}; {todo}")]
