@@ -30,7 +30,7 @@ from geomosaic.adjustment.procedure.earlier_solution import beside_earlier, star
 from geomosaic.adjustment.procedure.initialisation import start_poses
 from geomosaic.adjustment.procedure.merged_blocks import SolvedPart, merged, merged_surface
 from geomosaic.adjustment.solver.problem import BlockProblem
-from geomosaic.adjustment.solver.solution import Solution, Start
+from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.solver.solve import converged_solution
 from geomosaic.adjustment.solver.variance_components import local_factors
 from geomosaic.arrays import Bools
@@ -153,22 +153,20 @@ def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) 
     start = start_from_earlier(part, solved.settings, ties, poses)
     estimate = replace(start.estimate, layout=problem.layout, shared=problem.layout.given, points_m=points)
     start = replace(start, estimate=estimate, fixed=np.zeros(problem.layout.size, dtype=bool))
-    found = _weighed(problem, start)
-    ground = earlier.adjusted.ground
+    found = converged_solution(problem, start)
+    problem, ground = found.problem, earlier.adjusted.ground
     if ground.kind != "tie_surface":
         off_m = off_ground_m(part, ground, found, part_of_frames(part)[ties.frame[_first(ties)]])
         near = replace(terrain_of(part, problem.image), sd_share=off_m / flying_height_m(part))
-        found = _weighed(replace(found.problem, terrain=near), found)
-    return found, ties
+        problem = replace(problem, terrain=near)
+    return converged_solution(_weighed(problem, found), found), ties
 
 
-def _weighed(problem: BlockProblem, start: Start) -> Solution:
-    """The solution, then once more with the weights that its residuals have."""
-    found = converged_solution(problem, start)
-    image, at = found.problem.image, found.estimate
+def _weighed(problem: BlockProblem, found: Solution) -> BlockProblem:
+    """The problem with the weights that the residuals of a solution have."""
+    image, at = problem.image, found.estimate
     local = local_factors(image.tracks, at.points_m, image.lengths_px(at), image.used)
-    problem = replace(found.problem, image=replace(image, local=local))
-    return converged_solution(problem.reweighted(at, found.components), found)
+    return replace(problem, image=replace(image, local=local)).reweighted(at, found.components)
 
 
 def _first(ties: Tracks) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
