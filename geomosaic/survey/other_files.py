@@ -65,4 +65,4 @@ def unused_files(frames: Collection[Path]) -> list[Warn]:
     number = f"{len(unused)} files are" if len(unused) > 1 else "1 file is"
     todo = "; ".join(what for what, paths in fixes.items() if paths)
     text = f"{number} not used ({kinds}), such as {printable(unused[0].name)}, so ground may be missing"
-    return [Warn("files-not-used", "", f"{text}; {todo}")]
+    return [Warn("files-not-used", "", f"{text}; to add them, {todo}")]

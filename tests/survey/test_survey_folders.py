@@ -89,16 +89,19 @@ def test_frames_beside_folders_count_alone_and_it_is_said(tmp_path: Path) -> Non
     ("others", "says"),
     [
         (("DJI_0001.DNG", "dji_0002.heic", "DJI_0001.SRT", "flight.MRK", "notes.txt", "._DJI_0009.MP4"), ""),
-        (("DJI_0003.DNG",), "1 file is not used (1 .dng), such as DJI_0003.DNG, .*; convert them to JPEG"),
+        (
+            ("DJI_0003.DNG",),
+            "1 file is not used (1 .dng), such as DJI_0003.DNG, .*; to add them, convert them to JPEG",
+        ),
         (
             ("DJI_0010.MP4", "DJI_0009.MP4", "DJI_0009.SRT"),
-            "2 files are not used (2 .mp4), such as DJI_0009.MP4, .*; take frames out of the video first: "
+            "2 files are not used (2 .mp4), such as DJI_0009.MP4, .*; to add them, take frames out of the video first: "
             "geomosaic frames FILE -o FRAMES$",
         ),
         (
             ("IMG_7.HEIC", "IMG_7.MOV", "A.ARW"),
-            "3 files are not used (1 .heic, 1 .arw, 1 .mov), such as IMG_7.HEIC, .*; convert them to JPEG .*; "
-            "convert raw images to JPEG or TIFF first, .*; take frames out of the video first: ",
+            "3 files are not used (1 .heic, 1 .arw, 1 .mov), such as IMG_7.HEIC, .*; to add them, convert them to "
+            "JPEG .*; convert raw images to JPEG or TIFF first, .*; take frames out of the video first: ",
         ),
     ],
 )
