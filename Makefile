@@ -96,7 +96,7 @@ bench-reflectance: setup ## reflectance of simulated multispectral flights again
 	$(PY) -m tools.bench.bench_reflectance --seed $(SEED) --results docs/results/reflectance --out out/bench-reflectance
 
 bench-halves: DATA = ../flights
-bench-halves: setup ## two maps of every second frame of real flights, beside what both state (about 10 minutes); DATA=../flights
+bench-halves: setup ## two maps of every second frame of real flights, with what both state (about 10 minutes); DATA=../flights
 	$(PY) -m tools.bench.bench_halves "$(DATA)" --results docs/results/halves --out out/bench-halves
 
 bench-speed: setup ## real and simulated frames beside the floor and other programs (about an hour); DATA=../shared, skips the real ones without it
@@ -105,10 +105,10 @@ bench-speed: setup ## real and simulated frames beside the floor and other progr
 bench-cluster: dev ## Dask workers without a shared disk: killed, slow, by an object store (about 15 minutes; root)
 	$(PY) -m tools.bench.bench_cluster --seed $(SEED) --out out/bench-cluster --results docs/results/cluster
 
-bench-incremental: setup ## a 21st line of 50 frames added by --incremental, beside a whole run (about an hour); SIZE="--lines n --per-line n"
+bench-incremental: setup ## a 21st line of 50 frames added by --incremental, against a whole run (about an hour); SIZE="--lines n --per-line n"
 	$(PY) -m tools.bench.bench_incremental $(SIZE) --seed $(SEED) --out out/bench-incremental --results docs/results/incremental
 
-bench-peers: setup ## geomosaic beside pycolmap, pyOrthomosaic, OpenCV and stitching on the same frames (an hour on two idle cores); FRAMES="24 100", DATA=../shared
+bench-peers: setup ## geomosaic against pycolmap, pyOrthomosaic, OpenCV and stitching on the same frames (an hour on two idle cores); FRAMES="24 100", DATA=../shared
 	$(PY) -m tools.bench.bench_peers --frames $(FRAMES) --seed $(SEED) --shared "$(DATA)" --out out/bench-peers --results docs/results/peers
 
 bench-marking: dev ## a scripted session that marks 8 targets in 20 frames in Chromium, with a person's waits (about 5 minutes); SEED=n

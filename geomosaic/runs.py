@@ -21,6 +21,7 @@ import csv
 import html
 import inspect
 import json
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -64,10 +65,14 @@ class Judgement:
     text: str
     fix: str
 
-    @property
-    def mend(self) -> str:
-        """`fix`, as it was called."""
-        return self.fix
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> str:
+            """`fix` by its former name, for one release."""
+            if name != "mend":
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            warnings.warn("Judgement.mend is Judgement.fix now", DeprecationWarning, stacklevel=2)
+            return self.fix
 
 
 class Run:
@@ -119,11 +124,12 @@ class Run:
     @property
     def verdict(self) -> Judgement | None:
         """Whether it can be trusted; None of a run that doesn't judge itself."""
-        told = self.summary.get("verdict")
-        if told is None:
+        verdict = self.summary.get("verdict")
+        if verdict is None:
             return None
-        fix = told["fix"] if "fix" in told else told["mend"]
-        return Judgement(told["grade"], f"{told['cause']}; {told['text']}".removeprefix("; "), fix)
+        fix = verdict["fix"] if "fix" in verdict else verdict["mend"]
+        text = f"{verdict['cause']}; {verdict['text']}".removeprefix("; ")
+        return Judgement(verdict["grade"], text, fix)
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -177,7 +183,7 @@ class Run:
 
 
 def mosaic(frames: Name, output: Name | None = None, *, progress: bool = False, **options: Any) -> Run:
-    """`geomosaic mosaic`: one map-true mosaic of a folder of frames, in `output` (or beside the frames).
+    """`geomosaic mosaic`: one map-true mosaic of a folder of frames, in `output` (or next to the frames).
 
     >>> run = gm.mosaic(folder / "frames", folder / "again", set={"matching.sift.keypoints": 3000}, workers=1)
     >>> run.verdict.grade
@@ -258,7 +264,7 @@ def _with_options(function: Callable[..., Run], kind: type[RunRequest]) -> None:
     first, example, rest = said.partition("\n\n>>>")
     listed = "\n".join(lines)
     raised = "Raises: what the command says in one line, as one of `geomosaic.errors`."
-    function.__doc__ = f"{first}\n\nOptions, beside progress on stderr:\n{listed}\n\n{raised}{example}{rest}"
+    function.__doc__ = f"{first}\n\nOptions:\n{listed}\n\n{raised}{example}{rest}"
 
 
 for _function, _request in (

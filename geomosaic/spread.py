@@ -20,7 +20,7 @@ class Spread(Protocol):
         keys: Sequence[Any] | None = None,
     ) -> list[Result]:
         """Results in the items' order, of a module's own function. keys: tell the items of a name apart
-        that is asked for once; else they are told apart by what they hold."""
+        that is asked for once; else they are distinguished by what they contain."""
 
 
 class Progress(Protocol):

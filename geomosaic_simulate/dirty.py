@@ -33,7 +33,7 @@ class Fault:
 
     probability: that a survey has it, given that it may: `needs` is there, nothing of `unless` is, and the
     survey is flown as one of `kinds`. draw: what it sets of the plan, from numbers of its own and the plan
-    so far.
+    so far. former: its name in earlier versions, by which its numbers are still drawn.
     """
 
     name: str
@@ -42,6 +42,7 @@ class Fault:
     needs: str = ""
     unless: tuple[str, ...] = ()
     kinds: tuple[str, ...] = tuple(KIND_SHARES)
+    former: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,8 @@ def dirty_survey(
     Each fault has random numbers of its own, so that one more or less leaves the others as they are.
     Raises: `UnknownNameError` for a fault that isn't known.
     """
-    without = set(without)
+    present = {fault.former: fault.name for fault in FAULTS if fault.former}
+    without = {present.get(name, name) for name in without}
     known = [fault.name for fault in FAULTS]
     for name in sorted(without.difference(known)):
         raise UnknownNameError("fault", name, known)
@@ -82,7 +84,7 @@ def dirty_survey(
     faults: dict[str, Values] = {}
     values = dict(survey)
     for fault in FAULTS:
-        rng = _random(seed, fault.name)
+        rng = _random(seed, fault.former or fault.name)
         may = (
             fault.name not in without
             and values["kind"] in fault.kinds
@@ -156,7 +158,7 @@ def _survey(rng: Random) -> tuple[str, Values]:
         "yaw_sd_deg": _number(rng, 0.5, 3.0),
         "position_bias_m": round(float(rng.rayleigh(SHIFT_SD_M)), 4),
         "height_bias_m": _number(rng, -15.0, 15.0),
-        "relative_height_told": bool(rng.random() < 0.6),
+        "relative_height_reported": bool(rng.random() < 0.6),
         "pixel_noise": _number(rng, 1.0, 3.0),
         "jpeg_quality": int(rng.integers(80, 96)),
         "pos_in": "exif",
@@ -207,7 +209,7 @@ def _model_of_known_readout(rng: Random, v: Values) -> Values:
 
 
 _OTHERS = ("take_off", "oblique", "horizon", "landing")
-_NO_OTHER = {"relative_height_told": False}
+_NO_OTHER = {"relative_height_reported": False}
 _ALTITUDES = (
     "altitude_drifts", "altitude_in_steps", "altitude_from_take_off", "altitude_constant",
     "altitude_of_ground", "no_altitude",
@@ -220,7 +222,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("horizon", 0.07, lambda r, v: {"horizon_frames": int(r.integers(1, 3))}),
     Fault("duplicates", 0.1, lambda r, v: {"duplicates": int(r.integers(1, 4))}),
     Fault("blurred", 0.12, lambda r, v: {"blurred": _some(r, v, 0.03, 0.12)}),
-    Fault("no_attitude", 0.25, lambda r, v: {"attitude_told": False}),
+    Fault("no_attitude", 0.25, lambda r, v: {"attitude_reported": False}),
     Fault("wrong_headings", 0.12, lambda r, v: {"yaw_wrong_share": 0.2}, unless=("no_attitude",)),
     Fault("turned_line", 0.08, lambda r, v: {"turned": _line(r, v)}, kinds=("block", "crossed")),
     Fault("altitude_drifts", 0.08, lambda r, v: {
@@ -234,7 +236,7 @@ FAULTS: tuple[Fault, ...] = (
         unless=_ALTITUDES),
     Fault("altitude_constant", 0.06, lambda r, v: {"altitude": "constant", **_NO_OTHER}, unless=_ALTITUDES),
     Fault("altitude_of_ground", 0.06, lambda r, v: {"altitude": "ground", **_NO_OTHER}, unless=_ALTITUDES),
-    Fault("no_altitude", 0.06, lambda r, v: {"height_told": False}, unless=_ALTITUDES),
+    Fault("no_altitude", 0.06, lambda r, v: {"height_reported": False}, unless=_ALTITUDES),
     Fault("no_gps_at_all", 0.02, lambda r, v: {
         "no_gps": f"1-{len(_planned(v)) + sum(v.get(f'{k}_frames', 0) for k in _OTHERS)}"}),
     Fault("no_gps_in_some", 0.12, lambda r, v: {"no_gps": _some(r, v, 0.05, 0.3)}, unless=("no_gps_at_all",)),
@@ -243,22 +245,25 @@ FAULTS: tuple[Fault, ...] = (
     Fault("two_batteries", 0.12, lambda r, v: {
         "battery_offset_m": _number(r, 2.0, 6.0), "battery_height_offset_m": _number(r, -12.0, 12.0)}),
     Fault("rolling_shutter", 0.35, lambda r, v: {"rolling_shutter_s": _number(r, 0.015, 0.12)}),
-    Fault("readout_told", 0.4, lambda r, v: {"readout_told": True}, needs="rolling_shutter"),
+    Fault("readout_reported", 0.4, lambda r, v: {"readout_reported": True}, needs="rolling_shutter",
+        former="readout_told"),
     Fault("readout_by_model", 0.7, _model_of_known_readout, needs="rolling_shutter",
-        unless=("readout_told",)),
-    Fault("shutter_untold", 0.3, lambda r, v: {"shutter_told": False}, unless=("rolling_shutter",)),
+        unless=("readout_reported",)),
+    Fault("shutter_unreported", 0.3, lambda r, v: {"shutter_reported": False}, unless=("rolling_shutter",),
+        former="shutter_untold"),
     Fault("vibration", 0.5, lambda r, v: {
         "vibration_deg_per_s": _number(r, 1.0, 6.0), "vibration_hz": _number(r, 3.0, 12.0)},
         needs="rolling_shutter"),
-    Fault("gyroscope_told", 0.4, lambda r, v: {
-        "gyroscope_told": True, "readout_told": True, "gyroscope_sd_deg_per_s": 0.1}, needs="vibration"),
-    Fault("distortion_untold", 0.25, lambda r, v: {
-        "lens_told": False, "k1": _number(r, -0.12, 0.05), "k2": _number(r, -0.02, 0.02),
+    Fault("gyroscope_reported", 0.4, lambda r, v: {
+        "gyroscope_reported": True, "readout_reported": True, "gyroscope_sd_deg_per_s": 0.1},
+        needs="vibration", former="gyroscope_told"),
+    Fault("distortion_unreported", 0.25, lambda r, v: {
+        "lens_reported": False, "k1": _number(r, -0.12, 0.05), "k2": _number(r, -0.02, 0.02),
         "principal_col_offset_px": _number(r, -0.01, 0.01) * v["width_px"],
-        "principal_row_offset_px": _number(r, -0.01, 0.01) * v["width_px"]}),
-    Fault("fisheye_untold", 0.06, lambda r, v: {
-        "lens": "fisheye", "lens_told": False, "k1": _number(r, -0.03, 0.03)},
-        unless=("distortion_untold",)),
+        "principal_row_offset_px": _number(r, -0.01, 0.01) * v["width_px"]}, former="distortion_untold"),
+    Fault("fisheye_unreported", 0.06, lambda r, v: {
+        "lens": "fisheye", "lens_reported": False, "k1": _number(r, -0.03, 0.03)},
+        unless=("distortion_unreported",), former="fisheye_untold"),
     Fault("focal_off", 0.3, lambda r, v: {"focal_error": _sign(r) * _number(r, 0.01, 0.04)}),
     Fault("lens_in_tags", 0.15, lambda r, v: {"lens_in_tags": True}),
     Fault("motion_blur", 0.2, lambda r, v: {

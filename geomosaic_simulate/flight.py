@@ -53,7 +53,7 @@ class Flight:
 
 @dataclass(frozen=True)
 class Observed:
-    """What the platform says: truth plus errors, which stand beside it.
+    """What the platform says: truth plus errors, which are listed with it.
 
     position_errors_m: (n, 3) east, north, up; attitude_errors_deg: (n, 3) yaw, pitch, roll. Outliers and
     wrong headings are in the errors, and not in the standard deviations that the POS states.

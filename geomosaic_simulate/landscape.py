@@ -183,7 +183,7 @@ def _node_m(land: Landscape, i: int, j: int) -> Floats:
 @lru_cache(maxsize=2048)
 def _edge_m(land: Landscape, i: int, j: int, upward: bool) -> Floats:
     """The bent edge (points, 2) from node (i, j) to its eastern or, `upward`, its northern neighbour. Every
-    patch of the cells beside it asks for it."""
+    patch of the adjacent cells asks for it."""
     a, b = _node_m(land, i, j), _node_m(land, i + (not upward), j + upward)
     bend = (land.number(i, j, 4 if upward else 3) - 0.5) * 0.28
     t = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]

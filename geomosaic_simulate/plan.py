@@ -84,7 +84,7 @@ class SurveyPlan:
     principal_col_offset_px: float = 0.0
     principal_row_offset_px: float = 0.0
     lens: str = "brown"
-    lens_told: bool = True
+    lens_reported: bool = True
     lens_in_tags: bool = False
     focal_error: float = 0.0
 
@@ -117,9 +117,9 @@ class SurveyPlan:
     lost: str = ""
     stated_sd_factor: float = 1.0
     stated_yaw_sd_deg: float | None = None
-    attitude_told: bool = True
-    height_told: bool = True
-    relative_height_told: bool = True
+    attitude_reported: bool = True
+    height_reported: bool = True
+    relative_height_reported: bool = True
     position_bias_m: float = 0.0
     height_bias_m: float = 0.0
     height_drift_m: float = 0.0
@@ -140,13 +140,13 @@ class SurveyPlan:
     exposure_time_s: float = 0.0
     blurred: str = ""
     rolling_shutter_s: float = 0.0
-    readout_told: bool = False
-    shutter_told: bool = True
+    readout_reported: bool = False
+    shutter_reported: bool = True
     camera_model: str = "simulated"
     vibration_deg_per_s: float = 0.0
     vibration_hz: float = 6.0
     updraft_m_per_s: float = 0.0
-    gyroscope_told: bool = False
+    gyroscope_reported: bool = False
     gyroscope_sd_deg_per_s: float = 0.0
     pixel_noise: float = 1.0
 
@@ -212,19 +212,24 @@ class SurveyPlan:
     def _check_tags(self) -> None:
         if self.format != "jpeg" and self.pos_in != "csv":
             raise InputError("TIFF frames are written without EXIF", fix="give pos_in csv")
-        if self.pos_in == "csv" and (self.gyroscope_told or self.readout_told or self.lens_in_tags):
+        if self.pos_in == "csv" and (self.gyroscope_reported or self.readout_reported or self.lens_in_tags):
             raise InputError("tags are asked for in frames without tags", fix="give pos_in exif or both")
         if not (self.camera_model.isascii() and self.camera_model.isprintable()):
             raise InputError("a camera model is plain text", fix="give a name such as FC330")
         if self.rolling_shutter_s == 0.0:
-            for needing in ("vibration_deg_per_s", "updraft_m_per_s", "readout_told", "gyroscope_told"):
+            for needing in (
+                "vibration_deg_per_s",
+                "updraft_m_per_s",
+                "readout_reported",
+                "gyroscope_reported",
+            ):
                 if getattr(self, needing):
                     raise InputError(
                         f"{needing} without a rolling shutter", fix="give rolling_shutter_s above 0"
                     )
         if self.lens == "fisheye" and (self.p1 or self.p2):
             raise InputError("a simulated fisheye has no decentring", fix="leave p1 and p2 at 0")
-        if self.lens == "fisheye" and self.lens_told and self.lens_in_tags and (self.k2 or self.k3):
+        if self.lens == "fisheye" and self.lens_reported and self.lens_in_tags and (self.k2 or self.k3):
             raise InputError("a fisheye's tags hold k1 alone", fix="leave k2 and k3 at 0")
 
     @property
@@ -270,14 +275,14 @@ class SurveyPlan:
         """The camera as the camera file reports it: perhaps a wrong focal length, perhaps no distortion."""
         true = self.camera()
         focal = true.focal_length_px * (1.0 + self.focal_error)
-        if self.lens_told:
+        if self.lens_reported:
             return dataclasses.replace(true, focal_length_px=focal)
         middle = true.width_px / 2.0, true.height_px / 2.0
         return Camera(true.name, true.width_px, true.height_px, focal, *middle)
 
     def reported_readout_s(self) -> float | None:
         """What the camera file reports of the shutter, None for nothing."""
-        known = self.readout_told if self.rolling_shutter_s else self.shutter_told
+        known = self.readout_reported if self.rolling_shutter_s else self.shutter_reported
         return self.rolling_shutter_s if known else None
 
     @property

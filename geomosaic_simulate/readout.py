@@ -61,8 +61,8 @@ class Readout:
         """By how much the camera has turned about its axes since the middle row (..., 3): rates summed up."""
         t = np.asarray(after_s, dtype=np.float64)[..., None]
         round_rad_per_s = 2.0 * np.pi * self.frequency_hz
-        swing = np.cos(self.phase_rad) - np.cos(round_rad_per_s * t + self.phase_rad)
-        return np.asarray(self.rate_rad_per_s / round_rad_per_s * swing)
+        angle = np.cos(self.phase_rad) - np.cos(round_rad_per_s * t + self.phase_rad)
+        return np.asarray(self.rate_rad_per_s / round_rad_per_s * angle)
 
     def rays(self, camera: Camera, pose: Pose, image_px: Floats) -> tuple[Floats, Floats]:
         """From where and in which direction (work frame, (..., 3)) cols and rows (..., 2) were seen."""

@@ -18,7 +18,7 @@ _PLAN = SurveyPlan()
 
 
 class SimulateFrames(Stage):
-    """Simulates a survey of aerial frames: frames, pos.csv, cameras.json, and the truth beside them."""
+    """Simulates a survey of aerial frames: frames, pos.csv, cameras.json, and the truth."""
 
     id = "simulate.frames"
     display_name = "Simulate a survey of frames"
@@ -29,6 +29,15 @@ class SimulateFrames(Stage):
     class Params(StageParams):
         """The numbers of `SurveyPlan`, which holds their defaults. Standard deviations are per axis."""
 
+        FORMERLY: ClassVar[dict[str, str]] = {
+            "lens_told": "lens_reported",
+            "attitude_told": "attitude_reported",
+            "height_told": "height_reported",
+            "relative_height_told": "relative_height_reported",
+            "readout_told": "readout_reported",
+            "shutter_told": "shutter_reported",
+            "gyroscope_told": "gyroscope_reported",
+        }
         dirty: int | None = param(
             None, help="draw a survey as people deliver them, with its faults; what else is given holds", ge=0
         )
@@ -90,8 +99,8 @@ class SimulateFrames(Stage):
             _PLAN.principal_row_offset_px, help="principal point below the middle", unit="px"
         )
         lens: str = param(_PLAN.lens, help="how the lens bends", choices=LENSES)
-        lens_told: bool = param(
-            _PLAN.lens_told, help="the reported camera has lens, distortion and centre as they are"
+        lens_reported: bool = param(
+            _PLAN.lens_reported, help="the reported camera has lens, distortion and centre as they are"
         )
         lens_in_tags: bool = param(
             _PLAN.lens_in_tags, help="frames hold the reported camera as the maker's calibration (XMP)"
@@ -168,10 +177,10 @@ class SimulateFrames(Stage):
             unit="deg",
             ge=0.001,
         )
-        attitude_told: bool = param(_PLAN.attitude_told, help="the POS holds yaw, pitch and roll")
-        height_told: bool = param(_PLAN.height_told, help="the POS holds heights")
-        relative_height_told: bool = param(
-            _PLAN.relative_height_told, help="frames report their height above the take-off too (XMP)"
+        attitude_reported: bool = param(_PLAN.attitude_reported, help="the POS holds yaw, pitch and roll")
+        height_reported: bool = param(_PLAN.height_reported, help="the POS holds heights")
+        relative_height_reported: bool = param(
+            _PLAN.relative_height_reported, help="frames report their height above the take-off too (XMP)"
         )
         position_bias_m: float = param(
             _PLAN.position_bias_m, help="error that all positions share, in one direction", unit="m", ge=0
@@ -239,9 +248,11 @@ class SimulateFrames(Stage):
         rolling_shutter_s: float = param(
             _PLAN.rolling_shutter_s, help="time from reading the first row to the last", unit="s", ge=0, le=1
         )
-        readout_told: bool = param(_PLAN.readout_told, help="frames hold the time that a line takes (XMP)")
-        shutter_told: bool = param(
-            _PLAN.shutter_told, help="frames hold whether the shutter is mechanical (DJI's XMP)"
+        readout_reported: bool = param(
+            _PLAN.readout_reported, help="frames hold the time that a line takes (XMP)"
+        )
+        shutter_reported: bool = param(
+            _PLAN.shutter_reported, help="frames hold whether the shutter is mechanical (DJI's XMP)"
         )
         camera_model: str = param(_PLAN.camera_model, help="the camera's model in EXIF")
         vibration_deg_per_s: float = param(
@@ -254,13 +265,13 @@ class SimulateFrames(Stage):
         vibration_hz: float = param(_PLAN.vibration_hz, help="how often it shakes", unit="Hz", ge=0.1, le=200)
         updraft_m_per_s: float = param(
             _PLAN.updraft_m_per_s,
-            help="how fast frames rise or sink while they are read, beside their path, standard deviation",
+            help="how fast frames rise or sink while they are read, off their path, standard deviation",
             unit="m/s",
             ge=0.0,
             le=20.0,
         )
-        gyroscope_told: bool = param(
-            _PLAN.gyroscope_told, help="frames hold the gyroscope's rates while they are read (XMP)"
+        gyroscope_reported: bool = param(
+            _PLAN.gyroscope_reported, help="frames hold the gyroscope's rates while they are read (XMP)"
         )
         gyroscope_sd_deg_per_s: float = param(
             _PLAN.gyroscope_sd_deg_per_s, help="noise of those rates", unit="deg/s", ge=0, le=100

@@ -89,7 +89,7 @@ class SimulateStrips(Stage):
             _PLAN.dem, help="ground from this DEM (ellipsoidal heights), which must hold lon_deg, lat_deg"
         )
         texture: Path | None = param(
-            _PLAN.texture, help="raster laid on the ground pixel on pixel, mirrored at its edges"
+            _PLAN.texture, help="raster placed on the ground pixel on pixel, mirrored at its edges"
         )
         contrast: float = param(
             _PLAN.contrast, help="sd of the ground's brightness over its mean", ge=0, le=0.5

@@ -49,7 +49,7 @@ def open_whole_strip(path: Path, width_px: int, lines: int, bit_depth: int) -> I
 
 
 def write_geometry(path: Path, geometry: StripGeometry) -> None:
-    """GEOMETRY.yaml beside its strips, DEM, RPC and model."""
+    """GEOMETRY.yaml in the folder of its strips, DEM, RPC and model."""
     ccds: list[dict[str, object]] = []
     for ccd in geometry.ccds:
         ccds.append({"row": ccd.row} if ccd.path is None else {"path": str(ccd.path), "row": ccd.row})
@@ -70,7 +70,7 @@ def write_geometry(path: Path, geometry: StripGeometry) -> None:
 
 
 def write_model(path: Path, model: Pushbroom) -> None:
-    """The rigorous model as `survey.strip_model.read_model` reads it: YAML, and two tables beside it."""
+    """The rigorous model as `survey.strip_model.read_model` reads it: YAML, and two tables in its folder."""
     tables = {"orbit": f"{path.stem}_orbit.csv", "attitude": f"{path.stem}_attitude.csv"}
     orbit = (
         [f"{t:.9f}", *(f"{v:.6f}" for v in xyz)] for t, xyz in _rows(model.orbit_time_s, model.orbit_ecef_m)

@@ -161,7 +161,7 @@ def _mirrored(index: Ints64, size: int) -> Ints64:
 
 
 def _read_image(path: Path) -> Floats32:
-    """A raster's mean over bands; it is laid on the world pixel on pixel, mirrored at its edges."""
+    """A raster's mean over bands; it is placed on the world pixel on pixel, mirrored at its edges."""
     with open_raster(path, REFERENCE) as source, reading(path):
         step = max(1.0, max(source.width, source.height) / _MOST_PX)
         shape = (source.count, max(int(source.height / step), 1), max(int(source.width / step), 1))

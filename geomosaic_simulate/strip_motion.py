@@ -123,7 +123,7 @@ def _jitter_rad(plan: StripPlan, time_s: Floats) -> Floats:
 def _given_rad(plan: StripPlan, time_s: Floats) -> Floats:
     """The motion of a CSV: time_s, along_px, across_px; how far the camera looks ahead and to image right.
 
-    Straight between its lines, held before the first and after the last.
+    Straight between its lines, constant before the first and after the last.
     """
     out = np.zeros((time_s.size, 3))
     if plan.motion is None:

@@ -68,7 +68,7 @@ def _silent(done: int, total: int, text: str) -> None:
 def simulate_strips(
     out: Path, plan: StripPlan, *, scene: bool = True, progress: Progress = _silent
 ) -> SimulatedStrips:
-    """Write a plan's strips, geometry.yaml, model, RPC and DEM, and beside them the truth.
+    """Write a plan's strips, geometry.yaml, model, RPC and DEM, and the truth.
 
     `scene` False leaves out the true scene, half of the work. Layout and formats: docs/simulation.md.
     Raises: `OutputError` if the folder holds strips already or can't be written.

@@ -130,7 +130,7 @@ def frame_bytes(
     if plan.pos_in == "csv":
         return with_segments(jpeg, tiff_bytes(main, exif, []), None)
     lon, lat, height = (float(v) for v in observed.lon_lat_height[i])
-    gps = gps_tags(float(flight.time_s[i]), lon, lat, height if plan.height_told else None)
+    gps = gps_tags(float(flight.time_s[i]), lon, lat, height if plan.height_reported else None)
     xmp = _dji(plan, observed, i) | _camera_xmp(plan, reported, flight, i)
     return with_segments(
         jpeg,
@@ -162,9 +162,9 @@ def _camera_xmp(plan: SurveyPlan, reported: Camera, flight: Flight, i: int) -> d
             tags["PerspectiveFocalLength"] = f"{reported.focal_length_px * mm:.6f}"
             tags["PerspectiveFocalLengthUnits"] = "mm"
             tags["PerspectiveDistortion"] = ",".join(f"{term:.9f}" for term in terms)
-    if plan.readout_told:
+    if plan.readout_reported:
         tags["LineReadoutTime"] = str(round(1e9 * plan.rolling_shutter_s / reported.height_px))
-    if plan.gyroscope_told:
+    if plan.gyroscope_reported:
         first_row_s = float(flight.time_s[i]) - START_S + _BOOTED_S - 0.5 * plan.rolling_shutter_s
         tags["IMUAngularVelocity"] = gyroscope_tag(
             plan, readout_of(plan, flight, i), round(1e6 * first_row_s), i
@@ -175,14 +175,14 @@ def _camera_xmp(plan: SurveyPlan, reported: Camera, flight: Flight, i: int) -> d
 def _dji(plan: SurveyPlan, observed: Observed, i: int) -> dict[str, str]:
     """DJI's tags: gimbal pitch -90 at the nadir, signs written out. The aircraft itself flies level."""
     tags = {}
-    if plan.shutter_told:
+    if plan.shutter_reported:
         tags["ShutterType"] = "Electronic" if plan.rolling_shutter_s else "Mechanical"
-    if plan.height_told and i not in plan.numbered("no_gps"):
+    if plan.height_reported and i not in plan.numbered("no_gps"):
         height = float(observed.lon_lat_height[i, 2])
         tags["AbsoluteAltitude"] = f"{height:+.3f}"
-        if plan.relative_height_told:
+        if plan.relative_height_reported:
             tags["RelativeAltitude"] = f"{observed.height_above_take_off_m[i]:+.3f}"
-    if plan.attitude_told:
+    if plan.attitude_reported:
         yaw, pitch, roll = gimbal_deg(observed.yaw_pitch_roll_deg[i])
         heading = (float(observed.yaw_pitch_roll_deg[i, 0]) + 180.0) % 360.0 - 180.0
         tags |= {
@@ -218,9 +218,9 @@ def _files(plan: SurveyPlan) -> list[tuple[int, str]]:
 def pos_rows(plan: SurveyPlan, observed: Observed) -> tuple[list[str], list[list[str]]]:
     """The POS table with the standard deviations that it states; columns that aren't given are left out."""
     hidden = (
-        set() if plan.attitude_told else {"yaw_deg", "pitch_deg", "roll_deg", "sd_yaw_deg", "sd_tilt_deg"}
+        set() if plan.attitude_reported else {"yaw_deg", "pitch_deg", "roll_deg", "sd_yaw_deg", "sd_tilt_deg"}
     )
-    hidden |= set() if plan.height_told else {"height_ellipsoidal_m", "sd_vertical_m"}
+    hidden |= set() if plan.height_reported else {"height_ellipsoidal_m", "sd_vertical_m"}
     yaw_sd_deg = plan.yaw_sd_deg if plan.stated_yaw_sd_deg is None else plan.stated_yaw_sd_deg
     stated = (plan.position_sd_m, plan.height_sd_m, yaw_sd_deg, plan.tilt_sd_deg)
     sd = [plan.stated_sd_factor * s for s in stated]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -47,16 +48,17 @@ class ControlResidual:
 @dataclass(frozen=True)
 class SolvedBlock:
     """A solution that the adjustment of a later run begins from, of the frames that it is certain of: their
-    names (n,), positions_m (n, 3) and rotations (n, 3, 3) in the work frame, swing_rad (n, t, 3) and drift
-    (n, 3) while rows are read. settings, lenses: of its model, as assumed; cameras: as found. shared, fixed:
-    values of the shared unknowns by the name of their part, and which were kept as given. components:
+    names (n,), positions_m (n, 3) and rotations (n, 3, 3) in the work frame, rotation_terms_rad (n, t, 3) and
+    drift (n, 3) while rows are read. settings, lenses: of its model, as assumed; cameras: as found. shared,
+    fixed: values of the shared unknowns by the name of their part, and which were kept as given. components:
     variance components by name. observations: number of image observations. choice: how the model was chosen.
     """
 
+    FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad"}
     names: tuple[str, ...]
     positions_m: Floats
     rotations: Floats
-    swing_rad: Floats
+    rotation_terms_rad: Floats
     drift: Floats
     settings: Settings
     lenses: tuple[Camera, ...]
@@ -67,6 +69,11 @@ class SolvedBlock:
     observations: int
     choice: ModelChoice | None = None
 
+    def __post_init__(self) -> None:
+        """Components of earlier versions get their present names."""
+        renamed = {re.sub(r"^swing (?=\d)", "rotation term ", k): v for k, v in self.components.items()}
+        object.__setattr__(self, "components", renamed)
+
     def of(self, names: Collection[str]) -> SolvedBlock:
         """Without other frames."""
         kept = np.array([name in names for name in self.names], dtype=bool)
@@ -75,7 +82,7 @@ class SolvedBlock:
             names=tuple(name for name in self.names if name in names),
             positions_m=self.positions_m[kept],
             rotations=self.rotations[kept],
-            swing_rad=self.swing_rad[kept],
+            rotation_terms_rad=self.rotation_terms_rad[kept],
             drift=self.drift[kept],
         )
 
@@ -216,6 +223,13 @@ class ModelChoice:
     left_out_px: tuple[float, ...]
     contradicted: tuple[str, ...] = ()
     shown: bool = False
+
+    def __post_init__(self) -> None:
+        """Models of earlier versions get their present names."""
+        for field_name in ("taken", "names", "contradicted"):
+            names = getattr(self, field_name)
+            present = tuple(n.replace("untold_turns", "without_reported_turns") for n in names)
+            object.__setattr__(self, field_name, present)
 
 
 @dataclass(frozen=True)

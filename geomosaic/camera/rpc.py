@@ -69,7 +69,7 @@ class Rpc:
         return named | {k: " ".join(f"{v:.15g}" for v in row) for k, row in lists}
 
     def text(self) -> str:
-        """As a file X_RPC.TXT beside X.tif, which GDAL reads."""
+        """As a file X_RPC.TXT next to X.tif, which GDAL reads."""
         lines = []
         for key, value in self.metadata().items():
             if key in _COEFFICIENTS:

@@ -14,8 +14,8 @@ from geomosaic.estimation.linear import cholesky_of_band, solve_band
 class Banded:
     """Cholesky factors of the matrix of n knots with b unknowns each.
 
-    Args: diagonal (n, b, b) of each knot itself; beside: of each distance d from 1 on, (n - d, b), what joins
-    unknowns of knot j to their own kind of knot j + d.
+    Args: diagonal (n, b, b) of each knot itself; off_diagonal: of each distance d from 1 on, (n - d, b), what
+    joins unknowns of knot j to their own kind of knot j + d.
 
     Raises: NotSolvableError if the matrix is not positive definite.
     """

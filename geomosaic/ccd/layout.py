@@ -94,7 +94,8 @@ class ImageSpaceLayout:
 
     Displacements are constant across each overlap, so that both strips of a pair put all of it at the same
     place; within a strip they go linearly from the left overlap to the right one. At the scene's outer edges
-    and beside a dead CCD the other overlap's holds throughout. Nothing accumulates from strip to strip.
+    and next to a dead CCD the other overlap's offset is used throughout. Nothing accumulates from strip to
+    strip.
     """
 
     geometry: StripGeometry

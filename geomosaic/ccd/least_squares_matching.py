@@ -3,7 +3,7 @@
 Ackermann 1984 (high precision digital image correlation), with shifts alone: the curve that is refined bends
 along the lines, so that within a cell of some lines nothing else is left. Both images' fine detail is taken
 over the ground that both show: a blur over different ground shifts what it leaves. A cell's residuals are
-held against what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
+compared to what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ class LinePoses:
     """Position and rotation of a model's camera at lines of a range, straight in between.
 
     Where a table of every line stands for the model's curves, jitter of 22 Hz and 0.06 px is off by less than
-    0.0001 px. Beyond the model's table of attitudes its ends are held.
+    0.0001 px. Beyond the model's table of attitudes its end values are used.
 
     Args: first, last: the range of camera lines; step: lines from one pose to the next.
     """

@@ -32,8 +32,9 @@ def option_values(stage: type[Stage], options: Mapping[str, Any]) -> dict[str, A
     from geomosaic.doors.plain import plain_yaml
 
     values = {}
+    given = {stage.Params.FORMERLY.get(k, k): v for k, v in options.items() if v is not None}
     for p in describe_params(stage.Params):
-        value = options.get(p.name)
+        value = given.get(p.name)
         if value is not None:
             textual = p.is_file or p.type.startswith("text") or p.choices
             values[p.name] = (
@@ -60,9 +61,12 @@ def command_of(
     keyword = inspect.Parameter.KEYWORD_ONLY
     argument = typer.Argument(help=help, metavar=name.upper())
     parameters = [inspect.Parameter(name, keyword, annotation=Annotated[Path, argument])]
-    for p in describe_params(stage.Params):
+    declared = describe_params(stage.Params)
+    present = {p.name: p for p in declared}
+    former = [replace(present[new], name=old) for old, new in stage.Params.FORMERLY.items()]
+    for p in [*declared, *former]:
         flag = f"--{p.name.replace('_', '-')}"
-        how: dict[str, Any] = {"help": help_line(p), "show_default": False}
+        how: dict[str, Any] = {"help": help_line(p), "show_default": False, "hidden": p in former}
         how["rich_help_panel"] = headings.get(p.name)
         if p.type == "true or false":
             kind: Any = bool | None

@@ -20,7 +20,7 @@ def frames(
     srt: Annotated[
         Path | None,
         typer.Option(
-            "--srt", help="subtitles with the drone's positions [VIDEO.SRT beside it, else the video's own]",
+            "--srt", help="subtitles with the drone's positions [VIDEO.SRT, else the video's own]",
             metavar="FILE",
         ),
     ] = None,

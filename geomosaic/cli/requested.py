@@ -19,7 +19,7 @@ from geomosaic.requests.run_request import RunRequest
 
 @dataclass(frozen=True)
 class Terminal:
-    """What the command line is asked for beside a request."""
+    """Options of the command line that are no part of a request."""
 
     dry_run: bool = asked(
         Option(

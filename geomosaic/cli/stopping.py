@@ -64,7 +64,7 @@ class Stop:
 
 @contextmanager
 def stoppable() -> Iterator[Stop]:
-    """Signals to stop are heard in this block, in the main thread; those that are ignored stay so."""
+    """Signals to stop are handled in this block, in the main thread; those that are ignored stay so."""
     stop = Stop()
     if threading.current_thread() is not threading.main_thread():
         yield stop

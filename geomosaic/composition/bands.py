@@ -56,7 +56,7 @@ def other_bands(frames: PosedFrames, rig: RigPoses) -> Iterator[PosedFrames]:
 
 
 def narrowest(frames: PosedFrames, rig: RigPoses) -> PosedFrames | None:
-    """The band whose camera sees least, and nothing that the frames do not: a thermal one beside a wide one.
+    """The band whose camera sees least, and nothing that the frames do not: a thermal one with a wide one.
 
     None where each band sees beyond the frames.
     """

@@ -30,8 +30,8 @@ from geomosaic.composition.window import CompositionStep, Window
 from geomosaic.constants import tuned
 from geomosaic.projection.warp import GroundWindow, ProjectionEquations, frame_from_map, middles
 
-MOST_MOVED_PX = tuned(0.05, "mosaic px", "that a kept tile may be off: more shows at tiles beside it")
-MOST_GREY = tuned(0.5, "grey levels of 256", "that a kept tile may be off: more shows at tiles beside it")
+MOST_MOVED_PX = tuned(0.05, "mosaic px", "that a kept tile may be off: more shows at adjacent tiles")
+MOST_GREY = tuned(0.5, "grey levels of 256", "that a kept tile may be off: more shows at adjacent tiles")
 _ACROSS = tuned(4, "places", "along a tile, of a frame's place and brightness: fewer miss what moved")
 _NEAR = tuned(0.1, "of a frame's side", "outside that still counts: less loses rims; more sees nothing")
 

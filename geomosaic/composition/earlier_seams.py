@@ -1,4 +1,4 @@
-"""Seams of an earlier mosaic, which stay where the frames beside them are the same.
+"""Seams of an earlier mosaic, which stay where the frames on both sides are the same.
 
 Where frames differ little, the least moves their seams by some cells, and no mosaic looks better for it.
 """

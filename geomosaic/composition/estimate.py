@@ -55,7 +55,7 @@ PARTS: Final = Rate(
     1.2,
     2.2,
     "share of the pixels' bytes",
-    "what frames give and blends need of their neighbours, beside the mosaic until it is written",
+    "what frames give and blends need of their neighbours, with the mosaic until it is written",
     "flights of 28, 18 and 19 frames: 1.37, 1.73 and 1.47",
 )
 MEMORY: Final = Rate(
@@ -76,7 +76,7 @@ _SURFACE_BYTES = sourced(128.0, "bytes/cell", "of a surface on disk", "18 frames
 @dataclass(frozen=True)
 class Before:
     """What comes before a mosaic is composed: s of a core, least and most; bytes of memory that the whole run
-    takes beside the windows at work; bytes on the disk."""
+    takes without the windows at work; bytes on the disk."""
 
     core_s: Range
     memory_bytes: float
@@ -89,7 +89,7 @@ class SizeEstimate:
 
     filled_share: of the grid that frames cover; empty parts take neither room nor time. mosaic_gb: of
     mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed, or a scene
-    projected onto the map beside both; scratch_gb: what else is.
+    projected onto the map, next to both; scratch_gb: what else is.
     gsd_m: None for a scene without a map.
     """
 
@@ -192,7 +192,7 @@ def before_composing(
 ) -> Before:
     """What reading, matching and adjusting take.
 
-    Args: sizes_px: of all frames; memory_bytes: that composing takes beside the windows at work.
+    Args: sizes_px: of all frames; memory_bytes: that composing takes without the windows at work.
     """
     whole = np.array([float(w) * h for w, h in sizes_px])
     longest = np.array([max(size) for size in sizes_px])

@@ -22,7 +22,7 @@ def objects_between(surface: GroundSurface, terrain: GroundSurface) -> Ints32:
     """The objects of a surface that stand on a terrain with the same nodes: by node (rows, cols) the number
     of its object from 1 on, 0 elsewhere.
 
-    What stands is higher over the terrain than a node's distance, and than half of what is highest beside it:
+    What stands is higher over the terrain than a node's distance, and than half of the highest neighbour:
     the foot of a wall is ground. It is divided where its heights leap; parts below `HIGH_M` are left out.
     """
     over_m = np.asarray(surface.up_m - terrain.up_m, dtype=np.float32)
@@ -48,7 +48,7 @@ def _nearest_part(stands: Bools, even: Bools) -> Ints32:
 
 
 def _without_steps(parts: Ints32, over_m: Floats32, limit_m: float) -> Ints32:
-    """Parts beside each other as one, if their heights do not leap along most of what they share."""
+    """Adjacent parts as one, if their heights do not leap along most of what they share."""
     number = int(parts.max(initial=0)) + 1
     pairs, leaps = [], []
     for a, h in ((parts, over_m), (parts.T, over_m.T)):

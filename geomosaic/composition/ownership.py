@@ -259,8 +259,8 @@ def within(ownership: Ownership, area: Area) -> Ownership:
 
 
 def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]:
-    """The frames that own any of a window or of the cells beside it, and in which of its planning cells each
-    may own pixels, (k, h, w): those that meet its own cells or the ones beside them."""
+    """The frames that own any of a window or of the adjacent cells, and in which of its planning cells each
+    may own pixels, (k, h, w): those that meet its own or adjacent cells."""
     row, col, around = ownership.around(window)
     owners = [n for n in np.flatnonzero(np.bincount(around.ravel())).tolist() if n]
     side = ownership.cell_px

@@ -28,7 +28,7 @@ class Named(Mapping[str, T], Generic[T]):
 
     @cached_property
     def _entries(self) -> dict[str, list[EntryPoint]]:
-        """By name. Workers, who are told what to do, never look through all distributions for them."""
+        """By name. Workers get the names with their task and never search all distributions."""
         found: dict[str, list[EntryPoint]] = {}
         for entry in entry_points(group=self._group):
             found.setdefault(entry.name, []).append(entry)

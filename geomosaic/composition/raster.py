@@ -42,11 +42,11 @@ _COLOURS: Final = {
 }
 
 COLOURS: Final = ("red", "green", "blue")
-"""Names of a colour camera's bands beside those of another camera."""
+"""Names of a colour camera's bands in a mosaic with another camera's."""
 
 
 class Raster:
-    """A raster to write windows into, and beside it one of who gave each pixel, if that is wanted."""
+    """A raster to write windows into, and next to it one of who gave each pixel, if that is wanted."""
 
     def __init__(self, image: RasterPyramid, sources: RasterPyramid | None = None) -> None:
         self._image, self._sources = image, sources

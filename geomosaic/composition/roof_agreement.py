@@ -25,7 +25,7 @@ _MOST_WORSE = tuned(
 _ABOUT = tuned(
     np.ones((21, 21), np.uint8), "px", "of a roof's yard: less is its shadow; more, the next house"
 )
-_SEAM = tuned(np.ones((11, 11), np.uint8), "px", "beside a roof: less is its edge; more lies beyond")
+_SEAM = tuned(np.ones((11, 11), np.uint8), "px", "next to a roof: less is its edge; more lies beyond")
 _INSIDE = np.ones((_WINDOW, _WINDOW), np.uint8)
 
 

@@ -22,7 +22,7 @@ from geomosaic.spread import AtOnce, Spread
 _cv2: Any = cv2  # its stubs leave the stitching module out
 _ON_OBJECTS = tuned(np.float32(40.0), "grey levels", "seam cost on objects: less cuts houses; grass costs 10")
 _MANY_CELLS = tuned(16_000, "cells", "above, cut coarse to fine: less coarsens small parts; more is slow")
-_ABOUT_CELLS = tuned(4, "cells", "refined beside a coarse seam: fewer keep its steps; more take time")
+_ABOUT_CELLS = tuned(4, "cells", "refined next to a coarse seam: fewer keep its steps; more take time")
 
 
 Seam = Callable[[Ownership, Sequence[SeamPart], Spread], Ownership]

@@ -1,4 +1,4 @@
-"""Results that are too large to be held at once: made by a stage's workers, or by whoever asks for them."""
+"""Results that are too large for memory at once: made by a stage's workers, or by whoever asks for them."""
 
 from __future__ import annotations
 

@@ -171,7 +171,8 @@ class _Column:
 def _columns(
     geometry: StripGeometry, layout: SceneLayout, sources: Sequence[StripSource], blend: Blend
 ) -> list[_Column]:
-    """The scene's width: where one strip is alone, and the overlaps with what a blend changes beside them."""
+    """The scene's width: where one strip is alone, and the overlaps with what a blend changes next to
+    them."""
     spare = geometry.read_px - geometry.overlap_px  # by so much offsets may make the overlap narrower
     joints = []
     for left, right in pairwise(sources):

@@ -32,7 +32,7 @@ from geomosaic.survey.small import Spare
 
 GREYS = float(np.iinfo(np.uint8).max)
 ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
-_LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field beside it")
+_LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field next to it")
 _TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may be saturated")
 
 

@@ -148,7 +148,7 @@ class Composed:
         return Composed(self.window, pixels, self.valid & wanted, label, self.numbers, gave, wanted)
 
     def source(self, dtype: Any = np.int32, at: Any = np.s_[:, :]) -> NDArray[Any]:
-        """Of pixels, all if not told, the source's number plus 1, 0 where there is none."""
+        """Of pixels (default: all), the source's number plus 1, 0 where there is none."""
         number = np.array([*self.numbers, -1], dtype=np.int64) + 1
         return np.asarray(np.take(number.astype(dtype), self.label[at], mode="wrap"))
 

@@ -45,7 +45,7 @@ _CONNECTING = """
 class Purpose:
     """What a raster is wanted for: its drivers by GDAL's names, and what is said where it is none of them.
 
-    sidecars: whether world files, .prj, .aux.xml and .ovr beside it count, as they do for maps.
+    sidecars: whether world files, .prj, .aux.xml and .ovr next to it count, as they do for maps.
     """
 
     drivers: tuple[str, ...]

@@ -75,7 +75,7 @@ def check_sidecars(path: Path) -> None:
 
 
 def companions_of(path: Path) -> list[Path]:
-    """The files beside a file that are read with it: of the same stem, and of a kind that goes with rasters,
+    """The companion files that are read with a file: of the same stem, and of a kind that goes with rasters,
     shapefiles and tables. A log or an archive of the same stem is none."""
     near = (p for p in path.parent.iterdir() if p.name.startswith(f"{path.stem}.") and p != path)
     return sorted(p for p in near if _COMPANION.fullmatch(p.suffix.lower()) and p.is_file())

@@ -1,4 +1,4 @@
-"""The one door to files on other machines: what is told of them, and their bytes as they are.
+"""The one door to files on other machines: their size and version, and their bytes as they are.
 
 Everything goes through GDAL's file systems, with its own credentials and proxies from the environment, and
 nothing is decoded. GDAL's bolt (`doors.offline`) stays shut for every other name: it is opened for one file
@@ -51,7 +51,7 @@ class Remote:
     tag: str
 
     def is_same(self, size_bytes: object, changed_s: object, tag: object) -> bool:
-        """Whether what was told before is told again; of tag and time the tag says more."""
+        """Whether the server reports the same version again; the tag is surer than the time."""
         known = tag == self.tag if self.tag and tag else changed_s == self.changed_s
         return size_bytes == self.size_bytes and known
 
@@ -110,8 +110,8 @@ def look(address: Address) -> Remote:
 def copy(remote: Remote, to: BinaryIO, stopped: Callable[[], bool]) -> None:
     """Writes a file's bytes as they are; where they break off, they are asked for again from there.
 
-    Raises: `InputError` if they can't be had, are fewer than was told, changed meanwhile, or are a page where
-    an image should be; `CancelledError` once stopped says so.
+    Raises: `InputError` if they can't be had, are fewer than announced, changed meanwhile, or are a page
+    where an image should be; `CancelledError` once stopped says so.
     """
     address, done, tries = remote.address, 0, 0
     while done < remote.size_bytes:
@@ -189,7 +189,7 @@ def _pieces(remote: Remote, start: int) -> Generator[bytes, None, None]:
 
 @contextmanager
 def _opened(name: str, shown: str) -> Iterator[None]:
-    """GDAL may open this one name, in this thread, as long as the block lasts; what it raises is told."""
+    """GDAL may open this one name, in this thread, as long as the block lasts; what it raises is reported."""
     options = {key: str(gdal.GetConfigOption(key, usual)) for key, usual in _HTTP.items()}
     options |= {"CPL_VSIL_CURL_ALLOWED_FILENAME": name, "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
     gdal.PushErrorHandler("CPLQuietErrorHandler")

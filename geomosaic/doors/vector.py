@@ -113,7 +113,7 @@ def open_vector(path: Path, kind: GeometryKind = POLYGON) -> Any:
     if driver.ShortName in _TEXTS and path.stat().st_size > _MOST_TEXT_BYTES:
         raise FileError(f"is over {_MOST_TEXT_BYTES >> 20} MB", file=path, fix="write it as a GeoPackage")
     options = []
-    if driver.ShortName == "GPKG":  # read as it lies there: SQLite would put files beside it
+    if driver.ShortName == "GPKG":  # read as it lies there: SQLite would put files next to it
         log = path.with_name(f"{path.name}-wal")
         if log.exists() and log.stat().st_size:
             raise FileError("is being written by another program", file=path, fix="close it there first")

@@ -40,7 +40,7 @@ _MOST_BLOCKS = 256
 
 @contextmanager
 def block_cache(most_bytes: int) -> Iterator[None]:
-    """GDAL's cache of blocks held to a size; by itself it grows to a twentieth of the memory."""
+    """GDAL's cache of blocks limited to a size; by itself it grows to a twentieth of the memory."""
     before = gdal.GetCacheMax()
     gdal.SetCacheMax(min(most_bytes, before))
     try:

@@ -73,8 +73,8 @@ def ortho_file(style: OrthoStyle, frame: tuple[FrameOnMap, ...]) -> OrthoFile:
 
 
 def write_orthos_vrt(rasters: Sequence[Path], out: Path) -> None:
-    """A VRT beside rasters of one grid, the last on top, bands named as theirs; masked pixels let those below
-    be seen.
+    """A VRT in the folder of rasters of one grid, the last on top, bands named as theirs; masked pixels let
+    those below be seen.
 
     Raises: `OSError` if it can't be written.
     """

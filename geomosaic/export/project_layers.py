@@ -55,7 +55,7 @@ def project_of(
 ) -> tuple[str, tuple[float, float, float, float], list[LayerGroup]]:
     """A run's project: its CRS, what of it is seen at first, and its groups.
 
-    package: the run's layers.gpkg; rasters are those beside it. A scene of strips is shown by its
+    package: the run's layers.gpkg; rasters are those in its folder. A scene of strips is shown by its
     mosaic_map.tif, if that was made.
     """
     crs, shown = vector_layers(package)

@@ -12,8 +12,8 @@ from typing import Any, Final
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 VERSION: Final = "3.22.0"
-PLACES: Final = {"beside": "6", "on": "1", "along": "3"}
-"""Of labels: beside a point, on a polygon, along a line, by QGIS' numbers."""
+PLACES: Final = {"around": "6", "on": "1", "along": "3"}
+"""Of labels: next to a point, on a polygon, along a line, by QGIS' numbers."""
 _WHITE: Final = "255,255,255,255"
 _DARK: Final = "30,30,30,255"
 
@@ -128,7 +128,7 @@ def ranges(expression: str, symbols: Sequence[tuple[float, float, str, Symbol]])
     return renderer
 
 
-def labels(expression: str, place: str = "beside") -> Element:
+def labels(expression: str, place: str = "around") -> Element:
     """A text in one of `PLACES`, dark on a white rim, where there is room for it."""
     labeling = Element("labeling", type="simple")
     settings = SubElement(labeling, "settings", calloutType="simple")

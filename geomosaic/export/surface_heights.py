@@ -87,7 +87,7 @@ def reference_of(crs: str) -> Any:
 
 
 def describe_bands(dataset: Any, bands: Iterable[tuple[str, str]], nodata: float) -> None:
-    """Writes what stands in each band of a GDAL dataset, and its unit, beside what stands for nothing."""
+    """Writes what stands in each band of a GDAL dataset, and its unit, with the nodata value."""
     for number, (name, unit) in enumerate(bands, start=1):
         band = dataset.GetRasterBand(number)
         band.SetNoDataValue(nodata)

@@ -1,4 +1,4 @@
-"""A page beside web map tiles that shows them, and a run's layers over them, without any network."""
+"""A page next to web map tiles that shows them, and a run's layers over them, without any network."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ _DECIMALS: Final = 7
 def write_tile_page(
     out: Path, title: str, about_text: str, index: Mapping[str, Any], package: Path | None
 ) -> None:
-    """Writes an HTML page that stands alone but for the tiles beside it.
+    """Writes an HTML page that needs nothing but the tiles in its folder.
 
-    told: a line about the mosaic. index: of the tiles, as tiles.json. package: the run's layers.gpkg.
+    about_text: a line about the mosaic. index: of the tiles, as tiles.json. package: the run's layers.gpkg.
     Raises: `OSError` if it can't be written.
     """
     environment = Environment(autoescape=True, undefined=StrictUndefined)

@@ -1,4 +1,4 @@
-"""The finished mosaic for other programs: a VRT beside it, web map tiles, KMZ."""
+"""The finished mosaic for other programs: a VRT, web map tiles, KMZ."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _EARTH_RADIUS_M = EQUATOR_M / (2.0 * math.pi)
 
 
 def on_map(mosaic_file: Path) -> Path:
-    """A mosaic, or for a scene of strips the one beside it that was projected onto a map, if there is one."""
+    """A mosaic, or for a scene of strips its version that was projected onto a map, if there is one."""
     scene_map = mosaic_file.with_name(SCENE_MAP)
     if not scene_map.is_file():
         return mosaic_file
@@ -34,7 +34,7 @@ def on_map(mosaic_file: Path) -> Path:
 
 
 def write_vrt(mosaic_file: Path, out: Path) -> None:
-    """A VRT beside the mosaic that names it by its relative path and shows its mask as an alpha band."""
+    """A VRT next to the mosaic that names it by its relative path and shows its mask as an alpha band."""
     with gdal_failures(out):
         source = open_with_osgeo(mosaic_file, OWN)
         bands = [*range(1, source.RasterCount + 1), "mask"]

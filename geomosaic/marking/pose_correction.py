@@ -19,7 +19,7 @@ from geomosaic.constants import ROUNDS, SLIGHT, sourced, tuned
 from geomosaic.estimation.robust import cauchy_weight
 
 MARK_SD_PX = tuned(1.5, "px", "of a mark and a lens; less: marks look wrong; more: wrong marks look right")
-_OWN = tuned(0.5, "share of the stated deviations", "of one frame beside all; more: nothing is in common")
+_OWN = tuned(0.5, "share of the stated deviations", "of one frame among all; more: nothing is in common")
 STEP = sourced(np.finfo(float).eps ** (1 / 3), "deviations", "of central differences", "Press et al., 5.7")
 _EQUAL_ROUNDS = tuned(3, "rounds", "before weights are robust; less: all marks of a wrong start are rejected")
 

@@ -83,7 +83,7 @@ def _least_noise_sd(image: Bytes, valid: Bytes | None) -> float:
 
 
 def _second_differences(image: Bytes, valid: Bytes | None) -> tuple[Floats32, Bools]:
-    """Their size (rows, cols), 0 beside invalid pixels, and where it is known."""
+    """Their size (rows, cols), 0 next to invalid pixels, and where it is known."""
     second = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     size = np.abs(cv2.filter2D(image.astype(np.float32), -1, second))
     inside = np.ones(image.shape, np.bool_) if valid is None else away_from_invalid(valid) > 0

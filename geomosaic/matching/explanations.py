@@ -1,6 +1,6 @@
 """Causes of a heading that does not fit: the heading tag is wrong, the image was turned, or both.
 
-Three directions of a frame are compared: its heading tag y, the heading h in which its image lies beside
+Three directions of a frame are compared: its heading tag y, the heading h in which its image lies relative to
 its neighbours' images, and the heading e that its flight is expected to have. An image that was turned by q
 quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h fits e, and y fits neither.
 

@@ -99,7 +99,7 @@ def sift_features(
     """SIFT (Lowe 2004) on an 8 bit image, one pixel of which is pixel_px columns and rows of the frame.
 
     The strongest are taken cell by cell of a grid of about 24 x 24 cells, so that they cover the
-    frame evenly; keypoints beside invalid pixels are left out.
+    frame evenly; keypoints next to invalid pixels are left out.
     """
     mask = None if valid is None else away_from_invalid(valid)
     sift = cv2.SIFT.create(contrastThreshold=SIFT_CONTRAST, edgeThreshold=12, enable_precise_upscale=True)

@@ -1,4 +1,4 @@
-"""How two images of a pair lie to each other as a whole: by a plane, believed or seen."""
+"""How two images of a pair lie to each other as a whole: by a plane, predicted or estimated."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEAST_POINTS = tuned(8, "points", "on one plane; four define it: fewer are chanc
 
 @dataclass(frozen=True)
 class Guess:
-    """Where the right image is believed to show what the left one shows, to within a radius.
+    """Where the right image is predicted to show what the left one shows, to within a radius.
 
     size_px: width and height of the left image. corners_px: where its corners (top left, top right, bottom
     right, bottom left) lie in the right one, col and row each; not used where the radius is infinite.

@@ -1,4 +1,4 @@
-"""Tie points told by keypoints, moved to where the pixels agree.
+"""Tie points of matched keypoints, refined to where the pixels agree.
 
 Each track has one frame that stands for the place on the ground; what that frame shows there is sought in the
 track's other frames. Keypoints move, not pairs: so a track stays one place however many pairs see it.

@@ -126,8 +126,8 @@ def _along_tree(n: int, joints: Joints, step: Complexes) -> Complexes:
 
 
 def _voted(n: int, joints: Joints, step: Complexes, value: Complexes) -> Complexes:
-    """Each frame in turn takes what most of its pairs agree on beside its neighbours' present values, until
-    none changes; a wrong pair in the tree is mended so, with all that hangs on it."""
+    """Each frame in turn takes what most of its pairs agree on, given its neighbours' present values, until
+    none changes; a wrong pair in the tree is corrected so, with all that depends on it."""
     mine: list[list[tuple[int, complex]]] = [[] for _ in range(n)]
     for a, b, s in zip(joints.left.tolist(), joints.right.tolist(), step, strict=True):
         mine[a].append((b, -s))

@@ -74,7 +74,7 @@ def search(
 ) -> tuple[Ints, Ints]:
     """Candidate tie points whose places are at most a radius apart.
 
-    Guided: only keypoints of a cell and at most a radius beside it are compared. With an infinite radius the
+    Guided: only keypoints of a cell and at most a radius from it are compared. With an infinite radius the
     search is free: all keypoints of both frames.
 
     Args: radius: in the unit of the places.
@@ -87,7 +87,7 @@ def search(
 
 
 def _near(left: Floats, right: Floats, radius: float) -> Iterator[tuple[Ints, Ints]]:
-    """Left keypoints cell by cell, and the right ones at most a radius beside the cell."""
+    """Left keypoints cell by cell, and the right ones at most a radius from the cell."""
     there = np.flatnonzero(np.isfinite(right).all(axis=1))
     here = np.flatnonzero(np.isfinite(left).all(axis=1))
     if not len(there) or not len(here):

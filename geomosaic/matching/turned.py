@@ -247,7 +247,7 @@ def _votes(n: int, costs: list[tuple[int, int, Floats]]) -> Ints:
 
 
 def _descent(n: int, costs: list[tuple[int, int, Floats]], start: Ints, fee_m: float) -> Ints:
-    """Each frame in turn takes what is best beside its neighbours' present turns, until none changes."""
+    """Each frame in turn takes what is best given its neighbours' present turns, until none changes."""
     turn = start.copy()
     mine: list[list[tuple[int, Floats]]] = [[] for _ in range(n)]
     for a, b, c in costs:

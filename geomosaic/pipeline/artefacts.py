@@ -59,7 +59,7 @@ def encode(artefact: Any) -> bytes:
 
 
 def write(artefact: Any, out: IO[bytes]) -> None:
-    """Writes what `encode` gives to a file, array by array: nothing is held twice."""
+    """Writes what `encode` gives to a file, array by array: nothing is in memory twice."""
     content = _Content()
     tree = _tree(artefact, content, type(artefact).__name__)
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as file:

@@ -39,7 +39,7 @@ _MISSING = object()
 class ArtefactHandle:
     """An artefact of a run: its file, and its value, decoded on first use.
 
-    fingerprint: of the bytes, of the files the stage wrote beside them, and of the lineage, so that
+    fingerprint: of the bytes, of the files the stage wrote with them, and of the lineage, so that
     whoever takes the artefact is redone if any file changes that it goes back to, through all stages.
     """
 

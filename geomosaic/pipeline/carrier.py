@@ -69,7 +69,7 @@ class RunFiles:
             ) from error
 
     def with_companions(self, path: Path) -> list[Path]:
-        """A file, and the inputs beside it of the same stem."""
+        """A file, and the inputs of the same stem in its folder."""
         return sorted({path, *self._hashes.named([str(path)])})
 
 

@@ -228,7 +228,7 @@ class Context:
         return RunFile(filename, self._hashes.of_written(self._folder.within(filename)))
 
     def content_of(self, path: Path) -> str:
-        """What names the content of an input and of the files beside it that count."""
+        """Names the content of an input and of its companion files."""
         return fingerprint_of_json(sorted(self._hashes.named([str(path)]).values()))
 
     def copied_file(self, filename: str, original: RunFile) -> RunFile:
@@ -257,7 +257,7 @@ class Context:
         finished results again.
 
         Results are named by the function, what a partial binds, the item, and the contents of all files that
-        these name anywhere (any text or path in them that is a file, with what lies beside it and counts). So
+        these name anywhere (any text or path in them that is a file, with its companion files). So
         they outlive whatever doesn't change these: other parameters, new frames. What no run wants any more
         goes when a run is finished. Give a function what it needs and nothing else: a number that hangs on
         all frames together (a place in the work frame, a median) makes every item new when a frame comes.
@@ -289,7 +289,7 @@ class Context:
     def spooled(
         self, name: str, function: Callable[[Item], Result], items: Iterable[Item], keys: Sequence[Any]
     ) -> Iterator[list[StoredResult[Result]]]:
-        """As `map` with `keys`, for results that are too large to be held at once: see `stored`.
+        """As `map` with `keys`, for results that are too large for memory at once: see `stored`.
 
         They are there until the block ends; if it fails, the next run finds them.
         """

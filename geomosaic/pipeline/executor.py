@@ -69,10 +69,10 @@ def _portable(error: Exception) -> Exception:
 
 
 def peak_memory_bytes() -> int:
-    """The most memory this process ever held; 0 where the system doesn't say.
+    """The peak memory of this process; 0 where the system doesn't say.
 
     By Linux's own figure of this program's memory: the one that every system keeps of a process begins with
-    what the program held that started it.
+    the memory of the program that started it.
     """
     try:
         status = Path("/proc/self/status").read_text()

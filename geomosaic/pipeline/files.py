@@ -81,7 +81,7 @@ def refusals_named(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its name if the block succeeds, and vanishes if not.
+    """A temporary path next to `path` that takes its name if the block succeeds, and vanishes if not.
 
     The temporary name ends like the final one, so that drivers know the format. The block may make a
     file or a whole folder; a folder takes the place of an older one. A full disk or a missing

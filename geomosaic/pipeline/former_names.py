@@ -1,4 +1,4 @@
-"""Names that classes of artefacts had in recordings and run folders of earlier versions."""
+"""Names of earlier versions that recordings, run folders and plug-ins may still have, for one release."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ FORMER: Final = {
     "geomosaic.surface.terrain:TerrainModel": "geomosaic.surface.dtm:TerrainModel",
 }
 """Present name of a class by its former name, in the room's present name."""
+
+
+FORMER_DECLARATIONS: Final = {"beside": "concurrent"}
+"""Present name of what a stage declares by its former name."""
 
 
 def present_name(name: str) -> str:

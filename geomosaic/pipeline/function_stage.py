@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypedDict, Unpack
 
 from geomosaic.errors import PluginError
+from geomosaic.pipeline.former_names import FORMER_DECLARATIONS
 from geomosaic.pipeline.stage import Context, Stage, StageParams
 
 _NONE = (None, types.NoneType)
@@ -84,10 +85,11 @@ def stage(
     """
 
     def make(function: Callable[..., Any]) -> type[FunctionStage]:
-        if unknown := sorted(declared.keys() - Declaration.__annotations__.keys()):
+        present = {FORMER_DECLARATIONS.get(n, n): v for n, v in declared.items()}
+        if unknown := sorted(present.keys() - Declaration.__annotations__.keys()):
             raise _unfit(id, f"'{unknown[0]}' is nothing that a stage declares")
         about: dict[str, Any] = {"id": id, "display_name": display_name, "group": group}
-        about |= {n: staticmethod(v) if callable(v) else v for n, v in declared.items()}
+        about |= {n: staticmethod(v) if callable(v) else v for n, v in present.items()}
         about |= {name: getattr(function, name) for name in ("__doc__", "__module__", "__qualname__")}
         about |= {"function": staticmethod(function), "_outputs": outputs}
         about |= _taken(id, function) | {"outputs": _given(id, function, outputs)}

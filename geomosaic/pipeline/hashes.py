@@ -95,7 +95,7 @@ class FileHashes:
         return digest
 
     def named(self, texts: Iterable[str]) -> dict[Path, str]:
-        """The files that texts name, and the inputs beside them of the same stem, with their hashes."""
+        """The files that texts name, and the inputs of the same stem in their folders, with their hashes."""
         found: dict[Path, str] = {}
         for text in texts:
             path = Path(text)

@@ -105,7 +105,7 @@ class Items:
         return [OptionalCache(returns, place.path) for place in self._by_content(name, function, items)]
 
     def _submitted(self, work: Callable[[Item], Any], item: Item, left_at: Path | None) -> Future[Any]:
-        """An item on its way; other processes leave its result beside `left_at`, if that is given."""
+        """An item on its way; other processes leave its result next to `left_at`, if that is given."""
         if left_at is not None and self.workers.elsewhere:
             return self.workers.submit(SpoolingFunction(work), (item, left_at))
         return self.workers.submit(EncodedFunction(work), item)

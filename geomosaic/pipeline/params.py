@@ -8,7 +8,7 @@ import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self, TypedDict, Union, Unpack
+from typing import Any, ClassVar, Literal, Self, TypedDict, Union, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticUndefined
@@ -28,7 +28,7 @@ _TYPE_TEXT = {
 
 
 class ParamLimits(TypedDict, total=False):
-    """What may be said of a parameter beside its default and help: see `param`."""
+    """What may be said of a parameter besides its default and help: see `param`."""
 
     unit: str
     ge: float | None
@@ -82,8 +82,12 @@ class ParamDescription:
 
 
 class StageParams(BaseModel):
-    """A stage's parameters: frozen, unknown keys refused, every field declared by `param`."""
+    """A stage's parameters: frozen, unknown keys refused, every field declared by `param`.
 
+    `FORMERLY` maps names that parameters had in earlier versions to those they have.
+    """
+
+    FORMERLY: ClassVar[dict[str, str]] = {}
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, coerce_numbers_to_str=True)
 
     @model_validator(mode="after")
@@ -152,6 +156,7 @@ def check_params(
 
     Raises `UnknownNameError` for a key that isn't declared, `InputError` for a value that doesn't fit.
     """
+    values = {params.FORMERLY.get(key, key): value for key, value in values.items()}
     unknown = [key for key in values if key not in params.model_fields]
     if unknown:
         raise UnknownNameError(f"parameter of stage {stage}", str(unknown[0]), params.model_fields, file=file)

@@ -90,7 +90,7 @@ class Recipe:
                     self._check_apart(path, run_folder)
 
     def results(self) -> frozenset[str]:
-        """Names of all that a run of the recipe may write beside RUN/work."""
+        """Names of all that a run of the recipe may write next to RUN/work."""
         return frozenset({RUN_JSON, RECORDING, *(name for s in self.steps for name in s.stage.results)})
 
     def _check_apart(self, given: Path, run_folder: Path) -> None:
@@ -222,6 +222,7 @@ def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[st
         )
     for stage, params in zip(stages, values, strict=True):
         if stage.id == id:
+            name = stage.Params.FORMERLY.get(name, name)
             field = stage.Params.model_fields.get(name)
             if field is None:
                 raise UnknownNameError(

@@ -170,7 +170,7 @@ def replayed_stage(recording: Recording, recipe: Recipe, index: int) -> Replayed
 
 
 def _as_recorded(recording: Recording, record: StageRecord, entry: ArtefactEntry) -> bytes:
-    """An artefact's bytes, held against its fingerprint. Raises `FileError` where they are others."""
+    """An artefact's bytes, checked by its fingerprint. Raises: `FileError` where they differ."""
     data = artefact_data(recording, entry)
     content = fingerprint_of_bytes(data)
     if record.lineage and artefact_fingerprint(content, record.written, record.lineage) != entry.fingerprint:
@@ -182,7 +182,7 @@ def _as_recorded(recording: Recording, record: StageRecord, entry: ArtefactEntry
 
 
 def bring_files(recipe: Recipe, given: Mapping[int, ReplayedStage], folder: RunFolder) -> None:
-    """Copies into a new run folder the files that given artefacts name, from beside their recording.
+    """Copies into a new run folder the files that given artefacts name, from their recording's folder.
 
     A file that a later stage takes must be there (`FileError`); another is copied if it is one of the
     run's results, and still lies there.

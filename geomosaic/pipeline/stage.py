@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from geomosaic.pipeline.context import Context, RunFile
+from geomosaic.pipeline.former_names import FORMER_DECLARATIONS
 from geomosaic.pipeline.params import StageParams, file_values, param
 
 __all__ = ["Context", "RunFile", "Stage", "StageParams", "param"]
@@ -47,7 +48,7 @@ class Stage(ABC):
     looks_ahead: True for a stage that says what the later ones will take (`context.inform`): with the last of
     these a dry run ends.
     wants_frames: True for a stage that makes nothing of thumbnails: a replay without frames leaves it out.
-    results: names of the files and folders it may write beside RUN/work. A run is refused before any work
+    results: names of the files and folders it may write next to RUN/work. A run is refused before any work
     if one of them is there and not geomosaic's; one of an earlier run that is not made again is removed.
     """
 
@@ -66,6 +67,12 @@ class Stage(ABC):
     wants_frames: ClassVar[bool] = False
     results: ClassVar[tuple[str, ...]] = ()
     Params: ClassVar[type[StageParams]] = StageParams
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        for former, present in FORMER_DECLARATIONS.items():
+            if former in cls.__dict__:
+                setattr(cls, present, cls.__dict__[former])
 
     @classmethod
     def check(cls, params: Any) -> None:

@@ -16,7 +16,9 @@ from geomosaic.survey.model import ControlPoint, Frame, Survey
 ASSUMED_HEIGHT_M = sourced(120.0, "m", "over ground, where none is reported", "EU 2019/947: the most allowed")
 LEAST_HEIGHT_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
 _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")
-_FAR = tuned(2.5, "usual heights", "ratio in doubt beside an impossible one: less drops good, more keeps bad")
+_FAR = tuned(
+    2.5, "usual heights", "ratio in doubt next to an impossible one: less drops good, more keeps bad"
+)
 
 
 def or_nan(value: float | None) -> float:
@@ -36,7 +38,7 @@ def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floa
     """Ellipsoidal heights of the projection centres, (n,); NaN where nothing says.
 
     Heights above the ground count from the take-off point, whose height is taken as the median of the
-    ground below the frames. They are believed before an absolute height of worse than 3 m.
+    ground below the frames. They have priority over an absolute height of worse than 3 m.
 
     Args: ground_heights_m (n,) ellipsoidal heights of the ground below the frames.
     """

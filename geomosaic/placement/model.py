@@ -1,4 +1,4 @@
-"""Where frames are believed to lie before any of them is compared with another."""
+"""Predicted poses of frames before any are matched."""
 
 from __future__ import annotations
 

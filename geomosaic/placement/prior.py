@@ -19,7 +19,7 @@ from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.model import Survey
 
 COURSE_YAW_SD_DEG = tuned(20.0, "deg", "of a heading by course: less pulls at crosswind; more ignores it")
-YAW_LIES_DEG = tuned(8.0, "degrees", "of a wrong heading: compasses are off by as much beside motors")
+YAW_LIES_DEG = tuned(8.0, "degrees", "of a wrong heading: compasses are off by as much near motors")
 
 
 def heading_limits_rad(poses: Poses) -> Floats:

@@ -11,7 +11,7 @@ from geomosaic.constants import TOGETHER, tuned
 from geomosaic.projection.ground import GroundSurface
 
 _MOST_SAMPLES = tuned(8_000_000, "samples", "around a camera, 32 MB: fewer thin horizon views; more are slow")
-_STEPS_PER_NODE = tuned(2, "steps", "along a line: fewer show strips beside walls; more take time")
+_STEPS_PER_NODE = tuned(2, "steps", "along a line: fewer show strips next to walls; more take time")
 _POLE_M = tuned(1.0, "m", "widest object that hides nothing: more sees through walls and chimneys")
 _NEAR_NODES = tuned(2, "nodes", "around all rays: fewer miss the line and the next node at the edge")
 

@@ -17,7 +17,7 @@ NOT_STATED: Final = float("nan")
 _ASPRS = "ASPRS Positional Accuracy Standards, edition 2 (2023)"
 LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservation is stated", _ASPRS)
 LEAST_POINTS = tuned(3, "check or control points", "fewer say less than the covariance does")
-_OVER_M = tuned(100.0, "m", "length of the distances that are stated beside the whole map's")
+_OVER_M = tuned(100.0, "m", "length of the distances that are stated with the whole map's")
 _PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; less is called right elsewhere")
 _RTK_M = tuned(0.3, "m", "stated deviation of carrier phases at most; by code GNSS, distances over 100 m")
 _GNSS_M = tuned(3.0, "m", "deviation of a coordinate by code GNSS; less would call most flights doubtful")
@@ -91,8 +91,8 @@ class RelativeAccuracy:
 class Requirement:
     """What is asked of a map: RMSE horizontally and vertically in m, distances within it in per mille; NaN
     for what nothing is asked of. why: whose demand it is. local_m: how far land may lie off where it should
-    be beside the land around it. scaled: whether lengths are metres; without positions and control they are
-    in a unit of the map's own, and only pixels mean something."""
+    be relative to the land around it. scaled: whether lengths are metres; without positions and control they
+    are in a unit of the map's own, and only pixels mean something."""
 
     rmse_h_m: float
     rmse_v_m: float

@@ -37,7 +37,7 @@ class Comparison:
     vectors_sd_px: (n,) standard deviation of each. overlap_share: valid pixels the reference covers.
     ssim_cells: (rows, cols) mean SSIM of cells of ssim_cell_m from the top left corner (west_m,
     north_m), NaN where nothing is valid. ssim_registered: after the best similarity, which takes out a shift,
-    turn and scale that are told as displacements; None where too little was measured for one.
+    turn and scale that are stated as displacements; None where too little was measured for one.
     """
 
     mosaic: str

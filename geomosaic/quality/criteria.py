@@ -20,7 +20,7 @@ class Criterion:
     """A figure is good up to `good`, bad beyond `bad`, doubtful between; the cause and the fix if it is not
     good, and why the limits are where they are. inner: up to `bad` it is noted, since what it does to the map
     shows elsewhere, and doubtful beyond. of_land: a length in pixels that is good up to what is asked
-    of land beside the land around it."""
+    of land relative to the land around it."""
 
     good: float
     bad: float
@@ -101,7 +101,7 @@ CRITERIA: Mapping[str, Criterion] = {
         "share",
         "the surface was matched unsurely: woods that wind moves, rims of what stands, and what few frames "
         f"see, or see aslant, may lie off by more than {ASKED}",
-        "more overlap along and across, flown in calm air; --ortho terrain lays frames on the ground below",
+        "more overlap along and across, flown without wind; --ortho terrain lays frames on the ground below",
         "as for the worst tenth of the seams: nine tenths of the land keep below what is asked",
     ),
     "frames not tied": Criterion(

@@ -21,7 +21,7 @@ HeightsAt = Callable[[Floats, Floats], Floats]
 """Heights of a surface at x (east) and y (north) in m, NaN where there are none."""
 MOST_POINTS = tuned(200_000, "points", "of a fit or a test, evenly: more take time and change millimetres")
 _CONVERGED = tuned(0.01, "pixels", "plan step that ends it: larger shows in the report")
-_STEEPEST = tuned(1.0, "m per m", "slope limit: beyond, heights beside walls and crowns are chance")
+_STEEPEST = tuned(1.0, "m per m", "slope limit: beyond, heights next to walls and crowns are chance")
 
 
 @dataclass(frozen=True)

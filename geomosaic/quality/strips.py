@@ -103,7 +103,7 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
     The right strip is resampled onto the left one along the offsets; patches of 28 px are matched by
     correlation within 14 px and then by least squares (`quality.displacement`). A block's residual is the
     mean of its patches, if three quarters agree within half a pixel: where they don't, clouds and ground
-    lie beside each other. Clouds alone do agree, upon their own motion: only lines labelled measured
+    are adjacent. Clouds alone do agree, upon their own motion: only lines labelled measured
     count (bridged ones, where no line of the scene is measured), and a residual above 1 px must be seen
     by three quarters of all the block's patches, not of the measurable ones alone.
     """

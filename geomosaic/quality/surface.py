@@ -26,7 +26,7 @@ class SurfaceComparison:
     """What a surface and a reference say of each other; differences are surface minus reference.
 
     datum: how their heights were brought together. by_slope: of the surface, between pixels; by_kind: the
-    reference's classes; by_support: matched, or held by what lies around. fit: what shift and tilt of the
+    reference's classes; by_support: matched, or filled from what lies around. fit: what shift and tilt of the
     reference would fix, after_fit: what is left then. difference_m: (rows, cols) means in cells of cell_m
     from the upper left corner (west_m, north_m), NaN where nothing could be compared.
     """
@@ -76,7 +76,7 @@ def compare_surface(
         height_figures(off),
         by_class(off, slopes, slope_names),
         by_class(off, points.kind[known], kind_names(points.kind[known])),
-        by_class(off, matched, [(1, "matched"), (0, "held by what lies around")]),
+        by_class(off, matched, [(1, "matched"), (0, "filled from what lies around")]),
         fit,
         after,
         _means(off, (at[0] // by, at[1] // by), (-(-views.shape[0] // by), -(-views.shape[1] // by))),
@@ -104,7 +104,7 @@ class _Heights:
         self.pixel_m, self.west_m, self.north_m = raster.transform.a, raster.transform.c, raster.transform.f
 
     def at(self, east_m: Floats, north_m: Floats) -> Floats:
-        """Heights (n,), NaN beside the surface and its holes."""
+        """Heights (n,), NaN next to the surface's edge and holes."""
         row, col = (self.north_m - north_m) / self.pixel_m, (east_m - self.west_m) / self.pixel_m
         place = np.stack([row, col]) - 0.5
         found = map_coordinates(self._m, place, order=1, mode="nearest", output=np.float64)
@@ -118,7 +118,7 @@ class _Heights:
         return row.clip(0, self._m.shape[0] - 1), col.clip(0, self._m.shape[1] - 1)
 
     def slope_deg(self) -> Floats32:
-        """Of each pixel, from those beside it; 0 where they aren't known."""
+        """Of each pixel, from its neighbours; 0 where they aren't known."""
         if min(self._m.shape) < 2:
             return np.zeros_like(self._m)
         steepness = np.hypot(*np.gradient(self._m, self.pixel_m))

@@ -144,7 +144,7 @@ def _judged(name: str, value: float, required: Requirement, pixel_m: float) -> E
 
 
 def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
-    """Stated or measured accuracy beside what is required."""
+    """Stated or measured accuracy against the requirement."""
     absolute, relative = accuracy.absolute, accuracy.relative
     better = "control points (--gcp) or RTK positions; --accuracy states what you need"
     if absolute.shifted:

@@ -8,7 +8,7 @@
 #
 #     out/north/run.json: control/north.csv    # a file that north_FLAGS name
 #
-# `make -j2 mosaics reports tiles`, `make out/north/layers.gpkg`. A finished survey is settled: it is run again
+# `make -j2 mosaics reports tiles`, `make out/north/layers.gpkg`. A finished survey is up to date: it is run again
 # only if its frames or its flags change, and then from its cache. Names of surveys have no blanks.
 
 FLIGHTS ?= flights

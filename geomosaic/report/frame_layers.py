@@ -51,8 +51,8 @@ def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
 
 @dataclass(frozen=True)
 class FrameLayers:
-    """Makes the layers of a run; origin: what the map counts from; pixel_m: of the reduced mosaic. Beside
-    control and check points, frames are shown on demand."""
+    """Makes the layers of a run; origin: what the map counts from; pixel_m: of the reduced mosaic. Frames
+    are shown on demand, next to control and check points."""
 
     survey: Survey
     placement: Placement

@@ -45,8 +45,8 @@ def overlap_image(image: Glance, footprints_m: Sequence[Floats]) -> str:
 
 @dataclass(frozen=True)
 class ReferenceSeen:
-    """A reference as the report lays it beside the mosaic, so that nobody has to open it again; None where
-    there is no run's mosaic to lay it beside."""
+    """A reference as the report shows it next to the mosaic, without opening it again. None where the run
+    has no mosaic to compare it to."""
 
     image: Glance | None
 

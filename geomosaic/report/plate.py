@@ -88,7 +88,7 @@ def _arrow(line: Floats, colour: str) -> str:
 def _names(
     kinds: Sequence[MappedPoints], drawn: Sequence[Floats], shafts: Sequence[Floats], within: Box
 ) -> list[str]:
-    """Names beside their points where there is room for them: the table has all.
+    """Names next to their points where there is room for them: the table has all.
 
     Args: drawn: places of each kind's points (n, 2); shafts: places along arrows (k, 2).
     """

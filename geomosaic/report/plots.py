@@ -113,7 +113,7 @@ class PlotFrame:
         return [*out, text((self.x.start + self.x.end) / 2, name_at, label, text_anchor="middle")]
 
     def y_grid(self, label: str, **style: object) -> list[str]:
-        """Lines at the ticks, their texts and the axis' name beside the box."""
+        """Lines at the ticks, their texts and the axis' name next to the box."""
         out = []
         for at, words in self.y.marks():
             out.append(tag("line", x1=self.x.start, x2=self.x.end, y1=at, y2=at, class_="grid"))

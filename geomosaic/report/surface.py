@@ -160,7 +160,7 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
             (
                 "matched",
                 matched,
-                "of what surface.tif holds; the rest is held by what lies around, or by tie points",
+                "of what surface.tif holds; the rest is filled from what lies around, or from tie points",
             )
         )
     if sd.size:

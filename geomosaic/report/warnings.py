@@ -28,7 +28,7 @@ _ROUTINE: Final = frozenset(
         "readout-by-tag", "reference-datum-assumed", "surface-coarse", "yaw-wrong",
     )
 )  # fmt: skip
-"""What was assumed, or mended by the run itself, and told for the record."""
+"""What was assumed or corrected by the run itself, for the record."""
 _IN_VERDICT: Final = frozenset(("verdict-good", "verdict-doubtful", "verdict-bad"))
 """The page begins with it."""
 

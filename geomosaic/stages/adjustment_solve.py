@@ -266,7 +266,8 @@ def _report_shared(context: Context, adjusted: Adjusted) -> None:
                 "given": float(given),
                 "found": float(found),
                 "sd": float(sd),
-                "held": bool(fixed),
+                "fixed": bool(fixed),
+                "held": bool(fixed),  # the name of earlier versions, for one release
             }
             for of, name, given, found, sd, fixed in zip(*columns, strict=True)
         ]

@@ -54,7 +54,8 @@ def export_opensfm(survey: Survey, ties: TiePoints, adjusted: Adjusted, context:
 def export_odm(survey: Survey, placement: Placement, adjusted: Adjusted, context: Context) -> RunFile:
     """Writes odm/: geo.txt with the adjusted positions and attitudes, gcp_list.txt with the control points.
 
-    Copy both beside the folder of images. Check points go to check_list.txt, which OpenDroneMap leaves alone.
+    Copy both into the parent of the folder of images. Check points go to check_list.txt, which OpenDroneMap
+    leaves alone.
     """
     check_on_earth(survey.map_crs, "list of positions")
     if any(" " in frame.name for frame in survey.frames):

@@ -1,4 +1,4 @@
-"""What a scene of CCD strips is written as, beside its mosaic: offsets, layers, the map, the report."""
+"""Files of a scene of CCD strips other than its mosaic: offsets, layers, the map, the report."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def mosaic_compose(
 
 
 def _keeping(survey: Survey, context: Context) -> TileKeeping:
-    """Tiles of the run before are kept where they would be the same; notes of all lie beside the raster."""
+    """Tiles of the run before are kept where they would be the same; notes of all lie next to the raster."""
     frames = tuple(f"{frame.name} {context.content_of(Path(frame.path))}" for frame in survey.frames)
     before = context.earlier
 

@@ -32,7 +32,7 @@ class GivenParams(StageParams):
 def mosaic_given(
     survey: Survey, prior_ground: GroundSurface, placement: Placement, params: GivenParams, context: Context
 ) -> GivenMosaic:
-    """Composes reduced frames where they were reported to be; the report lays it beside the mosaic.
+    """Composes reduced frames where they were reported to be; the report shows it next to the mosaic.
 
     Frames that matching found to be turned are turned back. It takes nothing of the adjustment, so it is made
     while that goes on.

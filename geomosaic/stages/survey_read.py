@@ -1,4 +1,4 @@
-"""The front door: a folder of frames and the files beside it."""
+"""The front door: a folder of frames and its companion files."""
 
 from __future__ import annotations
 
@@ -120,12 +120,12 @@ class SurveyParams(StageParams):
 
 
 def _check(params: SurveyParams) -> None:
-    """The frames' names and every file beside them, but for what only the frames' headers show."""
+    """The frames' names and every companion file, but for what only the frames' headers show."""
     check_survey_files(_inputs(params))
 
 
 def _files(params: SurveyParams) -> dict[str, Path]:
-    """The folders that hold the frames, and the files beside them."""
+    """The folders that hold the frames, and their companion files."""
     files = _inputs(params).files
     folders = frame_folders(params.frames, files.values())
     return {f"frames/{name}" if name else "frames": p for name, p in folders.items()} | files

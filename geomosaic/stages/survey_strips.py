@@ -29,7 +29,7 @@ class StripParams(StageParams):
 
 
 def _check(params: StripParams) -> None:
-    """The geometry, every strip's header, and what is named beside them."""
+    """The geometry, every strip's header, and the other named files."""
     read_geometry(params.geometry)
 
 

@@ -26,8 +26,8 @@ _JUMP_BITS = tuned(7.0, "bits", "cost of any jump: lower, single cells leap; hig
 _SLOPE_COST: Final = np.uint8(PER_BIT * _SLOPE_BITS)
 _JUMP_COST: Final = np.uint8(PER_BIT * _JUMP_BITS)
 _TURN: Final = np.uint8(32)
-"""What heights of one turn of the ring are told from those of the next by: above what a jump costs, and eight
-turns fill a byte."""
+"""What distinguishes heights of one turn of the ring from those of the next: above what a jump costs, and
+eight turns fill a byte."""
 
 
 def ring(lowest: Steps, heights: int) -> Steps:

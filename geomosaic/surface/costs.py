@@ -18,7 +18,7 @@ from geomosaic.surface.visibility import Asked
 
 Steps = NDArray[np.int16]
 _MOST_BITS = tuned(14, "bits", "cap a frame: 12 differ by chance; lower, bad views count as mismatches")
-AGREEING = sourced(2, "frames", "best beside the first", "simulated towns: 1 to 3 % wrong roofs, 3: 2 to 7 %")
+AGREEING = sourced(2, "frames", "best after the first", "simulated towns: 1 to 3 % wrong roofs, 3: 2 to 7 %")
 CHANCE_BITS: Final = BITS // 2
 """That differ by chance."""
 _UNSEEN_BITS = tuned(8, "bits", "cost of a height that < 2 frames see: more favours seen ones; less unseen")

@@ -18,7 +18,7 @@ from geomosaic.surface.tile_mosaic import base_heights
 from geomosaic.surface.tile_sgm import MARGIN_CELLS, HeightSearch, TileHeights
 
 TILE_CELLS = tuned(304, "cells", "320 with the refined margin: smaller is mostly margin; larger takes memory")
-_BELOW = tuned(0.1, "flying heights", "search below the base: less misses ditches and land beside woods")
+_BELOW = tuned(0.1, "flying heights", "search below the base: less misses ditches and land next to woods")
 _ABOVE = tuned(0.3, "flying heights", "search above the base: less cuts off what stands high")
 _TALL_M = tuned(15.0, "m", "least search height, whatever the flying height: lower cuts off houses and trees")
 

@@ -52,7 +52,7 @@ ATTITUDE: Final = {
     "dji-flight": AttitudeAccuracy(5.0, 5.0, "the aircraft's attitude, not the camera's"),
     "parrot-camera": AttitudeAccuracy(3.0, 1.0, "camera attitude from the autopilot"),
     "sensefly": AttitudeAccuracy(5.0, 3.0, "autopilot of a light fixed wing, camera not stabilised"),
-    "xmp-camera": AttitudeAccuracy(5.0, 3.0, "small IMU beside the camera"),
+    "xmp-camera": AttitudeAccuracy(5.0, 3.0, "small IMU next to the camera"),
     "pos-yaw-pitch-roll": AttitudeAccuracy(2.0, 1.0, "a POS file without sigmas"),
     "pos-omega-phi-kappa": AttitudeAccuracy(0.5, 0.5, "from an adjustment or a survey-grade IMU"),
     "none": AttitudeAccuracy(180.0, 10.0, "nothing observed: taken to look down, any heading"),

@@ -65,7 +65,7 @@ _NO_UNITS: Final = frozenset(
         "orthometric",
     )
 )
-"""What stands in brackets beside units: a system, an axis, what heights count from."""
+"""What stands in brackets besides units: a system, an axis, what heights count from."""
 _SECOND_NAMES: Final = frozenset(("frame", "name"))
 """Columns that tables have twice."""
 _BRACKETS: Final = re.compile(r"[\[(]([^\])]*)[\])]?")

@@ -1,4 +1,4 @@
-"""Whether a frame's pixels are all there, heard while it is decoded.
+"""Detects frames with missing pixels while they are decoded.
 
 JPEG is decoded by libjpeg-turbo itself (simplejpeg), which says what it met. OpenCV, which gives the same
 pixels, decodes what is left of a damaged one without a word, and takes half as long again.
@@ -72,8 +72,8 @@ def wholeness(path: str) -> Wholeness:
 
 
 def looked_at(path: str) -> tuple[Wholeness, Bytes | None]:
-    """What is heard while a frame is decoded; and the pixels (rows, cols, bands) of a whole JPEG at half its
-    size, which come with it.
+    """Damage detected while a frame is decoded, and the pixels (rows, cols, bands) of a whole JPEG at half
+    its size, which come with it.
 
     Raises: `FileError` if it can't be opened at all.
     """

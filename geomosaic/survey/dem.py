@@ -42,7 +42,7 @@ class HeightRaster:
     outliers: tuple[tuple[float, int], ...] = ()
 
     def at(self, x: Floats, y: Floats) -> Floats:
-        """Bilinear between pixel centres; NaN outside and beside unknown pixels."""
+        """Bilinear between pixel centres; NaN outside and next to unknown pixels."""
         row = (self.north - y) / self.pixel_y - 0.5
         col = (x - self.west) / self.pixel_x - 0.5
         rows, cols = self.height_ellipsoidal_m.shape

@@ -9,7 +9,9 @@ from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.constants import ENOUGH, ROUNDS, sourced, tuned
 
 _LAND_M = sourced((-600.0, 9100.0), "m", "land, so no -999 or 9999", "Dead Sea shore -430 m, Everest 8849 m")
-_FILL_BELOW_M = tuned(20.0, "m", "step around a low fill: less loses the sea beside cliffs; more keeps fills")
+_FILL_BELOW_M = tuned(
+    20.0, "m", "step around a low fill: less loses the sea next to cliffs; more keeps fills"
+)
 _FILL_MOST_M = tuned(100.0, "m", "the same for a value of most cells: less loses plains with towers")
 _FILL_ABOVE_M = tuned(300.0, "m", "step around a high fill: less loses towers with flat roofs")
 _FILL_STEPS = tuned(4.0, "99 % steps", "a fill's step over the usual: less loses cliffs in mountains")

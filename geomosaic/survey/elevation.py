@@ -1,4 +1,4 @@
-"""A DEM as a survey's elevation model: its vertical datum settled, its cover of the frames checked."""
+"""A DEM as a survey's elevation model: its vertical datum resolved, its cover of the frames checked."""
 
 from __future__ import annotations
 

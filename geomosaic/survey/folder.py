@@ -169,7 +169,7 @@ def _called(frames: Collection[Path], top: Path) -> dict[Path, str]:
 
 
 def masks(headers: list[FrameHeader]) -> tuple[dict[str, str], dict[str, InputError]]:
-    """Frame name -> path of its mask, for the frames that have one beside them; and frame name -> what is
+    """Frame name -> path of its mask, for the frames that have one; and frame name -> what is
     wrong with it, where it can't be read, is damaged or isn't of its frame's size."""
     folders = {header.path.parent for header in headers}
     by_name = {(f, p.name.casefold()): p for f in folders for p in f.iterdir()}

@@ -114,7 +114,7 @@ class UnusedImage:
 class ElevationModel:
     """A DEM raster and what must be added to its values to have ellipsoidal heights.
 
-    `vertical` says how that was settled: the CRS's own vertical datum, an offset given, or assumed.
+    `vertical` says how that was decided: the CRS's own vertical datum, an offset given, or assumed.
     """
 
     path: str

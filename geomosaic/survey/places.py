@@ -42,7 +42,7 @@ class TablePlaces:
 
 
 def given_crs(path: Path, crs: str | None, fix: str) -> StatedCrs | None:
-    """The CRS given, else that of a .prj file of the same name beside the file, else None."""
+    """The CRS given, else that of a .prj file of the same name in its folder, else None."""
     prj = path.with_suffix(".prj")
     if crs is not None:
         return required_crs(crs, fix)

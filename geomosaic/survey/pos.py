@@ -108,7 +108,7 @@ def read_pos(
     Timestamp.MRK, or RTKLIB's events.
 
     Args: crs of x and y (and, if it has heights, of those), where neither geo.txt's first line nor a
-    .prj file beside it says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
+    companion .prj file says so; attitude_convention, one of `attitude.CONVENTIONS`; frames: among
     whose names those with blanks are found; datum: what heights count from that state nothing else.
     Raises: `InputError` naming the file, the line and the fix.
     """

@@ -1,4 +1,4 @@
-"""A POS file's positions beside those in the frames' tags: mistaken columns, signs, units and order."""
+"""A POS file's positions compared to those in the frames' tags: mistaken columns, signs, units and order."""
 
 from __future__ import annotations
 

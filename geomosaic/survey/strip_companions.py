@@ -1,4 +1,4 @@
-"""Whether the DEM, the RPC and the model beside CCD strips are of their scene."""
+"""Whether the DEM, the RPC and the model of CCD strips are of their scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rigorous model of CCD strips on disk: model.yaml, with orbit and attitude as tables beside it."""
+"""The rigorous model of CCD strips on disk: model.yaml, with orbit and attitude as tables in its folder."""
 
 from __future__ import annotations
 

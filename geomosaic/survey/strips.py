@@ -103,7 +103,7 @@ class StripGeometry:
 
 
 def read_geometry(path: Path) -> StripGeometry:
-    """The geometry of a YAML file, held against the strips it names; paths count from its folder.
+    """The geometry of a YAML file, checked against the strips it names; paths count from its folder.
 
     `ccds` (`path` and `row`, left to right; no `path` where a CCD is dead) and `line_rate_hz` are needed,
     the rest has defaults. `bit_depth` is the files' where it isn't given. DEM, RPC and model, where named,

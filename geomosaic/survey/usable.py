@@ -23,7 +23,7 @@ _LEAST_WHOLE = tuned(0.25, "share", "of a damaged frame's rows: less hardly ties
 @dataclass(frozen=True)
 class Usable:
     """headers of the frames that are used; whole_rows of those among them whose lower part is masked; looks,
-    and paths of the masks beside them, by the frames' names."""
+    and paths of their masks, by the frames' names."""
 
     headers: list[FrameHeader]
     whole_rows: dict[str, int]

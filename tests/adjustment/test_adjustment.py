@@ -72,7 +72,7 @@ def test_error_sharing_has_no_base_and_ends_below_epsilon() -> None:
 
 
 def test_error_sharing_on_a_net_of_lines_contracts() -> None:
-    """A 3 x 4 grid is bipartite: halves for each pair would swing for ever."""
+    """A 3 x 4 grid is bipartite: halves for each pair would alternate for ever."""
     pairs = [(r * 4 + c, r * 4 + c + 1) for r in range(3) for c in range(3)]
     pairs += [(r * 4 + c, r * 4 + c + 4) for r in range(2) for c in range(4)]
     chequers = np.array([[(-1.0) ** (r + c) * 5.0, 3.0 * r] for r in range(3) for c in range(4)])

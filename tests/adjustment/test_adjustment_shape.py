@@ -67,14 +67,14 @@ def test_a_shutter_that_nobody_told_of_counts_by_what_images_leave_open() -> Non
     """Lines that cross see a readout apart from all else: it stretches each along its own way."""
     flown = fly(24, 4, 6, points=900, relief=level, crossed=True)
     cameras = tuple(replace(c, readout_sd_s=0.04) for c in flown.block.cameras)
-    untold = METHODS["bundle"](replace(flown.block, cameras=cameras), Settings(model="given"))
+    unreported = METHODS["bundle"](replace(flown.block, cameras=cameras), Settings(model="given"))
     known = METHODS["bundle"](flown.block, Settings(model="given"))
-    assert untold.figures["shape_sd_px"] < 1.5 * known.figures["shape_sd_px"]
+    assert unreported.figures["shape_sd_px"] < 1.5 * known.figures["shape_sd_px"]
 
 
 def test_a_shutter_that_nobody_told_of_leaves_the_shape_open() -> None:
     """0.04 s at 15 m/s are 0.6 m over frames of 60 m: 1 % along the lines, unless positions say no."""
     known, off = solved(21)
-    untold, as_far_off = solved(21, 0.04)
-    assert untold > 2.0 * known
+    unreported, as_far_off = solved(21, 0.04)
+    assert unreported > 2.0 * known
     assert as_far_off == pytest.approx(off, rel=1e-6)

@@ -60,10 +60,12 @@ def test_a_solution_of_a_part_becomes_one_of_the_whole() -> None:
     values, still_held = begun.shared_in(layout)
     assert values[0] == 900.0 and np.flatnonzero(still_held).tolist() == [len(layout.cameras[0].names) + 1]
     moved = replace(begun.poses, positions_m=begun.poses.positions_m + [1.0, 0.0, 2.0])
-    swing = replace(begun.estimate, swing_rad=np.full((4, 2, 3), 0.1), drift=np.ones((4, 3)))
-    found = solution_of_whole(replace(begun, poses=moved, estimate=swing), whole, frames)
+    rotation_terms = replace(
+        begun.estimate, rotation_terms_rad=np.full((4, 2, 3), 0.1), drift=np.ones((4, 3))
+    )
+    found = solution_of_whole(replace(begun, poses=moved, estimate=rotation_terms), whole, frames)
     assert found.cameras == block.lenses and np.array_equal(found.fixed, held)
     assert np.allclose(found.poses.positions_m - block.poses.positions_m, [1.0, 0.0, 2.0])
-    turned = found.estimate.swing_rad.any(axis=(1, 2))
+    turned = found.estimate.rotation_terms_rad.any(axis=(1, 2))
     assert np.array_equal(np.flatnonzero(turned), frames)
     assert len(found.points_m) == 5

@@ -21,7 +21,7 @@ from geomosaic.adjustment.kernels.collinearity import (
     readout_of,
 )
 from geomosaic.adjustment.kernels.interior import interior_of
-from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
+from geomosaic.adjustment.kernels.row_functions import with_drift, with_rotation_terms
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.problem.estimate import Estimate, Step
@@ -121,40 +121,42 @@ def test_derivatives_of_frames_that_turn_against_differences() -> None:
     turns = Turns(0.2, rates * np.linspace(-0.1, 0.1, 9)[:, None])
     velocities = rng.normal(0.0, 8.0, (m, 3))
     poses = Poses(positions, rotations, np.ones((m, 3)), np.ones((m, 3)), velocities, turns)
-    rows, swing = rng.uniform(20.0, 580.0, m), rng.normal(0.0, 0.001, (m, 4, 3))
+    rows, rotation_terms = rng.uniform(20.0, 580.0, m), rng.normal(0.0, 0.001, (m, 4, 3))
     heights, drift = np.full(m, 600.0), rng.normal(0.0, 0.001, (m, 3))
 
-    def seen(readout_s: float, swing: np.ndarray, more: Any = 0.0) -> tuple[np.ndarray, ...]:
+    def seen(readout_s: float, rotation_terms: np.ndarray, more: Any = 0.0) -> tuple[np.ndarray, ...]:
         read = readout_of(
             poses,
             rotations,
             Rows(np.arange(m), rows, heights, np.full(m, readout_s)),
-            swing,
+            rotation_terms,
             drift + more,
         )
         numbers = np.column_stack([interior, np.full(m, readout_s)])
         return project(Projections(positions, read.rotations, numbers, points, read))
 
     for _ in range(4):
-        image, by_pose, by_interior, _ = seen(0.15, swing)
+        image, by_pose, by_interior, _ = seen(0.15, rotation_terms)
         rows = image[:, 1] + rng.normal(0.0, 0.005, m)
-    image, by_pose, by_interior, _ = seen(0.15, swing)
+    image, by_pose, by_interior, _ = seen(0.15, rotation_terms)
     across, up, along = np.einsum("mij,mi->jm", rotations, points - positions)
     shown = (rows > 0.0) & (rows < 600.0) & (np.hypot(across, up) < -0.7 * along)
     assert shown.sum() > 15
     step = 1e-6
-    by_readout = (seen(0.15 + step, swing)[0] - seen(0.15 - step, swing)[0]) / (2.0 * step)
+    by_readout = (seen(0.15 + step, rotation_terms)[0] - seen(0.15 - step, rotation_terms)[0]) / (2.0 * step)
     assert by_interior[shown, :, 8] == pytest.approx(by_readout[shown], rel=2e-3, abs=0.1)
     for k in range(12):
         d = np.eye(12)[k].reshape(4, 3) * 1e-5
-        by_factor = (seen(0.15, swing + d)[0] - seen(0.15, swing - d)[0]) / 2e-5
+        by_factor = (seen(0.15, rotation_terms + d)[0] - seen(0.15, rotation_terms - d)[0]) / 2e-5
         assert by_pose[shown, :, 6 + k] == pytest.approx(by_factor[shown], rel=2e-2, abs=5.0)
     for k in range(3):
         d = 1e-5 * np.eye(3)[k]
-        by_drift = (seen(0.15, swing, d)[0] - seen(0.15, swing, -d)[0]) / 2e-5
+        by_drift = (seen(0.15, rotation_terms, d)[0] - seen(0.15, rotation_terms, -d)[0]) / 2e-5
         assert by_pose[shown, :, 18 + k] == pytest.approx(by_drift[shown], rel=5e-3, abs=1.0)
     drift_m = -along[:, None] * drift
-    whole = with_drift(with_swing(poses, swing, np.full(m, 0.15)), drift_m, np.full(m, 0.15))
+    whole = with_drift(
+        with_rotation_terms(poses, rotation_terms, np.full(m, 0.15)), drift_m, np.full(m, 0.15)
+    )
     off_rows = rows + rng.choice([-2.0, 2.0], m)
     read = readout_of(whole, rotations, Rows(np.arange(m), off_rows, heights, np.full(m, 0.15)))
     numbers = np.column_stack([interior, np.full(m, 0.15)])
@@ -382,8 +384,8 @@ def test_a_step_changes_the_blocks_scale_and_turn_last(scale: float, turn_deg: t
     positions = np.column_stack([flown.truth.positions_m[:, :2], np.full(frames, 100.0)])
     upright = np.tile(np.eye(3), (frames, 1, 1))
     layout, drift = layout_of((camera,), np.ones((1, 9))), rng.normal(0.0, 0.001, (frames, 3))
-    no_swing = np.zeros((frames, 1, 3))
-    at = Estimate(layout, positions, upright, points, layout.given, no_swing, drift)
+    no_rotation = np.zeros((frames, 1, 3))
+    at = Estimate(layout, positions, upright, points, layout.given, no_rotation, drift)
     f, n = np.arange(frames).repeat(400), np.tile(np.arange(400), frames)
 
     def seen(s: Estimate) -> np.ndarray:

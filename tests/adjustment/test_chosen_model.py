@@ -139,7 +139,7 @@ def test_frames_that_turn_while_they_are_read(turning: Adjusted) -> None:
     assert adjusted.model is not None
     assert adjusted.model.taken == ("turning",)
     assert {"given", "readout", "turning"} <= set(adjusted.model.names)
-    assert [w.code for w in adjusted.warnings if "swinging in its own way" in w.text] == ["model-chosen"]
+    assert [w.code for w in adjusted.warnings if "turning in its own way" in w.text] == ["model-chosen"]
     assert adjusted.figures["sigma_px"] < 0.4
     truth = at_end(flown.truth.turns)
     assert np.sqrt(np.mean(truth**2)) > 0.008
@@ -149,7 +149,7 @@ def test_frames_that_turn_while_they_are_read(turning: Adjusted) -> None:
 
 @pytest.mark.proof
 def test_frames_that_shake_while_they_are_read() -> None:
-    """Three quarters of a swing, 10 px: no constant rate follows it."""
+    """Three quarters of a period, 10 px: no constant rate follows it."""
     flown = fly(3, 3, 5, points=500, relief=hills, readout_s=0.1, rate_sd_rad_per_s=0.4, shaking_hz=7.5)
     adjusted = METHODS["bundle"](flown.block, Settings())
     assert adjusted.model is not None
@@ -184,7 +184,7 @@ def test_turns_that_are_told_wrongly_are_not_followed() -> None:
     poses = replace(flown.block.poses, turns=Turns(0.1, wild))
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings())
     assert adjusted.model is not None
-    assert adjusted.model.taken == ("untold_turns",)
+    assert adjusted.model.taken == ("without_reported_turns",)
     assert adjusted.poses.turns is not None
     assert np.abs(adjusted.poses.turns.rad).max() < 5e-4  # what velocities are off by, of 0.02 that were told
     assert adjusted.figures["sigma_px"] < 0.4
@@ -264,7 +264,7 @@ def test_what_a_gyroscope_does_not_tell_of_the_last_rows_is_found() -> None:
 @pytest.mark.proof
 def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_believed() -> None:
     """Its last sample is 33 ms old when 0.1 s of rows end, and says so. Where the record holds, the solved turns
-    are its own to a tenth of a pixel (1e-4 rad); swings over the whole frame missed it by a pixel."""
+    are its own to a tenth of a pixel (1e-4 rad); rotations over the whole frame missed it by a pixel."""
     flown = fly(6, 3, 5, points=500, noise_px=0.1, readout_s=0.1, rate_sd_rad_per_s=0.1, shaking_hz=7.5)
     truth = flown.truth.turns
     assert truth is not None
@@ -327,7 +327,7 @@ def test_velocities_that_are_off_are_found() -> None:
     along a frame's edges, more than keypoints miss by, and the lens and the block take that up."""
     off = np.random.default_rng(8).normal(0.0, [0.4, 0.4, 0.0], (14, 3))
     way = {"points": 500, "noise_px": 0.02, "there_and_back": True, "readout_s": 0.1}
-    flown = fly(8, 2, 7, untold_m_per_s=off, **way)
+    flown = fly(8, 2, 7, unreported_m_per_s=off, **way)
     adjusted = METHODS["bundle"](flown.block, Settings(model="given"))
     missed = adjusted.poses.velocities_m_per_s - flown.truth.velocities_m_per_s
     assert np.sqrt(np.mean((missed - missed.mean(axis=0))[:, :2] ** 2)) < 0.15

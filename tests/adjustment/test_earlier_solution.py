@@ -1,5 +1,7 @@
 """An adjustment that begins from the solution of an earlier run ends where a whole one does."""
 
+import io
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,8 @@ from geomosaic.adjustment.model import Adjusted, Settings, SolvedBlock
 from geomosaic.adjustment.procedure.block_part import part_of_block
 from geomosaic.adjustment.procedure.earlier_solution import EARLIER
 from geomosaic.camera.rotation import about_z
+from geomosaic.pipeline.artefact_reader import decode
+from geomosaic.pipeline.artefacts import TIMELESS, TREE, encode
 
 BUNDLE = METHODS["bundle"]
 
@@ -85,3 +89,20 @@ def test_another_work_frame(earlier: SolvedBlock) -> None:
     seen = (there - earlier.positions_m[3]) @ earlier.rotations[3]
     now = about_z(np.array(0.1)) @ there + [3.0, -2.0, 1.0]
     assert (now - moved.positions_m[3]) @ moved.rotations[3] == pytest.approx(seen)
+
+
+def test_a_solution_of_an_earlier_version_is_read(earlier: SolvedBlock) -> None:
+    """Its rotation while rows are read had another name, as field and as variance component."""
+    solved = replace(earlier, components={"image": 0.3, "rotation term 1": 0.5})
+    present = {"rotation_terms_rad": "swing_rad", "rotation term 1": "swing 1"}
+    former = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(encode(solved))) as now, zipfile.ZipFile(former, "w") as then:
+        for name in now.namelist():
+            member = now.read(name)
+            for new, old in present.items() if name == TREE else ():
+                assert new.encode() in member
+                member = member.replace(new.encode(), old.encode())
+            then.writestr(zipfile.ZipInfo(name, TIMELESS), member)
+    read = decode(former.getvalue(), SolvedBlock)
+    assert read.components == solved.components
+    assert (read.rotation_terms_rad == solved.rotation_terms_rad).all()

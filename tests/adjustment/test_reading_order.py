@@ -62,7 +62,7 @@ def test_a_line_turned_in_its_files_is_turned_back(seed: int, lines: int, line: 
 def test_a_line_that_was_flown_backwards_stays() -> None:
     """A platform that does not turn at the ends of lines: its second line is flown backwards."""
     back = np.where(np.arange(15) // 5 == 1, -30.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
-    flown = fly(5, 3, 5, untold_m_per_s=back, lens=LENS)
+    flown = fly(5, 3, 5, unreported_m_per_s=back, lens=LENS)
     poses = replace(flown.block.poses, velocities_m_per_s=flown.truth.velocities_m_per_s)
     found = solved(turned(replace(flown.block, poses=poses), []))
     assert not [w for w in found.warnings if w.code == "frame-turned"]

@@ -39,8 +39,8 @@ COMPONENTS = Components(
         "yaw": 0.7,
         "control plan": 1.6,
         "control height": 0.9,
-        "swing 1": 0.6,
-        "swing 2": 1.2,
+        "rotation term 1": 0.6,
+        "rotation term 2": 1.2,
         "drift across the view": 0.4,
         "drift along the view": 0.9,
     }
@@ -48,7 +48,7 @@ COMPONENTS = Components(
 STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6])
 
 
-def flown_problem(*, swing: int = 0) -> tuple[BlockProblem, Estimate]:
+def flown_problem(*, terms: int = 0) -> tuple[BlockProblem, Estimate]:
     """Six frames with lever arm, delay, boresight and offset, away from where all residuals are zero."""
     flown = fly(3, 2, 3, points=60, relief=hills, there_and_back=True)
     block, rng = flown.block, np.random.default_rng(8)
@@ -57,13 +57,16 @@ def flown_problem(*, swing: int = 0) -> tuple[BlockProblem, Estimate]:
     frames: tuple[FrameTerm, ...] = tuple(
         replace(term, weight=rng.uniform(0.3, 1.0, (n, 3))) for term in frame_terms(block.poses)
     )
-    if swing:
-        sds = rng.uniform(0.001, 0.003, (n, swing, 3)), rng.uniform(0.01, 0.03, (n, 3))
-        frames = (*frames, RollingShutterRotation(*sds, focal_length_px=800.0, common=False, most_swing=10.0))
+    if terms:
+        sds = rng.uniform(0.001, 0.003, (n, terms, 3)), rng.uniform(0.01, 0.03, (n, 3))
+        frames = (
+            *frames,
+            RollingShutterRotation(*sds, focal_length_px=800.0, common=False, most_rotation=10.0),
+        )
     problem = block_problem(block, Settings(), tracks, points)
     problem = replace(
         problem,
-        image=replace(problem.image, rolling=bool(swing), local=rng.uniform(0.8, 1.3, p)),
+        image=replace(problem.image, rolling=bool(terms), local=rng.uniform(0.8, 1.3, p)),
         points=replace(
             problem.points,
             sd_m=rng.uniform(0.5, 2.0, (p, 3)),
@@ -81,22 +84,27 @@ def flown_problem(*, swing: int = 0) -> tuple[BlockProblem, Estimate]:
         rotations=exp_turn(rng.normal(0.0, 2e-4, (n, 3))) @ at.rotations,
         points_m=at.points_m + rng.normal(0.0, 0.2, (p, 3)),
         shared=at.shared + values,
-        swing_rad=rng.normal(0.0, 0.002, (n, swing, 3)),
+        rotation_terms_rad=rng.normal(0.0, 0.002, (n, terms, 3)),
         drift=rng.normal(0.0, 0.02, (n, 3)),
     )
     return problem, at
 
 
 def moved_frame(at: Estimate, frame: int, k: int, step: float) -> Estimate:
-    """One of a frame's unknowns changed: position, turn from the left, swing, drift."""
+    """One of a frame's unknowns changed: position, turn from the left, terms, drift."""
     pose = np.zeros((len(at.positions_m), 6 + at.while_read.shape[1]))
     pose[frame, k] = step
-    swing_rad, drift = at.swing_rad, at.drift
+    rotation_terms_rad, drift = at.rotation_terms_rad, at.drift
     if pose.shape[1] > 6:
-        swing_rad, drift = swing_rad + pose[:, 6:-3].reshape(swing_rad.shape), drift + pose[:, -3:]
+        rotation_terms_rad, drift = (
+            rotation_terms_rad + pose[:, 6:-3].reshape(rotation_terms_rad.shape),
+            drift + pose[:, -3:],
+        )
     rotations = exp_turn(pose[:, 3:6]) @ at.rotations
     positions_m = at.positions_m + pose[:, :3]
-    return replace(at, positions_m=positions_m, rotations=rotations, swing_rad=swing_rad, drift=drift)
+    return replace(
+        at, positions_m=positions_m, rotations=rotations, rotation_terms_rad=rotation_terms_rad, drift=drift
+    )
 
 
 def moved_shared(at: Estimate, k: int, step: float) -> Estimate:
@@ -147,7 +155,7 @@ def assert_alike(found: np.ndarray, expected: np.ndarray, rel: float) -> None:
 
 
 def frame_cases() -> Iterator[tuple[BlockProblem, Estimate, FrameTerm]]:
-    problem, at = flown_problem(swing=2)
+    problem, at = flown_problem(terms=2)
     yield from ((problem, at, term) for term in problem.frames)
 
 
@@ -198,8 +206,8 @@ def test_rolling_shutter_rotations_add_their_weights_to_the_diagonal() -> None:
     sd = term.sd(COMPONENTS)
     assert sd[4, [0, 5, 6, 8]] == pytest.approx(
         [
-            0.6 * term.swing_sd_rad[4, 0, 0],
-            1.2 * term.swing_sd_rad[4, 1, 2],
+            0.6 * term.rotation_sd_rad[4, 0, 0],
+            1.2 * term.rotation_sd_rad[4, 1, 2],
             0.4 * term.drift_sd[4, 0],
             0.9 * term.drift_sd[4, 2],
         ]

@@ -34,10 +34,10 @@ def found() -> BlockSolution:
 def test_a_constant_rate_leaves_one_function(found: BlockSolution) -> None:
     """The other three are at their limit, so a step has 12 unknowns a frame and not 21."""
     begun = found.solution
-    assert begun.estimate.swing_rad.shape == (8, 4, 3)
+    assert begun.estimate.rotation_terms_rad.shape == (8, 4, 3)
     with varied(TERM, _SHOWN=0.5):
         solved = solve(found.problem, begun.poses, begun, SolveOptions(near=True))
-    assert solved.estimate.swing_rad.shape == (8, 1, 3)
+    assert solved.estimate.rotation_terms_rad.shape == (8, 1, 3)
     assert solved.stated.solved.pose_side.size == 8 * 12
     off_m = np.abs(solved.poses.positions_m - begun.poses.positions_m)
     assert (off_m < 0.1 * begun.poses.positions_sd_m).all()
@@ -50,7 +50,7 @@ def test_another_solve_goes_on_from_it(found: BlockSolution) -> None:
         solved = solve(found.problem, begun.poses, begun, SolveOptions(near=True))
         again = solve(found.problem, solved.poses, solved)
         anew = solve(found.problem, solved.poses)
-    assert again.estimate.swing_rad.shape == (8, 4, 3)
+    assert again.estimate.rotation_terms_rad.shape == (8, 4, 3)
     assert len(again.steps) <= len(anew.steps) / 2
     assert np.abs(again.poses.positions_m - begun.poses.positions_m).max() < 0.01
 
@@ -58,9 +58,11 @@ def test_another_solve_goes_on_from_it(found: BlockSolution) -> None:
 def test_only_the_last_functions_go() -> None:
     """One that vanishes before another that does not stays; all may, but one."""
     sds = np.full((5, 4, 3), 0.01), np.full((5, 3), 0.01)
-    term = RollingShutterRotation(*sds, focal_length_px=1000.0, common=False, most_swing=10.0)
+    term = RollingShutterRotation(*sds, focal_length_px=1000.0, common=False, most_rotation=10.0)
     unseen = 0.09 * 0.3 / 10.0  # below a tenth of the image deviation, of 10 px at the rim
-    sizes = {"image": 0.3} | {f"swing {k}": v for k, v in enumerate((0.5, unseen, 0.1, unseen), start=1)}
+    sizes = {"image": 0.3} | {
+        f"rotation term {k}": v for k, v in enumerate((0.5, unseen, 0.1, unseen), start=1)
+    }
     assert term.without_vanished(Components(sizes)).terms == 3
     assert term.without_vanished(Components(sizes | {"image": 0.03})).terms == 4
     nothing = Components(dict.fromkeys(sizes, unseen) | {"image": 0.3})
@@ -76,6 +78,6 @@ def test_what_the_images_show_stays() -> None:
     shaken = block_solution(task, flown.block.poses)
     begun = shaken.solution
     solved = solve(shaken.problem, begun.poses, begun, SolveOptions(near=True))
-    assert solved.estimate.swing_rad.shape == (12, 4, 3)
-    assert 0.005 < solved.components["swing 4"] < 0.02
+    assert solved.estimate.rotation_terms_rad.shape == (12, 4, 3)
+    assert 0.005 < solved.components["rotation term 4"] < 0.02
     assert solved.components["image"] == pytest.approx(0.03, rel=0.1)

@@ -94,7 +94,9 @@ def test_each_option_stands_once_and_help_all_shows_all(
     command: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     short, whole = (options_of(page(capsys, *command, asked)) for asked in ("--help", "--help-all"))
-    names = [max(p.opts, key=len) for p in made(*command).params if p.param_type_name == "option"]
+    names = [
+        max(p.opts, key=len) for p in made(*command).params if p.param_type_name == "option" and not p.hidden
+    ]
     assert sorted(o for below in whole.values() for o in below) == sorted([*names, "--help"])
     rare = {heading: below for heading, below in whole.items() if heading.startswith(headings.RARE)}
     assert rare and short == {heading: below for heading, below in whole.items() if heading not in rare}

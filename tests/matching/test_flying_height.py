@@ -52,7 +52,7 @@ def test_without_any_height_the_ground_is_at_zero() -> None:
 
 def test_a_survey_without_heights_becomes_a_mosaic(tmp_path: Path) -> None:
     survey = small_survey(
-        tmp_path / "survey", frames_per_line=3, width_px=320, height_px=240, height_told=False
+        tmp_path / "survey", frames_per_line=3, width_px=320, height_px=240, height_reported=False
     )
     run = tmp_path / "run"
     quick = ("--adjust", "least_squares", "--set", "matching.sift.keypoints=800")
@@ -65,7 +65,7 @@ def test_a_survey_without_heights_becomes_a_mosaic(tmp_path: Path) -> None:
 
 def test_heights_that_are_given_are_not_measured(tmp_path: Path) -> None:
     """Neither where POS tells heights above the ground nor where the command tells the ground's."""
-    survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=3, height_told=False)
+    survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=3, height_reported=False)
     run = tmp_path / "run"
     given = ("--pos", survey.pos, "--camera", survey.camera, "--ground-height", 0)
     assert mosaic(survey.frames, run, *given) == 2

@@ -19,7 +19,7 @@ from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
-from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
+from geomosaic.pipeline.stage import Context, RunFile, Stage, StageParams, param
 
 
 @dataclass(frozen=True)
@@ -190,6 +190,14 @@ def test_wrong_annotations_are_one_clear_line(
 def test_an_unknown_declaration_is_refused() -> None:
     with pytest.raises(PluginError, match=r"^stage toy.wrong: 'cache' is nothing that a stage declares$"):
         stage("toy.wrong", "Wrong", group="Toys", cache=False)(nothing)
+
+
+def test_a_declaration_may_have_its_former_name() -> None:
+    """Of a function and of a class."""
+    declared = stage("toy.old", "Old", group="Toys", beside=True)  # type: ignore[call-arg]
+    assert declared(nothing).concurrent
+    assert type("Old", (Stage,), {"beside": True}).concurrent
+    assert not Stage.concurrent
 
 
 def test_a_function_that_gives_too_little_is_named(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import pydantic
 import pytest
@@ -97,3 +97,12 @@ def test_description_has_all_that_a_front_end_needs() -> None:
     assert (frames.required, frames.is_file, frames.type) == (True, True, "path")
     assert found["method"].choices == ("chain", "layered")
     assert not found["loud"].affects_output
+
+
+def test_a_former_name_of_a_parameter_is_accepted() -> None:
+    class Renamed(StageParams):
+        FORMERLY: ClassVar[dict[str, str]] = {"number": "count"}
+        count: int = param(3, help="how many", ge=1)
+
+    assert check_params(Renamed, {"number": 5}, stage="a.b") == Renamed(count=5)
+    assert [p.name for p in describe_params(Renamed)] == ["count"]

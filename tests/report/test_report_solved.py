@@ -189,7 +189,7 @@ def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
     words = " ".join(page.words.split())
     for wanted in (
         "Ground: flat ground (chosen by <b>parameter)", "What all frames share", "plain, 800 × 600 px",
-        "k30held: not determined by this block, kept as given", "Correlations", "by chance:",
+        "k30fixed: not determined by this block, kept as given", "Correlations", "by chance:",
         "σ = 0.2", "means of 1 994 observations",
     ):  # fmt: skip
         assert wanted in words, wanted

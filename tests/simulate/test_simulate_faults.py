@@ -62,7 +62,7 @@ def shaking(axis: int, phase_rad: float = np.pi / 2.0) -> Readout:
     return Readout(0.1, np.zeros(3), rate, np.full(3, 8.0), np.full(3, phase_rad))
 
 
-def swing_rad(row: float) -> float:
+def shake_rad(row: float) -> float:
     """How far `shaking` has turned when a row of 600 is read."""
     return float(0.05 / (16.0 * np.pi) * np.sin(16.0 * np.pi * 0.1 * (row / 600.0 - 0.5)))
 
@@ -71,7 +71,7 @@ def swing_rad(row: float) -> float:
 def test_a_camera_that_nods_sees_rows_farther_ahead(row: float) -> None:
     """A right-handed turn about x, to the image's right, lifts the view to the image's top, here north."""
     sight = sight_of(CAMERA, POSE, WORLD, shaking(0))
-    north_m = 100.0 * np.tan(np.arctan((295.0 - row) / 1000.0) + swing_rad(row))
+    north_m = 100.0 * np.tan(np.arctan((295.0 - row) / 1000.0) + shake_rad(row))
     true = WORLD.map_from_enu(np.array([0.0, north_m, 0.0]))[:2]
     np.testing.assert_allclose(
         [float(s.ev(row, 210.0)) for s in (sight.easting, sight.northing)], true, atol=2e-3
@@ -95,7 +95,7 @@ def test_the_image_is_rendered_row_by_row_as_the_platform_rolls() -> None:
     frame = render(CAMERA, POSE, WORLD, sight, texture, west_m, north_m, 0.1)[..., 1]
     seen = (frame * (np.arange(400) + 0.5)).sum(axis=1) / frame.sum(axis=1)
     rows = np.arange(600) + 0.5
-    expected = 210.0 + 1000.0 * np.tan([swing_rad(r) for r in rows])
+    expected = 210.0 + 1000.0 * np.tan([shake_rad(r) for r in rows])
     assert np.ptp(expected) > 1.9, "two pixels to and fro"
     np.testing.assert_allclose(seen, expected, atol=0.03)
 
@@ -108,7 +108,7 @@ def camera_tags(path: Path) -> dict[str, str]:
 def test_the_gyroscopes_tag_tells_how_the_platform_turned(tmp_path: Path) -> None:
     plan = SurveyPlan(
         seed=3, lines=1, frames_per_line=2, rolling_shutter_s=0.0857, vibration_deg_per_s=4.0, vibration_hz=7.0,
-        gyroscope_told=True, readout_told=True, **TINY,
+        gyroscope_reported=True, readout_reported=True, **TINY,
     )  # fmt: skip
     survey = simulated(tmp_path, plan)
     truth = json.loads(survey.truth.read_text())["frames"][1]["vibration"]
@@ -315,7 +315,7 @@ def test_the_tags_tell_the_told_lens_and_not_the_true_one(tmp_path: Path) -> Non
     share = 2.0 / np.pi * np.radians(35.0)
     radius = half_turn_px[0] * sum(p * share**k for k, p in enumerate(poly))
     assert radius == pytest.approx(200.0 * np.radians(35.0) * (1.0 + 0.04 * np.radians(35.0) ** 2), abs=1e-5)
-    hidden = dataclasses.replace(plan, lens_told=False, focal_error=0.03)
+    hidden = dataclasses.replace(plan, lens_reported=False, focal_error=0.03)
     survey = simulated(tmp_path / "hidden", hidden)
     tags = camera_tags(survey.frames / "F0001.jpg")
     assert tags["ModelType"] == "perspective"
@@ -391,8 +391,8 @@ def test_wind_moves_crowns_and_nothing_else() -> None:
     ("wrong", "words"),
     [
         ({"vibration_deg_per_s": 2.0}, "vibration_deg_per_s without a rolling shutter"),
-        ({"gyroscope_told": True}, "gyroscope_told without a rolling shutter"),
-        ({"rolling_shutter_s": 0.1, "gyroscope_told": True, "pos_in": "csv"}, "frames without tags"),
+        ({"gyroscope_reported": True}, "gyroscope_reported without a rolling shutter"),
+        ({"rolling_shutter_s": 0.1, "gyroscope_reported": True, "pos_in": "csv"}, "frames without tags"),
         ({"lens": "fisheye", "p1": 0.01}, "no decentring"),
         ({"lens": "fisheye", "lens_in_tags": True, "k1": 0.01, "k2": 0.01}, "k1 alone"),
         ({"lens": "mirror"}, "mirror"),

@@ -233,7 +233,7 @@ def test_hills_and_standing_buildings_are_in_the_height_models(tmp_path: Path) -
 
 def test_what_is_not_told_is_not_written(tmp_path: Path) -> None:
     plan = dataclasses.replace(
-        PLAN, frames_per_line=1, turned="", attitude_told=False, height_told=False, lens_told=False, k1=-0.1,
+        PLAN, frames_per_line=1, turned="", attitude_reported=False, height_reported=False, lens_reported=False, k1=-0.1,
         focal_error=0.05,
     )  # fmt: skip
     survey = simulated(tmp_path, plan)
@@ -289,7 +289,7 @@ def test_absolute_heights_alone_with_a_common_bias(tmp_path: Path) -> None:
     bias = json.loads(off.truth.read_text())["position_bias_m"]
     np.testing.assert_allclose(errors[1] - errors[0], [bias] * 3, atol=1e-9)
     assert np.hypot(*bias[:2]) == pytest.approx(5.0) and bias[2] == -45.0
-    silent = simulated(tmp_path / "silent", dataclasses.replace(biased, relative_height_told=False))
+    silent = simulated(tmp_path / "silent", dataclasses.replace(biased, relative_height_reported=False))
     for frame in read_survey(SurveyInputs(silent.frames)).frames:
         assert frame.position.height_above_ground_m is None
         assert frame.position.height_ellipsoidal_m is not None

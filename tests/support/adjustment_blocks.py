@@ -70,7 +70,7 @@ def fly(
     shaking_hz: float = 0.0,
     swaying_px: float = 0.0,
     gusts_px: float = 0.0,
-    untold_m_per_s: np.ndarray | float = 0.0,
+    unreported_m_per_s: np.ndarray | float = 0.0,
     lens: Camera | None = None,
     aslant_deg: Mapping[int, float] | None = None,
     low_m: Mapping[int, float] | None = None,
@@ -95,7 +95,7 @@ def fly(
         np.zeros((n, 3)),
         velocities,
     )
-    truth = replace(truth, velocities_m_per_s=velocities + untold_m_per_s)
+    truth = replace(truth, velocities_m_per_s=velocities + unreported_m_per_s)
     for i, degrees in (aslant_deg or {}).items():
         truth.rotations[i] = truth.rotations[i] @ about_x(np.radians(degrees))
     if rate_sd_rad_per_s:

@@ -48,7 +48,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
     """Two lines of four frames of 240 x 180, their heights some 570 m."""
     folder = tmp_path_factory.mktemp("flown")
     return small_survey(
-        folder, width_px=240, height_px=180, height_above_ground_m=25.0, relative_height_told=False
+        folder, width_px=240, height_px=180, height_above_ground_m=25.0, relative_height_reported=False
     )
 
 

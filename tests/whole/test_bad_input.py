@@ -301,7 +301,7 @@ def test_heights_below_the_ground(survey: Survey, refused: Refused) -> None:
     survey.change(3, height_ellipsoidal_m=-200)
     refused(survey.mosaic("--set", "projection.ground.height_m=5200"), survey.run, "below the ground")
     assert survey.mosaic("--set", "projection.ground.height_m=520") == 0
-    assert warned(survey.run, "height-not-believed") == ["F0004.jpg"]
+    assert warned(survey.run, "height-implausible") == ["F0004.jpg"]
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ class SmoothedGrid:
         """Heights at the points, (p,)."""
         return np.asarray((self._share * nodes[self._node]).sum(axis=0))
 
-    def laid_out(self, nodes: Floats) -> Floats:
+    def arranged(self, nodes: Floats) -> Floats:
         """Heights of the nodes as rows and columns."""
         grid = nodes.reshape(self._rows, self._cols)
         return grid.T if self._transposed else grid
@@ -139,7 +139,7 @@ def fitted(trial: Trial) -> GroundSurface:
         scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
         weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
     east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
-    up = grid.laid_out(nodes) + trend(east, north[:, None])
+    up = grid.arranged(nodes) + trend(east, north[:, None])
     return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
 
 

@@ -31,9 +31,9 @@ class Readout:
 
     rows_px, heights_px (m,): rows, heights of the images. rotations (m, 3, 3): at these rows.
     velocities_m_per_s, rates_rad_per_s (m, 3): in the work frame, of the projection centre and of the
-    reported rotation. terms (m, t): functions of the row for the swing about axes (m, 3, 3); swinging_rad (m,
-    3): its rate over the image height; drift (m, 3): movement over the image height besides the velocity,
-    over the depth, in the work frame.
+    reported rotation. terms (m, t): functions of the row for the rotation about axes (m, 3, 3);
+    term_rotation_rad (m, 3): its rate over the image height; drift (m, 3): movement over the image height
+    besides the velocity, over the depth, in the work frame.
     """
 
     rows_px: Floats
@@ -43,7 +43,7 @@ class Readout:
     rates_rad_per_s: Floats
     terms: Floats | None
     axes: Floats
-    swinging_rad: Floats
+    term_rotation_rad: Floats
     drift: Floats
 
     @property
@@ -103,15 +103,19 @@ class Projections:
 
 
 def readout_of(
-    poses: Poses, rotations: Floats, rows: Rows, swing: Floats | None = None, drift: Floats | None = None
+    poses: Poses,
+    rotations: Floats,
+    rows: Rows,
+    rotation_terms: Floats | None = None,
+    drift: Floats | None = None,
 ) -> Readout:
-    """Readout of observations in frames with present rotations (f, 3, 3). swing (f, t, 3): factors of the
-    functions of the row about the camera's axes, `R(row) = R exp(swing(row)) exp(turn(row))` with the poses'
-    own turns. drift (f, 3): along the camera's axes over an image height besides the velocities, over the
-    depth, so that images do not depend on the block's scale."""
+    """Readout of observations in frames with present rotations (f, 3, 3). rotation_terms (f, t, 3): factors
+    of the functions of the row about the camera's axes, `R(row) = R exp(rotation_terms(row)) exp(turn(row))`
+    with the poses' own turns. drift (f, 3): along the camera's axes over an image height besides the
+    velocities, over the depth, so that images do not depend on the block's scale."""
     frame, rows_px, heights_px, readouts_s = rows.frame, rows.rows_px, rows.heights_px, rows.readouts_s
     share, none = rows_px / heights_px - 0.5, np.zeros((len(frame), 3))
-    axes, rates, terms, swinging = _of_frames(rotations, frame), none.T, None, none.T
+    axes, rates, terms, rotating = _of_frames(rotations, frame), none.T, None, none.T
     at_row = axes
     velocities = none if poses.velocities_m_per_s is None else poses.velocities_m_per_s[frame]
     if poses.turns is not None:
@@ -119,18 +123,18 @@ def readout_of(
         turn, rate = by_component(turn), by_component(rate)
         at_row = multiply_each(at_row, _turned(turn))
         rates = multiply_each(at_row, rate - 0.5 * cross_each(turn, rate))
-    if swing is not None:
+    if rotation_terms is not None:
         recorded = recorded_share(poses.turns, frame, readouts_s)
-        terms, slopes = terms_at(share, swing.shape[1], recorded, readouts_s < 0.0)
-        by_term = np.swapaxes(_of_frames(swing @ np.swapaxes(rotations, 1, 2), frame), 0, 1)
+        terms, slopes = terms_at(share, rotation_terms.shape[1], recorded, readouts_s < 0.0)
+        by_term = np.swapaxes(_of_frames(rotation_terms @ np.swapaxes(rotations, 1, 2), frame), 0, 1)
         more = _turned(multiply_each(by_term, terms.T))
-        swinging = multiply_each(by_term, slopes.T)
+        rotating = multiply_each(by_term, slopes.T)
         at_row, rates = multiply_each(more, at_row), multiply_each(more, rates)
     drifting = none if drift is None else np.einsum("fij,fj->fi", rotations, drift)[frame]
     turned = _by_number(at_row)
     return Readout(
         *(rows_px, heights_px, turned, velocities, _by_number(rates)),
-        *(terms, _by_number(axes), _by_number(swinging), drifting),
+        *(terms, _by_number(axes), _by_number(rotating), drifting),
     )
 
 
@@ -161,8 +165,8 @@ def image_from_ground(of: Projections) -> Floats:
 
 
 def project(of: Projections) -> tuple[Floats, Floats, Floats, Floats]:
-    """Image coordinates (m, 2) and their derivatives by_pose (m, 2, d: position, turn in rad, swing and
-    drift), by_interior (m, 2, 9) and by_point (m, 2, 3); NaN behind the camera. A rotation's update is a
+    """Image coordinates (m, 2) and their derivatives by_pose (m, 2, d: position, turn in rad, rotation terms
+    and drift), by_interior (m, 2, 9) and by_point (m, 2, 3); NaN behind the camera. A rotation's update is a
     small turn about the work frame's axes from the left, R = exp([t]) R0; see `Camera` and `Rotation`."""
     image, levers, by_interior, by_point = project_by_levers(of)
     return (
@@ -247,7 +251,7 @@ def _by_row(
     """By how much points' images move while one row after the other is read, (2, m) px a row."""
     d, u, v, z = directions
     readout_s = interior[8]
-    turning = readout_s * read.rates_rad_per_s.T + read.swinging_rad.T
+    turning = readout_s * read.rates_rad_per_s.T + read.term_rotation_rad.T
     moving = read.drift.T * z - readout_s * read.velocities_m_per_s.T
     moving -= cross_each(turning, d)
     x, y, along = multiply_each(np.swapaxes(rotations, 0, 1), moving)

@@ -68,7 +68,7 @@ def build_normals(
 ) -> Normals:
     """Sums of the image observations, some points at a time, so that no array of all derivatives is made;
     priors are added afterwards. Args: camera_of (f,); counts: cameras, numbers of a camera, unknowns of the
-    mounting; terms: of each frame's swing, with which it drifts. linearised: of some observations (n,)
+    mounting; terms: rotation terms of each frame, with which it drifts. linearised: of some observations (n,)
     residuals (2, n) observed minus computed, weights (n,), levers, derivatives by interior (2, k, n) and by
     point (2, 3, n), see `project_by_levers`."""
     (c, k, q), f, p, m = counts, sightings.frames, sightings.points, len(sightings.order)

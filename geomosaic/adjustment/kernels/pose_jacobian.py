@@ -14,8 +14,8 @@ from geomosaic.estimation.linear import multiply_each
 class Levers:
     """Derivatives by poses from those by points: an image depends on where a point lies from the pose alone.
     arms_m (3, n): from projection centres to points, in the work frame. terms (t, n): functions of the row
-    for the swing; shares (1, n): of the image's height times the depth, for the drift; axes (3, 3, n): of the
-    cameras. The last three are empty where all rows are read at once."""
+    for the rotation; shares (1, n): of the image's height times the depth, for the drift; axes (3, 3, n): of
+    the cameras. The last three are empty where all rows are read at once."""
 
     arms_m: Floats
     terms: Floats
@@ -38,7 +38,8 @@ class Levers:
         return 6 + 3 * (len(self.terms) + len(self.shares))
 
     def by_pose(self, by_point: Floats, out: Floats | None = None) -> Floats:
-        """Derivatives (..., d, n) by position, turn, swing and drift, from those by the point (..., 3, n)."""
+        """Derivatives (..., d, n) by position, turn, rotation terms and drift, from those by the point (...,
+        3, n)."""
         if out is None:
             out = np.empty((*by_point.shape[:-2], self.numbers, by_point.shape[-1]))
         np.negative(by_point, out=out[..., :3, :])
@@ -59,8 +60,8 @@ class Levers:
         """Moves of the points (3, n) to first order that images take for steps of the poses (d, n)."""
         turn = step[3:6]
         if len(self.terms):
-            swing = sum(term * step[6 + 3 * k : 9 + 3 * k] for k, term in enumerate(self.terms))
-            turn = turn + multiply_each(self.axes, np.asarray(swing))
+            term_rotation = sum(term * step[6 + 3 * k : 9 + 3 * k] for k, term in enumerate(self.terms))
+            turn = turn + multiply_each(self.axes, np.asarray(term_rotation))
         x, y, z = self.arms_m
         a, b, c = turn
         moved = np.stack([y * c - z * b, z * a - x * c, x * b - y * a]) - step[:3]

@@ -60,10 +60,11 @@ def terms_at(share: Floats, terms: int, recorded: Floats, backwards: Bools) -> t
     return whole, slopes
 
 
-def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
-    """Poses whose turns include the swing (f, terms, 3) about the cameras' axes, `R(row) = R exp(swing(row))
-    exp(turn(row))`. Args: readouts_s (f,): of each frame's camera, over which its swing is meant."""
-    turns, terms = poses.turns, swing_rad.shape[1]
+def with_rotation_terms(poses: Poses, rotation_terms_rad: Floats, readouts_s: Floats) -> Poses:
+    """Poses whose turns include the rotation terms (f, terms, 3) about the cameras' axes, `R(row) = R
+    exp(rotation_terms(row)) exp(turn(row))`. Args: readouts_s (f,): of each frame's camera, over which its
+    terms are defined."""
+    turns, terms = poses.turns, rotation_terms_rad.shape[1]
     times = 2 if terms == 1 else _TABLED * terms + 1
     if turns is None:
         span_s = float(np.abs(readouts_s).max()) or 1.0
@@ -76,7 +77,7 @@ def with_swing(poses: Poses, swing_rad: Floats, readouts_s: Floats) -> Poses:
     share = after_s / np.where(readouts_s, readouts_s, np.inf)[:, None]
     recorded = recorded_share(turns, np.arange(n), readouts_s)[:, None]
     by_row = np.einsum(
-        "nkt,ntj->nkj", terms_at(share, terms, recorded, readouts_s[:, None] < 0.0)[0], swing_rad
+        "nkt,ntj->nkj", terms_at(share, terms, recorded, readouts_s[:, None] < 0.0)[0], rotation_terms_rad
     )
     rad = log_turn(exp_turn(by_row.reshape(-1, 3)) @ exp_turn(turns.rad.reshape(-1, 3)))
     return replace(poses, turns=replace(turns, rad=rad.reshape(n, k, 3)))

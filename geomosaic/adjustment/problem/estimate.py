@@ -113,16 +113,17 @@ class Step(NamedTuple):
 @dataclass(frozen=True)
 class Estimate:
     """Values of the unknowns in the work frame: positions_m (f, 3), rotations (f, 3, 3), points_m (p, 3).
-    swing_rad (f, t, 3): factors of the t functions of the row for the rotation while it is read; drift (f,
-    3): movement along the camera's axes meanwhile besides the velocity, over the depth; t is 0 where all rows
-    are read at once. shared (s,): in the order of the layout. memo: derived quantities, computed once."""
+    rotation_terms_rad (f, t, 3): factors of the t functions of the row for the rotation while it is read;
+    drift (f, 3): movement along the camera's axes meanwhile besides the velocity, over the depth; t is 0
+    where all rows are read at once. shared (s,): in the order of the layout. memo: derived quantities,
+    computed once."""
 
     layout: UnknownLayout
     positions_m: Floats
     rotations: Floats
     points_m: Floats
     shared: Floats
-    swing_rad: Floats
+    rotation_terms_rad: Floats
     drift: Floats
     memo: dict[int, tuple[object, Floats]] = field(init=False, default_factory=dict, compare=False)
 
@@ -146,11 +147,11 @@ class Estimate:
 
     @property
     def while_read(self) -> Floats:
-        """Swing and drift in one row a frame, (f, 3 t + 3), or (f, 0)."""
-        frames, terms = self.swing_rad.shape[:2]
+        """Rotation terms and drift in one row a frame, (f, 3 t + 3), or (f, 0)."""
+        frames, terms = self.rotation_terms_rad.shape[:2]
         if not terms:
             return np.zeros((frames, 0))
-        return np.column_stack([self.swing_rad.reshape(frames, -1), self.drift])
+        return np.column_stack([self.rotation_terms_rad.reshape(frames, -1), self.drift])
 
     def stepped(self, step: Step, share: float = 1.0) -> Estimate:
         """The estimate after a share of a step. The turn and scale that all movements have in common are
@@ -172,16 +173,19 @@ class Estimate:
         readouts = shared[self.layout.interior].reshape(len(self.layout.cameras), -1)[:, READOUT]
         in_step = scale * self.interior[:, READOUT]
         readouts += np.where(readouts == 0.0, 0.0, scale * (readouts - in_step))
-        swing, drift = self.swing_rad, self.drift
-        if swing.shape[1]:
-            swing, drift = swing + pose[:, 6:-3].reshape(swing.shape), drift + pose[:, -3:]
+        rotation_terms, drift = self.rotation_terms_rad, self.drift
+        if rotation_terms.shape[1]:
+            rotation_terms, drift = (
+                rotation_terms + pose[:, 6:-3].reshape(rotation_terms.shape),
+                drift + pose[:, -3:],
+            )
         return replace(
             self,
             positions_m=places[:frames],
             rotations=turned @ exp_turn(pose[:, 3:6] - turn) @ self.rotations,
             points_m=places[frames:],
             shared=self.shared + shared,
-            swing_rad=swing,
+            rotation_terms_rad=rotation_terms,
             drift=drift,
         )
 

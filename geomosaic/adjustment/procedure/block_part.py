@@ -72,7 +72,7 @@ def part_of_solution(whole: Start, frames: Ints, points_m: Floats) -> Start:
         found.estimate,
         positions_m=found.estimate.positions_m[frames],
         rotations=found.estimate.rotations[frames],
-        swing_rad=found.estimate.swing_rad[frames],
+        rotation_terms_rad=found.estimate.rotation_terms_rad[frames],
         drift=found.estimate.drift[frames],
     )
     return replace(found, poses=whole.poses.of(frames), estimate=estimate)
@@ -85,15 +85,15 @@ def solution_of_whole(found: Start, whole: Start, frames: Ints) -> Start:
     away_m = found.poses.positions_m - whole.poses.positions_m[frames]
     positions_m, rotations = whole.poses.positions_m + np.median(away_m, axis=0), whole.poses.rotations.copy()
     positions_m[frames], rotations[frames] = found.poses.positions_m, found.poses.rotations
-    terms = found.estimate.swing_rad.shape[1]
-    swing_rad, drift = np.zeros((len(rotations), terms, 3)), np.zeros((len(rotations), 3))
-    swing_rad[frames], drift[frames] = found.estimate.swing_rad, found.estimate.drift
+    terms = found.estimate.rotation_terms_rad.shape[1]
+    rotation_terms_rad, drift = np.zeros((len(rotations), terms, 3)), np.zeros((len(rotations), 3))
+    rotation_terms_rad[frames], drift[frames] = found.estimate.rotation_terms_rad, found.estimate.drift
     estimate = replace(
         found.estimate,
         positions_m=positions_m,
         rotations=rotations,
         points_m=whole.points_m,
-        swing_rad=swing_rad,
+        rotation_terms_rad=rotation_terms_rad,
         drift=drift,
     )
     poses = replace(whole.poses, positions_m=positions_m, rotations=rotations)

@@ -133,9 +133,9 @@ def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutte
     drift_sd = drift_sd * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))
     most = PRIOR_FACTORS[1] if settings.turning else THREE_SIGMA
     common = settings.turning and _zero_unknown(block, settings)
-    swing_sd_rad = _swing_sd_rad(block, settings, readouts_s)
+    rotation_sd_rad = _rotation_sd_rad(block, settings, readouts_s)
     focal_px = float(np.median([c.focal_length_px for c in block.cameras]))
-    return RollingShutterRotation(swing_sd_rad, drift_sd, focal_px, common, most)
+    return RollingShutterRotation(rotation_sd_rad, drift_sd, focal_px, common, most)
 
 
 def velocities_known(block: Block) -> Bools:
@@ -155,9 +155,9 @@ def _gust_per_s(block: Block, level: Floats | float = 1.0) -> Floats:
     return np.asarray(np.hypot(GUST_M_PER_S, own) / flying_height_m(block))
 
 
-def _swing_sd_rad(block: Block, settings: Settings, readouts_s: Floats) -> Floats:
-    """First deviations of the swings, (f, t, 3). Without `turning` a constant rate about the image's axes
-    stands for errors of the velocities; with a gyroscope whose zero is unknown, one about all axes for
+def _rotation_sd_rad(block: Block, settings: Settings, readouts_s: Floats) -> Floats:
+    """First deviations of the rotation terms, (f, t, 3). Without `turning` a constant rate about the image's
+    axes stands for errors of the velocities; with a gyroscope whose zero is unknown, one about all axes for
     that."""
     recorded = recorded_share(block.poses.turns, np.arange(len(readouts_s)), readouts_s)
     known = np.isfinite(recorded)

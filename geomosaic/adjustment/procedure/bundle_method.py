@@ -218,8 +218,8 @@ def _leaves_open(its: Work, now: Work) -> bool:
 
 def _zero_of_the_gyroscope(work: Work) -> Work:
     solution = work.found.solution
-    swinging = work.settings.turning and solution.estimate.swing_rad.shape[1]
-    if not swinging or work.block.poses.turns is None:
+    rotating = work.settings.turning and solution.estimate.rotation_terms_rad.shape[1]
+    if not rotating or work.block.poses.turns is None:
         return work
     return again(work, *with_common_rate(work.block, work.settings, solution))
 

@@ -36,7 +36,7 @@ def begun_from_earlier(
     given: Block, asked: Settings, all_and_few: tuple[Tracks, Tracks], spread: Spread
 ) -> Work | None:
     """The block with the earlier run's model, solved by few tie points from its solution; frames that are new
-    begin where the images put them beside it. None where that solution says too little of the block.
+    begin where the images put them relative to it. None where that solution says too little of the block.
 
     Raises: NotSolvableError.
     """
@@ -99,10 +99,12 @@ def start_from_earlier(block: Block, settings: Settings, tracks: Tracks, poses: 
             shared[its], fixed[its] = earlier.shared[name], earlier.fixed[name]
     at = {name: k for k, name in enumerate(earlier.names)}
     rows = np.array([at.get(name, -1) for name in block.names])
-    swing_rad = np.where((rows >= 0)[:, None, None], earlier.swing_rad[rows], 0.0)
+    rotation_terms_rad = np.where((rows >= 0)[:, None, None], earlier.rotation_terms_rad[rows], 0.0)
     drift = np.where((rows >= 0)[:, None], earlier.drift[rows], 0.0)
     points_m = np.zeros((0, 3))
-    estimate = Estimate(layout, poses.positions_m, poses.rotations, points_m, shared, swing_rad, drift)
+    estimate = Estimate(
+        layout, poses.positions_m, poses.rotations, points_m, shared, rotation_terms_rad, drift
+    )
     found = {c.name: c for c in earlier.cameras}
     cameras = tuple(found[c.name] for c in block.lenses)
     return Start(poses, cameras, estimate, Components(earlier.components), fixed, None)

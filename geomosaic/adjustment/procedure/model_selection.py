@@ -42,9 +42,9 @@ _TEXTS = {
     "lens": "the lens free of what its maker says",
     "fisheye": "a fisheye lens",
     "readout": "rows read one after the other, their time solved for",
-    "turning": "each frame swinging in its own way while its rows are read one after the other",
+    "turning": "each frame turning in its own way while its rows are read one after the other",
     "vibrating": "each frame vibrating while its rows are read one after the other",
-    "untold_turns": "without the turns that the tags report",
+    "without_reported_turns": "without the turns that the tags report",
 }
 _SHOWN_BY = {
     "readout": (
@@ -178,8 +178,8 @@ def readout_shown(solved: Solution) -> bool:
 def turns_shown(solved: Solution, block: Block) -> bool:
     """Whether estimated rates of rotation are larger than errors of the velocities explain: then frames do
     rotate while they are read, though left-out points may not show that. Unknown velocities explain all."""
-    rates = bool(solved.estimate.swing_rad.shape[1]) and velocities_known(block).mean() > 0.5
-    return rates and solved.components["swing 1"] >= _NO_GUSTS
+    rates = bool(solved.estimate.rotation_terms_rad.shape[1]) and velocities_known(block).mean() > 0.5
+    return rates and solved.components["rotation term 1"] >= _NO_GUSTS
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
@@ -188,8 +188,8 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     them."""
     out: list[Warn] = []
     read = [abs(c.readout_s) / c.height_px for c in block.cameras if c.readout_s]
-    held = bool(block.control) or not position_assumed(block.poses).all()
-    if read and not held and block.poses.turns is None and velocities_known(block).mean() <= 0.5:
+    anchored = bool(block.control) or not position_assumed(block.poses).all()
+    if read and not anchored and block.poses.turns is None and velocities_known(block).mean() <= 0.5:
         share = 100.0 * CRUISE_M_PER_S * max(read) / block.ground_pixel_m
         text = f"at {CRUISE_M_PER_S:g} m/s the map would be stretched by {share:.1f} % along the lines"
         text = f"rolling shutter, and neither times nor tags say how fast the frames flew: {text}; give "
@@ -236,7 +236,10 @@ def _candidates(now: Model, taken: tuple[str, ...], vibrating: bool) -> Iterator
         return Model(block, settings, now.before)
 
     if read and turns is not None:
-        yield "untold_turns", model(replace(block, poses=replace(block.poses, turns=None)), settings)
+        yield (
+            "without_reported_turns",
+            model(replace(block, poses=replace(block.poses, turns=None)), settings),
+        )
     if makers and not settings.free_lens:
         yield "lens", model(block, replace(settings, free_lens=True))
     all_solved = all(c.readout_s and c.readout_sd_s for c in block.cameras)

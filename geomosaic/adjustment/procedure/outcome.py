@@ -241,7 +241,7 @@ def _solved(work: Work, rejected: Collection[int]) -> SolvedBlock:
         names=tuple(name for name, its in zip(names, certain, strict=True) if its),
         positions_m=at.positions_m[certain],
         rotations=at.rotations[certain],
-        swing_rad=at.swing_rad[certain],
+        rotation_terms_rad=at.rotation_terms_rad[certain],
         drift=at.drift[certain],
         settings=work.settings,
         lenses=work.block.lenses,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.adjustment.kernels.row_functions import with_swing
+from geomosaic.adjustment.kernels.row_functions import with_rotation_terms
 from geomosaic.adjustment.model import Block, Settings
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.arrays import Floats, Ints
@@ -52,11 +52,11 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
     reported rotations, and settings with a narrower prior of own rates. Rates as free as the offset weaken
     small blocks."""
     readouts_s = np.array([c.readout_s for c in block.cameras])
-    known = solved.estimate.swing_rad.any(axis=(1, 2)) & (readouts_s > 0.0)
+    known = solved.estimate.rotation_terms_rad.any(axis=(1, 2)) & (readouts_s > 0.0)
     if known.sum() < LEAST_OBSERVATIONS:
         return block, settings
-    common = np.median(solved.estimate.swing_rad[known, 0] / readouts_s[known, None], axis=0)
-    poses = with_swing(block.poses, (readouts_s[:, None] * common)[:, None], readouts_s)
+    common = np.median(solved.estimate.rotation_terms_rad[known, 0] / readouts_s[known, None], axis=0)
+    poses = with_rotation_terms(block.poses, (readouts_s[:, None] * common)[:, None], readouts_s)
     return replace(block, poses=poses), replace(settings, rate_sd_rad_per_s=_OWN_SD_RAD_PER_S)
 
 

@@ -19,7 +19,7 @@ from geomosaic.estimation.linear import eigen_each, inverse_roots
 from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
 from geomosaic.matching.tracks import Tracks, frame_by_frame
 
-_NEAREST = tuned(0.05, "share of a frame's usual distance to its points", "more: tall trees are held down")
+_NEAREST = tuned(0.05, "share of a frame's usual distance to its points", "more: tall trees are pulled down")
 _FEWEST = tuned(1000, "points", "fewer: a step of the whole block costs less than some points' own")
 _ROUNDS = tuned(8, "rounds", "of Newton's steps; a point that crosses to another place takes ten")
 _LEAST_BEND = tuned(1e-3, "share of the largest curvature", "less: a step along it has no end")

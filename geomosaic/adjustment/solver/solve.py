@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from geomosaic.adjustment.kernels.interior import READOUT, with_interior
-from geomosaic.adjustment.kernels.row_functions import with_drift, with_swing
+from geomosaic.adjustment.kernels.row_functions import with_drift, with_rotation_terms
 from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import clearances_m
@@ -201,12 +201,15 @@ def _first_estimate(problem: BlockProblem, poses: Poses, start: Start | None) ->
     if start is not None:
         (shared, fixed), points_m = start.shared_in(layout), start.points_m
     terms = next((t.terms for t in problem.frames if isinstance(t, RollingShutterRotation)), 0)
-    swing_rad, drift = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
+    rotation_terms_rad, drift = np.zeros((frames, terms, 3)), np.zeros((frames, 3))
     if start is not None and terms:
-        same = min(terms, start.estimate.swing_rad.shape[1])
-        swing_rad[:, :same], drift = start.estimate.swing_rad[:, :same], start.estimate.drift
+        same = min(terms, start.estimate.rotation_terms_rad.shape[1])
+        rotation_terms_rad[:, :same], drift = (
+            start.estimate.rotation_terms_rad[:, :same],
+            start.estimate.drift,
+        )
     positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
-    return Estimate(layout, positions_m, rotations, points_m, shared, swing_rad, drift), fixed
+    return Estimate(layout, positions_m, rotations, points_m, shared, rotation_terms_rad, drift), fixed
 
 
 def _of_its_functions(problem: BlockProblem, start: Start) -> bool:
@@ -214,7 +217,7 @@ def _of_its_functions(problem: BlockProblem, start: Start) -> bool:
     out too."""
     term = next((t for t in problem.frames if isinstance(t, RollingShutterRotation)), None)
     names, terms = (set(), 0) if term is None else (set(term.component_names()), term.terms)
-    return names <= set(start.components.values) and start.estimate.swing_rad.shape[1] <= terms
+    return names <= set(start.components.values) and start.estimate.rotation_terms_rad.shape[1] <= terms
 
 
 def _first_components(problem: BlockProblem, at: Estimate) -> Components:
@@ -255,13 +258,13 @@ def _cameras(problem: BlockProblem, at: Estimate) -> tuple[Camera, ...]:
 
 
 def _poses(problem: BlockProblem, at: Estimate) -> Poses:
-    """The estimated poses, whose turns and velocities include the swing and the drift."""
+    """The estimated poses, whose turns and velocities include rotation and drift while rows are read."""
     poses = replace(problem.image.reported, positions_m=at.positions_m, rotations=at.rotations)
-    if not at.swing_rad.shape[1]:
+    if not at.rotation_terms_rad.shape[1]:
         return poses
     readouts_s = at.interior[problem.image.camera_of, READOUT]
     drift_m, tracks = np.zeros(at.drift.shape), problem.image.tracks
     for i, mine in frame_by_frame(tracks.frame):
         away_m = at.points_m[tracks.point[mine]] - at.positions_m[i]
         drift_m[i] = -float(np.median(away_m @ at.rotations[i, :, 2])) * at.drift[i]
-    return with_drift(with_swing(poses, at.swing_rad, readouts_s), drift_m, readouts_s)
+    return with_drift(with_rotation_terms(poses, at.rotation_terms_rad, readouts_s), drift_m, readouts_s)

@@ -115,9 +115,9 @@ def _without_vanished(progress: Progress) -> Progress:
         for t in progress.problem.frames
     )
     terms = next((t.terms for t in frames if isinstance(t, RollingShutterRotation)), 0)
-    if terms == progress.at.swing_rad.shape[1]:
+    if terms == progress.at.rotation_terms_rad.shape[1]:
         return progress
-    at = replace(progress.at, swing_rad=progress.at.swing_rad[:, :terms])
+    at = replace(progress.at, rotation_terms_rad=progress.at.rotation_terms_rad[:, :terms])
     return replace(progress, problem=replace(progress.problem, frames=frames), at=at)
 
 

@@ -18,7 +18,7 @@ from geomosaic.camera.rotation import CAMERA_FROM_BODY, exp_turn, log_turn
 from geomosaic.constants import tuned
 
 TILT, YAW, BORESIGHT = "tilt", "yaw", "boresight"
-BORESIGHT_SD_RAD = tuned(np.radians(3.0), "rad", "of mounts of small drones; less: boresights are held")
+BORESIGHT_SD_RAD = tuned(np.radians(3.0), "rad", "of mounts of small drones; less: boresights are fixed")
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from geomosaic.constants import tuned
 HORIZONTAL, VERTICAL = "horizontal", "vertical"
 LEVER_ARM, DELAY, OFFSET = "lever arm", "GNSS delay", "offset of a flight"
 ANYWHERE_M = tuned(1e3, "m", "deviation of what is not known; more: the equations lose their digits")
-LEVER_ARM_SD_M = tuned(0.5, "m", "lever arms of small drones; less: one that is asked for is held")
-DELAY_SD_S = tuned(1.0, "s", "by which positions are late; less: one that is asked for is held")
+LEVER_ARM_SD_M = tuned(0.5, "m", "lever arms of small drones; less: a requested one is fixed")
+DELAY_SD_S = tuned(1.0, "s", "by which positions are late; less: a requested one is fixed")
 
 
 @dataclass(frozen=True)

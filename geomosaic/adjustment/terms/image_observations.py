@@ -148,7 +148,9 @@ class ImageObservations:
             self.tracks.memo[key] = Sightings.of(self.tracks.frame, self.tracks.point, *key)
         counts = (*at.interior.shape, at.layout.platform_size)
         linearised = self.linearised(at, components)
-        return build_normals(self.tracks.memo[key], self.camera_of, counts, linearised, at.swing_rad.shape[1])
+        return build_normals(
+            self.tracks.memo[key], self.camera_of, counts, linearised, at.rotation_terms_rad.shape[1]
+        )
 
     def projections(self, at: Estimate, rows_px: Floats | None = None) -> Projections:
         """The points in the frames that see them; rolling shutters at rows_px (m,), or the measured rows."""
@@ -162,7 +164,7 @@ class ImageObservations:
             return Projections(at.positions_m[frame], rotations, interior, points_m, None, kind)
         measured = self.tracks.image_px[:, 1] if rows_px is None else rows_px
         rows = Rows(frame, measured, self._heights_px[camera], interior[:, READOUT])
-        motion = (at.swing_rad, at.drift) if at.swing_rad.shape[1] else (None, None)
+        motion = (at.rotation_terms_rad, at.drift) if at.rotation_terms_rad.shape[1] else (None, None)
         read = readout_of(self.reported, at.rotations, rows, *motion)
         return Projections(at.positions_m[frame], read.rotations, interior, points_m, read, kind)
 
@@ -179,7 +181,7 @@ class ImageObservations:
 
     def _reads_rows(self, at: Estimate) -> bool:
         moving = self.reported.velocities_m_per_s is not None or self.reported.turns is not None
-        return self.rolling and (moving or bool(at.swing_rad.shape[1]))
+        return self.rolling and (moving or bool(at.rotation_terms_rad.shape[1]))
 
     def first_components(self, at: Estimate) -> dict[str, float]:
         """Image deviations by the present median residuals."""

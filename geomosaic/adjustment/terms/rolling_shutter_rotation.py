@@ -17,23 +17,23 @@ from geomosaic.constants import sourced, tuned
 RATE_SD_RAD_PER_S = sourced(0.3, "rad/s", "of each function; more: they take up poses", "a Sequoia: 0.26")
 GUST_M_PER_S = tuned(0.5, "m/s", "error of a velocity; 0: chance differences set readout and scale")
 _SHOWN = tuned(0.1, "of the image deviation", "more: hundreds of points a frame show what is left out")
-IMAGE_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "its last axis is held")
+IMAGE_AXES: Floats = tuned(np.array([1.0, 1.0, 1e-3]), "of a rate's deviation", "its last axis is fixed")
 DRIFTS = "drift across the view", "drift along the view"
 
 
 @dataclass(frozen=True)
 class RollingShutterRotation(FrameTerm):
-    """Rotation (swing) and drift of f frames about and along their camera's axes while rows are read are near
-    0. swing_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height. Each
+    """Rotation and drift of f frames about and along their camera's axes while rows are read are near
+    0. rotation_sd_rad (f, t, 3), drift_sd (f, 3): first deviations, of drifts over the flying height. Each
     function of the row, drifts across the view and drifts along it have variance components. common: a part
-    of the swing may be common to all frames, so that it does not shrink. most_swing: limit of its
+    of the rotation may be common to all frames, so that it does not shrink. most_rotation: limit of its
     components. focal_length_px: by it, deviations shrink no further than the images show."""
 
-    swing_sd_rad: Floats
+    rotation_sd_rad: Floats
     drift_sd: Floats
     focal_length_px: float
     common: bool
-    most_swing: float
+    most_rotation: float
 
     name: ClassVar[str] = "rolling shutter rotation"
 
@@ -43,18 +43,22 @@ class RollingShutterRotation(FrameTerm):
 
     @property
     def terms(self) -> int:
-        return int(self.swing_sd_rad.shape[1])
+        return int(self.rotation_sd_rad.shape[1])
 
     def without_vanished(self, components: Components) -> RollingShutterRotation:
         """Without the last functions of the row whose components have shrunk to what images do not show."""
         unseen = 2.0 * self._least(components)
-        shown = [k + 1 for k in range(self.terms) if self.common or components[f"swing {k + 1}"] > unseen[k]]
-        return replace(self, swing_sd_rad=self.swing_sd_rad[:, : max(shown, default=1)])
+        shown = [
+            k + 1
+            for k in range(self.terms)
+            if self.common or components[f"rotation term {k + 1}"] > unseen[k]
+        ]
+        return replace(self, rotation_sd_rad=self.rotation_sd_rad[:, : max(shown, default=1)])
 
     def _least(self, components: Components) -> Floats:
         """Lower limits of the components: half of what the images show at the frames' rims."""
         sd = np.column_stack(
-            [self.swing_sd_rad.max(axis=2), self.drift_sd[:, :2].max(axis=1), self.drift_sd[:, 2]]
+            [self.rotation_sd_rad.max(axis=2), self.drift_sd[:, :2].max(axis=1), self.drift_sd[:, 2]]
         )
         rim_px = np.maximum(self.focal_length_px * np.median(sd, axis=0), np.finfo(np.float64).tiny)
         least = np.asarray(np.minimum(0.5 * _SHOWN * components[IMAGE] / rim_px, 1.0))
@@ -63,7 +67,7 @@ class RollingShutterRotation(FrameTerm):
         return least
 
     def component_names(self) -> tuple[str, ...]:
-        return (*(f"swing {k + 1}" for k in range(self.terms)), *DRIFTS)
+        return (*(f"rotation term {k + 1}" for k in range(self.terms)), *DRIFTS)
 
     def columns(self, at: Estimate) -> slice:
         return slice(6, 6 + 3 * self.terms + 3)
@@ -72,9 +76,11 @@ class RollingShutterRotation(FrameTerm):
         return -at.while_read
 
     def sd(self, components: Components) -> Floats:
-        *of_swing, along, up = (components[name] for name in self.component_names())
-        swing_sd = self.swing_sd_rad * np.reshape(of_swing, (-1, 1))
-        return np.column_stack([swing_sd.reshape(len(swing_sd), -1), self.drift_sd * [along, along, up]])
+        *of_rotation, along, up = (components[name] for name in self.component_names())
+        rotation_sd = self.rotation_sd_rad * np.reshape(of_rotation, (-1, 1))
+        return np.column_stack(
+            [rotation_sd.reshape(len(rotation_sd), -1), self.drift_sd * [along, along, up]]
+        )
 
     def derivatives(self, at: Estimate) -> tuple[None, list[tuple[str, Floats]]]:
         return None, []
@@ -86,7 +92,7 @@ class RollingShutterRotation(FrameTerm):
         of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))
         redundancy = 1.0 - variances[:, self.columns(at)] / sd**2
         least = self._least(components)
-        most = [self.most_swing] * terms + [1.0] * 2
+        most = [self.most_rotation] * terms + [1.0] * 2
         for k, name in enumerate(self.component_names()):
             factor, its = components[name], sd * (of == k)
             of_term = (its > 2.0 * IMAGE_AXES.min() * its.max(axis=1, keepdims=True)).astype(float)

@@ -26,7 +26,7 @@ def fingerprint_of_json(value: Any) -> str:
 
 
 def artefact_fingerprint(content: str, written: Mapping[str, str], lineage: Iterable[str]) -> str:
-    """Of an artefact whose bytes have the fingerprint `content`, of the files that its stage wrote beside it
+    """Of an artefact whose bytes have the fingerprint `content`, of the files that its stage wrote with it
     (name and hash), and of all files that it goes back to."""
     return fingerprint_of_json([content, dict(written), sorted(lineage)])
 

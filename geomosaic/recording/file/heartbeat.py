@@ -1,4 +1,4 @@
-"""A sign of life of a run, written once a second beside its work."""
+"""A sign of life of a run, written once a second into its work folder."""
 
 from __future__ import annotations
 

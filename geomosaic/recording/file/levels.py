@@ -18,7 +18,7 @@ def reaches(level: str, least: str) -> bool:
 @dataclass(frozen=True)
 class RecordOptions:
     """level: one of LEVELS. private: without folders, user and host; private_places: also with all places
-    moved by what nobody is told, and so without artefacts. live: shown in Rerun while the run is on."""
+    moved by a secret shift, and so without artefacts. live: shown in Rerun while the run is on."""
 
     level: str = "normal"
     private: bool = False

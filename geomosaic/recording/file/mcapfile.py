@@ -17,7 +17,7 @@ from geomosaic.doors.files import check_regular
 from geomosaic.errors import FileError
 
 MAX_RECORD_BYTES = 128 * 2**20
-MEND = "give the run.mcap of a run folder"
+FIX = "give the run.mcap of a run folder"
 BROKEN = (
     McapError,
     DecodeError,
@@ -45,15 +45,15 @@ class Item(NamedTuple):
 
 def opened(path: Path) -> IO[bytes]:
     """The file, open for reading. Raises FileError."""
-    check_regular(path, MEND)
+    check_regular(path, FIX)
     try:
         if path.stat().st_size == 0:  # as the system's own files say of themselves (/proc)
-            raise FileError("this file is empty", file=path, fix=MEND)
+            raise FileError("this file is empty", file=path, fix=FIX)
         return path.open("rb")
     except FileError:
         raise
     except OSError as error:
-        raise FileError(f"can't be read ({error.strerror})", file=path, fix=MEND) from error
+        raise FileError(f"can't be read ({error.strerror})", file=path, fix=FIX) from error
 
 
 def items(path: Path, file: IO[bytes], more: Callable[[], bool] = lambda: False) -> Iterator[Item]:
@@ -76,7 +76,7 @@ def items(path: Path, file: IO[bytes], more: Callable[[], bool] = lambda: False)
             if offset == 0:
                 problem = "this is no MCAP file, or it was cut off in its header"
                 empty = file.seek(0, 2) == 0
-                raise FileError("this file is empty" if empty else problem, file=path, fix=MEND) from error
+                raise FileError("this file is empty" if empty else problem, file=path, fix=FIX) from error
             cut = isinstance(error, EndOfFile)
             text = "it was cut off" if cut else f"damaged behind byte {offset} ({error})"
             yield Item(offset, None, problem=text)

@@ -117,7 +117,7 @@ class Jitter:
 
 @dataclass(frozen=True)
 class StageProgress:
-    """How far a stage was when it was last heard of: `done` of `total` of what `text` names; memory_bytes 0
+    """The last reported progress of a stage: `done` of `total` of what `text` names; memory_bytes 0
     where unknown."""
 
     stage_id: str

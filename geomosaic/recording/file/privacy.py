@@ -23,7 +23,7 @@ _CRS = re.compile(r"\b(EPSG|ESRI|IGNF|OGC):\w+")
 
 class Privacy:
     """Takes out of texts the folders of absolute paths, so that names of files stay; with `places` also moves
-    all places to another one, which nobody is told, and takes out the names of map systems.
+    all places to a secret one, and takes out the names of map systems.
 
     folders: those that are known to be named, whatever is in their names.
     """

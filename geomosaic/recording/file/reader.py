@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
 from geomosaic.errors import FileError
 from geomosaic.recording.file.frame_kinds import THUMBNAILS
 from geomosaic.recording.file.kinds import KINDS
-from geomosaic.recording.file.mcapfile import BROKEN, DAMAGED, MEND, Item, items, opened, stream, unpacked
+from geomosaic.recording.file.mcapfile import BROKEN, DAMAGED, FIX, Item, items, opened, stream, unpacked
 from geomosaic.recording.file.messages import At
 from geomosaic.recording.file.model import ArtefactEntry, Recording, Topic
 from geomosaic.recording.file.plain import json_object
@@ -21,7 +21,7 @@ from geomosaic.recording.file.writer import ENVIRONMENT, FORMAT, MANIFEST, PROFI
 
 MAX_KEPT_BYTES = 512 * 2**20
 MOST_UNPACKED = 100
-"""Times a recording's own size that its artefacts may take, beside 64 MiB; those of runs take 2 to 10."""
+"""Times a recording's own size that its artefacts may take, plus 64 MiB; those of runs take 2 to 10."""
 MOST_SHOWN = 80
 """The same of what a view takes: images hardly pack, tables do."""
 _ALWAYS_BYTES = 64 * 2**20
@@ -43,7 +43,7 @@ def read_recording(path: Path, with_images: bool = False) -> Recording:
             kept_bytes += _kept_bytes(item, with_images)
             if kept_bytes > most_kept:
                 problem = f"its figures and images take more than {most_kept} bytes"
-                raise FileError(problem, file=path, fix=MEND)
+                raise FileError(problem, file=path, fix=FIX)
             try:
                 take(recording, item)
             except DAMAGED as error:
@@ -54,7 +54,7 @@ def read_recording(path: Path, with_images: bool = False) -> Recording:
                 recording.problem = printable(item.problem)
     most_bytes = MOST_UNPACKED * path.stat().st_size + _ALWAYS_BYTES
     if sum(a.total_bytes for a in recording.artefacts) > most_bytes:
-        raise FileError(f"its artefacts would take more than {most_bytes} bytes", file=path, fix=MEND)
+        raise FileError(f"its artefacts would take more than {most_bytes} bytes", file=path, fix=FIX)
     recording.stages.sort(key=lambda stage: stage.index)
     return recording
 
@@ -130,7 +130,7 @@ def printable(text: str) -> str:
 
 def _check_ours(path: Path, item: Item) -> None:
     if isinstance(item.record, Header) and item.record.profile != PROFILE:
-        raise FileError("this MCAP is no recording of geomosaic", file=path, fix=MEND)
+        raise FileError("this MCAP is no recording of geomosaic", file=path, fix=FIX)
     if isinstance(item.record, Metadata) and item.record.name == PROFILE:
         written = item.record.metadata.get("format", "unknown")
         if written != FORMAT:

@@ -42,7 +42,7 @@ class StageEnd:
 
     cached: whether the outcome was there before. notes: what it adds to run.json, so that a replay can add it
     again. written, lineage: what the fingerprints hold besides the artefacts' bytes (`artefact_fingerprint`).
-    peak_memory_bytes: the most that all processes held so far.
+    peak_memory_bytes: the peak of all processes so far.
     """
 
     outputs: Mapping[str, str] = field(default_factory=dict)

@@ -82,7 +82,7 @@ class Canvas:
             cv2.circle(self.image, at, 1 if small else 4, colour, -1, cv2.LINE_AA)
 
     def label(self, at_m: Floats, words: str, colour: Colour) -> None:
-        """Words beside a point, on white: to its right, or to its left where there is no room."""
+        """Words next to a point, on white: to its right, or to its left where there is no room."""
         at = self._at(at_m)
         if at is not None:
             (wide, _), _ = cv2.getTextSize(words, *_LETTERS, 1)

@@ -71,7 +71,7 @@ def compare(
 def _matched(
     a: list[StageRecord], b: list[StageRecord]
 ) -> Iterator[tuple[StageRecord | None, StageRecord | None]]:
-    """Stages in order; those of equal id are held against each other."""
+    """Stages in order; those of equal id are compared."""
     matcher = difflib.SequenceMatcher(None, [s.stage_id for s in a], [s.stage_id for s in b], autojunk=False)
     for kind, a0, a1, b0, b1 in matcher.get_opcodes():
         if kind == "equal":

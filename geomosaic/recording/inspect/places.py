@@ -80,7 +80,7 @@ class Places:
 
     def explain(self, name: str, marks: list[Any]) -> bool:
         """Whether an artefact's fingerprints differ only since it names moved inputs; where the artefacts
-        aren't recorded, that is believed."""
+        aren't recorded, that is assumed."""
         if not self._moved or None in marks:
             return False
         contents = [self._content(i, name, mark) for i, mark in enumerate(marks)]

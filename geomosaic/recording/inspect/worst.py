@@ -70,7 +70,7 @@ _FIXES: dict[str, tuple[float, str]] = {
     "frame-turned": (36.0, "no need: it is corrected; don't let viewers turn frames when they save them"),
     "frame-flung": (34.0, "look at the frame; leave it out if it is of another place"),
     "frame-damaged": (32.0, "copy it from the camera's card again"),
-    "height-not-believed": (30.0, "no need: the images set it; give heights with --pos if they are known"),
+    "height-implausible": (30.0, "no need: the images set it; give heights with --pos if they are known"),
     "horizon": (12.0, "no need: only what lies on the ground is used"),
     "frame-oblique": (20.0, "no need: it was left out"),
     "frame-blurred": (20.0, "no need: it was left out"),
@@ -81,7 +81,9 @@ _FIXES: dict[str, tuple[float, str]] = {
     "frame-other-bands": (20.0, "mosaic frames of the other kind by themselves"),
     "frame-no-camera": (20.0, "give the lens with --camera"),
 }  # fmt: skip
-"""How bad the faults of frames are, beside each other, and how to fix them."""
+"""How bad the faults of frames are, relative to each other, and how to fix them."""
+FORMER_CODES = {"height-not-believed": "height-implausible"}
+"""Present code of a warning by the code that recordings of earlier versions have."""
 _TEXTS = {
     TURNED: "its pixels were turned after the flight; set by its neighbours",
     HEADING: "its heading was given wrong; set by its neighbours",
@@ -149,7 +151,7 @@ def _of_frames(
 ) -> Iterator[Fault]:
     """Frames that the run names, once each for each thing; but for these codes."""
     said: dict[tuple[str, str], str] = {}
-    for code, frame, text in warned:
+    for code, frame, text in ((FORMER_CODES.get(code, code), frame, text) for code, frame, text in warned):
         if frame and code in _FIXES and code not in but:
             said.setdefault((code, frame), text)
     for (code, frame), text in said.items():
@@ -178,8 +180,8 @@ def _of_causes(
 
 
 def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterator[Fault]:
-    """Frames whose image, and whose tag, stand on their head beside the others of their line; but for those
-    that are named as turned."""
+    """Frames whose image, and whose tag, stand on their head relative to the others of their line; but for
+    those that are named as turned."""
     if solved.adjusted is None or solved.prior is None:
         return
     found = solved.adjusted.poses
@@ -202,7 +204,7 @@ def _against_their_lines(solved: Solved, turned: Collection[str] = ()) -> Iterat
             if not abs(abs(here - there) - 180.0) < np.degrees(MOST_RAD):
                 continue
             text = (
-                f"its image stands on its head beside the others of its line (heading {here:.0f} degrees, "
+                f"its image stands on its head, unlike the others of its line (heading {here:.0f} degrees, "
                 f"theirs {there:.0f}; its tags say so, too): its pixels were turned after the flight, or the "
                 "camera turned about there"
             )

@@ -1,4 +1,4 @@
-"""What stands in words beside the plan: what is wrong, the worst pairs, the frames moved most, each frame."""
+"""The texts next to the plan: what is wrong, the worst pairs, the frames moved most, each frame."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@
     return [image.name, L.imageOverlay(source(image.uri), [[s, w], [n, e]], { pane: image.name, opacity: image.opacity })];
   }));
 
-  // Surveyed points: told apart by their symbol, blunders crossed out.
+  // Surveyed points: distinguished by their symbol, blunders crossed out.
   const MARKS = { triangle: "M9 1.5 17 15.5H1Z", square: "M2.5 2.5h13v13h-13Z" }, CROSS = "M1.5 1.5l15 15M16.5 1.5l-15 15";
   function symbol(mark, colour, blunder) {
     const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
@@ -151,26 +151,26 @@
   get("layers").open = wide;
 
   // The swipe: two images, a border between them.
-  const beside = data.images.filter((image) => image.use === "compare");
+  const compared = data.images.filter((image) => image.use === "compare");
   const handle = get("swipe"), left = get("left"), right = get("right");
   let share = 0.5;
   function clip() {
-    const on = beside.length > 0 && left.value !== right.value, size = map.getSize();
+    const on = compared.length > 0 && left.value !== right.value, size = map.getSize();
     handle.hidden = !on;
     handle.style.left = `${100 * share}%`;
     handle.setAttribute("aria-valuenow", String(Math.round(100 * share)));
     const from = map.containerPointToLayerPoint([0, 0]), to = map.containerPointToLayerPoint(size), at = from.x + share * size.x;
-    for (const image of [images[0], ...beside]) {
+    for (const image of [images[0], ...compared]) {
       const pane = map.getPane(image.name), sides = on && [left.value, right.value].indexOf(image.name);
       pane.style.clip = !on ? "auto" : sides === 0 ? `rect(${from.y}px,${at}px,${to.y}px,${from.x}px)` : `rect(${from.y}px,${to.x}px,${to.y}px,${at}px)`;
       if (image.name === "mosaic") pane.style.display = on && sides < 0 ? "none" : "";
       else (on && sides >= 0) || (!on && left.value === image.name) ? overlay.get(image.name).addTo(map) : overlay.get(image.name).remove();
     }
   }
-  if (beside.length) {
+  if (compared.length) {
     get("sides").hidden = false;
     for (const side of [left, right]) {
-      for (const image of [...beside, images[0]]) side.add(new Option(image.name === "mosaic" ? "adjusted" : image.title, image.name));
+      for (const image of [...compared, images[0]]) side.add(new Option(image.name === "mosaic" ? "adjusted" : image.title, image.name));
       side.value = "mosaic";
       side.addEventListener("change", clip);
     }

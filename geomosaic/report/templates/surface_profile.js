@@ -16,7 +16,7 @@
     });
   }
 
-  // Bilinear between the middles of pixels; NaN beside an unknown one.
+  // Bilinear between the middles of pixels; NaN next to an unknown one.
   function at(grid, x, y) {
     const u = Math.min(Math.max(x - 0.5, 0), cols - 1), v = Math.min(Math.max(y - 0.5, 0), rows - 1);
     const c = Math.min(Math.floor(u), Math.max(cols - 2, 0)), r = Math.min(Math.floor(v), Math.max(rows - 2, 0));
