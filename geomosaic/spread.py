@@ -23,7 +23,7 @@ class Spread(Protocol):
         that is asked for once; else they are distinguished by what they contain."""
 
 
-class Progress(Protocol):
+class ProgressObserver(Protocol):
     """Shows how far work has come and stops it, as `pipeline.Context` does."""
 
     def progress(self, done: int, total: int, text: str = "") -> None:
@@ -37,10 +37,10 @@ class Unobserved:
     """Shows nothing and never stops."""
 
     def progress(self, done: int, total: int, text: str = "") -> None:
-        """See `Progress`."""
+        """See `ProgressObserver`."""
 
     def check_cancelled(self) -> None:
-        """See `Progress`."""
+        """See `ProgressObserver`."""
 
 
 UNOBSERVED: Final = Unobserved()

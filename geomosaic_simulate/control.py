@@ -13,7 +13,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.errors import InputError
 from geomosaic_simulate.landscape import Bounds, Landscape
 from geomosaic_simulate.plan import SurveyPlan
-from geomosaic_simulate.readout import Readout
+from geomosaic_simulate.readout import FrameReadout
 from geomosaic_simulate.render import World
 
 SURVEYED_SD_M = (0.02, 0.03)
@@ -47,7 +47,7 @@ def true_points(
     plan: SurveyPlan,
     camera: Camera,
     poses: Poses,
-    readouts: Sequence[Readout],
+    readouts: Sequence[FrameReadout],
     world: World,
     bounds_m: Sequence[Bounds],
 ) -> list[SurveyedPoint]:
@@ -123,7 +123,7 @@ def gcp_list(points: Sequence[SurveyedPoint], names: Sequence[str], crs: str) ->
 
 
 def _stored_px(
-    plan: SurveyPlan, camera: Camera, poses: Poses, readout: Readout, i: int, enu_m: Floats
+    plan: SurveyPlan, camera: Camera, poses: Poses, readout: FrameReadout, i: int, enu_m: Floats
 ) -> Floats:
     """Where frame i, as it is stored, shows points (k, 3)."""
     px = readout.image_from_ground(camera, poses[i], enu_m)

@@ -28,7 +28,7 @@ OVERLAP = (0.65, 0.85)
 
 
 @dataclass(frozen=True)
-class Fault:
+class Flaw:
     """Something that real surveys have.
 
     probability: that a survey has it, given that it may: `needs` is there, nothing of `unless` is, and the
@@ -215,64 +215,64 @@ _ALTITUDES = (
     "altitude_of_ground", "no_altitude",
 )  # fmt: skip
 
-FAULTS: tuple[Fault, ...] = (
-    Fault("take_off", 0.2, lambda r, v: {"take_off_frames": int(r.integers(1, 5))}),
-    Fault("landing", 0.1, lambda r, v: {"landing_frames": int(r.integers(1, 4))}),
-    Fault("oblique", 0.1, lambda r, v: {"oblique_frames": int(r.integers(1, 3))}),
-    Fault("horizon", 0.07, lambda r, v: {"horizon_frames": int(r.integers(1, 3))}),
-    Fault("duplicates", 0.1, lambda r, v: {"duplicates": int(r.integers(1, 4))}),
-    Fault("blurred", 0.12, lambda r, v: {"blurred": _some(r, v, 0.03, 0.12)}),
-    Fault("no_attitude", 0.25, lambda r, v: {"attitude_reported": False}),
-    Fault("wrong_headings", 0.12, lambda r, v: {"yaw_wrong_share": 0.2}, unless=("no_attitude",)),
-    Fault("turned_line", 0.08, lambda r, v: {"turned": _line(r, v)}, kinds=("block", "crossed")),
-    Fault("altitude_drifts", 0.08, lambda r, v: {
+FAULTS: tuple[Flaw, ...] = (
+    Flaw("take_off", 0.2, lambda r, v: {"take_off_frames": int(r.integers(1, 5))}),
+    Flaw("landing", 0.1, lambda r, v: {"landing_frames": int(r.integers(1, 4))}),
+    Flaw("oblique", 0.1, lambda r, v: {"oblique_frames": int(r.integers(1, 3))}),
+    Flaw("horizon", 0.07, lambda r, v: {"horizon_frames": int(r.integers(1, 3))}),
+    Flaw("duplicates", 0.1, lambda r, v: {"duplicates": int(r.integers(1, 4))}),
+    Flaw("blurred", 0.12, lambda r, v: {"blurred": _some(r, v, 0.03, 0.12)}),
+    Flaw("no_attitude", 0.25, lambda r, v: {"attitude_reported": False}),
+    Flaw("wrong_headings", 0.12, lambda r, v: {"yaw_wrong_share": 0.2}, unless=("no_attitude",)),
+    Flaw("turned_line", 0.08, lambda r, v: {"turned": _line(r, v)}, kinds=("block", "crossed")),
+    Flaw("altitude_drifts", 0.08, lambda r, v: {
         "height_drift_m": _sign(r) * min(_heights(r, v, 0.3, 1.5), 190.0),
         **_NO_OTHER}),
-    Fault("altitude_in_steps", 0.08, lambda r, v: {
+    Flaw("altitude_in_steps", 0.08, lambda r, v: {
         "altitude_step_m": _heights(r, v, 0.1, 0.5), **_NO_OTHER},
         unless=_ALTITUDES),
-    Fault("altitude_from_take_off", 0.1, lambda r, v: {
+    Flaw("altitude_from_take_off", 0.1, lambda r, v: {
         "altitude": "take_off", "take_off_up_m": _heights(r, v, -0.3, 0.3)},
         unless=_ALTITUDES),
-    Fault("altitude_constant", 0.06, lambda r, v: {"altitude": "constant", **_NO_OTHER}, unless=_ALTITUDES),
-    Fault("altitude_of_ground", 0.06, lambda r, v: {"altitude": "ground", **_NO_OTHER}, unless=_ALTITUDES),
-    Fault("no_altitude", 0.06, lambda r, v: {"height_reported": False}, unless=_ALTITUDES),
-    Fault("no_gps_at_all", 0.02, lambda r, v: {
+    Flaw("altitude_constant", 0.06, lambda r, v: {"altitude": "constant", **_NO_OTHER}, unless=_ALTITUDES),
+    Flaw("altitude_of_ground", 0.06, lambda r, v: {"altitude": "ground", **_NO_OTHER}, unless=_ALTITUDES),
+    Flaw("no_altitude", 0.06, lambda r, v: {"height_reported": False}, unless=_ALTITUDES),
+    Flaw("no_gps_at_all", 0.02, lambda r, v: {
         "no_gps": f"1-{len(_planned(v)) + sum(v.get(f'{k}_frames', 0) for k in _OTHERS)}"}),
-    Fault("no_gps_in_some", 0.12, lambda r, v: {"no_gps": _some(r, v, 0.05, 0.3)}, unless=("no_gps_at_all",)),
-    Fault("gps_outlier", 0.12, lambda r, v: {"gps_outliers": 1}, unless=("no_gps_at_all",)),
-    Fault("gps_lag", 0.1, lambda r, v: {"gps_lag_s": _number(r, 0.1, 0.5)}),
-    Fault("two_batteries", 0.12, lambda r, v: {
+    Flaw("no_gps_in_some", 0.12, lambda r, v: {"no_gps": _some(r, v, 0.05, 0.3)}, unless=("no_gps_at_all",)),
+    Flaw("gps_outlier", 0.12, lambda r, v: {"gps_outliers": 1}, unless=("no_gps_at_all",)),
+    Flaw("gps_lag", 0.1, lambda r, v: {"gps_lag_s": _number(r, 0.1, 0.5)}),
+    Flaw("two_batteries", 0.12, lambda r, v: {
         "battery_offset_m": _number(r, 2.0, 6.0), "battery_height_offset_m": _number(r, -12.0, 12.0)}),
-    Fault("rolling_shutter", 0.35, lambda r, v: {"rolling_shutter_s": _number(r, 0.015, 0.12)}),
-    Fault("readout_reported", 0.4, lambda r, v: {"readout_reported": True}, needs="rolling_shutter",
+    Flaw("rolling_shutter", 0.35, lambda r, v: {"rolling_shutter_s": _number(r, 0.015, 0.12)}),
+    Flaw("readout_reported", 0.4, lambda r, v: {"readout_reported": True}, needs="rolling_shutter",
         former="readout_told"),
-    Fault("readout_by_model", 0.7, _model_of_known_readout, needs="rolling_shutter",
+    Flaw("readout_by_model", 0.7, _model_of_known_readout, needs="rolling_shutter",
         unless=("readout_reported",)),
-    Fault("shutter_unreported", 0.3, lambda r, v: {"shutter_reported": False}, unless=("rolling_shutter",),
+    Flaw("shutter_unreported", 0.3, lambda r, v: {"shutter_reported": False}, unless=("rolling_shutter",),
         former="shutter_untold"),
-    Fault("vibration", 0.5, lambda r, v: {
+    Flaw("vibration", 0.5, lambda r, v: {
         "vibration_deg_per_s": _number(r, 1.0, 6.0), "vibration_hz": _number(r, 3.0, 12.0)},
         needs="rolling_shutter"),
-    Fault("gyroscope_reported", 0.4, lambda r, v: {
+    Flaw("gyroscope_reported", 0.4, lambda r, v: {
         "gyroscope_reported": True, "readout_reported": True, "gyroscope_sd_deg_per_s": 0.1},
         needs="vibration", former="gyroscope_told"),
-    Fault("distortion_unreported", 0.25, lambda r, v: {
+    Flaw("distortion_unreported", 0.25, lambda r, v: {
         "lens_reported": False, "k1": _number(r, -0.12, 0.05), "k2": _number(r, -0.02, 0.02),
         "principal_col_offset_px": _number(r, -0.01, 0.01) * v["width_px"],
         "principal_row_offset_px": _number(r, -0.01, 0.01) * v["width_px"]}, former="distortion_untold"),
-    Fault("fisheye_unreported", 0.06, lambda r, v: {
+    Flaw("fisheye_unreported", 0.06, lambda r, v: {
         "lens": "fisheye", "lens_reported": False, "k1": _number(r, -0.03, 0.03)},
         unless=("distortion_unreported",), former="fisheye_untold"),
-    Fault("focal_off", 0.3, lambda r, v: {"focal_error": _sign(r) * _number(r, 0.01, 0.04)}),
-    Fault("lens_in_tags", 0.15, lambda r, v: {"lens_in_tags": True}),
-    Fault("motion_blur", 0.2, lambda r, v: {
+    Flaw("focal_off", 0.3, lambda r, v: {"focal_error": _sign(r) * _number(r, 0.01, 0.04)}),
+    Flaw("lens_in_tags", 0.15, lambda r, v: {"lens_in_tags": True}),
+    Flaw("motion_blur", 0.2, lambda r, v: {
         "exposure_time_s": round(_number(r, 0.5, 2.5) * v["ground_pixel_m"] / v["speed_m_per_s"], 5)}),
-    Fault("clouds", 0.2, lambda r, v: {"clouds": _number(r, 0.2, 0.5)}),
-    Fault("auto_exposure", 0.35, lambda r, v: {"auto_exposure": _number(r, 0.5, 1.0)}),
-    Fault("exposure_varies", 0.2, lambda r, v: {"exposure_sd": _number(r, 0.05, 0.2)}),
-    Fault("vignetting", 0.35, lambda r, v: {"vignetting": _number(r, 0.1, 0.4)}),
-    Fault("wind_in_trees", 0.25, lambda r, v: {"wind_in_trees_m": _number(r, 0.05, 0.3)}),
-    Fault("water", 0.1, lambda r, v: {"water_share": _number(r, 0.1, 0.3)}),
-    Fault("cars", 0.2, lambda r, v: {"moving_cars": _number(r, 0.5, 2.0)}),
+    Flaw("clouds", 0.2, lambda r, v: {"clouds": _number(r, 0.2, 0.5)}),
+    Flaw("auto_exposure", 0.35, lambda r, v: {"auto_exposure": _number(r, 0.5, 1.0)}),
+    Flaw("exposure_varies", 0.2, lambda r, v: {"exposure_sd": _number(r, 0.05, 0.2)}),
+    Flaw("vignetting", 0.35, lambda r, v: {"vignetting": _number(r, 0.1, 0.4)}),
+    Flaw("wind_in_trees", 0.25, lambda r, v: {"wind_in_trees_m": _number(r, 0.05, 0.3)}),
+    Flaw("water", 0.1, lambda r, v: {"water_share": _number(r, 0.1, 0.3)}),
+    Flaw("cars", 0.2, lambda r, v: {"moving_cars": _number(r, 0.5, 2.0)}),
 )  # fmt: skip

@@ -23,7 +23,7 @@ _NAMESPACES: Final = {
 
 
 @dataclass(frozen=True)
-class Tag:
+class ExifTag:
     """One IFD entry: TIFF type (1 byte, 2 ASCII, 3 short, 4 long, 5 rational, 7 undefined) and its bytes."""
 
     number: int
@@ -31,24 +31,24 @@ class Tag:
     data: bytes
 
 
-def ascii_tag(number: int, text: str) -> Tag:
-    return Tag(number, 2, text.encode("ascii") + b"\0")
+def ascii_tag(number: int, text: str) -> ExifTag:
+    return ExifTag(number, 2, text.encode("ascii") + b"\0")
 
 
-def short_tag(number: int, value: int) -> Tag:
-    return Tag(number, 3, struct.pack("<H", value))
+def short_tag(number: int, value: int) -> ExifTag:
+    return ExifTag(number, 3, struct.pack("<H", value))
 
 
-def long_tag(number: int, value: int) -> Tag:
-    return Tag(number, 4, struct.pack("<I", value))
+def long_tag(number: int, value: int) -> ExifTag:
+    return ExifTag(number, 4, struct.pack("<I", value))
 
 
-def rational_tag(number: int, *values: Fraction) -> Tag:
+def rational_tag(number: int, *values: Fraction) -> ExifTag:
     """Unsigned rationals; numerator and denominator must fit 32 bits."""
-    return Tag(number, 5, b"".join(struct.pack("<II", v.numerator, v.denominator) for v in values))
+    return ExifTag(number, 5, b"".join(struct.pack("<II", v.numerator, v.denominator) for v in values))
 
 
-def _ifd(tags: list[Tag], offset: int) -> bytes:
+def _ifd(tags: list[ExifTag], offset: int) -> bytes:
     """An IFD that starts at a byte offset of the TIFF, its long values behind it."""
     tags = sorted(tags, key=lambda t: t.number)
     behind = offset + 2 + 12 * len(tags) + 4
@@ -63,7 +63,7 @@ def _ifd(tags: list[Tag], offset: int) -> bytes:
     return struct.pack("<H", len(tags)) + entries + b"\0\0\0\0" + values
 
 
-def tiff_bytes(main: list[Tag], exif: list[Tag], gps: list[Tag]) -> bytes:
+def tiff_bytes(main: list[ExifTag], exif: list[ExifTag], gps: list[ExifTag]) -> bytes:
     """A TIFF header with IFD0, the Exif IFD and (where it has tags) the GPS IFD."""
 
     def head(exif_at: int, gps_at: int) -> bytes:
@@ -92,7 +92,7 @@ def camera_tags(
     pixels_per_mm: Fraction,
     focal_35mm: int,
     exposure_s: Fraction,
-) -> tuple[list[Tag], list[Tag]]:
+) -> tuple[list[ExifTag], list[ExifTag]]:
     """IFD0 and Exif IFD of an image: who took it, when (UTC), its size and focal length.
 
     pixels_per_mm goes into FocalPlaneXResolution and YResolution with unit 4 (millimetre).
@@ -114,7 +114,7 @@ def camera_tags(
         rational_tag(0x829A, exposure_s),
         rational_tag(0x829D, Fraction(28, 10)),
         short_tag(0x8827, 100),
-        Tag(0x9000, 7, b"0230"),
+        ExifTag(0x9000, 7, b"0230"),
         ascii_tag(0x9003, stamp),
         ascii_tag(0x9004, stamp),
         ascii_tag(0x9011, "+00:00"),
@@ -130,12 +130,12 @@ def camera_tags(
     return main, exif
 
 
-def gps_tags(time_s: float, lon_deg: float, lat_deg: float, height_m: float | None) -> list[Tag]:
+def gps_tags(time_s: float, lon_deg: float, lat_deg: float, height_m: float | None) -> list[ExifTag]:
     """The GPS IFD; a height to the millimetre, or none."""
     when = datetime.fromtimestamp(time_s, UTC)
     clock = Fraction(when.second * 1000 + when.microsecond // 1000, 1000)
     tags = [
-        Tag(0, 1, bytes([2, 3, 0, 0])),
+        ExifTag(0, 1, bytes([2, 3, 0, 0])),
         ascii_tag(1, "N" if lat_deg >= 0.0 else "S"),
         rational_tag(2, *sexagesimal(lat_deg)),
         ascii_tag(3, "E" if lon_deg >= 0.0 else "W"),
@@ -145,7 +145,7 @@ def gps_tags(time_s: float, lon_deg: float, lat_deg: float, height_m: float | No
         ascii_tag(0x1D, when.strftime("%Y:%m:%d")),
     ]
     if height_m is not None:
-        tags.append(Tag(5, 1, bytes([height_m < 0.0])))
+        tags.append(ExifTag(5, 1, bytes([height_m < 0.0])))
         tags.append(rational_tag(6, Fraction(round(abs(height_m) * 1000), 1000)))
     return tags
 

@@ -41,7 +41,7 @@ _CARS: tuple[Colour, ...] = ((225, 225, 228), (40, 42, 46), (150, 152, 156), (15
 
 
 @dataclass(frozen=True)
-class Patch:
+class LandPatch:
     """A piece of land: its outline (n, 2), its colour, and how rough it is at fine and middle scales.
 
     rows_rad_per_m: the wave vector of crop rows or mowing tracks, (0, 0) for none; rows: their strength.
@@ -62,7 +62,7 @@ class Parcel:
     cover: a key of `COVERS` where the whole cell lies under something without texture.
     """
 
-    patches: tuple[Patch, ...]
+    patches: tuple[LandPatch, ...]
     trees: Floats
     buildings: tuple[Building, ...]
     cover: str = ""
@@ -199,7 +199,7 @@ def _pick(colours: tuple[Colour, ...], number: float, shade: float) -> Colour:
     return red * factor, green * factor, blue * factor
 
 
-def _strips(land: Landscape, i: int, j: int) -> tuple[Patch, ...]:
+def _strips(land: Landscape, i: int, j: int) -> tuple[LandPatch, ...]:
     """Crop fields: the cell cut into one to four strips, each with rows along it."""
     n = 1 + int(land.number(i, j, 10) * 4)
     lengthwise = land.number(i, j, 11) < 0.5
@@ -214,7 +214,7 @@ def _strips(land: Landscape, i: int, j: int) -> tuple[Patch, ...]:
         k_rad_per_m = 2.0 * np.pi / (0.9 + 2.6 * r[2])
         wave = (float(-np.sin(angle) * k_rad_per_m), float(np.cos(angle) * k_rad_per_m))
         rows = 0.07 * r[3] if r[4] < 0.75 else 0.0
-        patches.append(Patch(outline, _pick(_CROPS, r[0], r[1]), 0.09 + 0.06 * r[5], 0.09, rows, wave))
+        patches.append(LandPatch(outline, _pick(_CROPS, r[0], r[1]), 0.09 + 0.06 * r[5], 0.09, rows, wave))
     return tuple(patches)
 
 
@@ -230,14 +230,14 @@ def _trees(
     return np.asarray(trees[r[:, 4] < share])
 
 
-def _village(land: Landscape, i: int, j: int) -> tuple[tuple[Patch, ...], tuple[Building, ...]]:
+def _village(land: Landscape, i: int, j: int) -> tuple[tuple[LandPatch, ...], tuple[Building, ...]]:
     """Gardens in two rows of three, a building on most."""
     patches, buildings = [], []
     for k in range(6):
         r = land.numbers(i, j, 30 + k, 1, 10)[0]
         u, v = k % 3 / 3.0, k // 3 / 2.0
         colour = _pick(_MEADOWS if r[0] < 0.75 else ((158, 148, 132),), r[0], r[1])
-        patches.append(Patch(land.outline_m(i, j, (u, u + 1 / 3), (v, v + 0.5)), colour, 0.11, 0.09))
+        patches.append(LandPatch(land.outline_m(i, j, (u, u + 1 / 3), (v, v + 0.5)), colour, 0.11, 0.09))
         if r[2] > 0.85:
             continue
         at = land.patch_m(i, j, np.array([u + 1 / 6, u + 1 / 6 + 0.01]), np.array([v + 0.25, v + 0.25]))
@@ -247,7 +247,7 @@ def _village(land: Landscape, i: int, j: int) -> tuple[tuple[Patch, ...], tuple[
         side = (yard - at[0]) / np.linalg.norm(yard - at[0])
         across = np.array([side[1], -side[0]]) * (half_width * 0.6)
         path = np.array([at[0] - across, at[0] + across, yard + across * 0.7, yard - across * 0.7])
-        patches.append(Patch(path, _pick(((150, 146, 140), (168, 156, 136)), r[5], r[1]), 0.06, 0.05))
+        patches.append(LandPatch(path, _pick(((150, 146, 140), (168, 156, 136)), r[5], r[1]), 0.06, 0.05))
         buildings.append(
             Building(float(at[0, 0]), float(at[0, 1]), half_length, half_width, along + 0.2 * (r[6] - 0.5),
                      3.5 + 6.5 * r[7], _pick(_ROOFS, r[8], r[1]), bool(r[9] < 0.7),
@@ -278,13 +278,13 @@ def _fields(land: Landscape, i: int, j: int) -> Parcel:
         return Parcel(patches, _clear_of(trees, buildings), buildings)
     use = (use - village) / (1.0 - village)
     if use < 0.22:
-        floor = Patch(whole, (74, 80, 52), 0.18, 0.12)
+        floor = LandPatch(whole, (74, 80, 52), 0.18, 0.12)
         return Parcel((floor,), _trees(land, i, j, 21, 5.0, 0.86, 3.4), ())
     if use < 0.45:
-        meadow = Patch(whole, _pick(_MEADOWS, land.number(i, j, 7), shade), 0.13, 0.13)
+        meadow = LandPatch(whole, _pick(_MEADOWS, land.number(i, j, 7), shade), 0.13, 0.13)
         return Parcel((meadow,), _trees(land, i, j, 22, 13.0, 0.35, 2.8), ())
     if use < 0.53:
-        orchard = Patch(whole, _pick(_MEADOWS, land.number(i, j, 7), shade), 0.12, 0.10)
+        orchard = LandPatch(whole, _pick(_MEADOWS, land.number(i, j, 7), shade), 0.12, 0.10)
         return Parcel((orchard,), _trees(land, i, j, 23, 7.5, 0.85, 2.0), ())
     return Parcel(_strips(land, i, j), _trees(land, i, j, 24, 26.0, 0.15, 2.2), ())
 

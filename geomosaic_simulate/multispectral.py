@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from geomosaic.arrays import Bytes, Floats
 from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic_simulate.exif import (
-    Tag,
+    ExifTag,
     camera_tags,
     gps_tags,
     long_tag,
@@ -258,8 +258,8 @@ def _tiff(
         image = [
             long_tag(0x0100, cols), long_tag(0x0101, rows), short_tag(0x0102, 16), short_tag(0x0103, 1),
             short_tag(0x0106, 1), long_tag(0x0111, strip), short_tag(0x0115, 1), long_tag(0x0116, rows),
-            long_tag(0x0117, values.nbytes), Tag(0x02BC, 1, xmp_packet(xmp)),
-            Tag(0xC61A, 3, struct.pack("<4H", *[round(setting[2])] * 4)),
+            long_tag(0x0117, values.nbytes), ExifTag(0x02BC, 1, xmp_packet(xmp)),
+            ExifTag(0xC61A, 3, struct.pack("<4H", *[round(setting[2])] * 4)),
         ]  # fmt: skip
         return tiff_bytes([*main, *image], inner, place)
 

@@ -20,7 +20,7 @@ from geomosaic_simulate.landscape import COVERS, Bounds, Landscape
 from geomosaic_simulate.relief import RasterRelief, Relief
 from geomosaic_simulate.spread import in_threads
 from geomosaic_simulate.standing import heights_on_grid
-from geomosaic_simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, Ground, cover_mask
+from geomosaic_simulate.terrain import BLOCK_PX, TILE_MARGIN_PX, GroundImage, cover_mask
 from geomosaic_simulate.write import whole
 
 MARGIN_PX = 8
@@ -55,7 +55,7 @@ def write_ortho(
     path: Path,
     scratch: Path,
     crs: str,
-    ground: Ground,
+    ground: GroundImage,
     seen_m: Sequence[Bounds],
     footprints_m: Sequence[Floats | None],
     progress: Callable[[int, int], None],
@@ -156,7 +156,7 @@ _TAPS = np.arange(-2.0, 3.0)
 _SQUARE = (_cubic(_TAPS - 0.25) + _cubic(_TAPS + 0.25)) / 2.0
 
 
-def _mask(ground: Ground, row: int, col: int, footprints_m: Sequence[Floats]) -> Bytes:
+def _mask(ground: GroundImage, row: int, col: int, footprints_m: Sequence[Floats]) -> Bytes:
     """255 where a pixel's centre lies in a footprint."""
     mask = np.zeros((BLOCK_PX, BLOCK_PX), dtype=np.uint8)
     for outline in footprints_m:

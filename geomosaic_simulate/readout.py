@@ -29,7 +29,7 @@ _NONE = np.zeros(3)
 
 
 @dataclass(frozen=True)
-class Readout:
+class FrameReadout:
     """The time that a frame takes to be read, from its first row to its last, and what happens meanwhile.
 
     velocity_m_per_s (3,): of the camera, in the work frame. The camera shakes about each of its axes with
@@ -93,11 +93,11 @@ class Readout:
         return course + turn * 2.0 * camera.focal_length_px
 
 
-def readout_of(plan: SurveyPlan, flight: Flight, i: int) -> Readout:
+def readout_of(plan: SurveyPlan, flight: Flight, i: int) -> FrameReadout:
     """The readout of frame i: amplitudes and frequencies vary by some 30 %, phases are any."""
     rng = plan.rng("vibration", i)
     spread = 1.0 + _SPREAD * rng.uniform(-1.0, 1.0, (2, 3))
-    return Readout(
+    return FrameReadout(
         plan.rolling_shutter_s,
         flight.velocity_m_per_s[i],
         np.radians(plan.vibration_deg_per_s) * spread[0],
@@ -106,7 +106,7 @@ def readout_of(plan: SurveyPlan, flight: Flight, i: int) -> Readout:
     )
 
 
-def gyroscope_tag(plan: SurveyPlan, readout: Readout, first_row_us: int, i: int) -> str:
+def gyroscope_tag(plan: SurveyPlan, readout: FrameReadout, first_row_us: int, i: int) -> str:
     """Base64 of 24-byte records, little endian, at 1 kHz from the first row to the last: uint64 microseconds,
     three float32 rad/s in the gyroscope's axes, 4 bytes more."""
     count = int(readout.time_s * GYROSCOPE_HZ) + 1

@@ -16,7 +16,7 @@ from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic_simulate.buildings import Building
 from geomosaic_simulate.landscape import Bounds
-from geomosaic_simulate.readout import Readout
+from geomosaic_simulate.readout import FrameReadout
 from geomosaic_simulate.relief import RasterRelief, Relief
 from geomosaic_simulate.trees import Tree, raise_trees
 from geomosaic_simulate.walls import Standing, hide, raise_buildings
@@ -84,7 +84,7 @@ class World:
 
 def outline_of(camera: Camera, pose: Pose, ground: GroundSurface, per_side: int = 8) -> Floats:
     """A frame's outline on the ground (4 * per_side, 3), as far as it is seen through the haze."""
-    origin, ray = Readout().rays(camera, pose, camera.border_px(per_side))
+    origin, ray = FrameReadout().rays(camera, pose, camera.border_px(per_side))
     return ground.intersect(origin, _lowered(ray))
 
 
@@ -113,9 +113,9 @@ class Sight:
     elevation: RectBivariateSpline | None = None
 
 
-def sight_of(camera: Camera, pose: Pose, world: World, readout: Readout | None = None) -> Sight:
+def sight_of(camera: Camera, pose: Pose, world: World, readout: FrameReadout | None = None) -> Sight:
     """Trace a frame's rays to the ground, or to where haze hides it."""
-    readout = readout or Readout()
+    readout = readout or FrameReadout()
     step_px = float(np.clip(world.relief.detail_m * camera.focal_length_px / 4.0 / _depth_m(pose, world),
                             4.0, _STEP_PX))  # fmt: skip
     if readout.shakes:

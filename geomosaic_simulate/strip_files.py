@@ -22,7 +22,7 @@ from geomosaic.survey.strip_model import ATTITUDE_COLUMNS, ORBIT_COLUMNS
 from geomosaic.survey.strips import StripGeometry
 from geomosaic_simulate.noise import spline_noise
 from geomosaic_simulate.relief import RasterRelief, Relief
-from geomosaic_simulate.strip_scene import PairTruth, Scene
+from geomosaic_simulate.strip_scene import PairTruth, StripWorld
 from geomosaic_simulate.write import whole, write_bytes, write_csv
 
 _RPC_NODES = (21, 31, 5)
@@ -91,7 +91,7 @@ def _rows(time_s: Floats, values: Floats) -> Iterator[tuple[float, Floats]]:
     yield from zip(time_s, values, strict=True)
 
 
-def write_rpc(path: Path, scene: Scene) -> float:
+def write_rpc(path: Path, scene: StripWorld) -> float:
     """The RPC of the ideal scene over its heights and 500 m more each way; its worst residual in px."""
     plan, model = scene.plan, scene.cameras.ideal
     half = scene.relief.amplitude_m / 2.0 + _RPC_SPAN_M
@@ -125,7 +125,7 @@ class GivenHeights:
         return np.asarray(true + self.bias_m + self.error_m * bumps)
 
 
-def given_heights(scene: Scene) -> Any:
+def given_heights(scene: StripWorld) -> Any:
     """The heights that dem.tif holds: the truth plus `dem_bias_m` and `dem_error_m` (sd)."""
     plan = scene.plan
     return GivenHeights(scene.relief, plan.seed, plan.dem_bias_m, plan.dem_error_m)
@@ -140,7 +140,7 @@ def offset_rows(pairs: Sequence[PairTruth], clouds: bool = False) -> Iterator[li
             yield [str(p.pair), str(line), f"{a:.{places}f}", f"{b:.{places}f}"]
 
 
-def target_rows(scene: Scene) -> Iterator[list[str]]:
+def target_rows(scene: StripWorld) -> Iterator[list[str]]:
     """Rows of truth/targets.csv: each target's place, and where each CCD that sees it has it (CCDs from 1).
 
     By the rigorous model itself, not by the curves that the images were made with; camera lines.

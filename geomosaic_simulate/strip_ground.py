@@ -34,7 +34,7 @@ _TARGET_BRIGHTNESS = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class PatternWindow:
     """Coefficients of a window of the world whose first one is (col, row)."""
 
     values: Floats32
@@ -89,7 +89,7 @@ class Patches:
         return np.asarray(inside, dtype=np.float32)
 
 
-class Ground:
+class StripGround:
     """The ground's relative brightness: its pattern times the contrast, glare, and point targets.
 
     overlap_cols, overlap_rows (n,): places on the overlaps, of which the plan's shares are meant.
@@ -105,13 +105,13 @@ class Ground:
         self._glare = Patches.covering(plan.seed, 72, plan.saturated_share, *places)
         self._targets = np.empty((0, 2)) if targets is None else targets
         self._image = None if plan.texture is None else _read_image(plan.texture)
-        sample = Window(self._pattern(0, 0, (600, 600)), 0, 0)
+        sample = PatternWindow(self._pattern(0, 0, (600, 600)), 0, 0)
         seen = sample.at(np.mgrid[8:590, 8:590] + 0.5)
         self._mean, self._per_sd = float(seen.mean()), 1.0 / max(float(seen.std()), 1e-6)
         if self._image is None:
             self._mean = 0.0
 
-    def window(self, col: int, row: int, shape: tuple[int, int]) -> Window:
+    def window(self, col: int, row: int, shape: tuple[int, int]) -> PatternWindow:
         """Coefficients of a window of the world."""
         plan = self._plan
         contrast = np.full((1, 1), plan.contrast, dtype=np.float32)
@@ -124,7 +124,7 @@ class Ground:
             values *= 1.0 + np.float32(4.0) * self._glare.amount(col, row, shape)
         for at_col, at_row in self._targets:
             _add_target(values, at_col - col - 0.5, at_row - row - 0.5)
-        return Window(values, col, row)
+        return PatternWindow(values, col, row)
 
     def _pattern(self, col: int, row: int, shape: tuple[int, int]) -> Floats32:
         if self._image is not None:
@@ -182,7 +182,7 @@ def _add_target(values: Floats32, col: float, row: float) -> None:
 class Clouds:
     """One deck of clouds at one height: how thick it is, in any window of its own plane.
 
-    Thickness below 0 is clear; cells of CLOUD_CELL_PX pixels; overlap places as in `Ground`, on each of
+    Thickness below 0 is clear; cells of CLOUD_CELL_PX pixels; overlap places as in `StripGround`, on each of
     which a cell is asked whether it is cloudy.
     """
 
@@ -207,9 +207,11 @@ class Clouds:
             total += share * lattice_noise(self._seed, 80 + k, col, row, shape, spacing)
         return total
 
-    def window(self, col: int, row: int, shape: tuple[int, int]) -> Window:
+    def window(self, col: int, row: int, shape: tuple[int, int]) -> PatternWindow:
         """Thickness coefficients of a window of cells of the deck's plane."""
-        return Window(self._field(col, row, shape) - np.float32(self._threshold), col, row, CLOUD_CELL_PX)
+        return PatternWindow(
+            self._field(col, row, shape) - np.float32(self._threshold), col, row, CLOUD_CELL_PX
+        )
 
 
 def cloud_cover(thickness: Floats32) -> Floats32:

@@ -14,8 +14,8 @@ from geomosaic.survey.strips import StripGeometry
 from geomosaic_simulate.spread import in_threads
 from geomosaic_simulate.strip_ground import window_of
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import PairTruth, Scene
-from geomosaic_simulate.strip_sensor import Sensor
+from geomosaic_simulate.strip_scene import PairTruth, StripWorld
+from geomosaic_simulate.strip_sensor import CcdSensor
 
 _CHUNK_LINES = 1024
 
@@ -35,12 +35,12 @@ def simulate_overlaps(plan: StripPlan) -> tuple[StripGeometry, tuple[SimulatedPa
 
     The same scene as the one `simulate_strips` writes, but for the noise. Pairs of a dead CCD have no lines.
     """
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     pairs = tuple(in_threads(lambda pair: _pair(scene, pair), range(plan.ccds - 1)))
     return plan.geometry(), pairs
 
 
-def _pair(scene: Scene, pair: int) -> SimulatedPair:
+def _pair(scene: StripWorld, pair: int) -> SimulatedPair:
     plan = scene.plan
     sides = (pair, (plan.width_px - plan.read_px, plan.width_px)), (pair + 1, (0, plan.read_px))
     apart = round(scene.plan.geometry().side(pair) * plan.row_separation_lines)
@@ -60,7 +60,7 @@ def _pair(scene: Scene, pair: int) -> SimulatedPair:
         for (ccd, cols), edge, look in zip(sides, edges, looks, strict=True):
             if look is not None:
                 light = scene.light(look[1], window).brightness
-                edge[look[0]] = Sensor.of(plan, ccd).counts(light, cols[0], int(look[0][0]))
+                edge[look[0]] = CcdSensor.of(plan, ccd).counts(light, cols[0], int(look[0][0]))
     left, right = (edge[plan.acquired(ccd)] for (ccd, _), edge in zip(sides, edges, strict=True))
     truth = scene.truth(pair)
     return SimulatedPair(left, right, truth)

@@ -13,8 +13,8 @@ from geomosaic_simulate.relief import RasterRelief, Relief, hills, raster_height
 from geomosaic_simulate.strip_ground import (
     CLOUD_CELL_PX,
     Clouds,
-    Ground,
-    Window,
+    PatternWindow,
+    StripGround,
     cloud_brightness,
     cloud_cover,
     window_of,
@@ -61,7 +61,7 @@ class Light:
     cloud: Floats32 | None
 
 
-class Scene:
+class StripWorld:
     """All that a plan makes: cameras, ground, clouds, on the scene's map.
 
     Signs, for a left strip in the leading row (side +1; the offsets turn round with the side): ground h
@@ -84,7 +84,7 @@ class Scene:
         self._heights: Heights | None = None if self.relief.amplitude_m == 0.0 else self.relief.height_at
         places = self._overlap_places()
         self.targets_m = self._targets()
-        self.ground = Ground(plan, *places, self._world(self.targets_m.T).T)
+        self.ground = StripGround(plan, *places, self._world(self.targets_m.T).T)
         self.clouds = Clouds(plan, *places) if plan.cloud_cover > 0.0 else None
         self._seen = {ccd: self._seen_by(ccd) for ccd in (IDEAL, *range(plan.ccds))}
 
@@ -105,7 +105,7 @@ class Scene:
         cloud = None if self.clouds is None else _between(self._on_clouds(rays, lines), last - first)
         return Look(ground, cloud)
 
-    def light(self, look: Look, window: Window | None = None) -> Light:
+    def light(self, look: Look, window: PatternWindow | None = None) -> Light:
         """What is seen there; `window` is one of the ground that covers it, where there is one already."""
         window = window or self.ground.window(*window_of(look.ground))
         brightness = window.at(look.ground) * np.float32(self.plan.brightness)

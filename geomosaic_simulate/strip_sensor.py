@@ -13,7 +13,7 @@ from geomosaic_simulate.strip_plan import StripPlan
 
 
 @dataclass(frozen=True, eq=False)
-class Sensor:
+class CcdSensor:
     """One CCD: counts = gain * column[col] * brightness * full + offset + noise, cut to 0 ... full.
 
     gain and column (width_px,) without unit, offset in counts. Noise is of photons: its variance grows with
@@ -27,7 +27,7 @@ class Sensor:
     column: Floats32
 
     @classmethod
-    def of(cls, plan: StripPlan, ccd: int) -> Sensor:
+    def of(cls, plan: StripPlan, ccd: int) -> CcdSensor:
         """The CCD that the plan's seed makes."""
         rng = np.random.default_rng([plan.seed, 51, ccd])
         gain, offset = rng.standard_normal(2) * [plan.gain_sd, plan.offset_sd * cls.full_of(plan)]

@@ -27,8 +27,8 @@ from geomosaic_simulate.strip_files import (
     write_rpc,
 )
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import IDEAL, Scene
-from geomosaic_simulate.strip_sensor import Sensor, as_counts
+from geomosaic_simulate.strip_scene import IDEAL, StripWorld
+from geomosaic_simulate.strip_sensor import CcdSensor, as_counts
 from geomosaic_simulate.write import write_csv, write_json
 
 Progress = Callable[[int, int, str], None]
@@ -74,7 +74,7 @@ def simulate_strips(
     Raises: `OutputError` if the folder holds strips already or can't be written.
     """
     _check_folder(out)
-    world = Scene(plan)
+    world = StripWorld(plan)
     plan = world.plan
     geometry, truth = plan.geometry(), out / "truth"
     strips = {k: out / str(ccd.path) for k, ccd in enumerate(geometry.ccds) if ccd.path is not None}
@@ -106,7 +106,7 @@ def simulate_strips(
     return _paths(out, plan, tuple(strips.values()), scene)
 
 
-def _blocks(world: Scene, ccd: int) -> Iterator[tuple[int, Ints64]]:
+def _blocks(world: StripWorld, ccd: int) -> Iterator[tuple[int, Ints64]]:
     """First file line, and camera lines, of a CCD's blocks."""
     width = world.scene_width_px if ccd == IDEAL else world.plan.width_px
     acquired = np.arange(world.plan.lines) if ccd == IDEAL else world.plan.acquired(ccd)
@@ -115,22 +115,22 @@ def _blocks(world: Scene, ccd: int) -> Iterator[tuple[int, Ints64]]:
         yield first, acquired[first : first + step]
 
 
-def _strip_block(world: Scene, ccd: int, at: tuple[int, Ints64]) -> tuple[int, NDArray[Any]]:
+def _strip_block(world: StripWorld, ccd: int, at: tuple[int, Ints64]) -> tuple[int, NDArray[Any]]:
     """A block of a strip as counts; a repeated line is the same image, noise and all."""
     first, lines = at
     camera, own = np.unique(lines, return_inverse=True)
     light = world.light(world.look(ccd, (0, world.plan.width_px), camera))
-    counts = Sensor.of(world.plan, ccd).counts(light.brightness, 0, int(camera[0]))
+    counts = CcdSensor.of(world.plan, ccd).counts(light.brightness, 0, int(camera[0]))
     return first, counts[own]
 
 
-def _write_scene(path: Path, world: Scene, progress: Callable[[int], None]) -> None:
+def _write_scene(path: Path, world: StripWorld, progress: Callable[[int], None]) -> None:
     """What the ideal line sees: gain 1, no noise, same bit depth, line for camera line."""
     plan, width = world.plan, world.scene_width_px
 
     def block(at: tuple[int, Ints64]) -> tuple[int, NDArray[Any]]:
         light = world.light(world.look(IDEAL, (0, width), at[1]))
-        return at[0], as_counts(light.brightness * np.float32(Sensor.full_of(plan)), plan.bit_depth)
+        return at[0], as_counts(light.brightness * np.float32(CcdSensor.full_of(plan)), plan.bit_depth)
 
     with open_whole_strip(path, width, plan.lines, plan.bit_depth) as out:
         for first, counts in in_threads(block, _blocks(world, IDEAL)):
@@ -138,9 +138,9 @@ def _write_scene(path: Path, world: Scene, progress: Callable[[int], None]) -> N
             progress(first + len(counts))
 
 
-def _truth(world: Scene, pairs: list[Any]) -> dict[str, Any]:
+def _truth(world: StripWorld, pairs: list[Any]) -> dict[str, Any]:
     plan = world.plan
-    sensors = [Sensor.of(plan, k) for k in range(plan.ccds)]
+    sensors = [CcdSensor.of(plan, k) for k in range(plan.ccds)]
     values = dataclasses.asdict(plan)
     return {
         "plan": {k: str(v) if isinstance(v, Path) else v for k, v in values.items()},

@@ -29,11 +29,11 @@ from geomosaic_simulate.landscape import Bounds, Landscape
 from geomosaic_simulate.light import automatic_gain, clouds_shade, hot_spot, motion_blur, shaken
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.rasters import Texture, write_cover, write_heights, write_ortho
-from geomosaic_simulate.readout import Readout, readout_of
+from geomosaic_simulate.readout import FrameReadout, readout_of
 from geomosaic_simulate.relief import Relief, hills, raster_height_m, raster_relief
 from geomosaic_simulate.render import Sight, World, develop, haze, outline_of, render, sight_of
 from geomosaic_simulate.spread import in_threads
-from geomosaic_simulate.terrain import Ground
+from geomosaic_simulate.terrain import GroundImage
 from geomosaic_simulate.write import (
     CAR_COLUMNS,
     POSITIONS_COLUMNS,
@@ -201,7 +201,7 @@ def _frame(
     plan: SurveyPlan,
     camera: Camera,
     flight: Flight,
-    readout: Readout,
+    readout: FrameReadout,
     world: World,
     sight: Sight,
     texture: Texture,
@@ -295,7 +295,7 @@ def _write_ground(
         paths.ortho,
         scratch,
         crs,
-        Ground(landscape, plan.pixel_m),
+        GroundImage(landscape, plan.pixel_m),
         seen,
         outlines,
         lambda n, of: progress(n, of, "ground"),
@@ -371,7 +371,7 @@ def _truth(
 
 
 def _shake(plan: SurveyPlan, flight: Flight, i: int) -> dict[str, Any]:
-    """How the platform shook while a frame was read, see `Readout`; nothing where it didn't."""
+    """How the platform shook while a frame was read, see `FrameReadout`; nothing where it didn't."""
     readout = readout_of(plan, flight, i)
     if not readout.shakes:
         return {}

@@ -30,7 +30,7 @@ _SHADOW_PER_M = 0.8
 
 
 @dataclass(frozen=True)
-class Ground:
+class GroundImage:
     """The image of a landscape at one pixel size."""
 
     landscape: Landscape
@@ -86,7 +86,7 @@ def fill_polygon(
 class _Painter:
     """Paints one padded block: land, roads, shadows, cars, trees, buildings, from below to above."""
 
-    def __init__(self, ground: Ground, col: int, row: int) -> None:
+    def __init__(self, ground: GroundImage, col: int, row: int) -> None:
         self.land, self.pixel_m, self.col, self.row = ground.landscape, ground.pixel_m, col, row
         self.size = BLOCK_PX + 2 * _PAD_PX
         self.west_m, self.north_m = col * self.pixel_m, -row * self.pixel_m

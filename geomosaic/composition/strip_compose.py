@@ -27,7 +27,7 @@ from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Wi
 from geomosaic.doors.raster import READ_CACHE_BYTES, unreferenced_is_fine
 from geomosaic.errors import UnknownNameError
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
-from geomosaic.spread import UNOBSERVED, Progress
+from geomosaic.spread import UNOBSERVED, ProgressObserver
 from geomosaic.survey.strip_pixels import open_strip
 from geomosaic.survey.strips import StripGeometry
 
@@ -75,7 +75,7 @@ def compose_strips(
     scene: PlacedStrips,
     raster_path: Path,
     options: StripOptions = StripOptions(),
-    progress: Progress = UNOBSERVED,
+    progress: ProgressObserver = UNOBSERVED,
 ) -> StripMosaic:
     """Every strip's own pixels resampled once into one raster of the strips' type; in overlaps a blend.
 

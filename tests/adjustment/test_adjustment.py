@@ -116,8 +116,8 @@ def test_chain_follows_the_first_frame() -> None:
     errors = np.random.default_rng(8).normal(0, 3, (6, 2))
     turn, shift = chain(net_of(errors, line(6)), range(6))
     assert np.abs(turn) == pytest.approx(np.ones(6))
-    settled = errors @ [1, 1j] + shift
-    assert settled == pytest.approx(np.full(6, settled[0]), abs=1e-6)
+    estimated = errors @ [1, 1j] + shift
+    assert estimated == pytest.approx(np.full(6, estimated[0]), abs=1e-6)
 
 
 def test_least_squares_by_hand() -> None:

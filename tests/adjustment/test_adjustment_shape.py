@@ -63,7 +63,7 @@ def test_rays_that_hardly_cut_leave_the_shape_as_sure_as_it_is() -> None:
     assert METHODS["bundle"](block, free).figures["shape_sd_px"] == pytest.approx(known, rel=0.05)
 
 
-def test_a_shutter_that_nobody_told_of_counts_by_what_images_leave_open() -> None:
+def test_a_shutter_without_a_tag_counts_by_what_images_leave_open() -> None:
     """Lines that cross see a readout apart from all else: it stretches each along its own way."""
     flown = fly(24, 4, 6, points=900, relief=level, crossed=True)
     cameras = tuple(replace(c, readout_sd_s=0.04) for c in flown.block.cameras)
@@ -72,7 +72,7 @@ def test_a_shutter_that_nobody_told_of_counts_by_what_images_leave_open() -> Non
     assert unreported.figures["shape_sd_px"] < 1.5 * known.figures["shape_sd_px"]
 
 
-def test_a_shutter_that_nobody_told_of_leaves_the_shape_open() -> None:
+def test_a_shutter_without_a_tag_leaves_the_shape_open() -> None:
     """0.04 s at 15 m/s are 0.6 m over frames of 60 m: 1 % along the lines, unless positions say no."""
     known, off = solved(21)
     unreported, as_far_off = solved(21, 0.04)

@@ -50,21 +50,21 @@ def test_a_solution_of_a_part_becomes_one_of_the_whole() -> None:
     frames = np.array([1, 2, 5, 6])
     problem = block_problem(block, Settings(), join_tracks(block.ties), np.zeros((5, 3)))
     at = estimate_of(problem, block.poses)
-    held = np.zeros(at.layout.size, dtype=bool)
-    held[1] = True
-    whole = Start(block.poses, block.lenses, at, Components(), held, None)
+    fixed = np.zeros(at.layout.size, dtype=bool)
+    fixed[1] = True
+    whole = Start(block.poses, block.lenses, at, Components(), fixed, None)
     part = part_of_block(block, frames)
     begun = part_of_solution(whole, frames, np.zeros((3, 3)))
     layout = block_problem(part, Settings(), join_tracks(part.ties), np.zeros((3, 3))).layout
     assert [u.owner for u in layout.cameras] == ["other", one.name]
-    values, still_held = begun.shared_in(layout)
-    assert values[0] == 900.0 and np.flatnonzero(still_held).tolist() == [len(layout.cameras[0].names) + 1]
+    values, still_fixed = begun.shared_in(layout)
+    assert values[0] == 900.0 and np.flatnonzero(still_fixed).tolist() == [len(layout.cameras[0].names) + 1]
     moved = replace(begun.poses, positions_m=begun.poses.positions_m + [1.0, 0.0, 2.0])
     rotation_terms = replace(
         begun.estimate, rotation_terms_rad=np.full((4, 2, 3), 0.1), drift=np.ones((4, 3))
     )
     found = solution_of_whole(replace(begun, poses=moved, estimate=rotation_terms), whole, frames)
-    assert found.cameras == block.lenses and np.array_equal(found.fixed, held)
+    assert found.cameras == block.lenses and np.array_equal(found.fixed, fixed)
     assert np.allclose(found.poses.positions_m - block.poses.positions_m, [1.0, 0.0, 2.0])
     turned = found.estimate.rotation_terms_rad.any(axis=(1, 2))
     assert np.array_equal(np.flatnonzero(turned), frames)

@@ -176,9 +176,9 @@ def test_errors_of_keypoints_do_not_stretch_frames() -> None:
     centre, rotation = np.array([3.0, -8.0, 90.0]), exp_turn(np.array([[0.02, -0.03, 0.6]]))
     turns = Turns(0.1, np.linspace(-0.5, 0.5, 3)[None, :, None] * [0.01, 0.004, -0.006])
     velocity = np.array([[4.0, 9.0, 0.5]])
-    told = Poses(centre[None], rotation, np.ones((1, 3)), np.ones((1, 3)), velocity, turns)
+    reported = Poses(centre[None], rotation, np.ones((1, 3)), np.ones((1, 3)), velocity, turns)
     ground = rng.uniform([-25.0, -25.0, -2.0], [30.0, 10.0, 2.0], (m, 3))
-    exact = told[0].image_from_ground(camera, ground)
+    exact = reported[0].image_from_ground(camera, ground)
     errors = rng.normal(0.0, 0.5, (m, 2))
     layout = layout_of((camera,), np.full((1, 9), 0.1))
     still = np.zeros((1, 4, 3)), np.zeros((1, 3))
@@ -187,7 +187,7 @@ def test_errors_of_keypoints_do_not_stretch_frames() -> None:
     def seen(image_px: np.ndarray) -> tuple[np.ndarray, ...]:
         tracks = Tracks(np.zeros(m, np.intp), np.arange(m), image_px)
         image = ImageObservations(
-            *(tracks, np.zeros(1, np.intp), (camera,), told, np.zeros(m, bool)),
+            *(tracks, np.zeros(1, np.intp), (camera,), reported, np.zeros(m, bool)),
             rolling=True,
             left_out=np.zeros(1, bool),
             local=np.ones(m),
@@ -321,8 +321,8 @@ def test_a_block_of_the_wrong_size_is_named() -> None:
     stated = re.match(r"the block is (\S+) % larger .*\(standard deviation (\S+) %\)", warnings[0].text)
     assert stated and [float(v) for v in stated.groups()] == pytest.approx([2.0, 0.03], abs=0.06)
     alike = replace(poses, positions_m=np.tile(poses.positions_m.mean(axis=0), (len(poses), 1)))
-    told = shift_and_scale(replace(flown.block, poses=alike), flown.truth, every)
-    assert "scale-doubtful" not in [w.code for w in told]
+    reported = shift_and_scale(replace(flown.block, poses=alike), flown.truth, every)
+    assert "scale-doubtful" not in [w.code for w in reported]
     away = replace(poses, positions_m=poses.positions_m + [1.0, -2.0, 0.0])
     assert [w.code for w in shift_and_scale(flown.block, away, every)] == ["positions-shifted"]
 
@@ -347,16 +347,16 @@ def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> N
     assert (warning.code, warning.text[:7]) == ("lens-strayed", "loose: ")
 
 
-def test_ground_at_another_level_than_told_leaves_the_scale_alone() -> None:
+def test_ground_at_another_level_than_reported_leaves_the_scale_alone() -> None:
     """Heights and level of the ground are told to 15 m: positions alone know how large the block is. The solve
     by all tie points began with the level as told, went a long way (17 steps here), and could grow a block by a
     fifth instead of moving it."""
     flown = fly(2, points=2500)
-    told = flown.block.poses
+    reported = flown.block.poses
     block = replace(
         flown.block,
         ground=replace(flown.block.ground, up_m=flown.block.ground.up_m - 12.0),
-        poses=replace(told, positions_sd_m=np.tile([5.0, 5.0, 15.0], (len(told), 1))),
+        poses=replace(reported, positions_sd_m=np.tile([5.0, 5.0, 15.0], (len(reported), 1))),
     )
     adjusted = METHODS["bundle"](block, Settings(model="given"))
     spread = [p.positions_m[:, :2].std(axis=0).sum() for p in (adjusted.poses, flown.truth)]

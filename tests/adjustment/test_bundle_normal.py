@@ -122,22 +122,22 @@ def test_the_reduced_system_solves_the_whole_one(seed: int, numbers: int, d: int
     )
 
 
-def test_held_numbers_keep_their_variance_and_make_the_others_wrong_by_it() -> None:
+def test_fixed_numbers_keep_their_variance_and_make_the_others_wrong_by_it() -> None:
     """Of the whole matrix M: P_uu = M_uu^-1 + S V S' with S = -M_uu^-1 M_uh, and P_hh = V."""
     n, whole = random_normals(3)
-    held, given = np.array([30, 35, 41]), np.array([0.7, 1.9, 0.04])
-    others = np.setdiff1d(np.arange(len(whole)), held)
+    fixed_numbers, given = np.array([30, 35, 41]), np.array([0.7, 1.9, 0.04])
+    others = np.setdiff1d(np.arange(len(whole)), fixed_numbers)
     alone = np.linalg.inv(whole[np.ix_(others, others)])
-    lever = -alone @ whole[np.ix_(others, held)]
+    lever = -alone @ whole[np.ix_(others, fixed_numbers)]
     want = np.zeros((len(whole), len(whole)))
     want[np.ix_(others, others)] = alone + lever @ np.diag(given) @ lever.T
-    want[np.ix_(others, held)] = lever * given
-    want[np.ix_(held, others)] = (lever * given).T
-    want[np.ix_(held, held)] = np.diag(given)
+    want[np.ix_(others, fixed_numbers)] = lever * given
+    want[np.ix_(fixed_numbers, others)] = (lever * given).T
+    want[np.ix_(fixed_numbers, fixed_numbers)] = np.diag(given)
     reduced = reduce_normals(n)
     end = 30 + len(reduced.shared)
     variance = np.zeros(len(reduced.shared))
-    variance[held - 30] = given
+    variance[fixed_numbers - 30] = given
     considered = reduced.considering(variance)
     by_frame, shared = considered.covariance()
     assert by_frame[3] == pytest.approx(want[18:24, 18:24])
@@ -191,7 +191,7 @@ def test_a_wild_point_that_came_to_lie_at_a_camera_stops_nothing() -> None:
     assert np.abs(wild[0] - plain[0]).max() < np.abs(plain[0]).max()
 
 
-def test_equations_of_many_sightings_are_held_by_few_numbers_each() -> None:
+def test_equations_of_many_sightings_have_few_numbers_each() -> None:
     """Of the 36 derivatives of each, by pose, interior and point, 6 are left, and where it lies (3); of each
     point, here a fifth as many, 45 numbers."""
 

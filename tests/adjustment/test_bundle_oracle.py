@@ -2,7 +2,7 @@
 
 The oracle takes nothing from the solver but the deviations it settled on and which numbers it held: own
 residuals by `Pose.image_from_ground`, derivatives by differences, all unknowns in one dense system, begun from
-what was told.
+what was reported.
 """
 
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True)
 class Oracle:
-    """The cost of a block as a sum of squares. Unknowns are changes from what was told, in units of `size`:
+    """The cost of a block as a sum of squares. Unknowns are changes from what was reported, in units of `size`:
     of each pose (east, north, up; turn from the left), of the lens, of each point."""
 
     problem: BlockProblem
@@ -53,7 +53,7 @@ class Oracle:
         return self.problem.tracks
 
     @property
-    def told(self):
+    def reported(self):
         """Reported poses."""
         return self.problem.image.reported
 
@@ -64,10 +64,10 @@ class Oracle:
 
     @property
     def size(self):
-        """Prior deviations: of poses those the solver settled on, of the lens and points those told."""
+        """Prior deviations: of poses those the solver settled on, of the lens and points those reported."""
         names = HORIZONTAL, HORIZONTAL, VERTICAL, TILT, TILT, YAW
         factor = [self.solved.components[name] for name in names]
-        pose = np.column_stack([self.told.positions_sd_m, self.told.rotations_sd_rad]) * factor
+        pose = np.column_stack([self.reported.positions_sd_m, self.reported.rotations_sd_rad]) * factor
         return np.concatenate([pose.ravel(), self.problem.interior[0].sd[:8], self.points.sd_m.ravel()])
 
     @property
@@ -79,14 +79,14 @@ class Oracle:
 
     @property
     def lens(self):
-        n = 6 * len(self.told)
+        n = 6 * len(self.reported)
         return slice(n, n + 8)
 
     def of_solver(self):
         """The solver's solution."""
-        told, found = self.told, self.solved.poses
-        turn = Turn.from_matrix(found.rotations @ np.swapaxes(told.rotations, 1, 2)).as_rotvec()
-        pose = np.column_stack([found.positions_m - told.positions_m, turn])
+        reported, found = self.reported, self.solved.poses
+        turn = Turn.from_matrix(found.rotations @ np.swapaxes(reported.rotations, 1, 2)).as_rotvec()
+        pose = np.column_stack([found.positions_m - reported.positions_m, turn])
         after, before = self.solved.cameras[0], self.problem.cameras[0]
         lens = [getattr(after, name) - getattr(before, name) for name in LENS]
         points = self.solved.points_m - self.points.given_m
@@ -96,14 +96,14 @@ class Oracle:
     def image(self, x):
         """Residuals over the deviation that their points leave of them, (m, 2)."""
         pose, lens, points = np.split(x * self.size, [self.lens.start, self.lens.stop])
-        told, before = self.told, self.problem.cameras[0]
+        reported, before = self.reported, self.problem.cameras[0]
         camera = replace(before, **{k: getattr(before, k) + v for k, v in zip(LENS, lens, strict=True)})
         at = self.points.given_m + points.reshape(-1, 3)
         out = np.empty((len(self.tracks.frame), 2))
         for i, change in enumerate(pose.reshape(-1, 6)):
             seen = self.tracks.frame == i
-            rotation = Rotation(Turn.from_rotvec(change[3:]).as_matrix() @ told.rotations[i])
-            here = Pose(told.positions_m[i] + change[:3], rotation)
+            rotation = Rotation(Turn.from_rotvec(change[3:]).as_matrix() @ reported.rotations[i])
+            here = Pose(reported.positions_m[i] + change[:3], rotation)
             out[seen] = self.tracks.image_px[seen] - here.image_from_ground(
                 camera, at[self.tracks.point[seen]]
             )
@@ -183,18 +183,18 @@ class Oracle:
         weight = self.shown * (FREEDOM + 2.0) / (FREEDOM + (r**2).sum(axis=1) / TELLS)
         root = np.repeat(np.sqrt(weight), 2)
         jacobian = self.derivatives(x).reshape(-1, n) * root[:, None]
-        free, held = self.free, self.lens.start + np.flatnonzero(self.solved.fixed[:8])
+        free, fixed = self.free, self.lens.start + np.flatnonzero(self.solved.fixed[:8])
         own = np.linalg.inv(jacobian[:, free].T @ jacobian[:, free] + np.eye(len(free)))
-        follow = -own @ jacobian[:, free].T @ jacobian[:, held]
+        follow = -own @ jacobian[:, free].T @ jacobian[:, fixed]
         out = np.zeros((n, n))
         out[np.ix_(free, free)] = own + follow @ follow.T
-        out[np.ix_(free, held)] = follow
-        out[np.ix_(held, free)] = follow.T
-        out[held, held] = 1.0
+        out[np.ix_(free, fixed)] = follow
+        out[np.ix_(fixed, free)] = follow.T
+        out[fixed, fixed] = 1.0
         return self.turned_from_here(x, out)
 
     def turned_from_here(self, x, covariance):
-        """The covariance with turns counted from the attitudes found, not from those told."""
+        """The covariance with turns counted from the attitudes found, not from those reported."""
         onward = np.eye(len(x))
         for i, turn in enumerate((x * self.size)[: self.lens.start].reshape(-1, 6)[:, 3:]):
             here = 6 * i + 3 + np.arange(3)
@@ -241,9 +241,9 @@ def both(request):
 def test_the_block_is_what_it_should_be(both, request):
     """What is compared has free and held numbers, observations without much say, and no tag that lies."""
     oracle, x, _ = both
-    held = [name for name, h in zip(LENS, oracle.solved.fixed, strict=False) if h]
+    fixed = [name for name, h in zip(LENS, oracle.solved.fixed, strict=False) if h]
     some = "some" in request.node.callspec.params["both"]
-    assert held == ([] if some else ["focal_length_px", "k2", "k3", "p2"])
+    assert fixed == ([] if some else ["focal_length_px", "k2", "k3", "p2"])
     assert np.all(oracle.solved.weight[list(OFF_PX)] < 0.5)
     assert np.linalg.norm(x[: oracle.lens.start].reshape(-1, 3), axis=1).max() < 3.0
 

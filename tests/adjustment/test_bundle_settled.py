@@ -42,13 +42,13 @@ def test_points_go_where_their_images_want_them_while_all_others_stand() -> None
     """Cost falls, and of slopes nothing is left; also where an image contradicts the others."""
     problem, at = at_truth(400, 40)
     which = np.arange(0, problem.tracks.points, 2)
-    settled = at
+    at_best = at
     for _ in range(3):
-        settled = converged_points(problem, settled, COMPONENTS, which, 0.01)
-    assert problem.cost(settled, COMPONENTS) < problem.cost(at, COMPONENTS)
-    assert settled.points_m[1::2] == pytest.approx(at.points_m[1::2], abs=0.0)
-    assert settled.positions_m is at.positions_m
-    reduced = reduce_normals(problem.normals(settled, COMPONENTS))
+        at_best = converged_points(problem, at_best, COMPONENTS, which, 0.01)
+    assert problem.cost(at_best, COMPONENTS) < problem.cost(at, COMPONENTS)
+    assert at_best.points_m[1::2] == pytest.approx(at.points_m[1::2], abs=0.0)
+    assert at_best.positions_m is at.positions_m
+    reduced = reduce_normals(problem.normals(at_best, COMPONENTS))
     side = reduced.normals.point_side
     off = np.sqrt(np.einsum("pi,pij,pj->p", side, reduced.points_inverse, side))
     assert np.quantile(off[which], 0.99) < 0.02

@@ -12,7 +12,7 @@ from adjustment_blocks import fly, hills
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Settings
 from geomosaic.adjustment.procedure import cross_validation
-from geomosaic.adjustment.procedure.cross_validation import Judged, LeftOut, Model
+from geomosaic.adjustment.procedure.cross_validation import LeftOutTracks, Model, ModelScore
 from geomosaic.camera.exterior import Turns
 from geomosaic.camera.interior import Camera
 from geomosaic.estimation.similarity import fit_similarity
@@ -40,7 +40,7 @@ TURNING = {"points": 700, "relief": hills, "readout_s": 0.1, "rate_sd_rad_per_s"
 """Eight frames, 0.1 s at 0.2 rad/s: 20 px from the first row to the last, each frame another way."""
 
 
-def _solved_beside(folder: Path, workers: int) -> Adjusted:
+def _solved_in_parallel(folder: Path, workers: int) -> Adjusted:
     """The frames of `TURNING` by the model that is chosen, as a run with so many workers solves them."""
     with Workers(workers) as team:
         context = Context(folder, stage_id="adjustment.solve", workers=team, key="a key")
@@ -57,12 +57,12 @@ class Counted:
         self.solved: list[str] = []
 
     def judged(self, left_out, name, models, solve=cross_validation.solved):  # type: ignore[no-untyped-def]
-        """`LeftOut.judged`, counted."""
+        """`LeftOutTracks.judged`, counted."""
         (self.tested if name.endswith("tested") else self.solved).extend(models)
         return JUDGED(left_out, name, models, solve)
 
 
-JUDGED = LeftOut.judged
+JUDGED = LeftOutTracks.judged
 
 
 @pytest.fixture(scope="module")
@@ -75,11 +75,11 @@ def counted() -> Counted:
 def turning(counted: Counted) -> Adjusted:
     """In one process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LeftOut, "judged", lambda *arguments: counted.judged(*arguments))
+        patch.setattr(LeftOutTracks, "judged", lambda *arguments: counted.judged(*arguments))
         return METHODS["bundle"](fly(3, 2, 4, **TURNING).block, Settings(), AtOnce())
 
 
-def test_a_block_that_is_told_all_is_solved_as_given() -> None:
+def test_a_block_with_all_reported_is_solved_as_given() -> None:
     adjusted = METHODS["bundle"](fly(1).block, Settings())
     assert adjusted.model is None or adjusted.model.taken == ()
     assert adjusted.poses.turns is None
@@ -121,11 +121,11 @@ def test_velocities_that_nobody_reports_are_not_taken_for_frames_that_turn() -> 
     """Turning frames took up the stretch of an unknown velocity, and left the block's shape open."""
     flown = fly(4, 3, 5, points=500, readout_s=0.05, there_and_back=True)
     poses = replace(flown.block.poses, velocities_m_per_s=np.zeros((15, 3)))
-    held = METHODS["bundle"](replace(flown.block, poses=poses, times_s=None), Settings())
+    fixed_scale = METHODS["bundle"](replace(flown.block, poses=poses, times_s=None), Settings())
     nowhere = replace(poses, positions_sd_m=np.full((15, 3), 1e5))
     adjusted = METHODS["bundle"](replace(flown.block, poses=nowhere, times_s=None), Settings())
-    assert all(a.model is None or "turning" not in a.model.taken for a in (held, adjusted))
-    assert not [w for w in held.warnings if w.code == "velocity-unknown"]
+    assert all(a.model is None or "turning" not in a.model.taken for a in (fixed_scale, adjusted))
+    assert not [w for w in fixed_scale.warnings if w.code == "velocity-unknown"]
     (line,) = [w.text for w in adjusted.warnings if w.code == "velocity-unknown"]
     assert "at 10 m/s the map would be stretched by 0.8 % along the lines" in line
 
@@ -177,7 +177,7 @@ def test_all_images_together_show_a_readout_that_is_below_the_noise_of_each(read
 
 
 @pytest.mark.proof
-def test_turns_that_are_told_wrongly_are_not_followed() -> None:
+def test_turns_that_are_reported_wrongly_are_not_followed() -> None:
     """As of a unit whose axes are not what they are taken for."""
     flown = fly(5, 2, 4, points=350, readout_s=0.1, relief=hills)
     wild = np.random.default_rng(2).normal(0.0, 0.02, (8, 1, 3)) * np.array([[-1.0], [1.0]])
@@ -195,8 +195,8 @@ def test_a_fisheye_lens_of_which_nobody_spoke() -> None:
     """Corners at 82 degrees: Brown's terms don't bend a pinhole's image so far."""
     eye = Camera("eye", 1600, 1200, 700.0, 802.0, 597.0, k1=0.01, kind="fisheye")
     flown = fly(6, 2, 3, points=500, relief=hills, lens=eye)
-    told = replace(eye, kind="brown", k1=0.0)
-    adjusted = METHODS["bundle"](replace(flown.block, cameras=(told,) * 6), Settings())
+    reported = replace(eye, kind="brown", k1=0.0)
+    adjusted = METHODS["bundle"](replace(flown.block, cameras=(reported,) * 6), Settings())
     assert adjusted.model is not None
     assert adjusted.model.taken == ("fisheye",)
     assert adjusted.cameras[0].kind == "fisheye"
@@ -217,7 +217,7 @@ def test_a_lens_that_its_maker_reports_wrongly() -> None:
 
 
 @pytest.mark.proof
-def test_a_readout_that_no_tag_tells_beside_a_gyroscope() -> None:
+def test_a_readout_without_a_tag_and_with_a_gyroscope() -> None:
     """The turns are told, how long the rows are read is not: begun at the span of the samples."""
     flown = fly(3, 2, 4, **(TURNING | {"points": 350}))
     poses = replace(flown.block.poses, turns=Turns(0.14, flown.truth.turns.rad * 1.4))
@@ -249,10 +249,10 @@ def test_what_a_gyroscope_does_not_tell_of_the_last_rows_is_found() -> None:
     flown = fly(6, 3, 5, points=500, readout_s=0.1, rate_sd_rad_per_s=0.4, shaking_hz=7.5)
     truth = flown.truth.turns
     assert truth is not None
-    told, last = truth.rad.copy(), 27
+    reported, last = truth.rad.copy(), 27
     rate = truth.rad[:, last] - truth.rad[:, last - 1]
-    told[:, last:] = truth.rad[:, last, None] + rate[:, None] * np.arange(41 - last)[:, None]
-    poses = replace(flown.block.poses, turns=Turns(0.1, told))
+    reported[:, last:] = truth.rad[:, last, None] + rate[:, None] * np.arange(41 - last)[:, None]
+    poses = replace(flown.block.poses, turns=Turns(0.1, reported))
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings())
     assert adjusted.figures["sigma_px"] < 0.35
     assert (
@@ -262,7 +262,7 @@ def test_what_a_gyroscope_does_not_tell_of_the_last_rows_is_found() -> None:
 
 
 @pytest.mark.proof
-def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_believed() -> None:
+def test_rows_beyond_the_record_of_a_gyroscope_are_solved_for_and_the_others_taken_as_reported() -> None:
     """Its last sample is 33 ms old when 0.1 s of rows end, and says so. Where the record holds, the solved turns
     are its own to a tenth of a pixel (1e-4 rad); rotations over the whole frame missed it by a pixel."""
     flown = fly(6, 3, 5, points=500, noise_px=0.1, readout_s=0.1, rate_sd_rad_per_s=0.1, shaking_hz=7.5)
@@ -338,9 +338,9 @@ def test_tracks_of_one_place_are_one_witness() -> None:
     chance, however many tracks each has; in 19 of 20 it doesn't."""
     solved = fly(1).block.poses  # that there is a solution counts, not which
     place = np.repeat(np.arange(20), 100)
-    other = Judged(solved, np.ones(2000), place)  # type: ignore[arg-type]
+    other = ModelScore(solved, np.ones(2000), place)  # type: ignore[arg-type]
     for better, sure in ((13, False), (19, True)):
-        its = Judged(solved, np.where(place < better, 0.9, 1.1), place)  # type: ignore[arg-type]
+        its = ModelScore(solved, np.where(place < better, 0.9, 1.1), place)  # type: ignore[arg-type]
         assert its.compared_to(other)[0] == 0.9
         assert its.beats(other) is sure
 
@@ -354,7 +354,7 @@ def test_the_model_with_most_unknowns_is_begun_first() -> None:
             begun.extend(keys)
             return [item.settings.model for item in items]
 
-    left_out = object.__new__(LeftOut)
+    left_out = object.__new__(LeftOutTracks)
     block = fly(1).block
     left_out._spread, left_out._test = Apart(), None  # type: ignore[assignment]
     left_out._frames = np.arange(len(block.names))
@@ -384,5 +384,5 @@ def test_a_large_block_is_compared_on_some_neighbouring_frames(monkeypatch: pyte
 
 @pytest.mark.proof
 def test_models_and_surfaces_side_by_side_are_those_of_one_process(turning: Adjusted, tmp_path: Path) -> None:
-    assert encode(_solved_beside(tmp_path, 2)) == encode(turning)
+    assert encode(_solved_in_parallel(tmp_path, 2)) == encode(turning)
     assert turning.model is not None and turning.model.taken == ("turning",)

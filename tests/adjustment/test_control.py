@@ -210,8 +210,8 @@ def test_half_turned_images_turn_their_measurements() -> None:
     taken = replace(flown.block, control=surveyed(flown, CORNERS))
     filed = replace(as_taken(replace(taken, turned=(0, 2) * 9)), turned=(0, 2) * 9)
     assert filed.control[0].observations != taken.control[0].observations
-    straight, righted = (METHODS["bundle"](b, Settings(model="given")) for b in (taken, filed))
-    for a, b in zip(straight.control, righted.control, strict=True):
+    straight, upright = (METHODS["bundle"](b, Settings(model="given")) for b in (taken, filed))
+    for a, b in zip(straight.control, upright.control, strict=True):
         assert a.residual_m == pytest.approx(b.residual_m, abs=1e-5)
 
 
@@ -244,8 +244,8 @@ def test_from_the_file_to_the_report(tmp_path: Path) -> None:
     gcp = tmp_path / "gcp.csv"
     gcp.write_text("\n".join(lines) + "\n", encoding="utf-8")
     run = tmp_path / "run"
-    told = ("--pos", flown.pos) if flown.pos else ()
-    assert mosaic(flown.frames, run, *told, "--camera", flown.camera, "--gcp", gcp) == 0
+    options = ("--pos", flown.pos) if flown.pos else ()
+    assert mosaic(flown.frames, run, *options, "--camera", flown.camera, "--gcp", gcp) == 0
     metrics = summary(run)["metrics"]["adjustment"]
     assert metrics["control"]["n"] == 5 and metrics["check"]["n"] == 6
     assert metrics["check"]["rmse_horizontal_m"] < 0.03 and metrics["check"]["le90_m"] < 0.05

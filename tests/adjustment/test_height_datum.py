@@ -45,8 +45,10 @@ def test_heights_that_drift_by_twice_the_flying_height(batteries: bool) -> None:
     )
     adjusted = METHODS["bundle"](replace(flown.block, poses=unknown), Settings(model="given"))
     (warning,) = [w for w in adjusted.warnings if w.code == "heights-drift"]
-    told = ("jump by +120", "between 003.jpg and 004.jpg") if batteries else ("drift by +200", "to 007.jpg")
-    assert all(words in warning.text for words in told)
+    reported = (
+        ("jump by +120", "between 003.jpg and 004.jpg") if batteries else ("drift by +200", "to 007.jpg")
+    )
+    assert all(words in warning.text for words in reported)
     off = adjusted.poses.positions_m - flown.truth.positions_m
     assert off[:, 2].std() < 0.2
     z, w = (p.positions_m[:, :2] @ [1, 1j] for p in (adjusted.poses, flown.truth))

@@ -47,7 +47,7 @@ def test_an_assumed_lens_is_found_within_its_deviation(lens: Camera) -> None:
     assert set(adjusted.status) == {"tied"}
 
 
-def test_a_fisheye_is_told_from_a_flat_lens_over_flat_land() -> None:
+def test_a_fisheye_is_distinguished_from_a_flat_lens_over_flat_land() -> None:
     started = with_lens_starts(
         assumed(fly(2, relief=level, position_sd_m=EXIF_SD_M, lens=FISHEYE)), Settings(), AtOnce()
     )

@@ -117,41 +117,41 @@ def test_boresight_and_lag_are_found_where_lines_run_both_ways() -> None:
     for name, truth in (
         ("boresight_yaw_deg", 1.5), ("boresight_pitch_deg", -0.8), ("boresight_roll_deg", 2.0), ("gps_lag_s", 0.4),
     ):  # fmt: skip
-        found, sd, held = _found(adjusted, name)
-        assert not held and abs(found - truth) < 3.5 * sd, name
+        found, sd, fixed = _found(adjusted, name)
+        assert not fixed and abs(found - truth) < 3.5 * sd, name
     assert _found(adjusted, "gps_lag_s")[1] < 0.01
     off = np.linalg.norm((adjusted.poses.positions_m - flown.truth.positions_m)[:, :2], axis=1)
     without = METHODS["bundle"](block, Settings(model="given")).poses.positions_m - flown.truth.positions_m
     assert np.median(off) < 0.2 < 0.5 < np.median(np.linalg.norm(without[:, :2], axis=1))
 
 
-def test_a_horizontal_lever_arm_is_found_and_a_vertical_one_is_held() -> None:
+def test_a_horizontal_lever_arm_is_found_and_a_vertical_one_is_fixed() -> None:
     flown = fly(6, 4, 6, noise_px=0.1, there_and_back=True, position_sd_m=SHARP)
     shift = flown.truth.rotations @ np.array([-0.5, 0.9, 0.0])  # 0.5 m to the left, 0.9 m ahead
     poses = replace(flown.block.poses, positions_m=flown.block.poses.positions_m + shift)
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(model="given", lever_arm=True))
     for name, truth in (("lever_arm_forward_m", 0.9), ("lever_arm_right_m", -0.5)):
-        found, sd, held = _found(adjusted, name)
-        assert not held and abs(found - truth) < 3.5 * sd < 0.4, name
+        found, sd, fixed = _found(adjusted, name)
+        assert not fixed and abs(found - truth) < 3.5 * sd < 0.4, name
     assert _found(adjusted, "lever_arm_down_m")[2]
     assert [w.code for w in adjusted.warnings if "lever_arm_down_m" in w.text] == ["not-determined"]
 
 
-@pytest.mark.parametrize("told_s", [0.0, pytest.param(0.06, marks=pytest.mark.proof)])
-def test_a_rolling_shutter_is_found_from_what_was_told(told_s: float) -> None:
+@pytest.mark.parametrize("reported_s", [0.0, pytest.param(0.06, marks=pytest.mark.proof)])
+def test_a_rolling_shutter_is_found_from_what_was_reported(reported_s: float) -> None:
     """15 m/s for 0.06 s: 9 px of stretch along the flight."""
     flown = fly(7, 4, 6, noise_px=0.1, there_and_back=True, position_sd_m=SHARP, readout_s=0.06)
-    cameras = tuple(replace(c, readout_s=told_s) for c in flown.block.cameras)
+    cameras = tuple(replace(c, readout_s=reported_s) for c in flown.block.cameras)
     adjusted = METHODS["bundle"](
         replace(flown.block, cameras=cameras), Settings(model="given", rolling_shutter=True)
     )
-    found, sd, held = _found(adjusted, "readout_s")
-    assert not held and abs(found - 0.06) < 3.5 * sd < 0.02
+    found, sd, fixed = _found(adjusted, "readout_s")
+    assert not fixed and abs(found - 0.06) < 3.5 * sd < 0.02
     assert adjusted.cameras[0].readout_s == found
     assert adjusted.figures["sigma_px"] < 0.13
 
 
-def test_without_velocities_a_lag_is_held_and_named() -> None:
+def test_without_velocities_a_lag_is_fixed_and_named() -> None:
     flown = fly(8, 2, 5)
     poses = replace(flown.block.poses, velocities_m_per_s=None)
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(gps_lag=True))

@@ -147,7 +147,7 @@ def test_wrong_pairs_are_outvoted() -> None:
 
 
 @pytest.mark.parametrize("whole", [1.0 + 0j, 0.7 * np.exp(2.9j)])
-def test_a_part_is_laid_as_one(whole: complex) -> None:
+def test_a_part_is_georeferenced_as_one(whole: complex) -> None:
     """A third of the positions wrong; headings and heights all told by the same amount wrong."""
     rng = np.random.default_rng(1)
     place = rng.uniform(-80.0, 80.0, 21) + 1j * rng.uniform(-40.0, 40.0, 21)

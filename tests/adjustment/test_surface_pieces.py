@@ -81,11 +81,11 @@ def test_a_single_summit_is_not_cut_off() -> None:
     for standing in possible_standings(its):
         surface = fitted(Trial(its, 7.0, 32.0, standing, 12))
         assert surface.up_at(120.0, 40.0) == pytest.approx(summit, abs=0.5), standing
-    held = fitted(Trial(its, 7.0, 32.0, (6, 0.0125), 12))
-    assert held.up_at(120.0, 40.0) < summit - 40.0
+    as_it_was = fitted(Trial(its, 7.0, 32.0, (6, 0.0125), 12))
+    assert as_it_was.up_at(120.0, 40.0) < summit - 40.0
 
 
-def test_even_land_may_be_held_as_it_was() -> None:
+def test_even_land_may_stay_as_it_was() -> None:
     """Where the low points lie within 0.5 m of a plane, the standings are those given."""
     rng = np.random.default_rng(8)
     at = rng.uniform([-400.0, -180.0], [400.0, 180.0], (4000, 2))

@@ -374,12 +374,12 @@ def test_a_start_carries_values_by_name_into_another_layout() -> None:
     third = replace(TWO, name="third", focal_length_px=700.0)
     before = layout((ONE, TWO), lever_arm=True, boresight=False)
     after = layout((TWO, third, ONE), lever_arm=False, boresight=True)
-    shared, held = 100.0 + np.arange(before.size), np.zeros(before.size, dtype=bool)
-    held[[3, 10, 22, 24]] = True  # k1 of one, principal column of two, delay, offset to the north
+    shared, fixed = 100.0 + np.arange(before.size), np.zeros(before.size, dtype=bool)
+    fixed[[3, 10, 22, 24]] = True  # k1 of one, principal column of two, delay, offset to the north
     none = np.zeros((0, 3)), shared, np.zeros((1, 0, 3)), np.zeros((1, 3))
     poses = fly(1, 1, 2, points=20).block.poses
     at = Estimate(before, np.zeros((1, 3)), np.eye(3)[None], *none)
-    start = Start(poses, (ONE, TWO), at, Components(), held, None)
+    start = Start(poses, (ONE, TWO), at, Components(), fixed, None)
     values, kept = start.shared_in(after)
     assert values[:9].tolist() == shared[9:18].tolist()
     assert values[9:18].tolist() == after.given[9:18].tolist()

@@ -32,7 +32,7 @@ def test_where_all_places_are_alike_all_points_count_alike(sd_px: float) -> None
     assert np.abs(np.log(found)).max() < 0.12
 
 
-def test_crowns_in_the_wind_are_told_from_still_ground() -> None:
+def test_crowns_in_the_wind_are_distinguished_from_still_ground() -> None:
     rng = np.random.default_rng(3)
     points_m, views = rng.uniform(0.0, 100.0, (4000, 3)), rng.integers(2, 8, 4000)
     crowns = np.floor(points_m[:, :2] / 25.0).sum(axis=1) % 2.0 == 0.0
@@ -73,6 +73,6 @@ def test_still_ground_holds_a_block_of_which_half_moves(monkeypatch: pytest.Monk
         ]
         return float(np.sqrt(np.mean(np.square(off))))
 
-    told_apart = bent_m()
+    distinguished = bent_m()
     monkeypatch.setattr(steps, "local_factors", lambda tracks, points_m, *_: np.ones(len(points_m)))
-    assert told_apart < 0.75 * bent_m()
+    assert distinguished < 0.75 * bent_m()

@@ -17,12 +17,12 @@ from geomosaic.matching.turned import PairOnMap, flown_courses_rad, reheaded, tu
 
 def test_another_heading_takes_the_tilt_along_and_is_known_as_a_course_is() -> None:
     """Told 40 degrees, looking 6 degrees forward and 2 left: so it did, from another heading."""
-    told = Rotation.from_yaw_pitch_roll(*np.radians([[40.0, 40.0], [6.0, 6.0], [2.0, 2.0]])).matrix
-    poses = Poses(np.zeros((2, 3)), told, np.ones((2, 3)), np.radians(np.tile([0.3, 0.3, 1.0], (2, 1))))
+    reported = Rotation.from_yaw_pitch_roll(*np.radians([[40.0, 40.0], [6.0, 6.0], [2.0, 2.0]])).matrix
+    poses = Poses(np.zeros((2, 3)), reported, np.ones((2, 3)), np.radians(np.tile([0.3, 0.3, 1.0], (2, 1))))
     right = reheaded(poses, {1: np.radians(155.0)})
     yaw, pitch, roll = (float(np.degrees(a)) for a in right[1].rotation.yaw_pitch_roll())
     assert (yaw, pitch, roll) == pytest.approx((155.0, 6.0, 2.0))
-    np.testing.assert_array_equal(right.rotations[0], told[0])
+    np.testing.assert_array_equal(right.rotations[0], reported[0])
     np.testing.assert_allclose(np.degrees(right.rotations_sd_rad), [[0.3, 0.3, 1.0], [0.3, 0.3, 20.0]])
 
 
@@ -64,13 +64,13 @@ def test_a_slope_and_a_jump_of_heights_are_solved_for_together() -> None:
 def test_a_wrong_position_bends_no_course() -> None:
     """Frame 3 lies 60 m aside of its line: its neighbours' courses are the line's, and it has none itself."""
     at = np.column_stack([np.zeros(7), 20.0 * np.arange(7.0)])
-    told = at.copy()
-    told[3, 0] = 60.0
-    apart = np.linalg.norm(told - at, axis=1)
+    reported = at.copy()
+    reported[3, 0] = 60.0
+    apart = np.linalg.norm(reported - at, axis=1)
     costs = [
         (a, b, np.full((4, 4), 2.0 + abs(apart[a] - apart[b]))) for a in range(7) for b in range(a + 1, 7)
     ]
-    course = np.degrees(flown_courses_rad(told, costs))
+    course = np.degrees(flown_courses_rad(reported, costs))
     assert course == pytest.approx([0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0], nan_ok=True)
     honest = np.degrees(flown_courses_rad(at, [(a, b, np.full((4, 4), 2.0)) for a, b, _ in costs]))
     assert honest == pytest.approx(np.zeros(7))
@@ -80,21 +80,24 @@ def test_a_wrong_position_bends_no_course() -> None:
 def test_a_wrong_position_has_the_course_of_where_its_neighbours_see_it(off_deg: float) -> None:
     """A line to the north-east; frame 3, 60 m aside, sees the same ground as 1, 2, 4 and 5, whatever its heading."""
     at = np.outer(20.0 * np.arange(7.0), [0.6, 0.8])
-    told = at + np.outer(np.arange(7) == 3, [60.0, -20.0])
+    reported = at + np.outer(np.arange(7) == 3, [60.0, -20.0])
     rng = np.random.default_rng(5)
     spots = rng.uniform(-15.0, 15.0, (40, 2))
 
     def sees(i: int, ground: np.ndarray) -> np.ndarray:
         place = (ground - at[i]) @ about_z(np.radians(off_deg * (i == 3)))[:2, :2].T
-        return told[i] + place + rng.normal(0.0, 0.5, place.shape)
+        return reported[i] + place + rng.normal(0.0, 0.5, place.shape)
 
     seen = [
         PairOnMap(a, b, *(sees(i, (at[a] + at[b]) / 2.0 + spots) for i in (a, b)))
         for a in range(7)
         for b in range(a + 1, min(a + 3, 7))
     ]
-    costs = [(s.left, s.right, turn_costs_m(s.left_m, s.right_m, told[s.left], told[s.right])) for s in seen]
-    course = np.degrees(flown_courses_rad(told, costs, seen))
+    costs = [
+        (s.left, s.right, turn_costs_m(s.left_m, s.right_m, reported[s.left], reported[s.right]))
+        for s in seen
+    ]
+    course = np.degrees(flown_courses_rad(reported, costs, seen))
     assert course == pytest.approx(np.full(7, np.degrees(np.arctan2(0.6, 0.8))), abs=2.0)
 
 
@@ -103,9 +106,9 @@ def test_an_image_on_its_head_whose_heading_fits_its_line_was_turned() -> None:
     flown = fly(4, lines=2, per_line=6)
     upside_down = flown.truth.rotations.copy()
     upside_down[3] = about_z(np.pi) @ upside_down[3]
-    told = replace(flown.truth, rotations_sd_rad=np.radians(np.full((12, 3), 2.0)))
-    found = replace(told, rotations=upside_down)
-    for given, adjusted, code in ((told, found, "frame-turned"), (found, told, "yaw-wrong")):
+    reported = replace(flown.truth, rotations_sd_rad=np.radians(np.full((12, 3), 2.0)))
+    found = replace(reported, rotations=upside_down)
+    for given, adjusted, code in ((reported, found, "frame-turned"), (found, reported, "yaw-wrong")):
         said = wrong_tags(replace(flown.block, poses=given), adjusted)
         assert [(w.code, w.frame) for w in said] == [(code, "003.jpg")]
 

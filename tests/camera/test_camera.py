@@ -222,7 +222,7 @@ def test_where_a_fisheye_is_no_lens_any_more() -> None:
     assert (even.turned(1).p1, even.turned(1).p2) == (0.02, -0.01)
 
 
-def test_nothing_is_seen_behind_or_far_beside_the_camera() -> None:
+def test_nothing_is_seen_behind_or_far_off_the_camera() -> None:
     barrel = Camera("barrel", 4000, 3000, 2000.0, 2000.0, 1500.0, k1=-0.3)
     assert np.isnan(barrel.image_from_camera([0.0, 0.0, 5.0])).all()
     assert np.isnan(barrel.image_from_camera([50.0, 0.0, -10.0])).all()

@@ -14,7 +14,7 @@ from geomosaic.errors import InputError
 from geomosaic.survey.strips import Ccd, StripGeometry
 from geomosaic_simulate.strip_files import target_rows
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import Scene
+from geomosaic_simulate.strip_scene import StripWorld
 
 
 def scene_from_strip(layout: ImageSpaceLayout, ccd: int, col, line):
@@ -157,7 +157,7 @@ def test_no_lines_in_common():
 @pytest.fixture(scope="module")
 def world():
     plan = StripPlan(seed=5, lines=4200, targets=1500, drift_angle_deg=0.05, relief_m=300.0)
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     g = plan.geometry()
     truth = [scene.truth(k) for k in g.pairs]
     n = np.zeros(plan.lines)

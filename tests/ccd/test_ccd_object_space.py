@@ -32,7 +32,7 @@ from geomosaic.survey.strip_heights import read_dem_heights
 from geomosaic.survey.strips import StripGeometry, read_geometry
 from geomosaic_simulate.strip_overlaps import strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import Scene
+from geomosaic_simulate.strip_scene import StripWorld
 from geomosaic_simulate.strips import SimulatedStrips, simulate_strips
 
 STILL: dict[str, Any] = {
@@ -50,7 +50,7 @@ class Made:
     files: SimulatedStrips
     geometry: StripGeometry
     space: ObjectSpace
-    scene: Scene
+    scene: StripWorld
     targets: Any
 
 
@@ -61,7 +61,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     space = read_object_space(geometry)
     assert space is not None
     assert files.targets is not None
-    return Made(files, geometry, space, Scene(PLAN), np.genfromtxt(files.targets, delimiter=",", names=True))
+    return Made(
+        files, geometry, space, StripWorld(PLAN), np.genfromtxt(files.targets, delimiter=",", names=True)
+    )
 
 
 def ground_of(targets: Any) -> Any:
@@ -148,7 +150,7 @@ def test_object_space_without_model_without_dem_and_with_tables_too_short(made: 
 def test_layout_of_a_perfect_camera_is_the_nominal_one() -> None:
     """Level at 900 m; then 466 m higher, which the leading row sees a line later, the trailing one earlier."""
     plan = StripPlan(ccds=3, width_px=256, lines=2600, relief_m=0.0, first_row=2, **STILL)
-    g, model = plan.geometry(), Scene(plan).cameras.true
+    g, model = plan.geometry(), StripWorld(plan).cameras.true
     layout = virtual_layout(g, level_ground(model, 900.0))
     assert (layout.first_line, layout.height_px, layout.width_px) == (-1057.0, 4714, 576)
     assert [layout.cols(k) for k in range(3)] == [(0, 256), (160, 416), (320, 576)]
@@ -168,7 +170,7 @@ def test_layout_of_a_perfect_camera_is_the_nominal_one() -> None:
 
 def test_ideal_camera_has_neither_jitter_nor_drift() -> None:
     """A drift of 5 px/s stays as a slope of the attitude; waves go."""
-    scene = Scene(StripPlan(ccds=4, lines=4000, seed=4))
+    scene = StripWorld(StripPlan(ccds=4, lines=4000, seed=4))
     camera = ideal_camera(scene.plan.geometry(), scene.cameras.true)
     line = np.linspace(0.0, 4000.0, 41)
     attitude = camera.attitude_rad(line)
@@ -182,7 +184,7 @@ def test_ideal_camera_has_neither_jitter_nor_drift() -> None:
 def test_places_between_knots_are_the_models_own(seed: int) -> None:
     """Jitter of 22 Hz and half a pixel over 900 m of relief, at random places of every CCD at full width."""
     plan = StripPlan(ccds=4, width_px=4096, lines=4000, seed=seed, relief_m=900.0, jitter_22hz_px=0.5)
-    scene = Scene(plan)
+    scene = StripWorld(plan)
 
     def height_at(lon: Any, lat: Any) -> Any:
         xy = scene.projection.map_from_geodetic(lon, lat)

@@ -14,7 +14,7 @@ from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.radiometry import Blocks, Radiometry, radiometry, straight_line
 from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_sensor import Sensor
+from geomosaic_simulate.strip_sensor import CcdSensor
 
 PLAN = StripPlan(seed=4, ccds=4, lines=6600, gain_sd=0.05, offset_sd=0.01)
 
@@ -43,15 +43,15 @@ def true_offsets(strips: Strips, pairs: tuple[SimulatedPair, ...], labels: bool 
 
 def ratio_errors(plan: StripPlan, found: Radiometry) -> np.ndarray:
     """Relative errors of the ratio between neighbours' gains (ccds - 1,)."""
-    gain = np.array([Sensor.of(plan, k).gain for k in range(plan.ccds)])
+    gain = np.array([CcdSensor.of(plan, k).gain for k in range(plan.ccds)])
     whole = found.gain * gain
     return whole[1:] / whole[:-1] - 1.0
 
 
 def steps(plan: StripPlan, found: Radiometry, brightness: float = 0.35) -> np.ndarray:
     """Steps between neighbours after the correction, of the grey at a brightness (ccds - 1,)."""
-    sensors = [Sensor.of(plan, k) for k in range(plan.ccds)]
-    grey = brightness * Sensor.full_of(plan)
+    sensors = [CcdSensor.of(plan, k) for k in range(plan.ccds)]
+    grey = brightness * CcdSensor.full_of(plan)
     counts = np.array([s.gain * grey + s.offset for s in sensors])
     return np.diff(found.gain * counts + found.offset) / grey
 
@@ -143,11 +143,11 @@ def test_labels_leave_lines_out_unless_too_few_are_left():
     edges[1][0][2114:4300] = edges[1][0][2114:4300] * 0.8  # pair 1 sees lines from 2114 on
     label = offsets.pairs[1].label.copy()
     label[2114:4300] = BRIDGED
-    told = replace(
+    reported = replace(
         offsets, pairs=(offsets.pairs[0], replace(offsets.pairs[1], label=label), offsets.pairs[2])
     )
     spoilt = strips_in_memory(strips.geometry, edges)
-    assert np.abs(steps(PLAN, radiometry(spoilt, told, silent))).max() < 0.003
+    assert np.abs(steps(PLAN, radiometry(spoilt, reported, silent))).max() < 0.003
     none = tuple(replace(p, label=np.full_like(p.label, BRIDGED)) for p in offsets.pairs)
     assert np.abs(steps(PLAN, radiometry(strips, replace(offsets, pairs=none), silent))).max() < 0.003
 

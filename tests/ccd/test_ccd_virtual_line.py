@@ -20,7 +20,7 @@ from geomosaic.survey.strips import read_geometry
 from geomosaic_simulate.strip_files import given_heights
 from geomosaic_simulate.strip_overlaps import strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import Scene
+from geomosaic_simulate.strip_scene import StripWorld
 from geomosaic_simulate.strips import simulate_strips
 
 STILL: dict[str, Any] = {
@@ -33,7 +33,7 @@ def quiet(_done: int, _total: int) -> None:
     return None
 
 
-def space_of(scene: Scene) -> ObjectSpace:
+def space_of(scene: StripWorld) -> ObjectSpace:
     """Model and heights as they are reported."""
     heights = given_heights(scene)
 
@@ -46,7 +46,7 @@ def space_of(scene: Scene) -> ObjectSpace:
 
 def found(plan: StripPlan, space: ObjectSpace | None = None):
     strips = strips_in_memory(plan.geometry(), [])
-    strips.object_space = space_of(Scene(plan)) if space is None else space
+    strips.object_space = space_of(StripWorld(plan)) if space is None else space
     return virtual_line(strips, CcdSettings(), quiet)
 
 
@@ -54,11 +54,11 @@ def test_model_and_dem_out_of_their_files_give_the_true_offsets(tmp_path: Path) 
     plan = StripPlan(ccds=3, width_px=256, lines=3000, seed=3, relief_m=600.0, first_row=2, dem_pixel_m=45.0)
     made = simulate_strips(tmp_path, plan, scene=False)
     geometry = read_geometry(made.geometry)
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
     with StripFiles(geometry) as strips:
         strips.object_space = read_object_space(geometry)
-        pairs = virtual_line(strips, CcdSettings(), lambda done, total: told.append((done, total)))
-    assert told[-1] == (6000, 6000)
+        pairs = virtual_line(strips, CcdSettings(), lambda done, total: reports.append((done, total)))
+    assert reports[-1] == (6000, 6000)
     truth = np.genfromtxt(made.true_offsets, delimiter=",", names=True)
     for offsets in pairs:
         true = truth[truth["pair"] == offsets.pair]
@@ -73,7 +73,7 @@ def test_model_and_dem_out_of_their_files_give_the_true_offsets(tmp_path: Path) 
 def test_at_full_width_across_pieces_and_strips_that_differ() -> None:
     """Longer than a piece of lines; a dead CCD and a short one."""
     plan = StripPlan(ccds=6, width_px=4096, lines=9001, seed=8, relief_m=900.0, dead="2", short="4:5000")
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     pairs = found(plan)
     assert [p.pair for p in pairs] == [2, 3, 4]
     assert [len(p.dcol_px) for p in pairs] == [9001, 5000, 9001]
@@ -86,7 +86,7 @@ def test_at_full_width_across_pieces_and_strips_that_differ() -> None:
 def test_higher_ground_has_one_sign() -> None:
     """233 m higher: a line later in the leading row, earlier in the trailing one."""
     plan = StripPlan(ccds=3, width_px=256, lines=2500, relief_m=0.0, **STILL)
-    model = Scene(plan).cameras.true
+    model = StripWorld(plan).cameras.true
     low, high = (found(plan, level_ground(model, h)) for h in (900.0, 1133.0))
     for pair, sign in ((0, -1.0), (1, 1.0)):
         np.testing.assert_allclose(low[pair].dline_px, 0.0, atol=0.003)
@@ -103,11 +103,11 @@ def test_without_a_model_the_error_says_what_to_give() -> None:
 
 
 @pytest.mark.parametrize(("noise_urad", "label"), [(1.0, BRIDGED), (3.0, UNRELIABLE)])
-def test_noise_of_the_attitudes_is_found_and_told(noise_urad: float, label: int) -> None:
+def test_noise_of_the_attitudes_is_found_and_reported(noise_urad: float, label: int) -> None:
     """A microradian is 0.27 px, twice in each offset; between its samples a spline's noise is a bit less."""
     plan = StripPlan(ccds=2, lines=4000, seed=5, attitude_noise_urad=noise_urad)
     (offsets,) = found(plan)
-    true = Scene(plan).truth(0)
+    true = StripWorld(plan).truth(0)
     assert (offsets.label == label).all()
     noise_px = np.sqrt(2.0) * noise_urad * 0.266
     np.testing.assert_allclose(offsets.sd_col_px, np.hypot(0.1, noise_px), rtol=0.1)
@@ -126,7 +126,7 @@ def test_attitudes_wilder_than_the_ground_goes_by_leave_finite_offsets() -> None
 def test_lines_beyond_the_attitudes_are_unreliable() -> None:
     """The table ends at line 3000: the right strip, 2114 lines later, is known to the left one's line 886."""
     plan = StripPlan(ccds=2, lines=3000, seed=2)
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     space = space_of(scene)
     known = space.model.attitude_time_s <= 3000.0 / plan.line_rate_hz
     model = replace(
@@ -144,7 +144,7 @@ def test_lines_beyond_the_attitudes_are_unreliable() -> None:
 
 def test_relief_is_what_the_heights_make() -> None:
     plan = StripPlan(ccds=4, width_px=256, lines=3000, relief_m=900.0, seed=4, dead="4", **STILL)
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     relief = relief_px(plan.geometry(), space_of(scene))
     assert sorted(relief) == [0, 1]
     for pair, sign in ((0, -1.0), (1, 1.0)):
@@ -158,7 +158,7 @@ def test_relief_is_what_the_heights_make() -> None:
 
 def test_relief_and_level_ground_make_the_whole() -> None:
     plan = StripPlan(ccds=3, lines=2600, relief_m=800.0, seed=6)
-    space = space_of(Scene(plan))
+    space = space_of(StripWorld(plan))
     relief = relief_px(plan.geometry(), space)
     level = found(plan, level_ground(space.model, space.mean_m))
     for offsets, flat in zip(found(plan, space), level, strict=True):
@@ -167,7 +167,7 @@ def test_relief_and_level_ground_make_the_whole() -> None:
 
 
 def test_poses_of_a_table_see_as_the_model_itself_does() -> None:
-    model = Scene(StripPlan(ccds=3, lines=3000, seed=7)).cameras.true
+    model = StripWorld(StripPlan(ccds=3, lines=3000, seed=7)).cameras.true
     poses = LinePoses(model, -20.0, 3020.0)
     rng = np.random.default_rng(1)
     col, line = rng.uniform(0.0, 512.0, 50), rng.uniform(0.0, 3000.0, 50)

@@ -144,9 +144,9 @@ def test_a_closed_pipe_is_no_fault(output: str, code: int, desk: Desk) -> None:
         **{output: writer, other: subprocess.PIPE},
     )
     os.close(writer)
-    heard = getattr(process, other)
-    assert process.returncode == code, heard
-    assert "Traceback" not in heard and "geomosaic:" not in heard and len(heard.splitlines()) >= 3
+    stream = getattr(process, other)
+    assert process.returncode == code, stream
+    assert "Traceback" not in stream and "geomosaic:" not in stream and len(stream.splitlines()) >= 3
     assert json.loads((desk.folder / "run" / "run.json").read_text())["frames"]["total"] == 4
 
 

@@ -38,11 +38,11 @@ def test_a_dry_run_says_what_the_run_would_take_and_leaves_nothing(
     before = all_below(frames.parent)
     assert geomosaic("mosaic", frames, "--dry-run", "--gsd", 0.25, "--workers", 1) == 0
     said = capsys.readouterr()
-    told = dict(line.split(maxsplit=1) for line in said.out.splitlines())
-    assert ": Read the survey, " in told["stages"] and "mosaic.tif" in told["results"]
-    assert told["frames"] == "4, 0 left out" and told["pairs"] == "6 to compare, in 2 flight lines"
+    reported = dict(line.split(maxsplit=1) for line in said.out.splitlines())
+    assert ": Read the survey, " in reported["stages"] and "mosaic.tif" in reported["results"]
+    assert reported["frames"] == "4, 0 left out" and reported["pairs"] == "6 to compare, in 2 flight lines"
     for part in ("px at 0.25 m and take ", " on the disk, ", " of memory and "):
-        assert part in told["expected"]
+        assert part in reported["expected"]
     assert said.out.splitlines()[-1].endswith(f"the run goes to {frames}-mosaic")
     assert "Match frames" not in said.err and all_below(frames.parent) == before
 
@@ -79,7 +79,7 @@ def test_a_dry_run_refuses_what_the_run_refuses(frames: Path, capsys: pytest.Cap
     assert "gigapixels at 0.001 m" in capsys.readouterr().err
 
 
-def test_a_recipe_by_name_quietly_into_a_folder_beside_the_frames(
+def test_a_recipe_by_name_quietly_into_a_folder_next_to_the_frames(
     frames: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert geomosaic("run", "quick-look", frames, *QUICK) == 0
@@ -133,7 +133,7 @@ def test_recipes_are_listed_and_printed_to_be_changed(
     assert geomosaic("recipes", tmp_path / "x.yaml") == 2
 
 
-def test_the_run_folder_lies_beside_what_is_read(
+def test_the_run_folder_lies_next_to_what_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -158,8 +158,12 @@ def test_the_run_folder_lies_beside_what_is_read(
 def test_a_shell_completes(
     line: str, found: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = {"_GEOMOSAIC_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
-    for name, value in told.items():
+    reported = {
+        "_GEOMOSAIC_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(line.count(" ")),
+    }
+    for name, value in reported.items():
         monkeypatch.setenv(name, value)
     with pytest.raises(SystemExit):
         geomosaic()

@@ -41,7 +41,7 @@ def test_what_the_environment_says_stays() -> None:
     assert figure(PARENT + FAULTS, **said) > 10_000
 
 
-def test_what_a_process_held_is_without_what_the_one_held_that_started_it() -> None:
+def test_memory_of_a_process_is_without_that_of_its_parent() -> None:
     asks = "from geomosaic.pipeline.executor import peak_memory_bytes; print(peak_memory_bytes())"
     starts = (
         "import subprocess, sys; import numpy as np; held = np.ones(1 << 26)\n"

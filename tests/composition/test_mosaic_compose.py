@@ -318,7 +318,7 @@ def test_rounding_the_ground_pixel_costs_no_more_than_five_percent(own_m: float)
     assert auto_gsd_m(own_m) == pytest.approx(own_m, rel=0.05)
 
 
-def test_a_ground_pixel_far_from_the_frames_own_is_told() -> None:
+def test_a_ground_pixel_far_from_the_frames_own_is_reported() -> None:
     assert "can't show more" in far_from_own(0.049, 0.1) and "is lost" in far_from_own(0.41, 0.1)
     assert far_from_own(0.051, 0.1) == far_from_own(0.39, 0.1) == ""
 

@@ -66,16 +66,18 @@ def seams(folder: Path, given: dict[str, Any], **params: Any) -> tuple[Ownership
     return outputs["ownership"], notes
 
 
-@pytest.mark.parametrize("gsd_m, told", [("auto", ""), (0.13, ""), (0.12, "room and time"), (1.2, "lost")])
-def test_a_ground_pixel_far_from_the_frames_own_is_told_once(
-    tmp_path: Path, gsd_m: float | str, told: str
+@pytest.mark.parametrize(
+    "gsd_m, wanted_text", [("auto", ""), (0.13, ""), (0.12, "room and time"), (1.2, "lost")]
+)
+def test_a_ground_pixel_far_from_the_frames_own_is_reported_once(
+    tmp_path: Path, gsd_m: float | str, wanted_text: str
 ) -> None:
     owned, notes = seams(tmp_path, given_for(tmp_path, lines=1, per_line=2), gsd_m=gsd_m)
     assert owned.grid.gsd_m == (0.25 if gsd_m == "auto" else gsd_m)
     texts = [w["text"] for w in notes.warnings if w["code"] == "gsd-far"]
-    assert len(texts) == bool(told)
+    assert len(texts) == bool(wanted_text)
     for text in texts:
-        assert f"pixel is {gsd_m} m, the frames' own is 0.249 m: " in text and told in text
+        assert f"pixel is {gsd_m} m, the frames' own is 0.249 m: " in text and wanted_text in text
 
 
 def polygons(path: Path, crs: str | None, *rings: list[list[tuple[float, float]]], driver: str = "") -> Path:
@@ -242,7 +244,7 @@ def test_an_area_decodes_no_frame_that_gives_nothing(
     assert decoded == {"frame 03.jpg"}
 
 
-def test_an_area_beyond_the_frames_is_told(tmp_path: Path) -> None:
+def test_an_area_beyond_the_frames_is_reported(tmp_path: Path) -> None:
     """One frame: of an area within it, of one that goes on for 1000 km, and of one of 2 km about it."""
     given = given_for(tmp_path, lines=1, per_line=1)
     owned, notes = seams(tmp_path, given)
@@ -339,7 +341,7 @@ def test_a_bomb_of_entities_and_a_log_of_sqlite_are_refused(tmp_path: Path) -> N
             read_shapes(file)
 
 
-def test_an_area_that_crosses_itself_is_mended_and_told(tmp_path: Path, flown: Any) -> None:
+def test_an_area_that_crosses_itself_is_corrected_and_reported(tmp_path: Path, flown: Any) -> None:
     given, (_, _, whole, _) = flown
     (w, s), _, (e, n), _ = around(whole, -8.0, -8.0, 8.0, 8.0)
     aoi = polygons(tmp_path / "bow.gpkg", CRS, [[(w, s), (e, n), (e, s), (w, n)]])
@@ -362,8 +364,16 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> SimulatedSurvey:
 def test_the_command_cuts_follows_the_file_and_can_be_replayed(
     simulated: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    told = (simulated.frames, tmp_path / "run", "--pos", simulated.pos, "--camera", simulated.camera, *QUICK)
-    assert mosaic(*told) == 0
+    options = (
+        simulated.frames,
+        tmp_path / "run",
+        "--pos",
+        simulated.pos,
+        "--camera",
+        simulated.camera,
+        *QUICK,
+    )
+    assert mosaic(*options) == 0
     with rasterio.open(tmp_path / "run" / "mosaic.tif") as tiff:
         crs, (west, south, east, north) = tiff.crs.to_string(), tiff.bounds
     x, y = round((west + east) / 2.0), round((south + north) / 2.0)
@@ -373,7 +383,7 @@ def test_the_command_cuts_follows_the_file_and_can_be_replayed(
         aoi.unlink(missing_ok=True)
         polygons(aoi, crs, [box(x - side, y - side, x + side, y + 5.0)])
         capfd.readouterr()
-        assert mosaic(*told, "--aoi", aoi) == 0
+        assert mosaic(*options, "--aoi", aoi) == 0
         said = capfd.readouterr().err
         assert "Place the seamlines: unchanged" not in said and said.count("from the cache") >= 5
         sizes.append(
@@ -386,7 +396,7 @@ def test_the_command_cuts_follows_the_file_and_can_be_replayed(
         assert (tmp_path / folder / "mosaic.tif").read_bytes() == (tmp_path / "run/mosaic.tif").read_bytes()
     far = polygons(tmp_path / "far.gpkg", crs, [box(x + 5000.0, y, x + 5010.0, y + 10.0)])
     capfd.readouterr()
-    assert mosaic(*told, "--aoi", far) == 2
+    assert mosaic(*options, "--aoi", far) == 2
     assert "the frames show no part of the area" in capfd.readouterr().err.splitlines()[-1]
 
 
@@ -446,15 +456,23 @@ def test_the_command_aligns_to_a_raster_of_another_crs(
 ) -> None:
     """In the next UTM zone, where the survey's east is not the grid's; layers and positions are there too."""
     old = raster(tmp_path / "old.tif", "EPSG:32633", Affine(0.2, 0.0, 12_345.67, 0.0, -0.2, 5_100_000.07))
-    told = (simulated.frames, tmp_path / "run", "--pos", simulated.pos, "--camera", simulated.camera, *QUICK)
+    options_here = (
+        simulated.frames,
+        tmp_path / "run",
+        "--pos",
+        simulated.pos,
+        "--camera",
+        simulated.camera,
+        *QUICK,
+    )
     for wrong, both in (
         (("--crs", "EPSG:32632"), ("EPSG:32633", "EPSG:32632")),
         (("--gsd", 0.1), ("0.2 m", "0.1 m")),
     ):
-        assert mosaic(*told, "--align-to", old, *wrong) == 2
+        assert mosaic(*options_here, "--align-to", old, *wrong) == 2
         (line,) = [x for x in capfd.readouterr().err.splitlines() if "old.tif" in x]
         assert all(word in line for word in both)
-    assert mosaic(*told, "--align-to", old, "--crs", "EPSG:32633") == 0
+    assert mosaic(*options_here, "--align-to", old, "--crs", "EPSG:32633") == 0
     with rasterio.open(tmp_path / "run" / "mosaic.tif") as tiff:
         assert tiff.crs.to_string() == "EPSG:32633" and tiff.transform.a == 0.2
         off = (tiff.transform.c - 12_345.67) / 0.2, (tiff.transform.f - 5_100_000.07) / 0.2
@@ -464,7 +482,7 @@ def test_the_command_aligns_to_a_raster_of_another_crs(
         for row in csv.DictReader(file):
             assert bounds.left < float(row["easting_m"]) < bounds.right
     capfd.readouterr()
-    assert mosaic(*told, "--align-to", old) == 0
+    assert mosaic(*options_here, "--align-to", old) == 0
     assert "Place the seamlines: unchanged, from the cache" in capfd.readouterr().err
     recipe = tmp_path / "run.yaml"
     stages = "\n".join(f"  - {stage}" for stage in STAGES if stage not in OPTIONAL)

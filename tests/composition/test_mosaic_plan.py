@@ -107,7 +107,7 @@ def test_boxes_hold_all_cells_once_and_leave_out_most_others() -> None:
 
 
 @pytest.mark.parametrize("cell_px", [8, 16, 64])
-def test_the_owners_of_a_window_are_those_of_its_cells_and_of_the_ones_beside_them(cell_px: int) -> None:
+def test_the_owners_of_a_window_are_those_of_its_cells_and_of_adjacent_ones(cell_px: int) -> None:
     """Owners at random, in cells finer and coarser than those by which is planned, at an edge and inside."""
     rng = np.random.default_rng(5)
     grid = OutputGrid("EPSG:32632", 0.0, 0.0, 1.0, 40 * cell_px, 40 * cell_px)
@@ -121,8 +121,8 @@ def test_the_owners_of_a_window_are_those_of_its_cells_and_of_the_ones_beside_th
                 top, left = window.row + i * CELL_PX, window.col + j * CELL_PX
                 rows = np.arange(top // cell_px - 1, (top + CELL_PX - 1) // cell_px + 2).clip(0, 39)
                 cols = np.arange(left // cell_px - 1, (left + CELL_PX - 1) // cell_px + 2).clip(0, 39)
-                beside = bool((owner[np.ix_(rows, cols)] == frame + 1).any())
-                assert beside == (frame in found and bool(found[frame][i, j])), (window, frame, i, j)
+                adjacent = bool((owner[np.ix_(rows, cols)] == frame + 1).any())
+                assert adjacent == (frame in found and bool(found[frame][i, j])), (window, frame, i, j)
 
 
 def test_where_no_owner_sees_the_ground_the_nearer_nadir_point_gives_it() -> None:

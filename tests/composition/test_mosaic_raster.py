@@ -89,8 +89,10 @@ def test_a_cog_of_all_types_that_both_gdals_read(tmp_path: Path, bands: int, dty
         assert (tiff.overviews(1), tiff.block_shapes[0]) == ([2, 4, 8], (512, 512))
         assert tiff.tags()["GSD_M"] == "0.05" and tiff.tags()["TIFFTAG_SOFTWARE"].startswith("geomosaic ")
         assert tiff.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-        told = [{k[11:]: float(v) for k, v in tiff.tags(b + 1).items() if "STAT" in k} for b in range(bands)]
-    for b, figures in enumerate(told):
+        reported = [
+            {k[11:]: float(v) for k, v in tiff.tags(b + 1).items() if "STAT" in k} for b in range(bands)
+        ]
+    for b, figures in enumerate(reported):
         values = pixels[valid][:, b].astype(float)
         exact = {
             "MINIMUM": values.min(),

@@ -20,7 +20,7 @@ from geomosaic.errors import FileError, UnknownNameError
 from geomosaic.spread import Unobserved
 from geomosaic.survey.strips import Ccd, StripGeometry, read_geometry
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import Scene
+from geomosaic_simulate.strip_scene import StripWorld
 from geomosaic_simulate.strips import simulate_strips
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -376,27 +376,27 @@ def test_bad_names_and_broken_strips(tmp_path):
 
 def test_progress_and_cancel(tmp_path):
     g = strips(tmp_path, ccds=2)
-    told = []
+    reports = []
 
     class Stopped(Unobserved):
         def progress(self, done, total, text=""):
-            told.append((done, total))
+            reports.append((done, total))
 
         def check_cancelled(self):
-            if told:
+            if reports:
                 raise KeyboardInterrupt
 
     scene = PlacedStrips(g, image_space_layout(g, NOMINAL))
     with pytest.raises(KeyboardInterrupt):
         compose_strips(scene, tmp_path / "m.tif", progress=Stopped())
-    assert told == [(512, 1000)]
+    assert reports == [(512, 1000)]
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     plan = StripPlan(seed=3, ccds=3, lines=2800, drift_angle_deg=0.05, gain_sd=0.03, column_sd=0.0, snr=1e4)
     made = simulate_strips(tmp_path_factory.mktemp("strips"), plan, scene=False)
-    return plan, read_geometry(made.geometry), Scene(plan)
+    return plan, read_geometry(made.geometry), StripWorld(plan)
 
 
 def test_true_offsets_leave_no_step_at_the_seams(simulated, tmp_path):

@@ -69,9 +69,11 @@ def test_two_frames_at_the_horizon_make_the_mosaic_no_larger(tmp_path: Path, flo
     owned, notes = seams(tmp_path / "with", aside)
     assert (owned.grid.width_px, owned.grid.height_px) == (without.width_px, without.height_px)
     assert not owned.used[6:].any() and owned.used[:6].all()
-    told = [w for w in notes.warnings if w["code"] == "looks-aside"]
-    assert len(told) == 1
-    assert "2 frames look too obliquely" in told[0]["text"] and "frame 06" in told[0]["text"]
+    warning_found = [w for w in notes.warnings if w["code"] == "looks-aside"]
+    assert len(warning_found) == 1
+    assert (
+        "2 frames look too obliquely" in warning_found[0]["text"] and "frame 06" in warning_found[0]["text"]
+    )
     assert set(reasons(owned)) <= {ASLANT, COARSE} and owned.trimmed.share > 0.5
     kept = seams(tmp_path / "keep", turned(flown, {6: 75.0}), edges="keep")[0]
     assert kept.grid.height_px > 3 * without.height_px
@@ -173,8 +175,8 @@ def test_the_command_makes_the_same_mosaic_with_frames_at_the_horizon(tmp_path: 
             ),
             tmp_path / f"run{horizon}",
         )
-        told = ["--pos", survey.pos, "--camera", survey.camera, "--set", "survey.read.leave_out=none"]
-        assert mosaic(survey.frames, run, *told, "--edges", "trim", "--adjust", "least_squares") == 0
+        options = ["--pos", survey.pos, "--camera", survey.camera, "--set", "survey.read.leave_out=none"]
+        assert mosaic(survey.frames, run, *options, "--edges", "trim", "--adjust", "least_squares") == 0
         found.append(summary(run))
     usual, aside = found
     assert aside["mosaic"] == usual["mosaic"]
@@ -214,8 +216,8 @@ def test_a_frame_that_matches_no_other_gives_no_pixels_where_others_show_the_gro
 ) -> None:
     owned, notes = seams(tmp_path / "inside", placed(flown, 1))
     assert not owned.used[1] and owned.used.sum() == 7 and not (owned.owner == 2).any()
-    (told,) = [w["text"] for w in notes.warnings if w["code"] == "untied-left-out"]
-    assert "1 frame matches no other" in told and "frame 01" in told
+    (warning_found,) = [w["text"] for w in notes.warnings if w["code"] == "untied-left-out"]
+    assert "1 frame matches no other" in warning_found and "frame 01" in warning_found
     kept, _ = seams(tmp_path / "keep", placed(flown, 1), edges="keep")
     assert kept.used[1]
 
@@ -239,8 +241,8 @@ def test_a_frame_that_matches_no_other_and_looks_at_the_horizon_gives_no_pixels(
     given["adjusted"] = replace(given["adjusted"], poses=replace(poses, rotations=rotations))
     owned, notes = seams(tmp_path, given)
     assert not owned.used[1]
-    (told,) = [w["text"] for w in notes.warnings if w["code"] == "untied-left-out"]
-    assert "horizon" in told and "frame 01" in told
+    (warning_found,) = [w["text"] for w in notes.warnings if w["code"] == "untied-left-out"]
+    assert "horizon" in warning_found and "frame 01" in warning_found
 
 
 def test_specks_that_trimming_leaves_alone_go_and_other_land_stays() -> None:

@@ -156,9 +156,18 @@ def test_the_command_writes_orthos_of_a_finished_run(
 ) -> None:
     """Resampled as the mosaic was."""
     made = small_survey(tmp_path, lines=1, frames_per_line=3, width_px=240, height_px=180)
-    told = ("--pos", made.pos, "--camera", made.camera, "--adjust", "least_squares", "--ground-height", 520)
+    options = (
+        "--pos",
+        made.pos,
+        "--camera",
+        made.camera,
+        "--adjust",
+        "least_squares",
+        "--ground-height",
+        520,
+    )
     how = ("mosaic.compose.resampling=lanczos", "mosaic.compose.blend=hard")
-    assert mosaic(made.frames, tmp_path / "run", *told, *(a for h in how for a in ("--set", h))) == 0
+    assert mosaic(made.frames, tmp_path / "run", *options, *(a for h in how for a in ("--set", h))) == 0
     capfd.readouterr()
     assert geomosaic("export", "orthos", tmp_path / "run") == 0
     assert capfd.readouterr().out.strip() == str(tmp_path / "run" / "orthos")

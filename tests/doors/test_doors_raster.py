@@ -181,14 +181,14 @@ def test_sidecars_of_a_dem_lead_nowhere(tmp_path: Path, server: Server, name: st
 
 
 @pytest.mark.parametrize("target", ["dem.prj", "nothing.prj"], ids=["to itself", "to nothing"])
-def test_a_link_that_leads_nowhere_beside_a_dem(tmp_path: Path, target: str) -> None:
+def test_a_link_that_leads_nowhere_next_to_a_dem(tmp_path: Path, target: str) -> None:
     path = tiff(tmp_path / "dem.tif")
     (tmp_path / "dem.prj").symlink_to(tmp_path / target)
     with pytest.raises(FileError, match=r"dem\.prj: is no regular file next to dem\.tif"):
         open_raster(path, DEM)
 
 
-def test_a_text_beside_a_dem_that_is_no_text_s_size(tmp_path: Path) -> None:
+def test_a_text_next_to_a_dem_that_is_no_text_s_size(tmp_path: Path) -> None:
     path = tiff(tmp_path / "dem.tif")
     with (tmp_path / "dem.prj").open("wb") as sparse:
         sparse.truncate(3 << 30)
@@ -310,7 +310,7 @@ def test_a_survey_opens_no_connection(pair: SimulatedSurvey, tmp_path: Path, ser
     assert not server.came
 
 
-def test_both_libraries_and_proj_are_told_to_stay_offline() -> None:
+def test_both_libraries_and_proj_are_set_to_stay_offline() -> None:
     from osgeo import gdal
     from pyproj import network
 

@@ -144,9 +144,13 @@ def test_odd_yaml_is_one_line(text: str) -> None:
     def load() -> None:
         with pytest.raises(FileError) as caught:
             plain_yaml(text, "f.yaml", "see the docs")
-        told = str(caught.value)
-        assert told.startswith("f.yaml: is no valid YAML") and BAD_YAML[text] in told and len(told) < 250
-        assert told.isprintable() and told.endswith("; see the docs")
+        reported = str(caught.value)
+        assert (
+            reported.startswith("f.yaml: is no valid YAML")
+            and BAD_YAML[text] in reported
+            and len(reported) < 250
+        )
+        assert reported.isprintable() and reported.endswith("; see the docs")
 
     assert seconds(load) < 10.0
 
@@ -542,7 +546,7 @@ def test_a_crs_of_another_continent(flight: Path, capsys: pytest.CaptureFixture[
         read_pos(pos, crs="EPSG:27700")
 
 
-def test_frames_of_one_and_the_same_position_are_told(flight: Path) -> None:
+def test_frames_of_one_and_the_same_position_are_reported(flight: Path) -> None:
     pos = flight / "pos.csv"
     names = [frame.name for frame in sorted((flight / "frames").iterdir())]
     pos.write_text("frame,lon,lat,h_ell\n" + "".join(f"{n},11.3,48.1,570\n" for n in names))

@@ -60,9 +60,9 @@ def refused(capsys: pytest.CaptureFixture[str], here: Path, *given: object) -> s
     """The one line of a refusal; nothing is half-written."""
     capsys.readouterr()
     assert fetch(here, *given) == 2
-    told = capsys.readouterr()
-    lines = told.err.splitlines()
-    assert lines[-1].startswith("geomosaic: ") and "Traceback" not in told.err
+    output = capsys.readouterr()
+    lines = output.err.splitlines()
+    assert lines[-1].startswith("geomosaic: ") and "Traceback" not in output.err
     assert not list(here.glob(".*.part*"))
     return lines[-1].removeprefix("geomosaic: ")
 
@@ -107,9 +107,9 @@ def test_without_tags_the_time_of_change_tells(server: Server, here: Path, tmp_p
     assert fetch(here, flight) == 0 and server.bodies() == ["/F0.jpg"]
 
 
-@pytest.mark.parametrize("told_s", [0, 250_000_000_000])
-def test_a_server_that_tells_no_time_or_an_absurd_one(told_s: int, server: Server, here: Path) -> None:
-    os.utime(server.root / "F0.jpg", (told_s, told_s))
+@pytest.mark.parametrize("stated_s", [0, 250_000_000_000])
+def test_a_server_that_tells_no_time_or_an_absurd_one(stated_s: int, server: Server, here: Path) -> None:
+    os.utime(server.root / "F0.jpg", (stated_s, stated_s))
     assert fetch(here, server.url("F0.jpg")) == 0
     assert abs((here / "F0.jpg").stat().st_mtime - time.time()) < 60.0
     server.asked.clear()
@@ -128,9 +128,9 @@ def test_a_folder_of_an_object_store_gives_what_a_survey_holds(
     assert names(here) == sorted([NOTED, *ALL, "odd %20 &+?#ä.jpg"])
     for name in names(here)[1:]:
         assert (here / name).read_bytes() == (flight / name).read_bytes()
-    told = capsys.readouterr().out
-    assert "fetched    5 files" in told
-    assert "skipped    3, which no survey holds: inner/, .DS_Store, notes.pdf" in told
+    output = capsys.readouterr().out
+    assert "fetched    5 files" in output
+    assert "skipped    3, which no survey holds: inner/, .DS_Store, notes.pdf" in output
     server.asked.clear()
     assert fetch(here, "s3://flights/one/") == 0
     assert fetch(here, "s3://flights/one/F0.jpg") == 0  # asked by itself it is the same file
@@ -155,7 +155,7 @@ def test_fetched_frames_give_the_mosaic_of_local_ones(
         assert (tmp_path / "local" / result).read_bytes() == (tmp_path / "fetched" / result).read_bytes()
 
 
-def test_whoever_wants_frames_from_a_url_is_told_how(
+def test_whoever_wants_frames_from_a_url_learns_how(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     for url in ("s3://bucket/flight/", "https://example.org/flight"):
@@ -186,7 +186,7 @@ def test_what_cannot_be_had_is_named_before_anything_is_written(
     assert names(here) == []
 
 
-def test_a_disk_that_is_too_small_is_told_first(
+def test_a_disk_that_is_too_small_is_reported_first(
     server: Server, here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     many = [f"L{number}.tif" for number in range(1000)]
@@ -347,7 +347,7 @@ def test_lists(name: str, text: str, found: list[str] | str, tmp_path: Path) -> 
         read_addresses(path)
 
 
-def test_two_files_of_one_name_are_told_with_both_addresses(
+def test_two_files_of_one_name_are_reported_with_both_addresses(
     server: Server, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (server.root / "flights" / "f0.JPG").write_bytes(JPEG)
@@ -362,8 +362,8 @@ def test_a_signature_in_an_address_is_kept_nowhere(
 ) -> None:
     assert fetch(here, server.url("F0.jpg?X-Signature=secret")) == 0
     line = refused(capsys, here, server.url("none.jpg?X-Signature=secret"))
-    told = capsys.readouterr()
-    assert "secret" not in line + told.out + told.err + (here / NOTED).read_text()
+    output = capsys.readouterr()
+    assert "secret" not in line + output.out + output.err + (here / NOTED).read_text()
 
 
 def test_the_bolt_is_shut_for_all_other_names_and_afterwards(server: Server) -> None:

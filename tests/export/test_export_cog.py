@@ -75,9 +75,9 @@ def test_statistics_are_of_valid_pixels_alone(tmp_path):
     pixels = raw_raster(tmp_path / "raw.tif", dtype="uint16")
     write_cog(tmp_path / "raw.tif", tmp_path / "out.tif")
     with rasterio.open(tmp_path / "out.tif") as tiff:
-        told = [float(tiff.tags(b)["STATISTICS_MEAN"]) for b in (1, 2, 3)]
+        reported = [float(tiff.tags(b)["STATISTICS_MEAN"]) for b in (1, 2, 3)]
         valid = tiff.dataset_mask() > 0
-    assert told == pytest.approx(pixels[:, valid].mean(axis=1), rel=0.05)
+    assert reported == pytest.approx(pixels[:, valid].mean(axis=1), rel=0.05)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.tif", "raw.tif"]
 
 

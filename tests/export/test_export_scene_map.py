@@ -37,7 +37,7 @@ def test_pixels_lie_where_rpc_and_dem_put_them(run):
     with rasterio.open(dem_file) as dem:
         heights, to_dem, crs_dem = dem.read(1).astype(np.float32), ~dem.transform, dem.crs
     with rasterio.open(folder / "mosaic_map.tif") as tiff:
-        laid, valid, transform, crs = tiff.read(1), tiff.dataset_mask() > 0, tiff.transform, tiff.crs
+        on_map, valid, transform, crs = tiff.read(1), tiff.dataset_mask() > 0, tiff.transform, tiff.crs
         assert tiff.res == (PLAN.ground_pixel_m, PLAN.ground_pixel_m)
         assert transform.c % PLAN.ground_pixel_m == transform.f % PLAN.ground_pixel_m == 0.0
     with warnings.catch_warnings():
@@ -56,7 +56,8 @@ def test_pixels_lie_where_rpc_and_dem_put_them(run):
     shifts = [(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)]
     off = [
         np.mean(
-            (cv2.remap(scene, at[:, :1] + dx, at[:, 1:] + dy, cv2.INTER_CUBIC)[:, 0] - laid[rows, cols]) ** 2
+            (cv2.remap(scene, at[:, :1] + dx, at[:, 1:] + dy, cv2.INTER_CUBIC)[:, 0] - on_map[rows, cols])
+            ** 2
         )
         for dx, dy in shifts
     ]
@@ -71,13 +72,13 @@ def test_the_catalogue_knows_the_scene_and_its_map(run):
     assert geomosaic("export", "stac", folder) == 0
     item = json.loads((folder / "mosaic.stac.json").read_text())
     check_schema(item)
-    scene, laid = (item["assets"][name] for name in ("mosaic", "mosaic_map"))
+    scene, on_map = (item["assets"][name] for name in ("mosaic", "mosaic_map"))
     assert item["properties"]["proj:code"] is None and "proj:transform" not in scene
     with rasterio.open(folder / "mosaic_map.tif") as tiff:
-        assert laid["proj:code"] == tiff.crs.to_string()
-        assert (laid["proj:shape"], laid["proj:transform"]) == ([*tiff.shape], [*tiff.transform[:6]])
-        assert laid["bands"][0]["data_type"] == tiff.dtypes[0]
-    assert laid["gsd"] == PLAN.ground_pixel_m
+        assert on_map["proj:code"] == tiff.crs.to_string()
+        assert (on_map["proj:shape"], on_map["proj:transform"]) == ([*tiff.shape], [*tiff.transform[:6]])
+        assert on_map["bands"][0]["data_type"] == tiff.dtypes[0]
+    assert on_map["gsd"] == PLAN.ground_pixel_m
 
 
 def test_the_scene_on_the_map_is_asked_for_in_one_step_or_later(run, tmp_path):

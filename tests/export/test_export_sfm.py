@@ -60,11 +60,11 @@ def test_colmap_reads_cameras_poses_and_points(solved, run):
         assert camera.img_from_cam(in_camera) == pytest.approx(expected, abs=1e-4)
     assert images[solved.survey.frames[ALONE].name].num_points3D == 0
     assert model.num_points3D() > 100
-    told = np.array([point.error for point in model.points3D.values()])
+    reported = np.array([point.error for point in model.points3D.values()])
     model.update_point_3d_errors()
     found = np.array([point.error for point in model.points3D.values()])
     assert np.median(found) < 0.6, "the observations have 0.3 px of noise"
-    assert np.corrcoef(told, found)[0, 1] > 0.9
+    assert np.corrcoef(reported, found)[0, 1] > 0.9
 
 
 def test_opensfm_projects_as_we_do(solved, run):

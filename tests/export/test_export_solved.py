@@ -164,8 +164,8 @@ def test_image_residuals_lie_where_their_frame_puts_them(solved, package):
     assert layer.GetFeatureCount() == len(r.frame) > 1000
     feature = layer.GetFeature(1 + 345)
     assert feature["frame"] == solved.survey.frames[r.frame[345]].name
-    told = [feature[k] for k in ["col_px", "row_px", "residual_col_px", "residual_row_px", "weight"]]
-    assert told == pytest.approx([*r.image_px[345], *r.residual_px[345], r.weight[345]])
+    reported = [feature[k] for k in ["col_px", "row_px", "residual_col_px", "residual_row_px", "weight"]]
+    assert reported == pytest.approx([*r.image_px[345], *r.residual_px[345], r.weight[345]])
     assert feature["residual_px"] == pytest.approx(np.hypot(*r.residual_px[345]))
     pose, camera = solved.adjusted.poses[r.frame[345]], solved.adjusted.cameras[r.frame[345]]
     at = feature.GetGeometryRef()
@@ -201,8 +201,8 @@ def test_control_stands_where_it_was_surveyed(solved, package):
     turn = np.radians(1.861)
     east = np.cos(turn) * b.residual_m[0] - np.sin(turn) * b.residual_m[1]
     north = np.sin(turn) * b.residual_m[0] + np.cos(turn) * b.residual_m[1]
-    told = [points["B"][f"residual_{axis}_m"] for axis in "enu"]
-    assert told == pytest.approx([east, north, b.residual_m[2]], rel=2e-3, abs=1e-5)
+    reported = [points["B"][f"residual_{axis}_m"] for axis in "enu"]
+    assert reported == pytest.approx([east, north, b.residual_m[2]], rel=2e-3, abs=1e-5)
     assert points["B"]["sd_u_m"] == pytest.approx(b.sd_m[2], rel=1e-4)
     assert points["B"]["pictures"] == b.images >= 3
     at = points["B"].GetGeometryRef()
@@ -214,7 +214,7 @@ def test_control_stands_where_it_was_surveyed(solved, package):
     assert list(lines) == ["A", "B", "C"]
     start, end = (np.array(lines["B"].GetGeometryRef().GetPoint_2D(k)) for k in (0, 1))
     assert end == pytest.approx(expected, abs=1e-4)
-    assert end - start == pytest.approx(told[:2], abs=1e-6)
+    assert end - start == pytest.approx(reported[:2], abs=1e-6)
 
 
 def test_methods_that_used_no_control_have_check_points_only(solved, tmp_path):

@@ -74,8 +74,8 @@ def test_run_json_hears_of_the_mosaic(run):
     folder, given, notes = run
     mosaic = given["mosaic"]
     with rasterio.open(folder / "mosaic.tif") as tiff:
-        told = {"crs": "EPSG:32632", "gsd_m": 0.25, "width": tiff.width, "height": tiff.height}
-    assert notes["mosaic.compose"].report["mosaic"] == told
+        reported = {"crs": "EPSG:32632", "gsd_m": 0.25, "width": tiff.width, "height": tiff.height}
+    assert notes["mosaic.compose"].report["mosaic"] == reported
     assert mosaic.frames_used == (0, 1)
     assert (folder / mosaic.raster).is_file()
 
@@ -87,7 +87,7 @@ def test_sources_name_the_frames(run):
         assert tiff.tags()["FRAME_1"] == "frame 00.tif"
 
 
-def test_assets_of_one_stem_stand_beside_each_other(tmp_path):
+def test_assets_of_one_stem_stand_next_to_each_other(tmp_path):
     """`mosaic.pmtiles` took the place of `mosaic.tif`."""
     for name in ("mosaic.pmtiles", "mosaic_RPC.TXT", "mosaic.tif"):
         (tmp_path / name).write_bytes(b"")

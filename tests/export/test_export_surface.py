@@ -132,8 +132,8 @@ def test_gdal_reads_a_known_place(written):
     e, n = Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True).transform(lon, lat)
     data = gdal.Open(str(written / "surface.tif"))
     col, row = gdal.ApplyGeoTransform(gdal.InvGeoTransform(data.GetGeoTransform()), e, n)
-    told = data.ReadAsArray(int(col), int(row), 1, 1)[0, 0]
-    assert told == pytest.approx(land_m(lon, lat) + 8.0, abs=0.15)  # half a pixel of slope
+    reported = data.ReadAsArray(int(col), int(row), 1, 1)[0, 0]
+    assert reported == pytest.approx(land_m(lon, lat) + 8.0, abs=0.15)  # half a pixel of slope
 
 
 def test_the_grid_is_the_mosaics_in_whole_pixels(written, scene):

@@ -71,10 +71,12 @@ def test_tiles_lie_where_the_mosaic_lies(cog, tmp_path, tile_format):
 
 def test_tiles_show_what_lies_there_and_coarser_ones_its_mean(cog, tmp_path):
     """Against the mosaic's own pixels at the places of the tiles' pixels, by pyproj, and a quarter of one off."""
-    told = []
+    reports = []
     tiles = tmp_path / "tiles"
-    write_tiles(cog, tiles, TileOptions(threads=2), progress=lambda done, total: told.append((done, total)))
-    assert told == [(k, told[-1][1]) for k in range(1, told[-1][1] + 1)]
+    write_tiles(
+        cog, tiles, TileOptions(threads=2), progress=lambda done, total: reports.append((done, total))
+    )
+    assert reports == [(k, reports[-1][1]) for k in range(1, reports[-1][1] + 1)]
     with rasterio.open(cog) as tiff:
         mosaic, t = np.moveaxis(tiff.read(), 0, -1).astype(np.float32), tiff.transform
     to_map = Transformer.from_crs("EPSG:3857", "EPSG:32615", always_xy=True)
@@ -168,7 +170,7 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
     write_tiles(coarse, tmp_path / "tiles", TileOptions(threads=1))
     write_packed(coarse, tmp_path / "mosaic.mbtiles", "mbtiles", TileOptions(threads=1))
     with sqlite3.connect(tmp_path / "mosaic.mbtiles") as file:
-        told = dict(file.execute("SELECT name, value FROM metadata"))
+        reported = dict(file.execute("SELECT name, value FROM metadata"))
         packed = {
             (z, x, 2**z - 1 - y): cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
             for z, x, y, data in file.execute(
@@ -176,8 +178,8 @@ def test_mbtiles_hold_the_tiles_of_the_folder(cog, tmp_path):
             )
         }
     index = json.loads((tmp_path / "tiles" / "tiles.json").read_text())
-    assert (int(told["minzoom"]), int(told["maxzoom"])) == (index["minzoom"], index["maxzoom"])
-    assert (told["format"], told["type"]) == ("png", "overlay")
+    assert (int(reported["minzoom"]), int(reported["maxzoom"])) == (index["minzoom"], index["maxzoom"])
+    assert (reported["format"], reported["type"]) == ("png", "overlay")
     tiles = list((tmp_path / "tiles").rglob("*.png"))
     assert len(tiles) == len(packed)
     for tile in tiles:
@@ -208,9 +210,9 @@ def test_pmtiles_hold_the_tiles_of_the_folder(cog, tmp_path, tile_format):
         write_packed(cog, tmp_path / name, "pmtiles", TileOptions(tile_format=tile_format, threads=1))
     data = (tmp_path / "a").read_bytes()
     assert data == (tmp_path / "b").read_bytes()
-    told, packed = read_pmtiles(data)
+    reported, packed = read_pmtiles(data)
     index = json.loads((tmp_path / "tiles" / "tiles.json").read_text())
-    assert told == {
+    assert reported == {
         "type": {"png": 2, "webp": 4}[tile_format], "zooms": (index["minzoom"], index["maxzoom"]),
         "bounds": pytest.approx(index["bounds"], abs=1e-7), "clustered": 1,
         "metadata": {"name": tmp_path.name, "type": "overlay"},
@@ -243,8 +245,13 @@ def read_pmtiles(data):
         for k in range(run):
             found[tile_of(int(id) + k)] = data[tiles + start : tiles + after]
     metadata = json.loads(gzip.decompress(data[meta : meta + meta_length]))
-    told = {"type": kind, "zooms": (least, most), "bounds": [v / 1e7 for v in box], "clustered": clustered}
-    return {**told, "metadata": metadata}, found
+    reported = {
+        "type": kind,
+        "zooms": (least, most),
+        "bounds": [v / 1e7 for v in box],
+        "clustered": clustered,
+    }
+    return {**reported, "metadata": metadata}, found
 
 
 def varints(data):

@@ -370,7 +370,7 @@ def test_what_is_no_mark_is_an_error_and_changes_nothing(
     assert not (tmp_path / TABLE).exists()
 
 
-def test_a_folder_that_takes_nothing_is_told(scene: MarkingScene, tmp_path: Path) -> None:
+def test_a_folder_that_takes_nothing_is_reported(scene: MarkingScene, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file")
     session = MarkingSession(scene.frames, scene.points, tmp_path / "taken")
     with served(session) as server:

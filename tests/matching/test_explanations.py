@@ -73,7 +73,7 @@ def test_a_whole_line_of_wrong_headings_is_no_line_of_turned_images() -> None:
 
 @pytest.mark.parametrize("kept", [False, True])
 @pytest.mark.parametrize("seed", range(10))
-def test_a_line_turned_and_a_line_of_kept_headings_are_told_apart_by_rough_courses(
+def test_a_line_turned_and_a_line_of_kept_headings_are_distinguished_by_rough_courses(
     kept: bool, seed: int
 ) -> None:
     """Positions good to 1.5 m every 20 m: all images lie the same way, or all tags, as if nobody had turned."""
@@ -197,6 +197,6 @@ def test_six_wrong_headings_and_two_turned_images_of_twelve_frames_are_each_name
         word = "sure" if fault["probability"] >= 0.99 else "likely"
         assert fault["sure"].startswith(f"{word}: ")
         assert fault["probability"] > 0.5
-    told = json.loads((bad / "run" / "run.json").read_text())["warnings"]
-    of_frames = [(w["code"], w["frame"]) for w in told if w["code"] in code.values()]
+    warning_list = json.loads((bad / "run" / "run.json").read_text())["warnings"]
+    of_frames = [(w["code"], w["frame"]) for w in warning_list if w["code"] in code.values()]
     assert sorted(of_frames) == named

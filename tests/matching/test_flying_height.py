@@ -39,15 +39,15 @@ def test_neighbours_are_apart() -> None:
 
 
 def test_known_heights_stay_and_put_the_ground_below() -> None:
-    told, level = with_heights_above_ground(_survey([610.0, 612.0, None, 608.0]), 110.0)
+    reported, level = with_heights_above_ground(_survey([610.0, 612.0, None, 608.0]), 110.0)
     assert level == pytest.approx(500.0)
-    assert [f.position.height_above_ground_m for f in told.frames] == [None, None, 110.0, None]
+    assert [f.position.height_above_ground_m for f in reported.frames] == [None, None, 110.0, None]
 
 
 def test_without_any_height_the_ground_is_at_zero() -> None:
-    told, level = with_heights_above_ground(_survey([None] * 4), 110.0)
-    assert level == 0.0 and told.frames[0].position.height_above_ground_m == 110.0
-    assert told.frames[0].position.sd_vertical_m == pytest.approx(11.0)
+    reported, level = with_heights_above_ground(_survey([None] * 4), 110.0)
+    assert level == 0.0 and reported.frames[0].position.height_above_ground_m == 110.0
+    assert reported.frames[0].position.sd_vertical_m == pytest.approx(11.0)
 
 
 def test_a_survey_without_heights_becomes_a_mosaic(tmp_path: Path) -> None:
@@ -71,15 +71,19 @@ def test_heights_that_are_given_are_not_measured(tmp_path: Path) -> None:
     assert mosaic(survey.frames, run, *given) == 2
     recorded = read_recording(run / "run.mcap")
     assert [s.stage_id for s in recorded.stages][:2] == ["survey.read", "projection.ground"]
-    told = _survey([600.0] * 4)
-    frames = tuple(replace(f, position=replace(f.position, height_above_ground_m=100.0)) for f in told.frames)
-    assert height_is_unknown(told) and not height_is_unknown(replace(told, frames=frames))
+    reported = _survey([600.0] * 4)
+    frames = tuple(
+        replace(f, position=replace(f.position, height_above_ground_m=100.0)) for f in reported.frames
+    )
+    assert height_is_unknown(reported) and not height_is_unknown(replace(reported, frames=frames))
     stage = matching_flying_height()
-    found = stage.run({"survey": replace(told, frames=frames)}, stage.Params(), Context(tmp_path / "stage"))
+    found = stage.run(
+        {"survey": replace(reported, frames=frames)}, stage.Params(), Context(tmp_path / "stage")
+    )
     assert np.isnan(found["flying_height"].above_ground_m)
 
 
-def test_a_recipe_that_measures_no_height_is_told_which_stage_does(tmp_path: Path) -> None:
+def test_a_recipe_that_measures_no_height_names_the_stage_that_does(tmp_path: Path) -> None:
     stage = projection_ground()
     with pytest.raises(InputError, match="nothing measures it") as raised:
         stage.run({"survey": _survey([600.0] * 4)}, stage.Params(), Context(tmp_path))

@@ -170,7 +170,7 @@ SIZE = (800, 700)
 AUTO = Matching(0.8, "auto", 2.0, 16)
 
 
-def believed(off_px: tuple[float, float], radius_px: float) -> Guess:
+def predicted(off_px: tuple[float, float], radius_px: float) -> Guess:
     """The right frame truly lies 300 px to the right of the left one and 140 px below it; it is believed to
     be off_px from there."""
     corners = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, 700.0], [0.0, 700.0]])
@@ -199,7 +199,7 @@ def test_the_papers_coarse_misplacement_is_within_the_search(
         replace(AUTO, search=search),
         MatchKeypoints.of(left),
         MatchKeypoints.of(right),
-        believed(off_px, 300.0),
+        predicted(off_px, 300.0),
         1.0,
     )
     assert not found.free and len(found.left) > 300
@@ -208,7 +208,7 @@ def test_the_papers_coarse_misplacement_is_within_the_search(
 
 def test_beyond_the_radius_only_the_free_search_finds_the_overlap() -> None:
     left, right = overlapping()
-    guess = believed((700.0, 0.0), 300.0)
+    guess = predicted((700.0, 0.0), 300.0)
     looks = MatchKeypoints.of(left), MatchKeypoints.of(right)
     assert not len(match_pair(replace(AUTO, search="near"), *looks, guess, 1.0).left)
     found = match_pair(AUTO, *looks, guess, 1.0)
@@ -237,7 +237,7 @@ def test_different_ground_is_never_tied() -> None:
         for a, b in pairs:
             for way in ("coarse", "all"):
                 how = replace(AUTO, check=check, search=way)
-                for guess in (believed((0.0, 0.0), 300.0), unconstrained_guess(SIZE)):
+                for guess in (predicted((0.0, 0.0), 300.0), unconstrained_guess(SIZE)):
                     found = match_pair(how, lands[a], lands[b], guess, 1.0)
                     assert not len(found.left), (check, way, a, b)
 
@@ -273,18 +273,18 @@ def block(
     """What `turned_frames` says of a block with turned images, frames spacing_m apart, POS off by 2 m."""
     rng = np.random.default_rng(seed)
     nadir = np.array([[spacing_m * c, 50.0 * r] for r in range(lines) for c in range(each)])
-    believed = nadir + rng.normal(0, 2.0, nadir.shape)
+    predicted = nadir + rng.normal(0, 2.0, nadir.shape)
     pairs = [(a, b) for a, b in itertools.combinations(range(len(nadir)), 2)
              if np.abs(nadir[a] - nadir[b]).sum() < (111.0 if across else 61.0)]  # fmt: skip
 
     def seen(frame: int, at: np.ndarray) -> np.ndarray:
         z = ((at - nadir[frame]) @ [1, 1j]) * (-1j) ** turns.get(frame, 0)
-        return np.column_stack([z.real, z.imag]) + believed[frame] + rng.normal(0, 0.05, at.shape)
+        return np.column_stack([z.real, z.imag]) + predicted[frame] + rng.normal(0, 0.05, at.shape)
 
     costs = []
     for a, b in pairs:
         at = (nadir[a] + nadir[b]) / 2 + rng.uniform([-18, -22], [18, 22], (40, 2))
-        costs.append((a, b, turn_costs_m(seen(a, at), seen(b, at), believed[a], believed[b])))
+        costs.append((a, b, turn_costs_m(seen(a, at), seen(b, at), predicted[a], predicted[b])))
     return turned_frames(len(nadir), costs, cap_m=30.0)
 
 

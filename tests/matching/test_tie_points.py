@@ -56,9 +56,9 @@ def test_windows_are_found_to_a_fiftieth_of_a_pixel_turned_and_stretched(seed: i
     inside = np.all((true > 30.0) & (true < [390.0, 370.0]), axis=1)
     at, true = at[inside], true[inside]
     assert len(at) > 100
-    told = true + rng.uniform(-1.5, 1.5, true.shape)
+    reported = true + rng.uniform(-1.5, 1.5, true.shape)
     shapes = np.broadcast_to(back @ np.array([[1.03, 0.02], [-0.01, 0.98]]), (len(at), 2, 2))
-    found = find(templates(left, at), right, told, shapes)
+    found = find(templates(left, at), right, reported, shapes)
     assert found.sure.mean() > 0.97
     off = (found.image_px - true)[found.sure]
     assert np.abs(off.mean(axis=0)).max() < 0.005
@@ -123,7 +123,7 @@ def pair(left: int, right: int, features: list[tuple[int, int]], shift: float = 
     return TiePair(left, right, px, other, i, j)
 
 
-def test_keypoints_join_over_pairs_and_a_frame_seen_twice_is_told() -> None:
+def test_keypoints_join_over_pairs_and_a_frame_seen_twice_is_reported() -> None:
     """Keypoint 1 of frame 0 is 4 of frame 1 is 7 of frame 2; 2 of frame 0 is 5 and, by frame 2, 6 of frame 1."""
     pairs = [pair(0, 1, [(1, 4), (2, 5)]), pair(1, 2, [(4, 7), (6, 8)]), pair(0, 2, [(2, 8)])]
     joined = join(pairs)
@@ -224,9 +224,9 @@ def test_poses_say_where_pairs_match_and_another_origin_changes_nothing() -> Non
         poses = Poses(
             at, Rotation.from_yaw_pitch_roll(*np.zeros((3, 2))).matrix, np.ones((2, 3)), np.ones((2, 3))
         )
-        believed = ExpectedOverlap.of(poses, [camera, camera], ground)
-        said.append(believed.guess(0, 1, 250.0))
-        assert np.isinf(believed.guess(0, 1, np.inf).radius_px)
+        predicted = ExpectedOverlap.of(poses, [camera, camera], ground)
+        said.append(predicted.guess(0, 1, 250.0))
+        assert np.isinf(predicted.guess(0, 1, np.inf).radius_px)
     assert said[0] == said[1]
     assert said[0].corners_px == ((-304.0, 0.0), (704.0, 0.0), (704.0, 800.0), (-304.0, 800.0))
     assert said[0].radius_px == 256.0

@@ -222,7 +222,7 @@ def test_a_field_of_another_type_is_no_artefact() -> None:
             decode(encode(RunFile(name, "00")), RunFile)  # type: ignore[arg-type]
 
 
-def test_what_is_written_is_not_held_twice(tmp_path: Path) -> None:
+def test_what_is_written_is_in_memory_once(tmp_path: Path) -> None:
     value = Outer("large", tuple(Inner(np.ones(1 << 20)) for _ in range(4)), {})
     with (tmp_path / "a").open("wb") as file:
         tracemalloc.start()

@@ -30,7 +30,7 @@ seed: 5
 stages:
   - {stage: toy.read, params: {file: numbers.txt}}
   - {stage: toy.wait, params: {sign: sign}}
-  - {stage: toy.beside, params: {sign: sign}}
+  - {stage: toy.parallel, params: {sign: sign}}
 """
 
 
@@ -61,11 +61,11 @@ class Wait(Stage):
         return {"waited": inputs["numbers"]}
 
 
-class Beside(Stage):
+class Parallel(Stage):
     """Gives a sign, and has its work done elsewhere."""
 
-    id = "toy.beside"
-    display_name = "Beside"
+    id = "toy.parallel"
+    display_name = "Parallel"
     group = "Toy"
     concurrent = True
     inputs: ClassVar = {"numbers": Numbers}
@@ -79,7 +79,7 @@ class Beside(Stage):
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
         context.inform("begun")
-        context.warn("beside", "a.jpg", "the second")
+        context.warn("parallel", "a.jpg", "the second")
         work = functools.partial(powered, power=2, delay_s=0.0)
         values = context.map("powers", work, [float(v) for v in inputs["numbers"].values])
         with context.writing(params.sign) as path:
@@ -91,10 +91,10 @@ class Beside(Stage):
             time.sleep(0.01)
         context.recorder.location("a", (7.5, 51.25, 120.0), (1.0, 2.0, 3.0), "tied")
         context.metric("toy.largest", max(values))
-        return {"powers": Numbers(np.array(values), "beside")}
+        return {"powers": Numbers(np.array(values), "parallel")}
 
 
-class Heard(Silent):
+class Listener(Silent):
     """What a reporter is told, in order."""
 
     def __init__(self) -> None:
@@ -113,7 +113,7 @@ class Heard(Silent):
 def run_two(folder: Path, *overrides: str, workers: int, reporter: Reporter | None = None) -> dict[str, Any]:
     """A run of both stages, and of the reading before them."""
     stages = Registry()
-    for stage in (ReadNumbers, Wait, Beside):
+    for stage in (ReadNumbers, Wait, Parallel):
         stages.register(stage)
     path = recipe_file(folder.parent, "1 2 3")
     path.write_text(RECIPE)
@@ -128,11 +128,11 @@ def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_it_is_begun_before_its_turn_and_heard_when_that_comes(tmp_path: Path, log: Path) -> None:
-    heard = Heard()
-    summary = run_two(tmp_path / "run", workers=2, reporter=heard)
+def test_it_is_begun_before_its_turn_and_reported_when_that_comes(tmp_path: Path, log: Path) -> None:
+    listener = Listener()
+    summary = run_two(tmp_path / "run", workers=2, reporter=listener)
     assert "seen" in log.read_text().split("\n")
-    assert heard.lines == ["Read numbers", "Wait", "the first", "Beside", "begun", "a.jpg: the second"]
+    assert listener.lines == ["Read numbers", "Wait", "the first", "Parallel", "begun", "a.jpg: the second"]
     assert [w["text"] for w in summary["warnings"]] == ["the first", "the second"]
     assert summary["metrics"] == {"toy": {"largest": 9.0}}
 
@@ -147,7 +147,7 @@ def test_recordings_are_equal_whoever_was_first(tmp_path: Path, manner: str) -> 
     recorded, folder = [], tmp_path / "run"
     for workers in (1, 2):
         try:
-            run_two(folder, "toy.wait.patience_s=1", f"toy.beside.manner={manner}", workers=workers)
+            run_two(folder, "toy.wait.patience_s=1", f"toy.parallel.manner={manner}", workers=workers)
         except InputError as error:
             assert "no tie points" in str(error)
         recorded.append((folder / "run.mcap").read_bytes())
@@ -157,17 +157,17 @@ def test_recordings_are_equal_whoever_was_first(tmp_path: Path, manner: str) -> 
 
 def test_it_ends_with_a_run_that_fails_before_its_turn(tmp_path: Path, log: Path) -> None:
     with pytest.raises(GeomosaicError, match="no pixels"):
-        run_two(tmp_path / "run", "toy.wait.fail=true", "toy.beside.manner=endless", workers=2)
+        run_two(tmp_path / "run", "toy.wait.fail=true", "toy.parallel.manner=endless", workers=2)
     assert "seen" in log.read_text().split("\n")
-    assert not list((tmp_path / "run" / "work" / "toy.beside").glob("calls*"))
+    assert not list((tmp_path / "run" / "work" / "toy.parallel").glob("calls*"))
 
 
 def test_what_it_recorded_is_there_once_where_an_input_has_changed_meanwhile(
     tmp_path: Path,
 ) -> None:
-    class Edited(Heard):
+    class Edited(Listener):
         def stage_started(self, index: int, total: int, name: str) -> None:
-            if name == "Beside":
+            if name == "Parallel":
                 tmp_path.joinpath("numbers.txt").write_text("1 2 3 4")
 
     with pytest.raises(GeomosaicError, match="changed"):
@@ -179,20 +179,20 @@ def test_what_it_recorded_is_there_once_where_an_input_has_changed_meanwhile(
 def test_the_next_run_finds_it(tmp_path: Path) -> None:
     run_two(tmp_path / "run", workers=2)
     again = run_two(tmp_path / "run", workers=2)
-    assert again["cached_stages"] == ["toy.read", "toy.wait", "toy.beside"]
+    assert again["cached_stages"] == ["toy.read", "toy.wait", "toy.parallel"]
 
 
 def test_ready_are_those_that_nobody_gives_anything_to(tmp_path: Path) -> None:
-    class Anew(Beside):
+    class Anew(Parallel):
         id = "toy.anew"
         outputs: ClassVar = {"numbers": Numbers}
 
-    class After(Beside):
+    class After(Parallel):
         id = "toy.after"
         outputs: ClassVar = {"more": Numbers}
 
     stages = Registry()
-    for stage in (ReadNumbers, Wait, Beside, Anew, After):
+    for stage in (ReadNumbers, Wait, Parallel, Anew, After):
         stages.register(stage)
     path = recipe_file(tmp_path)
     more = [f"  - {{stage: toy.{name}, params: {{sign: {name}}}}}\n" for name in ("anew", "after")]

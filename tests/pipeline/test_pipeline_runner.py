@@ -74,7 +74,7 @@ def toys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Toys:
     return made
 
 
-class Counting(Silent):
+class StageCounter(Silent):
     """Counts what a stage made, whenever one begins."""
 
     def __init__(self) -> None:
@@ -85,9 +85,9 @@ class Counting(Silent):
         self.alive.append(sum(isinstance(o, Numbers) and o.source == "fancy" for o in gc.get_objects()))
 
 
-def test_what_the_next_stage_does_not_take_is_no_longer_held(toys: Toys) -> None:
+def test_what_the_next_stage_does_not_take_is_freed(toys: Toys) -> None:
     """Power makes it, sum and write take it, tell doesn't."""
-    reporter = Counting()
+    reporter = StageCounter()
     toys.run("toy.power.name=fancy", reporter=reporter)
     assert reporter.alive == [0, 0, 1, 1, 0]
 
@@ -301,7 +301,7 @@ def test_a_cached_run_records_what_the_first_one_did(toys: Toys) -> None:
     assert first.whole and second.whole
 
 
-def test_given_stages_tell_what_they_told_and_are_not_run(toys: Toys) -> None:
+def test_given_stages_tell_what_they_reported_and_are_not_run(toys: Toys) -> None:
     first = toys.run(fixed_time=True)
     toys.done()
     toys.folder.joinpath("numbers.txt").unlink()
@@ -315,13 +315,17 @@ def test_given_stages_tell_what_they_told_and_are_not_run(toys: Toys) -> None:
     assert second["cached_stages"] == ["toy.sum", "toy.write"]
     for key in ("warnings", "metrics", "frames", "recipe", "inputs"):
         assert second[key] == first[key]
-    told = read_recording(toys.folder / "again" / "run.mcap")
-    assert compare(recording, told)["equal"]
-    assert [s.outputs for s in told.stages] == [s.outputs for s in recording.stages]
-    assert told.stages[1].notes["metrics"] == {"toy": {"largest": 16.0}}
-    assert [line.text for line in told.log if line.stage == "toy.read"][-1].startswith("from the recording")
-    assert len([line for line in told.log if line.text.startswith("from the recording")]) == 2
-    assert told.topics["/location/tied"].messages == 1 and told.rounds[0].moves_m.tolist() == [[0.25, 0.5]]
+    recording_read = read_recording(toys.folder / "again" / "run.mcap")
+    assert compare(recording, recording_read)["equal"]
+    assert [s.outputs for s in recording_read.stages] == [s.outputs for s in recording.stages]
+    assert recording_read.stages[1].notes["metrics"] == {"toy": {"largest": 16.0}}
+    assert [line.text for line in recording_read.log if line.stage == "toy.read"][-1].startswith(
+        "from the recording"
+    )
+    assert len([line for line in recording_read.log if line.text.startswith("from the recording")]) == 2
+    assert recording_read.topics["/location/tied"].messages == 1 and recording_read.rounds[
+        0
+    ].moves_m.tolist() == [[0.25, 0.5]]
 
 
 def test_a_changed_step_after_given_ones_is_named_first(toys: Toys) -> None:
@@ -554,7 +558,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(toys: Toys, sma
 
 
 @pytest.mark.parametrize("ballast_kb", range(4000, 4096, 12))
-def test_a_full_disk_is_told_alike_whoever_notices(toys: Toys, small_disk: Path, ballast_kb: int) -> None:
+def test_a_full_disk_is_reported_alike_whoever_notices(toys: Toys, small_disk: Path, ballast_kb: int) -> None:
     """The recorder, the cache or a stage, by how much is left."""
     (small_disk / "ballast").write_bytes(bytes(ballast_kb << 10))
     with pytest.raises(OutputError, match="no space left on the disk; free some or choose another output"):
@@ -645,7 +649,7 @@ def test_writing_is_whole_or_not_at_all(tmp_path: Path) -> None:
         context.path_of(RunFile("gone.tif", ""))
 
 
-def test_random_streams_are_told_apart(tmp_path: Path) -> None:
+def test_random_streams_are_distinguished(tmp_path: Path) -> None:
     context = Context(tmp_path, stage_id="a.b", seed=3)
     one, two = context.rng("one").random(3), context.rng("two").random(3)
     assert (context.rng("one").random(3) == one).all() and (one != two).all()

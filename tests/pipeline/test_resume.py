@@ -26,7 +26,7 @@ from geomosaic_simulate.survey import SimulatedSurvey
 RESULTS = ("mosaic.tif", "sources.tif", "positions.csv")
 
 
-class Counting(Silent):
+class ItemCounter(Silent):
     """How many items of each name were there from before, of how many, and how many are; strikes once when half
     of some are done."""
 
@@ -66,7 +66,7 @@ def die(frames: str, camera: str, to: str, at: str, tell: str) -> None:
         Path(tell).write_text(json.dumps([counting.found, counting.done]))
         os.kill(os.getpid(), signal.SIGKILL)
 
-    counting = Counting(at, strike)
+    counting = ItemCounter(at, strike)
     run(recipe(Path(frames), Path(camera)), Path(to), RunOptions(fixed_time=True), reporter=counting)
 
 
@@ -92,17 +92,17 @@ def assert_same(one: Path, other: Path) -> None:
 def test_a_killed_run_goes_on_where_it_was(survey: SimulatedSurvey, fresh: Path, tmp_path: Path) -> None:
     """Four times in a row; nothing that was finished is made again, and the result is a fresh run's."""
     given = (survey.frames, survey.camera)
-    told, moments = [], ("keypoints", "pairs", "frames on the map", "windows")
+    reports, moments = [], ("keypoints", "pairs", "frames on the map", "windows")
     for at in moments:
         code = "import sys; from test_resume import die; die(*sys.argv[1:])"
         words = [str(word) for word in (*given, tmp_path / "run", at, tmp_path / at)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
         ended = subprocess.run([sys.executable, "-c", code, *words], env=environment, capture_output=True)
         assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
-        told.append(json.loads((tmp_path / at).read_text()))
-    counting = Counting()
+        reports.append(json.loads((tmp_path / at).read_text()))
+    counting = ItemCounter()
     run(recipe(*given), tmp_path / "run", RunOptions(fixed_time=True), reporter=counting)
-    runs = itertools.pairwise([*told, [counting.found, counting.done]])
+    runs = itertools.pairwise([*reports, [counting.found, counting.done]])
     for moment, ((_, done), (found, _)) in zip(moments, runs, strict=True):
         (at,) = (name for name in done if name.endswith(f": {moment}"))
         assert 0 < done[at] == found[at][0] < found[at][1]
@@ -121,7 +121,7 @@ def test_new_frames_bring_their_own_work_alone(survey: SimulatedSurvey, fresh: P
     run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True))
     for name in names[-2:]:
         shutil.copy2(survey.frames / name, frames / name)
-    counting = Counting()
+    counting = ItemCounter()
     run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=counting)
     for name in ("Read the survey: looking for damage", "Match frames with SIFT: keypoints"):
         assert counting.found[name] == (4, 6)
@@ -149,7 +149,7 @@ def test_a_disk_that_fills_while_composing_is_one_line_and_costs_nothing_done(
         left = os.statvfs(small_disk)
         ballast.write_bytes(bytes(left.f_bavail * left.f_frsize - 20_000))
 
-    filled = Counting("frames on the map", fill)
+    filled = ItemCounter("frames on the map", fill)
     with pytest.raises(OutputError, match="no space left on the disk; free some or choose another output"):
         run(
             recipe(survey.frames, survey.camera),
@@ -158,7 +158,7 @@ def test_a_disk_that_fills_while_composing_is_one_line_and_costs_nothing_done(
             reporter=filled,
         )
     ballast.unlink()
-    counting = Counting()
+    counting = ItemCounter()
     run(
         recipe(survey.frames, survey.camera),
         small_disk / "run",
@@ -176,11 +176,11 @@ def test_a_frame_that_vanishes_is_named_and_costs_nothing_done(
     frames = tmp_path / "frames"
     shutil.copytree(survey.frames, frames)
     last = sorted(frames.glob("*.jpg"))[-1]
-    vanished = Counting("keypoints", last.unlink)
+    vanished = ItemCounter("keypoints", last.unlink)
     with pytest.raises(FileError, match=last.name):
         run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=vanished)
     shutil.copy2(survey.frames / last.name, last)
-    counting = Counting()
+    counting = ItemCounter()
     run(recipe(frames, survey.camera), tmp_path / "run", RunOptions(fixed_time=True), reporter=counting)
     at = "Match frames with SIFT: keypoints"
     assert 0 < vanished.done[at] == counting.found[at][0] < 6

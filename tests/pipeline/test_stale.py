@@ -164,9 +164,9 @@ def test_a_file_that_was_just_written_is_hashed_again(tmp_path: Path) -> None:
     first = known.of_file(file)
     known.save()
     assert json.loads(memory.read_text()) == {}
-    told = json.loads(memory.read_text())
-    told[str(file)] = [0, 0, 0, 0, 0, "00"]
-    memory.write_text(json.dumps(told))
+    reported = json.loads(memory.read_text())
+    reported[str(file)] = [0, 0, 0, 0, 0, "00"]
+    memory.write_text(json.dumps(reported))
     assert FileHashes(memory).of_file(file) == first == fingerprint_of_bytes(b"one")
 
 
@@ -220,7 +220,7 @@ def entry_of(toys: Toys, stage: str) -> Path:  # noqa: F811
     return folder.parent
 
 
-def test_calls_that_were_cut_are_told_anew(toys: Toys) -> None:  # noqa: F811
+def test_calls_that_were_cut_are_reported_anew(toys: Toys) -> None:  # noqa: F811
     toys.run()
     for stage in ("toy.read", "toy.sum"):
         calls = entry_of(toys, stage) / "messages"
@@ -258,7 +258,7 @@ def test_an_artefact_that_names_another_file_of_the_machine_is_not_taken(toys: T
         assert ("read" in toys.done()) == redone
 
 
-def test_an_artefact_of_any_size_is_not_held_in_memory_to_be_judged(toys: Toys) -> None:  # noqa: F811
+def test_an_artefact_of_any_size_is_judged_without_memory_for_it(toys: Toys) -> None:  # noqa: F811
     """A sparse file costs a stranger nothing; its hash may be right."""
     toys.run()
     folder = entry_of(toys, "toy.read")

@@ -138,7 +138,7 @@ def test_a_file_that_changes_meanwhile_leaves_no_result(tmp_path: Path, flight: 
     assert not [path for path in context.work_folder.rglob("*") if path.is_file()]
 
 
-def test_what_lies_beside_a_file_and_counts_names_its_results_too(flight: Flight) -> None:
+def test_what_lies_next_to_a_file_and_counts_names_its_results_too(flight: Flight) -> None:
     """A mask or an overview of its name changes what is read of a frame."""
     flight.put(2, 3)
     flight.run("one")

@@ -78,7 +78,7 @@ def test_many_alike_warnings_are_one_line() -> None:
     ]
 
 
-def test_a_frame_that_overlaps_none_is_tried_beside_those_flown_before_and_after() -> None:
+def test_a_frame_that_overlaps_none_is_tried_with_those_flown_before_and_after() -> None:
     order = (4, 2, 0, 1, 3)
     assert adjacent_frames({0}, order, []) == [(0, 1), (0, 2), (0, 3), (0, 4)]
     assert adjacent_frames({4}, order, [(2, 4)]) == [(0, 4)]

@@ -72,7 +72,7 @@ def test_a_known_attitude_is_kept_with_its_deviations() -> None:
     assert np.degrees(poses.rotations_sd_rad[0]) == pytest.approx([0.3, 0.3, 1.0])
 
 
-def test_told_velocities_and_turns_of_some_frames() -> None:
+def test_reported_velocities_and_turns_of_some_frames() -> None:
     """Turns over one span, the longest; a frame that tells neither flies as its neighbours say and doesn't turn."""
     frames = [replace(frame_at((40.0 * i, 0.0, 100.0)), time_s=10.0 * i) for i in range(3)]
     turns = Turns(0.2, np.array([[-0.01, 0.0, 0.02], [0.0, 0.0, 0.0], [0.01, 0.0, -0.02]]))

@@ -52,7 +52,7 @@ def test_a_box_hides_what_the_line_of_sight_over_its_edge_passes_above(camera: t
     assert wrong.sum() < 0.5 * rim.sum()
 
 
-def test_it_is_told_how_far_below_the_line_of_sight_a_place_lies() -> None:
+def test_depth_of_a_place_below_the_line_of_sight() -> None:
     """From 30 m west and 100 m up over the eastern edge at 20 m the line of sight falls by 1.76 m a metre."""
     ground, places = box()
     below = hidden_m(ground, (-30.0, 0.0, 100.0), places)

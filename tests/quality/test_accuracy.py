@@ -176,7 +176,7 @@ def test_a_shift_that_check_points_measured_does_not_widen_ce90() -> None:
     assert not absolute.shifted and absolute.ce90_m == pytest.approx(np.sqrt(np.log(10.0)) * 1.3)
 
 
-def test_land_lies_as_well_beside_the_land_around_as_distances_are_asked_to() -> None:
+def test_land_is_as_accurate_relative_to_the_land_around_as_distances_are_asked_to() -> None:
     """By GNSS 3 per mille of 100 m, however small the block; by RTK three pixels; else what a user asks."""
     gnss = usual_requirement(adjusted(None), np.full(5, 5.0), 0.02)
     assert gnss.local_m == pytest.approx(0.3)

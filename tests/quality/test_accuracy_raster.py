@@ -261,14 +261,14 @@ def test_what_may_stand_unseen_counts_beyond_the_matched_surface() -> None:
 
 
 def cells(
-    ground: GroundSurface, by: int, matched: MatchedCells | None = None, held: Area = EVERYWHERE
+    ground: GroundSurface, by: int, matched: MatchedCells | None = None, tied: Area = EVERYWHERE
 ) -> AccuracyCells:
     """A mosaic of 1,050 x 1,000 pixels of 0.1 m about the origin, of which the frame gives the left half."""
     owner = np.zeros((125, 132), dtype=np.int32)
     owner[:, :64] = 1
     grid = OutputGrid(CRS, float(AT_M[0]) - 52.5, float(AT_M[1]) + 50.0, 0.1, 1050, 1000)
     ownership = Ownership(grid, np.array([True]), 8, owner)
-    return AccuracyCells(ownership, by, HOME, adjusted(ground, uneven_covariance()), ground, held, matched)
+    return AccuracyCells(ownership, by, HOME, adjusted(ground, uneven_covariance()), ground, tied, matched)
 
 
 def written(of: AccuracyCells, folder: Path) -> Path:
@@ -327,11 +327,11 @@ def test_heights_come_from_ties_matching_filling_or_beyond(tmp_path: Path) -> No
     block = next(iter(cells(ground, 8, surface, Area(((south,),))).blocks()))
     east = -52.5 + 0.8 * (np.arange(block.source.shape[1]) + 0.5)
     row = {True: block.source[100], False: block.source[20]}
-    for held in (True, False):
-        assert set(row[held][east < -21.0]) == {HeightSource.EXTRAPOLATED}
-        between = HeightSource.FILLED if held else HeightSource.EXTRAPOLATED
-        assert set(row[held][(east > -11.0) & (east < -9.0)]) == {between}
-        assert set(row[held][(east > -19.0) & (east < -13.0)]) == {HeightSource.MATCHED}
+    for tied in (True, False):
+        assert set(row[tied][east < -21.0]) == {HeightSource.EXTRAPOLATED}
+        between = HeightSource.FILLED if tied else HeightSource.EXTRAPOLATED
+        assert set(row[tied][(east > -11.0) & (east < -9.0)]) == {between}
+        assert set(row[tied][(east > -19.0) & (east < -13.0)]) == {HeightSource.MATCHED}
     on_ties = next(iter(cells(plane("tie_surface", (0.0, 0.0), 0.1), 8, None, Area(((south,),))).blocks()))
     assert set(on_ties.source[100, :60]) == {HeightSource.TIE_SURFACE}
     assert set(on_ties.source[20, :60]) == {HeightSource.EXTRAPOLATED}
@@ -343,9 +343,9 @@ def test_tie_points_that_count_hold_the_ground_between_them() -> None:
     weight = np.array([1.0, 1.0, 1.0, 1.0, 0.1])
     residuals = ImageResiduals(np.zeros(5, np.intp), px, 0.0 * px, weight)
     none = TiePoints(())
-    held = tied_area(replace(adjusted(ground, None), image_residuals=residuals), none, HOME, CRS)
+    tied = tied_area(replace(adjusted(ground, None), image_residuals=residuals), none, HOME, CRS)
     corners = ground_from_image(POSE, CAMERA, ground, px[:4])[:, :2]
     x, y = corners.T
     area = 0.5 * abs(float(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))))
-    assert held.geometry.area == pytest.approx(area, rel=2e-3)
+    assert tied.geometry.area == pytest.approx(area, rel=2e-3)
     assert not tied_area(adjusted(ground, None), none, HOME, CRS).polygons

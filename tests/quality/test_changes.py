@@ -142,6 +142,6 @@ def test_the_command_writes_polygons_and_a_picture(
     assert set(fields[list(meta["fields"]).index("kind")]) == {"image"}
     assert cv2.imread(str(folder / "changes.png")).shape == (SIDE, SIDE, 3)
     assert geomosaic("compare", old, new, "-o", tmp_path / "c", "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["apart_is_explained"] and told["apart_m"] == pytest.approx(1.30, abs=0.06)
+    output = json.loads(capsys.readouterr().out)
+    assert output["apart_is_explained"] and output["apart_m"] == pytest.approx(1.30, abs=0.06)
     assert geomosaic("compare", old, tmp_path, "-q") == 2

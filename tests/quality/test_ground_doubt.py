@@ -65,7 +65,7 @@ def test_unknown_land_amid_known_land_is_no_rim() -> None:
     assert rim.rim_share > 0.05 and rim.ground_share < 0.02
 
 
-def test_what_stands_unsurely_is_told_apart_from_the_ground() -> None:
+def test_what_stands_unsurely_is_distinguished_from_the_ground() -> None:
     """30 m beside the point below a frame 50 m up, 1 m of height is 0.6 m, 6 px: of such places 62 % lie off by
     more than 3 px; the ground through tie points is known to 0.4 m."""
     owner = np.zeros((61, 61))
@@ -112,7 +112,7 @@ def test_what_a_surface_raises_without_being_sure_may_be_ground() -> None:
     assert doubt(owner, sure, known).ground_share == pytest.approx(6.3e-5, rel=2e-2)
 
 
-def test_what_is_not_known_is_not_told() -> None:
+def test_what_is_not_known_is_not_reported() -> None:
     owner = np.ones((10, 10))
     given = replace(SURE, sd_m=None)
     assert np.isnan(doubt(owner, given).ground_share)

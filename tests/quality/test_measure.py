@@ -80,8 +80,8 @@ def test_the_ellipsoid_counts_where_the_map_is_out_of_scale() -> None:
     assert found.ellipsoidal == pytest.approx(1000.0 / 0.9996, rel=1e-6)
     square = shapely.box(500_000.0, 5_300_000.0, 500_100.0, 5_300_100.0)
     assert area_of(square, np.zeros(5), 0.0, UTM).ellipsoidal == pytest.approx(1e4 / 0.9996**2, rel=1e-6)
-    beside = shapely.transform(line, lambda at: at + [180_000.0, 0.0])
-    assert length_of(beside, np.zeros(2), 0.0, UTM).ellipsoidal is None
+    shifted = shapely.transform(line, lambda at: at + [180_000.0, 0.0])
+    assert length_of(shifted, np.zeros(2), 0.0, UTM).ellipsoidal is None
 
 
 def test_a_heap_on_tilted_ground_has_its_own_volume() -> None:
@@ -191,19 +191,19 @@ def test_a_line_and_a_square_of_a_run(
     ]
     square = geojson(tmp_path / "square.geojson", "Polygon", [[*ring, ring[0]]])
     assert geomosaic("measure", few_run, "--line", line, "--polygon", square, "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    (length,), (area,) = told["lines"], told["polygons"]
+    output = json.loads(capsys.readouterr().out)
+    (length,), (area,) = output["lines"], output["polygons"]
     assert length["length_m"] == pytest.approx(30.0, abs=1e-6) and area["area_m2"] == pytest.approx(
         400.0, abs=1e-6
     )
     assert "length_ellipsoidal_m" not in length  # 171 km from the meridian a map in UTM is true to 4e-5
-    told_run = summary(few_run)
-    by_scale_m = 30.0 * 1e-3 * told_run["accuracy"]["relative"]["scale_permille"]
-    absolute = told_run["metrics"]["accuracy"]["horizontal_median_m"]
+    run_summary = summary(few_run)
+    by_scale_m = 30.0 * 1e-3 * run_summary["accuracy"]["relative"]["scale_permille"]
+    absolute = run_summary["metrics"]["accuracy"]["horizontal_median_m"]
     assert by_scale_m < length["length_sd_m"] < np.hypot(by_scale_m, absolute)
     by_scale_m2 = 2.0 * 400.0 * by_scale_m / 30.0
     assert by_scale_m2 < area["area_sd_m2"] < np.hypot(by_scale_m2, 20.0 * np.sqrt(2.0) * absolute)
-    assert area["volume_above_m3"] is None and "cancel" in told["assumed"]
+    assert area["volume_above_m3"] is None and "cancel" in output["assumed"]
     assert geomosaic("measure", few_run, "--line", line) == 0
     out = capsys.readouterr().out
     assert "length_sd_m" in out and "30.000" in out and "cancel" in out

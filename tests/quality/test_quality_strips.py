@@ -58,10 +58,10 @@ def clean() -> tuple[Strips, tuple[SimulatedPair, ...]]:
 
 
 def test_true_offsets_leave_nothing(clean: tuple[Strips, tuple[SimulatedPair, ...]]) -> None:
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
     strips, pairs = clean
-    quality = misplacement(strips, offsets_of(pairs), lambda done, total: told.append((done, total)))
-    assert told[-1] == (10400, 10400) and sorted(told) == told
+    quality = misplacement(strips, offsets_of(pairs), lambda done, total: reports.append((done, total)))
+    assert reports[-1] == (10400, 10400) and sorted(reports) == reports
     assert quality.figures.rms_px < 0.02 and quality.figures.worst_line_px < 0.06
     assert not quality.misplaced and quality.figures.share_above == 0.0
     # Both rows have the same ground on all lines but the separation's.
@@ -120,7 +120,7 @@ def test_clouds_that_the_labels_know_are_not_misplacement() -> None:
     assert unlabelled.misplaced, "the same clouds, had the labels called them measured"
 
 
-def test_misplacement_of_lines_called_bridged_is_told_beside(
+def test_misplacement_of_lines_called_bridged_is_reported_too(
     clean: tuple[Strips, tuple[SimulatedPair, ...]],
 ) -> None:
     """One offset for all lines, labelled bridged but for a tenth: as an old chain would have it."""
@@ -302,14 +302,14 @@ def test_the_stage_tells_segments_spectra_and_what_is_left(tmp_path: Path) -> No
         inputs = {"strips": geometry, "offsets": StripOffsets("x", tuple(pairs))}
         quality = stage.run(inputs, stage.Params(), context)["strip_quality"]
     metrics = context.notes.metrics
-    told = metrics["misplacement"]["pairs"]
-    assert [p["pair"] for p in told] == [0, 1, 2] and metrics["misplacement"]["misplaced"] is False
-    assert all(len(p["segments_px"]) == 7 for p in told)
+    reported = metrics["misplacement"]["pairs"]
+    assert [p["pair"] for p in reported] == [0, 1, 2] and metrics["misplacement"]["misplaced"] is False
+    assert all(len(p["segments_px"]) == 7 for p in reported)
     # The right strip of pair 0 has the ground of the left one 700 lines later, that of pair 1 700 earlier.
-    assert told[0]["segments_px"][6] is None and told[1]["segments_px"][0] is None
-    assert told[0]["segments_px"][2] == pytest.approx(0.4 / np.sqrt(2), abs=0.06)
-    assert told[2]["segments_px"][2] == pytest.approx(0.5, abs=0.02)
-    assert max(v for v in told[2]["segments_px"] if v is not None) == told[2]["worst_segment_px"]
+    assert reported[0]["segments_px"][6] is None and reported[1]["segments_px"][0] is None
+    assert reported[0]["segments_px"][2] == pytest.approx(0.4 / np.sqrt(2), abs=0.06)
+    assert reported[2]["segments_px"][2] == pytest.approx(0.5, abs=0.02)
+    assert max(v for v in reported[2]["segments_px"] if v is not None) == reported[2]["worst_segment_px"]
     left = metrics["jitter"]["left"]
     at = int(np.argmax(left["along_px"]))
     assert left["frequency_hz"][at] == pytest.approx(9.0, abs=0.6)

@@ -65,9 +65,9 @@ def run(tmp_path) -> Path:
 
 
 def compare(run: Path, reference: Path, offset_m: float | None = None):
-    heard: list[str] = []
+    warned_codes: list[str] = []
     paths = run / "surface.tif", run / "surface_confidence.tif", reference
-    return (*compare_surface(*paths, offset_m, heard.append), heard)
+    return (*compare_surface(*paths, offset_m, warned_codes.append), warned_codes)
 
 
 def cloud(path: Path, xyz: np.ndarray, kind: np.ndarray, crs: str | None = UTM) -> Path:
@@ -104,14 +104,14 @@ def test_figures_by_hand():
 
 
 def test_differences_are_surface_minus_reference(run, tmp_path):
-    found, difference, heard = compare(run, write(tmp_path / "dem.tif", land(*middles()) - 0.75))
+    found, difference, warned_codes = compare(run, write(tmp_path / "dem.tif", land(*middles()) - 0.75))
     assert found.over_all.median_m == pytest.approx(0.75, abs=1e-4)
     assert found.over_all.nmad_m < 1e-3 and found.over_all.rmse_m == pytest.approx(0.75, abs=1e-3)
     assert np.isnan(difference[:20, :20]).all()
     np.testing.assert_allclose(difference[40:, 40:], 0.75, atol=1e-3)
     assert [name for name, _ in found.by_support] == ["matched", "held by what lies around"]
     assert found.by_support[1][1].n == 40 * SIDE - 400
-    assert len(heard) == 1 and "no vertical datum" in heard[0]
+    assert len(warned_codes) == 1 and "no vertical datum" in warned_codes[0]
     assert found.after_fit.rmse_m < 0.01 and found.fit.up_m == pytest.approx(0.75, abs=0.01)
 
 
@@ -189,11 +189,11 @@ def test_a_vertical_datum_counts(run, tmp_path):
     ):
         compare(run, missing)
     with egm96_of(tmp_path):
-        found, _, heard = compare(run, reference)
-    assert abs(found.over_all.median_m) < 0.002 and not heard
+        found, _, warned_codes = compare(run, reference)
+    assert abs(found.over_all.median_m) < 0.002 and not warned_codes
     assert found.datum.startswith("EGM96 height, offset +4")
-    found, _, heard = compare(run, reference, 41.0)
-    assert found.over_all.median_m == pytest.approx(-1.0, abs=0.3) and not heard
+    found, _, warned_codes = compare(run, reference, 41.0)
+    assert found.over_all.median_m == pytest.approx(-1.0, abs=0.3) and not warned_codes
 
 
 def test_what_does_not_overlap_is_refused(run, tmp_path):
@@ -290,9 +290,9 @@ def test_a_finished_run_is_compared_without_running_again(run, tmp_path, capsys)
     assert picture.shape[1] == 320 and picture[5, 5, 3] == 0
     assert picture[80, 80].tolist() == pytest.approx([247, 247, 247, 255], abs=25)
     assert main([*asked, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["quality"]["surface"]["by_support"]["matched"]["n"] == 120 * SIDE
-    assert told["warnings"][0]["code"] == "reference-datum-assumed"
+    output = json.loads(capsys.readouterr().out)
+    assert output["quality"]["surface"]["by_support"]["matched"]["n"] == 120 * SIDE
+    assert output["warnings"][0]["code"] == "reference-datum-assumed"
 
 
 def test_a_run_without_a_surface_says_what_to_do(run, tmp_path, capsys):

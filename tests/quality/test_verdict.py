@@ -106,7 +106,7 @@ def residuals(mean_px: np.ndarray, noise_px: float, frames: int = 8) -> ImageRes
     return ImageResiduals(frame, at, off, np.ones(len(frame)))
 
 
-def test_a_pattern_is_told_from_noise() -> None:
+def test_a_pattern_is_distinguished_from_noise() -> None:
     rows = np.arange(CELLS[1])
     bent = np.zeros((CELLS[1], CELLS[0], 2))
     bent[..., 0] = (rows - 2.5)[:, None]
@@ -169,8 +169,8 @@ def grade(
 
 def test_each_figure_can_spoil_the_verdict() -> None:
     lost = ControlResidual("GCP", False, 4, np.array([0.05, 0.45, 0.0]), np.full(3, 0.1), np.full(3, 0.05))
-    heard = np.r_[np.ones(60), np.full(40, 0.01)]
-    some = ImageResiduals(np.zeros(100, int), np.zeros((100, 2)), np.zeros((100, 2)), heard)
+    shares = np.r_[np.ones(60), np.full(40, 0.01)]
+    some = ImageResiduals(np.zeros(100, int), np.zeros((100, 2)), np.zeros((100, 2)), shares)
     assert grade(outcome()) == "good"
     assert grade(outcome(figures={"sigma_px": 1.5})) == "doubtful"
     assert grade(outcome(figures={"sigma_px": 14.7})) == "bad"
@@ -255,7 +255,7 @@ def test_the_worst_figure_gives_cause_and_fix() -> None:
     assert [e.name for e in verdict.evidence if e.grade != "good"][:2] == ["image deviation", "seams"]
 
 
-def test_land_that_may_be_off_is_told_even_where_all_is_good() -> None:
+def test_land_that_may_be_off_is_reported_even_where_all_is_good() -> None:
     def told(share: float) -> Verdict:
         return judged(outcome(), doubt=LandDoubt(0.0, 0.0, share))
 
@@ -287,17 +287,24 @@ def test_a_mosaic_by_positions_alone_is_not_called_good(
     survey = small_survey(tmp_path / "survey", **size)
     run = tmp_path / "run"
     assert mosaic(survey.frames, run, "--pos", survey.pos, "--camera", survey.camera, "--adjust", "none") == 0
-    told = summary(run)["verdict"]
-    assert told["grade"] in ("doubtful", "bad") and told["cause"] and told["fix"] == told["mend"] != ""
+    run_summary = summary(run)["verdict"]
+    assert (
+        run_summary["grade"] in ("doubtful", "bad")
+        and run_summary["cause"]
+        and run_summary["fix"] == run_summary["mend"] != ""
+    )
     out = capsys.readouterr().out.splitlines()
     last = ["verdict", "fix", "seams", "relative", "absolute", "required", "open"]
     assert [line.split()[0] for line in out[-7:]] == last
-    assert out[-7].startswith(f"verdict    {told['grade']}: ") and out[-6] == f"fix        {told['fix']}"
-    assert [w["code"] for w in summary(run)["warnings"]].count(f"verdict-{told['grade']}") == 1
+    assert (
+        out[-7].startswith(f"verdict    {run_summary['grade']}: ")
+        and out[-6] == f"fix        {run_summary['fix']}"
+    )
+    assert [w["code"] for w in summary(run)["warnings"]].count(f"verdict-{run_summary['grade']}") == 1
     page = (run / "report.html").read_text(encoding="utf-8")
     first = page[page.index("<h1>") :][:600]
-    assert {"doubtful": "Doubtful", "bad": "Bad"}[told["grade"]] in first
-    json.dumps(told)
+    assert {"doubtful": "Doubtful", "bad": "Bad"}[run_summary["grade"]] in first
+    json.dumps(run_summary)
 
 
 def test_evidence_says_what_it_does_to_the_map_and_where() -> None:

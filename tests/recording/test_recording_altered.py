@@ -43,8 +43,8 @@ def rewritten(source: Path, out: Path, change: Callable[[str, bytes], bytes]) ->
         for metadata in reader.iter_metadata():
             writer.add_metadata(metadata.name, metadata.metadata)
         for a in reader.iter_attachments():
-            told = change(a.name, a.data)
-            writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, told)
+            reported = change(a.name, a.data)
+            writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, reported)
         for schema, channel, message in reader.iter_messages(log_time_order=False):
             assert schema is not None
             if channel.id not in channels:
@@ -96,9 +96,9 @@ def test_an_altered_artefact_is_named_by_diff_and_inspect_and_not_replayed(
 ) -> None:
     rewritten(recorded / "run.mcap", recorded / "changed.mcap", heights_raised)
     assert main(["diff", str(recorded / "run.mcap"), str(recorded / "changed.mcap"), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["altered"] == [{"in": "b", "stage": "replayed.raise", "artefact": "raised"}]
-    assert not told["equal"] and told["stages"] == []
+    output = json.loads(capsys.readouterr().out)
+    assert output["altered"] == [{"in": "b", "stage": "replayed.raise", "artefact": "raised"}]
+    assert not output["equal"] and output["stages"] == []
     assert main(["inspect", str(recorded / "changed.mcap")]) == 0
     assert "'raised' of stage replayed.raise isn't what its fingerprint says" in capsys.readouterr().out
     (recorded / "changed.mcap").replace(recorded / "run.mcap")

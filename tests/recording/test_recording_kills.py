@@ -105,7 +105,7 @@ def test_a_run_that_ends_while_inputs_are_read_leaves_its_recipe(
     assert str(frames) in left.recipe_yaml and left.environment["geomosaic"] and not left.stages
 
 
-def test_how_far_the_reading_of_inputs_was_is_told(tmp_path: Path) -> None:
+def test_how_far_the_reading_of_inputs_was_is_reported(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.mcap", memory_bytes=lambda: 7_000_000)
     recorder.begin_run("name: x\n", {})
     recorder.progress(3, 20, "reading inputs")
@@ -135,17 +135,17 @@ def test_a_run_killed_between_two_stages_is_not_finished_once_repaired(tmp_path:
         assert faults(whole, None, [])[0]["text"] == "the run was killed after survey.read"
 
 
-def test_what_a_cached_stage_has_not_made_is_told(tmp_path: Path) -> None:
+def test_what_a_cached_stage_has_not_made_is_reported(tmp_path: Path) -> None:
     """Its cache was filled when images weren't recorded, now they are."""
     with Recorder(tmp_path / "first.mcap", level="summary") as recorder:
         recorder.stage_started("quality.verdict", 1, {}, {})
         stage = StageRecorder(recorder, tmp_path / "calls", "quality.verdict")
         assert not stage.wants("chip")
         stage.close()
-    for level, told in (("normal", 1), ("summary", 0)):
+    for level, reported in (("normal", 1), ("summary", 0)):
         with Recorder(tmp_path / f"{level}.mcap", level=level) as recorder:
             recorder.stage_started("quality.verdict", 1, {}, {})
             replay_calls(tmp_path / "calls", recorder)
         log = read_recording(tmp_path / f"{level}.mcap").log
-        assert len(log) == told and all("no ChipTies" in line.text for line in log)
+        assert len(log) == reported and all("no ChipTies" in line.text for line in log)
     assert not read_recording(tmp_path / "first.mcap").log

@@ -205,14 +205,14 @@ def test_a_chunk_that_would_burst_is_not_unpacked(tmp_path: Path, declared: int)
     assert "its size disagrees with its header" in recording.problem
 
 
-def test_what_a_stage_told_can_be_told_again(scene: Path, tmp_path: Path) -> None:
+def test_what_a_stage_reported_can_be_reported_again(scene: Path, tmp_path: Path) -> None:
     recording = read_recording(scene)
-    told = list(stage_messages(recording, 1))
-    assert [schema for _, schema, _ in told].count("geomosaic.PairOffsets") == 3
-    assert {topic for topic, _, _ in told}.isdisjoint({"/stages", "/artefacts", "/frames"})
+    reported = list(stage_messages(recording, 1))
+    assert [schema for _, schema, _ in reported].count("geomosaic.PairOffsets") == 3
+    assert {topic for topic, _, _ in reported}.isdisjoint({"/stages", "/artefacts", "/frames"})
     with Recorder(tmp_path / "again.mcap", fixed_time=True) as recorder:
         recorder.begin_run(RECIPE, {}, {})
-        for message in told:
+        for message in reported:
             recorder.copy(*message)
     again = read_recording(tmp_path / "again.mcap")
     assert again.warnings[0].text == recording.warnings[0].text

@@ -131,7 +131,7 @@ def test_reruns_own_reader_recovers_a_cut_file(scene: Path, rerun_reader: type, 
     assert recovered.summary_source == "reconstructed" and recovered.message_count >= ours > 10
 
 
-def test_the_view_is_a_sound_rrd_that_shows_what_was_told_on_any_timeline(
+def test_the_view_is_a_sound_rrd_that_shows_what_was_reported_on_any_timeline(
     scene: Path, tmp_path: Path
 ) -> None:
     pytest.importorskip("rerun", reason="Rerun isn't installed")
@@ -212,12 +212,12 @@ def recorded(recorder: Recorder, path: Path) -> Recording:
 
 
 def test_the_plan_names_what_is_odd(tmp_path: Path) -> None:
-    told = recorded(Recorder(tmp_path / "run.mcap"), tmp_path / "run.mcap")
-    placed, adjusted = told.table("frames.placed"), told.table("frames.adjusted")
+    reported = recorded(Recorder(tmp_path / "run.mcap"), tmp_path / "run.mcap")
+    placed, adjusted = reported.table("frames.placed"), reported.table("frames.adjusted")
     assert frame_labels(placed, adjusted) == ["a", "b| 61 m, heading 150 deg off", "c placed"]
     assert frame_labels(placed, adjusted, {"b|.jpg"})[1] == "b| 61 m, image turned"
-    assert worst_frames(told) == [2, 1, 0]
-    text = frame_text(told, 1, ["its position was off"])
+    assert worst_frames(reported) == [2, 1, 0]
+    text = frame_text(reported, 1, ["its position was off"])
     assert "| east_m | 9.00 | 70.00 |" in text and "b\\|.jpg" in text and "- its position was off" in text
     assert by_badness(np.array([0.0, 1.0, np.nan])).tolist()[:2] == [[60, 200, 80], [255, 60, 60]]
     assert frame_colours(placed, adjusted).tolist()[1:] == [[255, 60, 60]] * 2
@@ -233,8 +233,8 @@ def test_a_survey_that_is_bad_everywhere_is_red_everywhere(tmp_path: Path) -> No
         recorder.table(
             "frames.adjusted", names, placed | {"moved_e_m": 60.0, "moved_n_m": 0.0}, notes=["tied"] * 9
         )
-    told = read_recording(tmp_path / "run.mcap", with_images=True)
-    placed, adjusted = told.table("frames.placed"), told.table("frames.adjusted")
+    recording_read = read_recording(tmp_path / "run.mcap", with_images=True)
+    placed, adjusted = recording_read.table("frames.placed"), recording_read.table("frames.adjusted")
     assert {tuple(c) for c in frame_colours(placed, adjusted).tolist()} == {(255, 60, 60)}
     assert all("60 m" in label for label in frame_labels(placed, adjusted))
     bad = badness(np.array([0.0, 0.5, 1.0, 2.0, 3.0, 4.0, np.nan]), RESIDUAL.good, RESIDUAL.bad)

@@ -48,8 +48,8 @@ def test_poses_points_and_cameras_of_a_run_in_one_loop(run: Path) -> None:
     for name, tf in transforms.items():
         assert tf.parent_frame_id == "map"
         at = work_frame.geodetic_from_enu([tf.translation.x, tf.translation.y, tf.translation.z])
-        told = [float(exported[name][c]) for c in ("lon_deg", "lat_deg", "height_ellipsoidal_m")]
-        assert np.abs(at - told)[:2].max() < 1e-9 and abs(at[2] - told[2]) < 1e-4
+        reported = [float(exported[name][c]) for c in ("lon_deg", "lat_deg", "height_ellipsoidal_m")]
+        assert np.abs(at - reported)[:2].max() < 1e-9 and abs(at[2] - reported[2]) < 1e-4
     (flown,) = found["/path"]
     in_order = sorted(found["/tf"], key=lambda tf: tf.timestamp.ToNanoseconds())
     assert [p.position.x for p in flown.poses] == [tf.translation.x for tf in in_order]

@@ -53,7 +53,7 @@ run_toys(Path({folder!r}), "toy.power.delay_s=0.7")
 """
 
 
-def test_a_killed_run_says_where_it_was_and_stays_beside_the_next(tmp_path: Path) -> None:
+def test_a_killed_run_says_where_it_was_and_is_kept_with_the_next(tmp_path: Path) -> None:
     script = _KILLED.format(tests=sys.path, folder=str(tmp_path))
     process = subprocess.Popen([sys.executable, "-c", script])
     recording = tmp_path / "run" / "run.mcap"
@@ -79,7 +79,7 @@ def test_a_killed_run_says_where_it_was_and_stays_beside_the_next(tmp_path: Path
     )
 
 
-def test_a_failed_run_stays_beside_the_next(tmp_path: Path) -> None:
+def test_a_failed_run_is_kept_with_the_next(tmp_path: Path) -> None:
     with pytest.raises(GeomosaicError):
         run_toys(tmp_path, "toy.read.offset_m=12")
     run_toys(tmp_path)

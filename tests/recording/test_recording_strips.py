@@ -213,7 +213,7 @@ def test_what_is_left_is_compared(tmp_path: Path) -> None:
     assert gone == [{"stage": "quality.strips", "pair": k, "only_in": "a"} for k in (0, 2)]
 
 
-def test_what_is_left_is_told_again(tmp_path: Path) -> None:
+def test_what_is_left_is_reported_again(tmp_path: Path) -> None:
     """From a recording, and from a spool."""
     recording = read_recording(write_left(tmp_path / "a.mcap"))
     stage = StageRecorder(None, tmp_path / "spool")

@@ -35,12 +35,12 @@ def test_methods_that_slide_frames_tell_each_round_as_a_step(tmp_path: Path) -> 
         record_steps(context, SimpleNamespace(steps=(), rounds=rounds), "error_sharing")
         step = SolveStep("all tie points", 9.0, 0.5, 1e-9, 0.25, 0.1)
         record_steps(context, SimpleNamespace(steps=(step,), rounds=rounds), "bundle")
-    told = [Iteration.FromString(d) for _, _, d in messages(tmp_path / "run.mcap", "geomosaic.Iteration")]
-    assert [(i.solve, i.cost, i.cost_unit, i.step_m) for i in told] == [
+    reported = [Iteration.FromString(d) for _, _, d in messages(tmp_path / "run.mcap", "geomosaic.Iteration")]
+    assert [(i.solve, i.cost, i.cost_unit, i.step_m) for i in reported] == [
         ("error_sharing", 5.0, "m", 2.0), ("error_sharing", 0.5, "m", 0.0), ("all tie points", 9.0, "", 0.25),
     ]  # fmt: skip
-    assert (told[2].sigma_px, told[2].damping, told[2].share_down_weighted) == (0.5, 1e-9, 0.1)
-    assert np.isnan(told[0].sigma_px)
+    assert (reported[2].sigma_px, reported[2].damping, reported[2].share_down_weighted) == (0.5, 1e-9, 0.1)
+    assert np.isnan(reported[0].sigma_px)
 
 
 NUMBERS = np.arange(3, dtype=np.int32)

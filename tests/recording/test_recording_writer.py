@@ -378,12 +378,12 @@ def test_positions_of_older_recordings_are_read_and_copied(tmp_path: Path) -> No
     recording = read_recording(old)
     assert recording.whole and [s.finished for s in recording.stages] == [True, True]
     assert len(artefact_data(recording, recording.artefacts[0])) == recording.artefacts[0].total_bytes
-    told = [m for m in stage_messages(recording, 0) if m[1] == "foxglove.LocationFix"]
+    reported = [m for m in stage_messages(recording, 0) if m[1] == "foxglove.LocationFix"]
     with Recorder(tmp_path / "new.mcap") as recorder:
         recorder.stage_started("survey.read", 1, {}, {})
-        for message in told:
+        for message in reported:
             recorder.copy(*message)
-        data = told[0][2]
+        data = reported[0][2]
         endless, deep = data.replace(b"46.5", b"1" * 400), b'{"frame_id": ' + b"[" * 100_000
         nowhere = LocationFix(frame_id="a.jpg", latitude=np.nan).SerializeToString()
         no_json = (b"{", b"{}", b'{"frame_id": 3}', b"[]", b'{"frame_id": "a", "latitude": "x"}')

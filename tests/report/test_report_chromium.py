@@ -45,7 +45,7 @@ DRAWN = """(() => {
   }
   return [drawn, chosen];
 })()"""
-SETTLED = "new Promise(done => setTimeout(done, 60))"
+AT_REST = "new Promise(done => setTimeout(done, 60))"
 NAMES = (
     "[...document.querySelectorAll('#rows tbody tr:not([hidden]) td:first-child')].map(c => c.textContent)"
 )
@@ -69,7 +69,7 @@ def click(window: Page, selector: str) -> None:
 
 def drawn(window: Page) -> tuple[int, int]:
     """Pixels of the map's canvas that hold anything, and that mark what is chosen."""
-    window.run(SETTLED)
+    window.run(AT_REST)
     of_all, chosen = window.run(DRAWN)
     return of_all, chosen
 

@@ -114,17 +114,17 @@ def test_what_is_not_known_is_not_stated(run):
     assert table.notes == ["Required: no frame has a position."]
 
 
-def test_programs_find_the_points_and_their_figures_beside_the_page(run, tmp_path):
+def test_programs_find_the_points_and_their_figures_next_to_the_page(run, tmp_path):
     folder = run["mosaic_file"].parent
     summary = {**run["summary"], "accuracy": {"class": "a"}, "verdict": {"grade": "doubtful"}}
     context = Context(folder, stage_id="export.report", work_folder=tmp_path / "work", summary=summary)
     given = {k: run[k] for k in ("survey", "placement", "ties", "adjusted", "mosaic", "verdict")}
     given["mosaic_file"] = context.run_file("mosaic.tif")
     export_report().run(given, export_report.Params(), context)
-    told = json.loads((folder / "accuracy_report.json").read_text(encoding="utf-8"))
-    assert (told["accuracy"], told["verdict"]) == (summary["accuracy"], summary["verdict"])
-    assert [p["name"] for p in told["points"] if p["blunder"]] == ["GCP-03", "CHK-15"]
-    figures = told["figures"]["check"]
+    reported = json.loads((folder / "accuracy_report.json").read_text(encoding="utf-8"))
+    assert (reported["accuracy"], reported["verdict"]) == (summary["accuracy"], summary["verdict"])
+    assert [p["name"] for p in reported["points"] if p["blunder"]] == ["GCP-03", "CHK-15"]
+    figures = reported["figures"]["check"]
     assert (figures["points"], figures["used"], figures["blunders"]) == (8, 7, ["CHK-15"])
     assert figures["rmse_h_m"] == pytest.approx(point_figures(run["adjusted"])[0].rmse_h_m)
 
@@ -266,8 +266,8 @@ def test_points_are_symbols_with_names_and_residuals(window, page):
     x, y = window.run(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({wrong}.getBoundingClientRect())")
     window.send("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
     window.until("document.querySelector('.leaflet-tooltip')")
-    told = window.run("document.querySelector('.leaflet-tooltip').textContent")
-    assert re.match(r"(Control point GCP-03|Check point CHK-15)\n17\d\scm in plan", told), told
+    reported = window.run("document.querySelector('.leaflet-tooltip').textContent")
+    assert re.match(r"(Control point GCP-03|Check point CHK-15)\n17\d\scm in plan", reported), reported
     window.click("#layers input[data-layer=check]")
     window.click("#layers input[data-layer=control]")
     assert window.run("document.querySelectorAll('.surveyed, .legend').length") == 0

@@ -82,7 +82,7 @@ def test_the_page_is_whole_and_says_what_a_surveyor_asks(html):
     assert links and all(link.startswith("#") and link[1:] in targets for link in links)
 
 
-def test_light_and_seams_are_told_before_and_after(run):
+def test_light_and_seams_are_reported_before_and_after(run):
     grey = {"before_median": 11.53, "before_90": 33.32, "after_median": 9.32, "after_90": 29.33}
     seams = {
         "nearest_nadir": {"length_m": 3972.5, "difference_mean": 14.47, "difference_90": 32.48},
@@ -151,11 +151,13 @@ def test_equal_warnings_are_counted_and_routine_ones_folded(run):
     given = [{**one, "frame": f"{i}.jpg"} for i in range(6)]
     given.append({"code": "frame-damaged", "frame": "7.jpg", "text": "no end"})
     given.append({"code": "shutter-doubtful", "frame": "", "text": "frames turn"})
-    told = warnings_of({"warnings": given})
-    assert [w.code for w in told.severe] == ["frame damaged"] and [w.code for w in told.look] == [
-        "shutter doubtful"
-    ]
-    assert [(w.count, len(w.frames)) for w in told.routine] == [(6, 6)] and told.frames == {"7.jpg": 1}
+    warning_found = warnings_of({"warnings": given})
+    assert [w.code for w in warning_found.severe] == ["frame damaged"] and [
+        w.code for w in warning_found.look
+    ] == ["shutter doubtful"]
+    assert [(w.count, len(w.frames)) for w in warning_found.routine] == [(6, 6)] and warning_found.frames == {
+        "7.jpg": 1
+    }
     html = render_report(FramesReport(**{**run, "summary": {**run["summary"], "warnings": given}}))
     words = " ".join(Page(html).words.split())
     assert (

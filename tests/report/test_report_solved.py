@@ -75,7 +75,7 @@ def test_every_number_says_what_was_given_and_found_with_its_deviation():
     assert unknown_name("lever_arm_forward_m") == ("lever arm forward", "m")
 
 
-def test_strong_correlations_come_first_and_held_numbers_not_at_all():
+def test_strong_correlations_come_first_and_fixed_numbers_not_at_all():
     names, correlation = solved_names(shared())
     assert names == ["focal length", "k1", "k2", "GPS lag"]
     assert strong_correlations(names, correlation) == [
@@ -147,9 +147,15 @@ def test_cells_of_the_correlation_map_are_as_full_as_their_correlation():
     root = fromstring(correlation_map(names, correlation, label="l"))
     cells = [r for r in root.iter(f"{SVG}rect") if r.find(f"{SVG}title") is not None]
     assert len(cells) == 16
-    told = {c.find(f"{SVG}title").text: c for c in cells}
-    assert (told["2, 3: -0.88"].get("fill"), told["2, 3: -0.88"].get("fill-opacity")) == (COLOURS[0], "0.88")
-    assert (told["1, 4: +0.71"].get("fill"), told["1, 4: +0.71"].get("fill-opacity")) == (COLOURS[1], "0.71")
+    reported = {c.find(f"{SVG}title").text: c for c in cells}
+    assert (reported["2, 3: -0.88"].get("fill"), reported["2, 3: -0.88"].get("fill-opacity")) == (
+        COLOURS[0],
+        "0.88",
+    )
+    assert (reported["1, 4: +0.71"].get("fill"), reported["1, 4: +0.71"].get("fill-opacity")) == (
+        COLOURS[1],
+        "0.71",
+    )
     words = [t.text for t in root.iter(f"{SVG}text")]
     assert words.count("-.88") == 2 and words.count(".69") == 2
     large = correlation_map([f"n{i}" for i in range(50)], np.eye(50), label="l")

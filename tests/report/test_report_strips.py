@@ -226,8 +226,8 @@ def test_all_hidden_seams_are_named(hidden: tuple[int, ...], words: str) -> None
         for k in range(5)
     ]
     figures = strip_figures([np.full((600, 2), 0.03)])
-    told = strips_verdict(StripQuality(tuple(pairs), figures, 600, 0, 0))
-    assert told.startswith(f"Nothing could be checked between {words} elsewhere")
+    reported = strips_verdict(StripQuality(tuple(pairs), figures, 600, 0, 0))
+    assert reported.startswith(f"Nothing could be checked between {words} elsewhere")
 
 
 def test_crops_are_of_the_seam_at_full_size(scene: ComposedScene) -> None:
@@ -237,8 +237,8 @@ def test_crops_are_of_the_seam_at_full_size(scene: ComposedScene) -> None:
     from geomosaic.doors.raster import OWN, open_raster
 
     place = Place("worst", 1500, 0.5)
-    ((told, svg),) = seam_crops(scene.mosaic_file, scene.geometry, 0, [place], scene.mosaic.first_line)
-    assert told == place
+    ((reported, svg),) = seam_crops(scene.mosaic_file, scene.geometry, 0, [place], scene.mosaic.first_line)
+    assert reported == place
     data = base64.b64decode(re.search(r"base64,([^\"]+)", svg).group(1))  # type: ignore[union-attr]
     crop = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert crop.shape[:2] == (220, 300)

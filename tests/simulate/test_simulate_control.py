@@ -16,7 +16,7 @@ from geomosaic_simulate.control import MEASURED_SD_PX, SURVEYED_SD_M, surveyed, 
 from geomosaic_simulate.flight import fly
 from geomosaic_simulate.landscape import Landscape
 from geomosaic_simulate.plan import SurveyPlan
-from geomosaic_simulate.readout import Readout, readout_of
+from geomosaic_simulate.readout import FrameReadout, readout_of
 from geomosaic_simulate.render import sight_of
 from geomosaic_simulate.survey import simulate_frames, world_of
 
@@ -52,17 +52,17 @@ def test_rays_through_the_measured_pixels_meet_the_points(ground: str) -> None:
             np.testing.assert_allclose(at, p.map_m[:2], atol=5e-3)
 
 
-def test_what_is_told_has_the_stated_noise() -> None:
+def test_what_is_reported_has_the_stated_noise() -> None:
     plan = dataclasses.replace(PLAN, control_points=60, lost="")
     flight, camera = fly(plan), plan.camera()
     world = world_of(plan, flight)
     bounds = [sight_of(camera, p, world).bounds_m for p in (flight.poses[i] for i in range(6))]
-    points = true_points(plan, camera, flight.poses, [Readout()] * 6, world, bounds)
-    told = surveyed(plan, points)
-    off_m = np.array([b.map_m - a.map_m for a, b in zip(points, told, strict=True)])
+    points = true_points(plan, camera, flight.poses, [FrameReadout()] * 6, world, bounds)
+    reported = surveyed(plan, points)
+    off_m = np.array([b.map_m - a.map_m for a, b in zip(points, reported, strict=True)])
     off_px = np.array([
         np.subtract(m[1:], t[1:])
-        for a, b in zip(points, told, strict=True) for t, m in zip(a.seen, b.seen, strict=True)
+        for a, b in zip(points, reported, strict=True) for t, m in zip(a.seen, b.seen, strict=True)
     ])  # fmt: skip
     np.testing.assert_allclose(off_m.std(axis=0) / [SURVEYED_SD_M[0], *SURVEYED_SD_M], 1.0, atol=0.3)
     np.testing.assert_allclose(off_px.std(axis=0) / MEASURED_SD_PX, 1.0, atol=0.2)
@@ -94,7 +94,7 @@ def test_points_keep_clear_of_what_stands() -> None:
     world = world_of(plan, flight)
     bounds = [sight_of(camera, p, world).bounds_m for p in (flight.poses[i] for i in range(6))]
     low, high = np.min(bounds, axis=0)[:2], np.max(bounds, axis=0)[2:]
-    points = true_points(plan, camera, flight.poses, [Readout()] * 6, world, bounds)
+    points = true_points(plan, camera, flight.poses, [FrameReadout()] * 6, world, bounds)
     land = Landscape(plan.seed, plan.buildings)
     everything = (low[0] - 30.0, low[1] - 30.0, high[0] + 30.0, high[1] + 30.0)
     roofs, trees = land.buildings_in(everything), land.trees_in(everything)
@@ -115,4 +115,4 @@ def test_more_points_than_there_is_room_for_are_refused() -> None:
     world = world_of(plan, flight)
     bounds = [sight_of(camera, flight.poses[i], world).bounds_m for i in range(2)]
     with pytest.raises(InputError, match=r"room for \d control points.*fewer control_points"):
-        true_points(plan, camera, flight.poses, [Readout()] * 2, world, bounds)
+        true_points(plan, camera, flight.poses, [FrameReadout()] * 2, world, bounds)

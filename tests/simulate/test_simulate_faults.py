@@ -34,7 +34,7 @@ from geomosaic_simulate.light import (
     shaken,
 )
 from geomosaic_simulate.plan import SurveyPlan
-from geomosaic_simulate.readout import Readout, readout_of
+from geomosaic_simulate.readout import FrameReadout, readout_of
 from geomosaic_simulate.relief import Relief
 from geomosaic_simulate.render import World, haze, render, sight_of
 from geomosaic_simulate.survey import smear_px
@@ -55,11 +55,11 @@ WORLD = World(LocalFrame(11.3, 48.1, 520.0), MapProjection("EPSG:32632"), Relief
 POSE = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
 
 
-def shaking(axis: int, phase_rad: float = np.pi / 2.0) -> Readout:
+def shaking(axis: int, phase_rad: float = np.pi / 2.0) -> FrameReadout:
     """0.1 s of 0.05 rad/s at 8 Hz about one axis of the camera; by default the rate is a cosine."""
     rate = np.zeros(3)
     rate[axis] = 0.05
-    return Readout(0.1, np.zeros(3), rate, np.full(3, 8.0), np.full(3, phase_rad))
+    return FrameReadout(0.1, np.zeros(3), rate, np.full(3, 8.0), np.full(3, phase_rad))
 
 
 def shake_rad(row: float) -> float:
@@ -230,8 +230,8 @@ def test_frames_without_gps_have_no_position_anywhere(tmp_path: Path) -> None:
     survey = simulated(tmp_path, STRAYS)
     assert survey.pos is not None
     with survey.pos.open(newline="") as file:
-        told = {row["frame"] for row in csv.DictReader(file)}
-    assert {"F0004.jpg", "F0006.jpg"} < told and not told & {"F0003.jpg", "F0005.jpg"}
+        reported = {row["frame"] for row in csv.DictReader(file)}
+    assert {"F0004.jpg", "F0006.jpg"} < reported and not reported & {"F0003.jpg", "F0005.jpg"}
     for name, there in (("F0003.jpg", False), ("F0004.jpg", True), ("F0005.jpg", False)):
         with (survey.frames / name).open("rb") as file:
             tags = exifread.process_file(file, details=False)
@@ -256,7 +256,7 @@ def test_the_horizon_is_sky_above_and_land_below() -> None:
 
 
 @pytest.mark.parametrize(
-    ("plan", "told_m"),
+    ("plan", "reported_m"),
     [
         ({}, [640.0, 640.0, 640.0, 640.0]),
         ({"altitude": "take_off", "take_off_up_m": 30.0}, [90.0] * 4),
@@ -265,21 +265,21 @@ def test_the_horizon_is_sky_above_and_land_below() -> None:
         ({"altitude": "constant", "height_drift_m": 90.0}, [640.0] * 4),
     ],
 )
-def test_altitudes_are_told_as_cameras_tell_them(plan: dict, told_m: list[float]) -> None:
+def test_altitudes_are_reported_as_cameras_tell_them(plan: dict, reported_m: list[float]) -> None:
     whole = SurveyPlan(lines=1, frames_per_line=4, height_above_ground_m=120.0, **EXACT, **STILL, **plan)
     flight = fly(whole)
     observed = observe(whole, flight)
-    np.testing.assert_allclose(observed.lon_lat_height[:, 2], told_m, atol=0.01)
-    np.testing.assert_allclose(observed.position_errors_m[:, 2], np.subtract(told_m, 640.0), atol=0.01)
+    np.testing.assert_allclose(observed.lon_lat_height[:, 2], reported_m, atol=0.01)
+    np.testing.assert_allclose(observed.position_errors_m[:, 2], np.subtract(reported_m, 640.0), atol=0.01)
     up = plan.get("take_off_up_m", 0.0)
     np.testing.assert_allclose(observed.height_above_take_off_m, 120.0 - up, atol=0.01)
 
 
 def test_altitudes_on_the_ground_say_nothing_of_the_flight() -> None:
     plan = SurveyPlan(lines=4, frames_per_line=25, height_above_ground_m=68.0, altitude="ground")
-    told = observe(plan, fly(plan)).lon_lat_height[:, 2]
-    assert told.mean() == pytest.approx(520.0, abs=0.2)
-    assert 0.3 < told.std() < 0.7
+    reported = observe(plan, fly(plan)).lon_lat_height[:, 2]
+    assert reported.mean() == pytest.approx(520.0, abs=0.2)
+    assert 0.3 < reported.std() < 0.7
 
 
 def test_the_second_battery_has_positions_of_its_own() -> None:
@@ -303,7 +303,7 @@ def test_a_fisheye_frame_shows_the_ground_by_the_angle() -> None:
     np.testing.assert_allclose([float(s.ev(*at)) for s in (sight.easting, sight.northing)], true, atol=2e-3)
 
 
-def test_the_tags_tell_the_told_lens_and_not_the_true_one(tmp_path: Path) -> None:
+def test_the_tags_tell_the_reported_lens_and_not_the_true_one(tmp_path: Path) -> None:
     plan = SurveyPlan(
         seed=3, lines=1, frames_per_line=1, lens="fisheye", lens_in_tags=True, **{**TINY, "k1": 0.04}
     )
@@ -323,8 +323,8 @@ def test_the_tags_tell_the_told_lens_and_not_the_true_one(tmp_path: Path) -> Non
     assert tags["PerspectiveDistortion"] == ",".join(["0.000000000"] * 5)
     (true,) = json.loads((tmp_path / "hidden" / "truth" / "cameras.json").read_text()).values()
     assert (true["projection_type"], true["focal_x"], true["k1"]) == ("fisheye_opencv", 200.0 / 160.0, 0.04)
-    (told,) = opensfm_camera(hidden.reported_camera(), "simulated").values()
-    assert told["projection_type"] == "brown"
+    (reported,) = opensfm_camera(hidden.reported_camera(), "simulated").values()
+    assert reported["projection_type"] == "brown"
 
 
 def test_motion_smears_along_the_flight() -> None:

@@ -55,7 +55,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def test_the_folder_is_laid_out_as_documented(survey: SimulatedSurvey) -> None:
+def test_the_folder_is_structured_as_documented(survey: SimulatedSurvey) -> None:
     out = survey.camera.parent
     assert sorted(contents(out)) == [
         "cameras.json", "frames/F0001.jpg", "frames/F0002.jpg", "frames/F0003.jpg", "pos.csv",
@@ -231,7 +231,7 @@ def test_hills_and_standing_buildings_are_in_the_height_models(tmp_path: Path) -
     assert 3.0 < np.percentile(roofs[roofs > 1.0], 50) < 12.0
 
 
-def test_what_is_not_told_is_not_written(tmp_path: Path) -> None:
+def test_what_is_not_reported_is_not_written(tmp_path: Path) -> None:
     plan = dataclasses.replace(
         PLAN, frames_per_line=1, turned="", attitude_reported=False, height_reported=False, lens_reported=False, k1=-0.1,
         focal_error=0.05,
@@ -243,10 +243,10 @@ def test_what_is_not_told_is_not_written(tmp_path: Path) -> None:
     with (survey.frames / "F0001.jpg").open("rb") as f:
         tags = exifread.process_file(f, details=False)
     assert "GPS GPSLatitude" in tags and "GPS GPSAltitude" not in tags
-    (told,) = json.loads(survey.camera.read_text()).values()
+    (reported,) = json.loads(survey.camera.read_text()).values()
     (true,) = json.loads((survey.positions.parent / "cameras.json").read_text()).values()
-    assert told["k1"] == 0.0 and true["k1"] == -0.1
-    assert told["focal_x"] == pytest.approx(1.05 * 300.0 / 240.0)
+    assert reported["k1"] == 0.0 and true["k1"] == -0.1
+    assert reported["focal_x"] == pytest.approx(1.05 * 300.0 / 240.0)
     assert true["focal_x"] == pytest.approx(300.0 / 240.0)
 
 

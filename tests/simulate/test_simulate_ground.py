@@ -12,18 +12,18 @@ from geomosaic_simulate.buildings import Building
 from geomosaic_simulate.landscape import Landscape
 from geomosaic_simulate.noise import hashed, lattice_noise, spline_noise
 from geomosaic_simulate.relief import Relief, hills
-from geomosaic_simulate.terrain import BLOCK_PX, Ground
+from geomosaic_simulate.terrain import BLOCK_PX, GroundImage
 
 COL, ROW = 6_711_800, -53_300_200
 
 
 @pytest.fixture(scope="module")
 def image() -> np.ndarray:
-    return Ground(Landscape(5), 0.1).window(COL, ROW, (900, 1200))
+    return GroundImage(Landscape(5), 0.1).window(COL, ROW, (900, 1200))
 
 
 def test_a_window_is_the_same_however_it_is_cut(image: np.ndarray) -> None:
-    part = Ground(Landscape(5), 0.1).window(COL + 301, ROW + 257, (300, 333))
+    part = GroundImage(Landscape(5), 0.1).window(COL + 301, ROW + 257, (300, 333))
     assert np.array_equal(part, image[257:557, 301:634])
     seam = 2 * BLOCK_PX - COL % BLOCK_PX
     steps = np.abs(np.diff(image.astype(float), axis=1)).mean(axis=(0, 2))
@@ -31,7 +31,7 @@ def test_a_window_is_the_same_however_it_is_cut(image: np.ndarray) -> None:
 
 
 def test_another_seed_is_another_country(image: np.ndarray) -> None:
-    other = Ground(Landscape(6), 0.1).window(COL, ROW, (300, 300))
+    other = GroundImage(Landscape(6), 0.1).window(COL, ROW, (300, 300))
     assert np.abs(other.astype(float) - image[:300, :300]).mean() > 10.0
 
 
@@ -59,7 +59,7 @@ def test_a_building_is_painted_on_its_footprint() -> None:
     found = land.buildings_in((671_000.0, 5_329_800.0, 671_400.0, 5_330_200.0))
     assert len(found) > 3
     b = found[0]
-    ground = Ground(land, 0.1)
+    ground = GroundImage(land, 0.1)
     col, row = int(b.easting_m / 0.1), int(-b.northing_m / 0.1)
     around = ground.window(col - 150, row - 150, (300, 300)).astype(float)
     mask = np.zeros((300, 300), np.uint8)
@@ -127,7 +127,7 @@ def test_spline_noise_is_smooth_and_pointwise(x: float, y: float) -> None:
 @pytest.mark.proof
 def test_crop_rows_run_on_over_the_blocks_edge() -> None:
     """On every block edge of 2 km of land, neighbours differ no more than pixels beside them."""
-    ground = Ground(Landscape(8), 0.2)
+    ground = GroundImage(Landscape(8), 0.2)
     worst = []
     for k in range(8):
         edge = BLOCK_PX * (6500 + k)

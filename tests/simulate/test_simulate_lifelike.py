@@ -25,7 +25,7 @@ from geomosaic_simulate.flight import fly
 from geomosaic_simulate.landscape import Landscape
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.rasters import square_mean
-from geomosaic_simulate.readout import Readout
+from geomosaic_simulate.readout import FrameReadout
 from geomosaic_simulate.relief import Relief
 from geomosaic_simulate.render import World, render, sight_of
 from geomosaic_simulate.survey import simulate_frames, world_of
@@ -60,7 +60,7 @@ def test_a_rolling_shutter_sees_each_row_from_where_the_camera_is_then() -> None
     camera = Camera("c", 800, 600, 1000.0, 410.0, 295.0)
     world = World(LocalFrame(11.3, 48.1, 520.0), MapProjection("EPSG:32632"), Relief(1, 520.0))
     pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
-    sight = sight_of(camera, pose, world, Readout(0.5, np.array([12.0, -4.0, 0.0])))
+    sight = sight_of(camera, pose, world, FrameReadout(0.5, np.array([12.0, -4.0, 0.0])))
     for col, row, east_m, north_m in (
         (410.0, 300.0, 0.0, -0.5),  # the middle row: the pose itself, 5 rows below the principal point
         (410.0, 0.0, -3.0, 29.5 + 1.0),

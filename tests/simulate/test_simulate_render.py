@@ -18,7 +18,7 @@ from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.relief import Relief
 from geomosaic_simulate.render import World, develop, render, sight_of
 from geomosaic_simulate.survey import world_of
-from geomosaic_simulate.terrain import Ground
+from geomosaic_simulate.terrain import GroundImage
 
 WORK = LocalFrame(11.3, 48.1, 520.0)
 MAP = MapProjection("EPSG:32632")
@@ -114,7 +114,7 @@ def test_a_frame_lies_on_the_ortho_everywhere() -> None:
     west, south, east, north = sight.bounds_m
     col, row = int(west / 0.1) - 8, int(-north / 0.1) - 8
     shape = (int((north - south) / 0.1) + 17, int((east - west) / 0.1) + 17)
-    ortho = Ground(Landscape(plan.seed), 0.1).window(col, row, shape)
+    ortho = GroundImage(Landscape(plan.seed), 0.1).window(col, row, shape)
     frame = render(camera, pose, world, sight, ortho, col * 0.1, -row * 0.1, 0.1)
 
     e, n = np.meshgrid((col + np.arange(shape[1]) + 0.5) * 0.1, -(row + np.arange(shape[0]) + 0.5) * 0.1)

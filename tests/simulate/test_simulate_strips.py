@@ -30,7 +30,7 @@ from geomosaic.survey.strips import read_geometry
 from geomosaic_simulate.stage_strips import SimulateStrips
 from geomosaic_simulate.strip_overlaps import simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import PairTruth, Scene
+from geomosaic_simulate.strip_scene import PairTruth, StripWorld
 from geomosaic_simulate.strip_seen import Seen
 from geomosaic_simulate.strips import SimulatedStrips, simulate_strips
 
@@ -47,7 +47,9 @@ BETWEEN_S = 2114.0 / 3272.4
 
 
 def truth(pair: int = 0, **changes: Any) -> PairTruth:
-    return Scene(StripPlan(**{"ccds": 3, "width_px": 256, "lines": 3000, **STILL, **changes})).truth(pair)
+    return StripWorld(StripPlan(**{"ccds": 3, "width_px": 256, "lines": 3000, **STILL, **changes})).truth(
+        pair
+    )
 
 
 def rows_of(path: Path | None) -> list[dict[str, str]]:
@@ -74,7 +76,7 @@ def test_a_perfect_camera_over_level_ground_has_no_offsets() -> None:
 
 def test_high_ground_comes_later_to_the_leading_row_and_earlier_to_the_trailing_one() -> None:
     plan = StripPlan(**{"ccds": 3, "width_px": 256, "lines": 3000, **STILL, "relief_m": 900.0, "seed": 4})
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     for pair, sign in ((0, -1.0), (1, 1.0)):
         dline = scene.truth(pair).dline_px
         middle_m = ((pair + 1) * 160 + 48 - scene.scene_width_px / 2) * 2.0
@@ -261,7 +263,7 @@ def test_overlaps_alone_are_the_strips_edges(tmp_path: Path) -> None:
 
 def test_fast_rays_are_the_rigorous_model_s() -> None:
     plan = StripPlan(ccds=8, width_px=4096, lines=12000, jitter_22hz_px=0.4, course_deg=11.0, lat_deg=-61.0)
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     ccd, model = 6, scene.cameras.true
     seen = Seen(
         model, ccd, scene.projection, scene.cameras.slow_rad, plan.ground_height_m, plan.altitude_m, 4096,
@@ -281,7 +283,7 @@ def test_fast_rays_are_the_rigorous_model_s() -> None:
 
 def test_flying_south_columns_grow_to_the_east_and_lines_to_the_south() -> None:
     plan = StripPlan(**{**SMALL, **STILL, "course_deg": 180.0, "lon_deg": 30.0, "lat_deg": 47.0})
-    ideal = Scene(plan).cameras.ideal
+    ideal = StripWorld(plan).cameras.ideal
     width = plan.geometry().scene_width_px
     middle = ideal.ground_from_image(0, width / 2.0, 300.0, 900.0)
     np.testing.assert_allclose(middle, [30.0, 47.0, 900.0], atol=1e-7)
@@ -294,7 +296,7 @@ def test_flying_south_columns_grow_to_the_east_and_lines_to_the_south() -> None:
 def test_attitude_turns_the_view_as_the_docstring_says() -> None:
     """Flying south at 35.1 km: pitch looks further south, roll to the left (east), yaw turns right (west)."""
     plan = StripPlan(**{**SMALL, **STILL, "course_deg": 180.0, "row_separation_lines": 150.0})
-    model = Scene(plan).cameras.true
+    model = StripWorld(plan).cameras.true
     height = plan.altitude_m
     assert height == pytest.approx(1.0 / (1.0 / (233.0 * 150.0) - 1.0 / 6371000.0))
     at = 40.0, 300.0, 900.0
@@ -321,25 +323,25 @@ def test_ground_and_back(col: float, line: float, height: float, ccd: int) -> No
     assert ground[2] == height
 
 
-MOVING = Scene(StripPlan(**SMALL))
+MOVING = StripWorld(StripPlan(**SMALL))
 
 
 def test_the_model_on_disk_is_the_camera(spots: SimulatedStrips) -> None:
     model = read_model(spots.true_model)
     plan = StripPlan(**{**SMALL, "seed": 5, "jitter_22hz_px": 0.3, "parallax_m_per_line": 1000.0})
-    camera = Scene(plan).cameras.true
+    camera = StripWorld(plan).cameras.true
     at = 2, np.array([3.0, 100.0]), np.array([80.5, 555.0]), 1000.0
     np.testing.assert_allclose(
         model.ground_from_image(*at), camera.ground_from_image(*at), rtol=0, atol=2e-10
     )
 
 
-def test_what_is_told_is_off_by_what_was_asked() -> None:
+def test_what_is_reported_is_off_by_what_was_asked() -> None:
     plan = StripPlan(**SMALL, attitude_bias_urad=30.0)
-    cameras = Scene(plan).cameras
+    cameras = StripWorld(plan).cameras
     away = cameras.reported.roll_pitch_yaw_rad - cameras.true.roll_pitch_yaw_rad
     np.testing.assert_allclose(np.abs(away), 30e-6, rtol=1e-6)
-    noisy = Scene(dataclasses.replace(plan, attitude_bias_urad=0.0, attitude_noise_urad=7.0)).cameras
+    noisy = StripWorld(dataclasses.replace(plan, attitude_bias_urad=0.0, attitude_noise_urad=7.0)).cameras
     away = noisy.reported.roll_pitch_yaw_rad - noisy.true.roll_pitch_yaw_rad
     assert away.std() == pytest.approx(7e-6, rel=0.1)
 
@@ -349,7 +351,7 @@ def test_gdal_reads_the_rpc_as_we_do(spots: SimulatedStrips, tmp_path: Path) -> 
     shutil.copy(spots.true_scene, tmp_path / "scene.tif")
     shutil.copy(spots.rpc, tmp_path / "scene_RPC.TXT")
     ours = parse_rpc(spots.rpc.read_text())
-    model = Scene(StripPlan(**{**SMALL, "seed": 5, "parallax_m_per_line": 1000.0})).cameras.ideal
+    model = StripWorld(StripPlan(**{**SMALL, "seed": 5, "parallax_m_per_line": 1000.0})).cameras.ideal
     col, line, height = 31.0, 410.5, 1010.0
     ground = model.ground_from_image(0, col, line, height)
     np.testing.assert_allclose(ours.image_from_ground(ground), [col, line], atol=0.002)
@@ -376,7 +378,7 @@ def test_low_contrast_and_clouds_cover_the_share_asked_for() -> None:
         ccds=4, width_px=2000, lines=5000, cloud_cover=0.3, cloud_size_m=1500.0, low_contrast_share=0.4,
         low_contrast=0.005, **CLEAR,
     )  # fmt: skip
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     cover = np.concatenate([scene.truth(k).cloud_left for k in range(3)])
     assert cover.mean() == pytest.approx(0.3, abs=0.08)
     assert 0.0 in cover
@@ -431,7 +433,7 @@ def test_heights_given_are_the_ground(tmp_path: Path) -> None:
     with rasterio.open(path, "w", **profile, transform=transform) as out:
         out.write(ramp[None])
     plan = StripPlan(**{**SMALL, **STILL, "course_deg": 180.0, "lines": 900}, dem=path)
-    scene = Scene(plan)
+    scene = StripWorld(plan)
     assert scene.plan.ground_height_m == pytest.approx(2000.0, abs=1.0)
     dline = scene.truth(0).dline_px
     per_line = 2000.0 / (59.0 / 60.0 * 111000.0) * 2.0 / 233.0  # lower to the south, where the flight goes
@@ -456,7 +458,7 @@ def test_dead_short_lost_and_repeated(tmp_path: Path) -> None:
 # Files
 
 
-def test_the_folder_is_laid_out_as_documented(spots: SimulatedStrips) -> None:
+def test_the_folder_is_structured_as_documented(spots: SimulatedStrips) -> None:
     out = spots.geometry.parent
     assert sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()) == [
         "ccd1.tif", "ccd2.tif", "ccd3.tif", "dem.tif", "geometry.yaml", "model.yaml", "model_attitude.csv",
@@ -489,7 +491,7 @@ def test_the_true_scene_has_the_points_at_the_ideal_camera_s_places(spots: Simul
         assert (part * rows).sum() / part.sum() == pytest.approx(line, abs=0.01)
 
 
-def test_the_told_dem_is_off_by_the_bias(tmp_path: Path) -> None:
+def test_the_reported_dem_is_off_by_the_bias(tmp_path: Path) -> None:
     written = simulate_strips(tmp_path, StripPlan(**SMALL, dem_bias_m=20.0, dem_error_m=4.0), scene=False)
     away = pixels(written.dem) - pixels(written.true_dem)
     assert away.mean() == pytest.approx(20.0, abs=1.5)
@@ -546,7 +548,7 @@ def test_a_motion_that_can_t_be_read_is_named(tmp_path: Path, content: str, text
     path = tmp_path / "m.csv"
     path.write_text(content)
     with pytest.raises(InputError, match=text) as caught:
-        Scene(StripPlan(**SMALL, motion=path))
+        StripWorld(StripPlan(**SMALL, motion=path))
     assert "m.csv" in str(caught.value)
 
 

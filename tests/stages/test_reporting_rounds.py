@@ -30,7 +30,7 @@ def test_pairs_that_see_no_ground_together_have_no_misalignment(
     survey: Any = SimpleNamespace(map_crs="", work_frame=None, left_out=(), frames=())
     adjusted = METHODS[method](block, Settings(), context)
     reporting.record_adjusted(context, survey, block, adjusted, method)
-    told = context.recorder.offsets.call_args.args[2]
-    names = {name for left, right, *_ in told for name in (left, right)}
+    reported = context.recorder.offsets.call_args.args[2]
+    names = {name for left, right, *_ in reported for name in (left, right)}
     assert names == set(block.names) - {block.names[4]}
-    assert len(told) == sum(4 not in pair for pair in block.ties.frames)
+    assert len(reported) == sum(4 not in pair for pair in block.ties.frames)

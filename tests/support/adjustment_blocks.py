@@ -104,8 +104,8 @@ def fly(
         phase, round_s = np.random.default_rng(seed + 2).uniform(0, 6.3, (n, 1, 3)), 6.283 * shaking_hz
         shaking = (np.cos(phase) - np.cos(round_s * after_s + phase)) / max(round_s, 1e-9)
         truth = replace(truth, turns=Turns(readout_s, rates * (shaking if shaking_hz else after_s)))
-    beside = np.array([35.0, 25.0]) * (1.25 * camera.width_px / camera.focal_length_px) ** 2
-    low, high = at[:, :2].min(axis=0) - beside, at[:, :2].max(axis=0) + beside
+    margin_m = np.array([35.0, 25.0]) * (1.25 * camera.width_px / camera.focal_length_px) ** 2
+    low, high = at[:, :2].min(axis=0) - margin_m, at[:, :2].max(axis=0) + margin_m
     plan = rng.uniform(low, high, (points, 2))
     land = np.column_stack([plan, relief(*plan.T)])
     seen = [truth[i].image_from_ground(camera, land) for i in range(n)]

@@ -53,10 +53,10 @@ class Page:
     def send(self, method: str, **params: Any) -> Any:
         """A command of the protocol, and its answer."""
         self._number += 1
-        told = {"id": self._number, "method": method, "params": params}
+        reported = {"id": self._number, "method": method, "params": params}
         if self._session:
-            told["sessionId"] = self._session
-        os.write(self._write, json.dumps(told).encode() + b"\0")
+            reported["sessionId"] = self._session
+        os.write(self._write, json.dumps(reported).encode() + b"\0")
         while True:
             message = self._message()
             if message.get("id") == self._number:
@@ -97,16 +97,16 @@ class Page:
             self._left += os.read(self._read, 1 << 20)
         text, _, self._left = self._left.partition(b"\0")
         message: dict[str, Any] = json.loads(text)
-        told = message.get("params", {})
+        reported = message.get("params", {})
         match message.get("method"):
             case "Network.requestWillBeSent":
-                self.requests.append(told["request"]["url"])
-            case "Log.entryAdded" if told["entry"]["level"] in ("error", "warning"):
-                self.errors.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
-            case "Runtime.consoleAPICalled" if told["type"] in ("error", "warning", "assert"):
-                self.errors.append(str(told["args"]))
+                self.requests.append(reported["request"]["url"])
+            case "Log.entryAdded" if reported["entry"]["level"] in ("error", "warning"):
+                self.errors.append(f"{reported['entry']['text']} {reported['entry'].get('url', '')}")
+            case "Runtime.consoleAPICalled" if reported["type"] in ("error", "warning", "assert"):
+                self.errors.append(str(reported["args"]))
             case "Runtime.exceptionThrown":
-                self.errors.append(str(told["exceptionDetails"]))
+                self.errors.append(str(reported["exceptionDetails"]))
         return message
 
 
@@ -116,19 +116,19 @@ def browser(profile: Path) -> Iterator[Page]:
     program = next(filter(None, map(shutil.which, NAMES)), None)
     if program is None:
         pytest.skip("there is no Chromium here")
-    asked, told = os.pipe(), os.pipe()
+    asked, reported = os.pipe(), os.pipe()
     # it reads from the third file and writes to the fourth
-    shell = f'exec "$0" "$@" 3<&{asked[0]} 4>&{told[1]}'
+    shell = f'exec "$0" "$@" 3<&{asked[0]} 4>&{reported[1]}'
     process = subprocess.Popen(
-        ["bash", "-c", shell, program, *OPTIONS, f"--user-data-dir={profile}"], pass_fds=(asked[0], told[1]),
+        ["bash", "-c", shell, program, *OPTIONS, f"--user-data-dir={profile}"], pass_fds=(asked[0], reported[1]),
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(asked[0])
-    os.close(told[1])
+    os.close(reported[1])
     try:
-        yield Page(told[0], asked[1])
+        yield Page(reported[0], asked[1])
     finally:
         process.kill()
         process.wait()
-        os.close(told[0])
+        os.close(reported[0])
         os.close(asked[1])

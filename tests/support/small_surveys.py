@@ -16,7 +16,7 @@ from geomosaic.pipeline.runner import run
 from geomosaic.requests.run_request import recipe_of
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.survey import SimulatedSurvey, simulate_frames
-from geomosaic_simulate.terrain import Ground
+from geomosaic_simulate.terrain import GroundImage
 
 NOISE_M = 0.4
 """Of each axis of a position."""
@@ -28,12 +28,12 @@ MAP_ALONE = (
 """The stages of a map. Tones, verdict and report take half of a small run."""
 
 
-_tile = lru_cache(maxsize=64)(Ground.tile)
+_tile = lru_cache(maxsize=64)(GroundImage.tile)
 
 
 def simulated(out: Path, plan: SurveyPlan) -> SimulatedSurvey:
     """As `simulate_frames`; tiles of ground that this process has painted are kept, at most 54 MB."""
-    with patch.object(Ground, "tile", _tile):
+    with patch.object(GroundImage, "tile", _tile):
         return simulate_frames(out, plan)
 
 

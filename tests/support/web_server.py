@@ -109,29 +109,29 @@ class _Handler(BaseHTTPRequestHandler):
         if not path.is_file():
             self._send(404, b"<html>none</html>")
             return
-        data, told = path.read_bytes(), {"Last-Modified": formatdate(path.stat().st_mtime, usegmt=True)}
+        data, reported = path.read_bytes(), {"Last-Modified": formatdate(path.stat().st_mtime, usegmt=True)}
         if self.world.tags:
-            told["ETag"] = f'"{blake2b(data, digest_size=8).hexdigest()}"'
+            reported["ETag"] = f'"{blake2b(data, digest_size=8).hexdigest()}"'
         if wrong == "slow":
             time.sleep(0.5)
         asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
         if asked is None or wrong == "no ranges":
-            self._send(200, data, **told)
+            self._send(200, data, **reported)
             return
         first, last = int(asked[1]), min(int(asked[2]), len(data) - 1)
-        told["Content-Range"] = f"bytes {first}-{last}/{len(data)}"
+        reported["Content-Range"] = f"bytes {first}-{last}/{len(data)}"
         if wrong == "changes":
             path.write_bytes(data[:-3] + b"new")
         if wrong == "hangs":
-            self._send(206, data[first : first + 1000], length=last + 1 - first, **told)
+            self._send(206, data[first : first + 1000], length=last + 1 - first, **reported)
             time.sleep(20.0)
         elif wrong.startswith("breaks off"):
             if wrong == "breaks off once":
                 self.world.wrong.clear()
-            self._send(206, data[first : first + 1000], length=last + 1 - first, **told)
+            self._send(206, data[first : first + 1000], length=last + 1 - first, **reported)
             self.close_connection = True
         else:
-            self._send(206, data[first : last + 1], **told)
+            self._send(206, data[first : last + 1], **reported)
 
     def _list(self, prefix: str, bucket: str) -> None:
         if not (self.world.root / bucket).is_dir():

@@ -53,7 +53,7 @@ def test_ground_and_roofs_lie_right(judged) -> None:
 
 
 @pytest.mark.parametrize(("what", "share"), [(WALL, 0.3), (CROWN, 0.35)])
-def test_few_cells_beside_walls_and_in_crowns_are_off_by_a_metre(judged, what: int, share: float) -> None:
+def test_few_cells_next_to_walls_and_in_crowns_are_off_by_a_metre(judged, what: int, share: float) -> None:
     errors_m, kind = judged
     assert (kind == what).sum() > 200
     assert float(np.mean(np.abs(errors_m[kind == what]) > 1.0)) < share
@@ -69,7 +69,7 @@ def test_deviations_are_what_errors_are(judged, found, what: int) -> None:
     assert float(np.sqrt(np.mean(np.minimum(off, 5.0) ** 2))) > 0.3  # nor are they far too large
 
 
-def test_what_one_frame_sees_is_held(town: Scene, found) -> None:
+def test_what_one_frame_sees_is_filled(town: Scene, found) -> None:
     surface = found[0]
     seeing = town.frames_seeing(surface)
     assert (seeing < 2).any()
@@ -106,7 +106,7 @@ def test_two_frames_have_to_look_alike_where_three_need_not(seeing: int, alike: 
 
 
 @pytest.mark.parametrize(("every", "kept"), [(25, False), (6, True)])
-def test_groves_with_some_sure_cells_stay_where_water_with_fewer_is_held(every: int, kept: bool) -> None:
+def test_groves_with_some_sure_cells_stay_where_water_with_fewer_is_filled(every: int, kept: bool) -> None:
     """A sixth of a grove's cells is sure where frames see it aslant, of water's a twenty-fifth by chance."""
     flat, shape = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1))), (40, 40)
     alike = np.full(shape, 0.2, dtype=np.float32)
@@ -150,8 +150,8 @@ def test_cells_that_no_frame_sees_keep_the_base(town: Scene) -> None:
     surface, counted, level = town.matched(town.cells(20.0, 500.0, 500.0))
     assert (surface.views == 0).all()
     assert np.allclose(surface.up_m, town.base.up_m)
-    told = dict(match_warnings(counted, level, town.base.kind))
-    assert list(told) == ["surface-not-matched"]
+    by_code = dict(match_warnings(counted, level, town.base.kind))
+    assert list(by_code) == ["surface-not-matched"]
 
 
 def test_two_frames_give_a_surface_that_says_so(town: Scene) -> None:
@@ -161,17 +161,19 @@ def test_two_frames_give_a_surface_that_says_so(town: Scene) -> None:
     errors_m, kind = pair.truth(surface)
     seen = (pair.frames_seeing(surface) == 2) & (kind == GROUND)
     assert float(np.median(np.abs(errors_m[seen]))) < GSD_M
-    told = dict(match_warnings(counted, level, town.base.kind))
-    assert "surface-two-views" in told
+    by_code = dict(match_warnings(counted, level, town.base.kind))
+    assert "surface-two-views" in by_code
 
 
-def test_hills_beyond_the_search_are_told_and_a_base_that_knows_them_finds_them(town: Scene, found) -> None:
+def test_hills_beyond_the_search_are_reported_and_a_base_that_knows_them_finds_them(
+    town: Scene, found
+) -> None:
     deep = GroundSurface("flat", 0.0, 0.0, 1.0, town.base.up_m - 17.0)
     _, counted, level = town.matched(town.cells(24.0), deep)
-    told = dict(match_warnings(counted, level, town.base.kind))
-    assert told.keys() & {"surface-out-of-reach", "surface-not-matched"}
-    told = dict(match_warnings(*found[1:], town.base.kind))
-    assert not told
+    by_code = dict(match_warnings(counted, level, town.base.kind))
+    assert by_code.keys() & {"surface-out-of-reach", "surface-not-matched"}
+    by_code = dict(match_warnings(*found[1:], town.base.kind))
+    assert not by_code
 
 
 def test_water_stays_as_it_was(tmp_path) -> None:
@@ -181,8 +183,8 @@ def test_water_stays_as_it_was(tmp_path) -> None:
     assert counted.looked_at > 1000
     assert counted.share < 0.3
     assert float(np.mean(land)) < 0.1
-    told = dict(match_warnings(counted, level, lake.base.kind))
-    assert "surface-not-matched" in told
+    by_code = dict(match_warnings(counted, level, lake.base.kind))
+    assert "surface-not-matched" in by_code
 
 
 @pytest.fixture(scope="module")
@@ -208,9 +210,9 @@ def test_one_and_two_workers_write_the_same_surface(flown: Path) -> None:
 @pytest.mark.proof
 def test_a_killed_run_goes_on_with_the_tile_it_was_at(flown: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Any tile: of the coarse level, of the fine one, and of the surface."""
-    told = summary(flown / "1")
+    run_summary = summary(flown / "1")
     inputs = {
-        name: load_artefact(flown / "1", told, of, kind)
+        name: load_artefact(flown / "1", run_summary, of, kind)
         for name, of, kind in (
             ("survey", "survey", Survey),
             ("adjusted", "adjusted", Adjusted),

@@ -195,7 +195,7 @@ def test_a_frame_that_lies_off_the_others_is_not_what_they_are_compared_with(mov
     assert found == asked
 
 
-def test_beside_a_wall_of_more_heights_than_are_looked_at_a_cell_has_those_of_its_side() -> None:
+def test_next_to_a_wall_of_more_heights_than_are_looked_at_a_cell_has_those_of_its_side() -> None:
     about = np.zeros((20, 40), dtype=np.float32)
     about[:, 20:] = 100.0
     steps = search_steps(about)

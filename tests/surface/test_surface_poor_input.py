@@ -18,13 +18,13 @@ from geomosaic_simulate.flight import fly
 from geomosaic_simulate.survey import world_of
 
 
-def test_no_place_that_three_frames_see_is_told(tmp_path) -> None:
+def test_no_place_that_three_frames_see_is_reported(tmp_path) -> None:
     line = scene(tmp_path, lines=1, frames_per_line=3, forward_overlap=0.45)
     surface, counted, level = line.matched(line.cells(12.0))
     assert line.frames_seeing(surface).max() == 2
     assert surface.views.max() <= 2
-    told = dict(match_warnings(counted, level, line.base.kind))
-    assert told.keys() & {"surface-two-views", "surface-not-matched"}
+    by_code = dict(match_warnings(counted, level, line.base.kind))
+    assert by_code.keys() & {"surface-two-views", "surface-not-matched"}
     assert np.isfinite(surface.up_m).all()
 
 
@@ -52,12 +52,12 @@ def test_a_dem_given_as_well_is_where_the_search_starts(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("known", "fix"), [("flat", "with --dem"), ("tie_surface", "with --dem"), ("dem", "--dem-offset")]
 )
-def test_who_gave_an_elevation_model_is_not_told_to_give_one(known: str, fix: str) -> None:
+def test_who_gave_an_elevation_model_is_not_asked_to_give_one(known: str, fix: str) -> None:
     level = pyramid_levels(Cells(0.0, 0.0, 0.4, 8, 8), 100.0)[-1]
-    told = dict(match_warnings(MatchCounts(looked_at=64, matched=64, beyond=10, alike=64), level, known))
-    assert list(told) == ["surface-out-of-reach"]
-    assert "10 m below to 30 m above" in told["surface-out-of-reach"]
-    assert fix in told["surface-out-of-reach"]
+    by_code = dict(match_warnings(MatchCounts(looked_at=64, matched=64, beyond=10, alike=64), level, known))
+    assert list(by_code) == ["surface-out-of-reach"]
+    assert "10 m below to 30 m above" in by_code["surface-out-of-reach"]
+    assert fix in by_code["surface-out-of-reach"]
 
 
 @pytest.mark.proof
@@ -65,5 +65,5 @@ def test_run_and_report_say_that_two_frames_are_few(tmp_path: Path) -> None:
     survey = small_survey(tmp_path / "survey", lines=1, frames_per_line=2)
     asked = ("--surface", "dense", "--pos", survey.pos, "--camera", survey.camera)
     assert mosaic(survey.frames, tmp_path / "run", *asked) == 0
-    told = {w["code"]: w["text"] for w in summary(tmp_path / "run")["warnings"]}
-    assert told["surface-two-views"] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    run_summary = {w["code"]: w["text"] for w in summary(tmp_path / "run")["warnings"]}
+    assert run_summary["surface-two-views"] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

@@ -17,12 +17,12 @@ CELL_M = 0.4
 ROOF_M = 10.0
 
 
-def filled(over_m: NDArray[np.float32], held: NDArray[np.bool_]) -> NDArray[np.float32]:
+def filled(over_m: NDArray[np.float32], filled_cells: NDArray[np.bool_]) -> NDArray[np.float32]:
     """A surface's heights over a level base, of a part that holds some cells."""
     cells = Cells(0.0, 0.0, CELL_M, *over_m.shape)
-    sd_m = np.where(held, np.float32(np.nan), np.float32(0.1))
+    sd_m = np.where(filled_cells, np.float32(np.nan), np.float32(0.1))
     part = FilteredTile(
-        np.where(held, np.float32(0.0), over_m), sd_m, (~held).astype(np.uint8), MatchCounts()
+        np.where(filled_cells, np.float32(0.0), over_m), sd_m, (~filled_cells).astype(np.uint8), MatchCounts()
     )
     return mosaic_tiles(cells, FLAT, [(Tile(0, 0, *over_m.shape), part)]).up_m
 
@@ -59,9 +59,9 @@ def test_one_wrong_low_cell_drags_nothing_down() -> None:
 
 def test_far_from_anything_the_base_stays() -> None:
     over_m = house(60, 400)
-    held = np.zeros(over_m.shape, dtype=bool)
-    held[:, 30:] = True
-    up_m = filled(over_m, held)
+    filled_cells = np.zeros(over_m.shape, dtype=bool)
+    filled_cells[:, 30:] = True
+    up_m = filled(over_m, filled_cells)
     assert np.abs(up_m[:, -100:]).max() < 0.1 * ROOF_M
     assert np.isfinite(up_m).all()
 
@@ -69,14 +69,14 @@ def test_far_from_anything_the_base_stays() -> None:
 def test_a_roof_at_the_rim_is_not_carried_on() -> None:
     """Its height stood 13 m beyond the last roof that two frames see: 99 % of open ground rose from 15 to 23 px."""
     over_m = house()
-    held = np.zeros(over_m.shape, dtype=bool)
-    held[:, 30:] = True
-    up_m = filled(over_m, held)
+    filled_cells = np.zeros(over_m.shape, dtype=bool)
+    filled_cells[:, 30:] = True
+    up_m = filled(over_m, filled_cells)
     assert up_m[30:50, 40:].max() < 0.5 * ROOF_M
     assert up_m[30:50, 60:].max() < 0.2 * ROOF_M
 
 
-def test_held_heights_do_not_depend_on_where_squares_meet() -> None:
+def test_filled_heights_do_not_depend_on_where_squares_meet() -> None:
     rng = np.random.default_rng(1)
     over_m = rng.normal(0.0, 3.0, (520, 540)).astype(np.float32)
     known = rng.uniform(size=over_m.shape) < 0.4
@@ -110,7 +110,7 @@ def test_the_corner_of_a_roof_that_two_frames_see_is_kept() -> None:
     assert not found[:, 30:].any()
 
 
-def test_cells_of_two_frames_that_nothing_of_their_height_stands_by_are_held() -> None:
+def test_cells_of_two_frames_that_nothing_of_their_height_stands_by_are_filled() -> None:
     up_m, alike = house(), np.full((60, 80), 0.9, dtype=np.float32)
     up_m[30:33, 50:53] = 20.0
     found = kept(alike, up_m)
@@ -118,7 +118,7 @@ def test_cells_of_two_frames_that_nothing_of_their_height_stands_by_are_held() -
     assert found[30:33, 56:60].all()
 
 
-def test_islands_that_two_frames_agree_on_are_held() -> None:
+def test_islands_that_two_frames_agree_on_are_filled() -> None:
     """On water, and in woods that wind moves."""
     up_m = np.full((60, 80), 2.0, dtype=np.float32)
     alike = np.full((60, 80), 0.3, dtype=np.float32)

@@ -154,8 +154,8 @@ def test_what_was_known_before_counts_by_its_deviation_and_the_distance():
     surface = surface_of(up)
     surface.views[:, 160:], surface.sd_m[:, 160:] = 0, 1.0
     model = terrain_model(surface)
-    beside, far = model.up_m[50, 160 + 12], model.up_m[50, 160 + 200]
-    assert beside < 0.5 and far > 4.8
+    near, far = model.up_m[50, 160 + 12], model.up_m[50, 160 + 200]
+    assert near < 0.5 and far > 4.8
     assert 0.1 < model.sd_m[50, 160 + 12] < model.sd_m[50, 160 + 200] < 1.01
     assert not model.seen[:, 160:].any()
 

@@ -191,8 +191,8 @@ def test_points_without_a_height_determine_the_plan(read: Read, unknown: str) ->
     assert [p.plan_only for p in points] == [True, False, False]
     assert [p.height_ellipsoidal_m for p in points] == [72.5, 71.5, 73.5]
     assert points[0].sd_vertical_m > 1e4 and points[1].sd_vertical_m == 0.05
-    told = [w.text for w in notes if w.code == "control-plan-only"]
-    assert told == [
+    warning_found = [w.text for w in notes if w.code == "control-plan-only"]
+    assert warning_found == [
         "gcp_list.txt: 1 of 3 points (A) have no height, so the points place the map in plan only; "
         "give heights to place it in height too"
     ]

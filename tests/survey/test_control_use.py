@@ -186,7 +186,7 @@ def test_points_of_which_some_cannot_be_used_are_one_line(
     assert used == set(names) - {names[0], names[2]} and len(texts(survey, "control")) == 3
 
 
-def test_many_points_without_marks_beside_marked_ones_are_counted(
+def test_many_points_without_marks_among_marked_ones_are_counted(
     flown: SimulatedSurvey, rover: Path, tmp_path: Path
 ) -> None:
     """Only check points are marked: no control holds the map."""

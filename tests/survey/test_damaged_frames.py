@@ -50,8 +50,8 @@ def zeroed(data: bytes, first: float, last: float = 1.0) -> bytes:
 def found(path: Path, data: bytes) -> tuple[str, int]:
     """What is heard of a JPEG's damage, and how many rows are said to be whole."""
     path.write_bytes(data)
-    heard = wholeness(str(path))
-    return heard.damage, heard.whole_rows
+    detected = wholeness(str(path))
+    return detected.damage, detected.whole_rows
 
 
 KINDS = [{}, {"PROGRESSIVE": 1}, {"RST_INTERVAL": 20}, {"OPTIMIZE": 1}, {"SAMPLING_FACTOR": 0x111111}]
@@ -71,7 +71,7 @@ def test_whole_images_are_whole(tmp_path: Path, options: dict[str, int]) -> None
 
 
 @pytest.mark.parametrize("options", KINDS)
-def test_damage_is_heard_and_the_rows_above_it_told(tmp_path: Path, options: dict[str, int]) -> None:
+def test_damage_is_detected_and_the_rows_above_it_reported(tmp_path: Path, options: dict[str, int]) -> None:
     data = image(**options)
     start, end = coded(data)
     middle = (start + end) // 2
@@ -132,8 +132,8 @@ def test_a_tiff_that_does_not_decode(tmp_path: Path, compress: str) -> None:
             at = int(tiff.get_tag_item("BLOCK_OFFSET_0_20", "TIFF", bidx=1))
     data = path.read_bytes()
     path.write_bytes(data[: at + 20] + bytes(600) + data[at + 620 :])
-    heard = wholeness(str(path))
-    assert heard.damage.startswith("GDAL says '") and heard.whole_rows == 256
+    detected = wholeness(str(path))
+    assert detected.damage.startswith("GDAL says '") and detected.whole_rows == 256
     with pytest.raises(FileError, match="can't be decoded whole"):
         read_pixels(frame(path))
     got, valid = read_pixels(frame(path, whole_rows=256))
@@ -167,11 +167,11 @@ def test_the_rest_is_mosaicked_and_the_damaged_are_named(
     run = tmp_path / "run"
     given = ["--pos", line.pos, "--camera", line.camera, "--adjust", "least_squares"]
     assert mosaic(frames, run, *given) == 0
-    told = summary(run)
+    run_summary = summary(run)
     out = ["F0002.jpg", "F0005.jpg", "folder.jpg", "notes.jpg"]
-    assert told["frames"] == {"total": 7, "tied": 3, "placed": 0, "rejected": 0, "left_out": 4}
+    assert run_summary["frames"] == {"total": 7, "tied": 3, "placed": 0, "rejected": 0, "left_out": 4}
     assert sorted(warned(run, "frame-damaged")) == out
-    text = next(w["text"] for w in told["warnings"] if w["frame"] == "F0002.jpg")
+    text = next(w["text"] for w in run_summary["warnings"] if w["frame"] == "F0002.jpg")
     assert text.startswith("left out: the image data are damaged: libjpeg says 'Corrupt JPEG data")
     with (run / "positions.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -196,10 +196,13 @@ def test_a_frame_whose_mask_is_spoiled_is_left_out_and_named(line: SimulatedSurv
     survey = read_survey(SurveyInputs(frames, **given))
     assert [f.name for f in survey.frames] == ["F0001.jpg", "F0003.jpg", "F0005.jpg"]
     assert survey.frames[0].valid_mask == str(frames / "F0001_mask.png")
-    told = {out.name: out.reason for out in survey.left_out}
-    assert told.keys() == {"F0002.jpg", "F0004.jpg"}
-    assert told["F0002.jpg"].startswith("the mask is damaged") and "(F0002_mask.png)" in told["F0002.jpg"]
-    assert told["F0004.jpg"].startswith("the mask has 41 x 30 pixels, its frame ")
+    reported = {out.name: out.reason for out in survey.left_out}
+    assert reported.keys() == {"F0002.jpg", "F0004.jpg"}
+    assert (
+        reported["F0002.jpg"].startswith("the mask is damaged")
+        and "(F0002_mask.png)" in reported["F0002.jpg"]
+    )
+    assert reported["F0004.jpg"].startswith("the mask has 41 x 30 pixels, its frame ")
     with pytest.raises(FileError, match=r"F0002_mask\.png: the mask is damaged"):
         read_survey(SurveyInputs(frames, **given, strict=True))
 

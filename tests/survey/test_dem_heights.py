@@ -229,9 +229,9 @@ def test_a_dem_with_a_hole_of_9999_gives_the_pixel_it_gave_without(
     run = tmp_path / "run"
     given = ["--pos", survey.pos, "--camera", survey.camera, "--adjust", "least_squares", "--dem-offset", 0]
     assert mosaic(survey.frames, run, *given, "--dem", dem) == 0
-    told = summary(run)
-    assert told["mosaic"]["gsd_m"] == pytest.approx(0.1, rel=0.1)
-    (text,) = [w["text"] for w in told["warnings"] if w["code"] == "dem-outliers"]
+    run_summary = summary(run)
+    assert run_summary["mosaic"]["gsd_m"] == pytest.approx(0.1, rel=0.1)
+    (text,) = [w["text"] for w in run_summary["warnings"] if w["code"] == "dem-outliers"]
     assert "-9999 m" in text and "dem.tif" in text
     bare = tmp_path / "bare.vrt"
     bare.write_text(

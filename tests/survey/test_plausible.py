@@ -93,8 +93,8 @@ def copied(
 def test_a_slip_of_the_decimal_point_is_named(flown: SimulatedSurvey, tmp_path: Path) -> None:
     frames, pos = copied(flown, tmp_path, {2: "616333.1"})
     survey = read_survey(SurveyInputs(frames, pos=pos, camera=flown.camera))
-    (told,) = [w for w in survey.warnings if w.code == "height-absurd"]
-    assert told.frame == "F0003.jpg" and "616333 m" in told.text
+    (warning_found,) = [w for w in survey.warnings if w.code == "height-absurd"]
+    assert warning_found.frame == "F0003.jpg" and "616333 m" in warning_found.text
 
 
 @pytest.mark.proof
@@ -116,10 +116,10 @@ def test_a_larger_slip_is_named_and_the_mosaic_is_made(flown: SimulatedSurvey, t
     )
     assert code == 0, err
     assert peak_gb < 1.5
-    told = {w["code"]: w for w in summary(tmp_path / "run")["warnings"]}
-    assert told["height-absurd"]["frame"] == "F0003.jpg"
-    assert f"{float(height):g} m" in told["height-absurd"]["text"]
-    assert told["height-by-neighbours"]["frame"] == "F0003.jpg"
+    run_summary = {w["code"]: w for w in summary(tmp_path / "run")["warnings"]}
+    assert run_summary["height-absurd"]["frame"] == "F0003.jpg"
+    assert f"{float(height):g} m" in run_summary["height-absurd"]["text"]
+    assert run_summary["height-by-neighbours"]["frame"] == "F0003.jpg"
     assert summary(tmp_path / "run")["frames"]["total"] == 8
     assert summary(tmp_path / "run")["mosaic"]["width"] < 1500
 
@@ -143,23 +143,23 @@ def test_a_mosaic_too_large_is_refused_before_it_is_matched(
     flown: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """By the limit, with the fix; by a frame 10 km off, with its name."""
-    told = ("--pos", flown.pos, "--camera", flown.camera, *QUICK)
+    options = ("--pos", flown.pos, "--camera", flown.camera, *QUICK)
     small = ("--gsd", 0.03, "--set", "mosaic.seams.max_gigapixels=0.001")
-    assert mosaic(flown.frames, tmp_path / "run", *told, *small) == 2
+    assert mosaic(flown.frames, tmp_path / "run", *options, *small) == 2
     err = capfd.readouterr().err
     assert "gigapixels at 0.03 m, more than 0.001; frame F000" in err
     assert "--gsd coarser, or --set mosaic.seams.max_gigapixels=1" in err
     assert "Match" not in err
 
     frames, pos = copied(flown, tmp_path, {3: 9000.0 / LAT_M + 48.1}, "lat_deg")
-    assert mosaic(frames, tmp_path / "run", "--pos", pos, *told[2:]) == 2
+    assert mosaic(frames, tmp_path / "run", "--pos", pos, *options[2:]) == 2
     err = capfd.readouterr().err
     assert "without frame F0004.jpg: it reaches 9." in err and "check its position, height" in err
     assert "Match" not in err
 
 
 @pytest.mark.proof
-def test_the_estimate_is_told_and_comes_true(
+def test_the_estimate_is_reported_and_comes_true(
     flown: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
@@ -185,13 +185,13 @@ def test_a_surface_takes_its_time_and_room_too(
     flown: SimulatedSurvey, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Four times the cells, four times as much."""
-    told = []
+    reports = []
     for how in ((), ("--surface", "dense"), ("--surface", "dense", "--set", "surface.dense.cell_px=2")):
         asked = ("--pos", flown.pos, "--camera", flown.camera, "--dry-run", "--json", *how)
         assert mosaic(flown.frames, tmp_path / "run", *QUICK, *asked) == 0
-        told.append(json.loads(capfd.readouterr().out)["metrics"]["estimate"])
+        reports.append(json.loads(capfd.readouterr().out)["metrics"]["estimate"])
     for of in (lambda e: e["scratch_gb"], lambda e: e["minutes"][0], lambda e: e["minutes"][1]):
-        without, four, two = map(of, told)
+        without, four, two = map(of, reports)
         assert two - without == pytest.approx(4.0 * (four - without)) and four > without
 
 
@@ -223,11 +223,15 @@ def test_a_frame_that_the_adjustment_flings_away_is_left_out() -> None:
         output_grid(MapPixels("EPSG:32632", 0.2), wide, NAMES)
 
 
-def test_a_frame_that_stretches_the_mosaic_is_told() -> None:
+def test_a_frame_that_stretches_the_mosaic_is_reported() -> None:
     line = [view(i, 50.0 * i, 0.0) for i in range(8)]
     assert stretching(line, 0.2) is None
-    told = stretching([*line, view(8, 200.0, 4000.0)], 0.2)
-    assert told is not None and told[0].frame == 8 and told[1] == pytest.approx(200.0 / 4200.0, rel=0.01)
+    reported = stretching([*line, view(8, 200.0, 4000.0)], 0.2)
+    assert (
+        reported is not None
+        and reported[0].frame == 8
+        and reported[1] == pytest.approx(200.0 / 4200.0, rel=0.01)
+    )
     assert stretching(line[:3], 0.2) is None
 
 
@@ -243,11 +247,11 @@ def test_an_honest_big_survey_fits() -> None:
 
 
 def test_a_scene_of_strips_has_the_same_limit() -> None:
-    told = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0)
-    assert told.disk_gb[0] == pytest.approx(0.54 * 2 * 0.6, rel=0.01)
-    laid = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0, on_map=True)
-    assert laid.disk_gb[0] == pytest.approx(0.54 * 4 * 0.6, rel=0.01)
-    assert laid.minutes[0] > told.minutes[0]
+    reported = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0)
+    assert reported.disk_gb[0] == pytest.approx(0.54 * 2 * 0.6, rel=0.01)
+    on_map = estimate_scene((30_000, 20_000), FilledPixels(0.9, 2), 100.0, on_map=True)
+    assert on_map.disk_gb[0] == pytest.approx(0.54 * 4 * 0.6, rel=0.01)
+    assert on_map.minutes[0] > reported.minutes[0]
     with pytest.raises(InputError, match="check the strips' sizes"):
         estimate_scene((260_000, 500_000), FilledPixels(1.0, 2), 100.0)
 
@@ -276,11 +280,11 @@ def tagged(folder: Path, focal: Fraction, film_mm: int | None, wrong: int = 1, c
 def test_a_focal_length_of_next_to_nothing_is_the_other_frames(tmp_path: Path) -> None:
     survey = read_survey(SurveyInputs(tagged(tmp_path / "a", Fraction(1, 10**7), None)))
     assert [survey.camera_of(i).focal_length_px for i in range(4)] == pytest.approx([79.2] * 4)
-    (told,) = [w for w in survey.warnings if w.code == "focal-length-absurd"]
-    assert told.frame == "0.jpg" and "px" in told.text and "not given" in told.text
+    (warning_found,) = [w for w in survey.warnings if w.code == "focal-length-absurd"]
+    assert warning_found.frame == "0.jpg" and "px" in warning_found.text and "not given" in warning_found.text
     many = read_survey(SurveyInputs(tagged(tmp_path / "b", Fraction(10**6), None, wrong=2, count=6)))
-    (told,) = [w for w in many.warnings if w.code == "focal-length-absurd"]
-    assert told.frame == "" and "2 of 6 frames: 0.jpg, 1.jpg" in told.text
+    (warning_found,) = [w for w in many.warnings if w.code == "focal-length-absurd"]
+    assert warning_found.frame == "" and "2 of 6 frames: 0.jpg, 1.jpg" in warning_found.text
 
 
 @pytest.mark.proof
@@ -390,8 +394,8 @@ KINDS = ("plain", "drift", "two heights", "drone and aircraft", "mountains", "pl
 @given(st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
 def test_honest_surveys_are_left_alone(kind: str, seed: int) -> None:
     given_ = honest(kind, np.random.default_rng(seed))
-    kept, told = plausible_positions([f"{i}.jpg" for i in range(len(given_))], given_)
-    assert not told and list(kept) == given_
+    kept, warning_found = plausible_positions([f"{i}.jpg" for i in range(len(given_))], given_)
+    assert not warning_found and list(kept) == given_
 
 
 @settings(max_examples=100, deadline=None)
@@ -406,9 +410,9 @@ def test_slips_among_honest_heights_are_found(kind: str, seed: int, count: int, 
     spoilt = [
         replace(p, height_ellipsoidal_m=level + 4.0 * high) if i in wrong else p for i, p in enumerate(given_)
     ]
-    kept, told = plausible_positions([f"{i}.jpg" for i in range(len(given_))], spoilt)
+    kept, warning_found = plausible_positions([f"{i}.jpg" for i in range(len(given_))], spoilt)
     assert {i for i, p in enumerate(kept) if p.height_ellipsoidal_m is None} == wrong
-    assert [w.code for w in told] == ["height-absurd"]
+    assert [w.code for w in warning_found] == ["height-absurd"]
 
 
 @pytest.mark.parametrize("height", [616333.1, 6163331.0, 61633.31, 6163.331, 1e7, 1e300, -61633.0, -6163.0])
@@ -424,8 +428,8 @@ def test_a_slip_is_named_with_its_value(height: float) -> None:
 def test_nothing_usable_left_is_refused() -> None:
     with pytest.raises(InputError, match="no frame has a plausible height"):
         plausible_positions(["a", "b"], positions([0.0, 10.0], 0.0, [1e7, 2e7]))
-    kept, told = plausible_positions(["a", "b"], positions([0.0, 10.0], 0.0, [1e7, 2e7], 80.0))
-    assert [p.height_above_ground_m for p in kept] == [80.0, 80.0] and "2 of 2" in told[0].text
+    kept, warning_found = plausible_positions(["a", "b"], positions([0.0, 10.0], 0.0, [1e7, 2e7], 80.0))
+    assert [p.height_above_ground_m for p in kept] == [80.0, 80.0] and "2 of 2" in warning_found[0].text
 
 
 def test_a_missing_height_lies_between_its_neighbours_and_is_known_as_badly() -> None:

@@ -59,8 +59,8 @@ def test_frames_without_gps_are_placed_by_the_images(tmp_path: Path, flown: Path
     end_of_tags = with_tags.index(b"\xff\xdb")
     (frames / "F0007.jpg").write_bytes(with_tags[:end_of_tags] + strange[strange.index(b"\xff\xdb") :])
     assert mosaic(frames, tmp_path / "run", *FEW) == 0
-    told = summary(tmp_path / "run")
-    assert told["frames"] == {"total": 7, "tied": 6, "placed": 0, "rejected": 1}
+    run_summary = summary(tmp_path / "run")
+    assert run_summary["frames"] == {"total": 7, "tied": 6, "placed": 0, "rejected": 1}
     assert warned(tmp_path / "run", "not-placed") == ["F0007.jpg"]
     (line,) = [w["text"] for w in told["warnings"] if w["code"] == "position-missing"]
     assert line.startswith(

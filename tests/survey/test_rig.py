@@ -122,7 +122,7 @@ def test_files_of_captures_without_the_first_band_are_named(tmp_path: Path) -> N
     assert survey.band == "Red" or (len(lost) == 1 and "1Red.jpg" in lost[0])
 
 
-def test_a_band_that_shows_nothing_is_left_as_told(tmp_path: Path) -> None:
+def test_a_band_that_shows_nothing_is_left_as_reported(tmp_path: Path) -> None:
     survey, poses, ground = make_survey(tmp_path / "own", lines=1, per_line=2, bands=1)
     frames = []
     for i, frame in enumerate(survey.frames):
@@ -189,9 +189,9 @@ def test_a_folder_of_a_rig_becomes_one_mosaic_with_named_bands(tmp_path: Path) -
     run = tmp_path / "run"
     assert mosaic(folder, run, "--pos", tmp_path / "pos.csv", "--camera", simulated.camera) == 0
     assert geomosaic("export", "orthos", run) == 0
-    told = summary(run)
-    assert told["frames"]["tied"] == 3 and told["metrics"]["bands"]["NIR"]["after_px"] < 0.3
-    (band,) = load_artefact(run, told, "rig", RigPoses).bands
+    run_summary = summary(run)
+    assert run_summary["frames"]["tied"] == 3 and run_summary["metrics"]["bands"]["NIR"]["after_px"] < 0.3
+    (band,) = load_artefact(run, run_summary, "rig", RigPoses).bands
     assert Turn.from_matrix(band.own_from_band).as_rotvec() == pytest.approx(TURN, abs=5e-4)
     with rasterio.open(run / "mosaic.tif") as found:
         assert found.descriptions == ("Green", "NIR")

@@ -196,7 +196,7 @@ def test_every_third_frame_in_the_order_of_exposure(folder: Path) -> None:
     assert not {"pos-line-without-frame", "pos-frame-without-line"} & {w.code for w in survey.warnings}
 
 
-def test_the_cameras_of_one_aircraft_are_told_apart(tmp_path: Path) -> None:
+def test_the_cameras_of_one_aircraft_are_distinguished(tmp_path: Path) -> None:
     """An M30T's wide, zoom and thermal frames of the same moments; the wide ones by default, or those asked
     for."""
     for i in range(6):

@@ -385,7 +385,7 @@ def test_a_camera_of_another_shape_is_refused() -> None:
         cameras_from_file([header(3000, 4000)], [CAMERA], Path("c.json"), [None])
 
 
-def test_several_cameras_are_told_apart() -> None:
+def test_several_cameras_are_distinguished() -> None:
     cameras = [
         CAMERA,
         replace(CAMERA, name="v2 dji fc6310"),
@@ -539,7 +539,7 @@ def test_a_fisheye_that_no_tag_tells_rightly_is_equidistant(odd: dict[str, str])
     assert camera.focal_length_px == pytest.approx(1061.333, abs=1e-3)
 
 
-def test_a_fisheye_lens_is_told_and_a_global_shutter_known(tmp_path: Path) -> None:
+def test_a_fisheye_lens_is_reported_and_a_global_shutter_known(tmp_path: Path) -> None:
     tags = {"ModelType": "fisheye", "LineReadoutTime": "23076"}
     paths = [
         tagged(tmp_path / f"{band}.jpg", 1, **tags, BandName=band, RigCameraIndex=i, PrincipalPoint="2.5,1.7")
@@ -585,12 +585,12 @@ def test_an_upright_frame_has_the_lens_of_a_lying_one() -> None:
 def test_a_camera_file_unlike_the_tags_is_followed_with_a_word(tmp_path: Path) -> None:
     """A sensor's size left out of the file makes parts of the side of what was in mm."""
     header = read_header(drone_frame(tmp_path / "a.jpg"))
-    told = camera_from_header(header)[0].focal_length_px
+    reported = camera_from_header(header)[0].focal_length_px
     for factor, words in ((1.1, []), (12.0, ["focal-length-differs"])):
-        camera = Camera("mine", header.width_px, header.height_px, factor * told, 60.0, 40.0)
+        camera = Camera("mine", header.width_px, header.height_px, factor * reported, 60.0, 40.0)
         choice = cameras_from_file([header], [camera], tmp_path / "c.yaml", [None])
         assert [w.code for w in choice.warnings] == words
-        assert choice.cameras[0].focal_length_px == factor * told
+        assert choice.cameras[0].focal_length_px == factor * reported
 
 
 @pytest.mark.parametrize(

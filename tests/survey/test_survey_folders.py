@@ -76,7 +76,7 @@ def test_png_files_are_frames_where_there_are_no_others(tmp_path: Path) -> None:
     assert names(tmp_path) == ["a.jpg"]
 
 
-def test_frames_beside_folders_count_alone_and_it_is_said(tmp_path: Path) -> None:
+def test_frames_next_to_folders_count_alone_and_it_is_said(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 2)
     drone_frame(folder / "small" / "DJI_0001.JPG") if (folder / "small").mkdir() is None else None
     survey = read_survey(SurveyInputs(folder))

@@ -62,7 +62,7 @@ def test_a_receiver_without_fix_gives_no_position() -> None:
     assert onboard_position(exif_from_block(exif_block(**gps(0.0, 0.0))), {}) is None
 
 
-def test_missing_hemisphere_is_told() -> None:
+def test_missing_hemisphere_is_reported() -> None:
     exif = exif_from_block(exif_block(GPSLatitude=dms(10.5), GPSLongitude=dms(20.25)))
     assert (exif.lat_deg, exif.lon_deg, exif.hemisphere_assumed) == (10.5, 20.25, True)
 

@@ -284,7 +284,7 @@ def test_unknown_convention_and_missing_columns(tmp_path: Path) -> None:
         read_pos(tmp_path / "none.csv")
 
 
-def test_ignored_columns_are_told(tmp_path: Path) -> None:
+def test_ignored_columns_are_reported(tmp_path: Path) -> None:
     file = pos(tmp_path, "frame,lon,lat,wind\na,9,48,7\n")
     assert file.warnings[0].text.startswith("pos.csv: columns not used: wind; name ")
 

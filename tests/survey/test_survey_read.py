@@ -277,7 +277,7 @@ def test_a_survey_across_the_date_line(tmp_path: Path) -> None:
     assert "position-far-away" not in codes(survey)
 
 
-def test_a_position_far_from_all_others_is_told(tmp_path: Path) -> None:
+def test_a_position_far_from_all_others_is_reported(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 4)
     drone_frame(folder / "stray.jpg", 10.5, second=9)
     warning = next(w for w in read_survey(SurveyInputs(folder)).warnings if w.code == "position-far-away")
@@ -308,7 +308,7 @@ def test_a_dem_with_a_vertical_datum_in_feet(tmp_path: Path) -> None:
         assert survey.work_frame.height_ellipsoidal_m == pytest.approx(148.4104, abs=1e-3)
 
 
-def test_a_dem_without_one_is_taken_as_the_frames_heights_and_told(tmp_path: Path) -> None:
+def test_a_dem_without_one_is_taken_as_the_frames_heights_and_reported(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f")
     survey = read_survey(SurveyInputs(folder, dem=dem(folder / "dem.tif")))
     assert len(survey.frames) == 4  # the DEM in the folder is no frame

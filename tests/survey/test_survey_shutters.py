@@ -22,7 +22,7 @@ def sized(width_px: int, height_px: int, model: str) -> FrameHeader:
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"),
+    ("reported", "expected"),
     [
         (header(make="DJI", model="FC330"), Shutter(0.033, pytest.approx(0.0033), "model")),
         (header(make="Hasselblad", model="L1D-20c"), Shutter(0.056, pytest.approx(0.0056), "model")),
@@ -43,8 +43,8 @@ def sized(width_px: int, height_px: int, model: str) -> FrameHeader:
         (header(1, {"Camera:LineReadoutTime": "20000"}, model="Sequoia"), Shutter(0.0, 0.0, "global")),
     ],
 )
-def test_the_surest_source_tells(told: FrameHeader, expected: Shutter) -> None:
-    found = shutter(told)
+def test_the_surest_source_tells(reported: FrameHeader, expected: Shutter) -> None:
+    found = shutter(reported)
     assert (found.source, found.readout_s, found.sd_s) == (
         expected.source,
         pytest.approx(expected.readout_s),

@@ -257,8 +257,8 @@ def test_altitude_is_the_models(scene: SimulatedStrips, tmp_path: Path) -> None:
     plan = StripPlan(row_separation_lines=150.0, lines=600)
     model = plan.altitude_m + plan.ground_height_m
     assert read_geometry(scene.geometry).altitude_m == pytest.approx(model, abs=20.0)
-    told = changed(scene, tmp_path / "told.yaml", altitude_m=40e3)
-    assert read_geometry(told).altitude_m == 40e3
+    reported = changed(scene, tmp_path / "told.yaml", altitude_m=40e3)
+    assert read_geometry(reported).altitude_m == 40e3
 
 
 def changed(scene: SimulatedStrips, path: Path, **changes: Any) -> Path:
@@ -287,7 +287,7 @@ def dem_at(path: Path, west: float, north: float) -> str:
 
 
 @pytest.mark.parametrize(("pixel_m", "fits"), [(0.9, False), (1.1, True), (3.8, True), (4.2, False)])
-def test_a_ground_pixel_is_held_against_the_model_s(
+def test_a_ground_pixel_is_compared_to_the_model_s(
     scene: SimulatedStrips, tmp_path: Path, pixel_m: float, fits: bool
 ) -> None:
     path = changed(scene, tmp_path / "g.yaml", ground_pixel_m=pixel_m)

@@ -61,7 +61,7 @@ def test_other_frames_and_other_files_are_named_errors(tmp_path: Path) -> None:
         read(tmp_path, LINES.replace("-42.09046032", "142.09"), *(f"{n}.jpg" for n in (1, 2, 3)))
 
 
-def test_the_drones_file_beside_the_frames_is_found(tmp_path: Path) -> None:
+def test_the_drones_file_next_to_the_frames_is_found(tmp_path: Path) -> None:
     for name in ("1.jpg", "2.jpg", "3.jpg"):
         (tmp_path / name).touch()
     read(tmp_path, LINES, "1.jpg", "2.jpg", "3.jpg")

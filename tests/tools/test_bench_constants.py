@@ -12,7 +12,7 @@ from geomosaic.pipeline.context import Notes
 from tools.bench.bench_constants import other
 from tools.bench.bench_constants_change import change
 from tools.bench.bench_constants_names import homes, names_in, used_while_loading
-from tools.bench.bench_constants_scenes import Outcome
+from tools.bench.bench_constants_scenes import StageOutcome
 
 
 def test_counts_stay_whole_shares_stay_below_1_and_tables_keep_their_shape() -> None:
@@ -35,9 +35,9 @@ def test_where_a_constant_is_named_is_found() -> None:
 
 
 def test_what_counts_is_a_hundredth_of_a_scatter_a_warning_or_a_failure() -> None:
-    def outcome(off: float, code: str = "", failure: str = "") -> Outcome:
+    def outcome(off: float, code: str = "", failure: str = "") -> StageOutcome:
         warnings = [{"code": code, "frame": "", "text": ""}] if code else []
-        return Outcome({"heights": np.array([-1.0, 1.0]) + off}, Notes(warnings), 0.0, failure)
+        return StageOutcome({"heights": np.array([-1.0, 1.0]) + off}, Notes(warnings), 0.0, failure)
 
     assert change(outcome(0.0), outcome(0.0), {})[0] == 0.0
     assert change(outcome(0.0), outcome(0.02), {}) == (pytest.approx(2.0), ".heights: by 0.02")

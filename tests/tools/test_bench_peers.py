@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.geodesy.local import LocalFrame
-from tools.bench.bench_peers import apart_m, beside, centres, save, table, together
+from tools.bench.bench_peers import apart_m, compared_to, centres, save, table, together
 from tools.bench.bench_speed_measure import Taken
 from tools.bench.bench_speed_table import Result
 from tools.docs.results_page import all_rows
@@ -48,7 +48,7 @@ def test_results_keep_the_flights_that_are_not_measured_and_give_rows(tmp_path: 
     ours = Result("geomosaic", {"processor_s": 10.0, "wall_s": 5.0, "centres_after_mm": 2.0})
     slow = Result("slow", {"processor_s": 40.0, "wall_s": 25.0, "centres_after_mm": 3.0})
     absent = Result("absent", failed="left out: no network | no index")
-    programs = [vars(beside(result, ours, {})) for result in (ours, slow, absent)]
+    programs = [vars(compared_to(result, ours, {})) for result in (ours, slow, absent)]
     assert programs[1]["figures"]["processor_ratio"] == 4.0
     entry = {"machine": "2 cores", "commit": "0", "command": "bench", "programs": programs}
     for name, date in (("first", "2026-01-01"), ("second", "2026-01-02"), ("first", "2026-01-03")):

@@ -18,7 +18,7 @@ from tools.bench.bench_speed_table import Result, against_floor, behind, missed,
 OURS = {"wall_s": 20.0, "peak_mb": 900.0, "frames_used": 18.0, "ssim": 0.98}
 
 
-def test_a_peer_that_is_better_in_one_column_is_told_and_missed() -> None:
+def test_a_peer_that_is_better_in_one_column_is_reported_and_missed() -> None:
     slower = Result("slower", {"wall_s": 27.0, "peak_mb": 950.0, "frames_used": 18.0, "ssim": 0.97})
     smaller = Result("smaller", {**slower.figures, "peak_mb": 400.0})
     assert behind(OURS, slower.figures) == []
@@ -36,7 +36,7 @@ def test_a_figure_that_only_the_peer_has_is_behind_and_one_that_it_lacks_is_not(
     assert not missed(lines)
 
 
-def test_the_mosaic_and_the_whole_are_held_against_the_floor() -> None:
+def test_the_mosaic_and_the_whole_are_compared_to_the_floor() -> None:
     floor = {"warp_s": 3.0, "cog_s": 5.0, "whole_s": 8.0}
     stages = {"matching.sift": 6.0, "mosaic.seams": 1.0, "mosaic.compose": 6.0, "export.cog": 3.0}
     lines = against_floor(floor, stages, wall_s=19.0, processor_s=30.0, peak_mb=1400.0)
@@ -98,11 +98,11 @@ def test_mosaics_are_judged_on_the_same_squares_of_ground_which_most_of_them_sho
 
 
 def test_a_command_is_measured_with_what_it_starts_and_stopped_at_its_limits(tmp_path: Path) -> None:
-    held = "import time; data = bytearray(100 << 20); time.sleep(1)"
+    program = "import time; data = bytearray(100 << 20); time.sleep(1)"
     command = [
         sys.executable,
         "-c",
-        f"import subprocess, sys; subprocess.run([sys.executable, '-c', {held!r}])",
+        f"import subprocess, sys; subprocess.run([sys.executable, '-c', {program!r}])",
     ]
     taken = measured(command, tmp_path / "log")
     assert not taken.failed

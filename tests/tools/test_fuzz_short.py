@@ -30,10 +30,10 @@ def test_spoiled_files_are_refused_or_read_and_nothing_else_happens(tmp_path: Pa
         [sys.executable, "-m", "tools.fuzz", *words],
         cwd=ROOT, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
-    told = json.loads((tmp_path / "fuzz" / "fuzz.json").read_text())
+    reported = json.loads((tmp_path / "fuzz" / "fuzz.json").read_text())
     assert done.returncode == 0, done.stdout + done.stderr
-    assert told["cases"] >= CASES - 3
-    whole = told["table"][-1]
+    assert reported["cases"] >= CASES - 3
+    whole = reported["table"][-1]
     assert whole["kind"] == "all"
     assert whole["accepted"] > 1
     assert whole["refused"] > 1

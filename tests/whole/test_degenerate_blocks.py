@@ -83,22 +83,24 @@ def test_each_level_that_fails_is_one_warning_and_the_next_takes_over() -> None:
     def fails(its: Block, settings: Settings) -> Adjusted:
         raise NotSolvableError("no digits left")
 
-    laid = with_fallbacks(block, Settings(), fails)
-    codes = [w.code for w in laid.warnings]
+    solved_anyway = with_fallbacks(block, Settings(), fails)
+    codes = [w.code for w in solved_anyway.warnings]
     assert codes == ["self-calibration-failed", "self-calibration-failed", "bundle-failed"]
-    assert not problems(laid, 4)
+    assert not problems(solved_anyway, 4)
 
 
 def test_without_self_calibration_the_lens_stays_as_given_and_its_doubt_counts() -> None:
     block = fly(3, 3, 4, crossed=True, relief=hills).block
-    free, held = (pose_block(block, Settings(model="given", self_calibration=own)) for own in (True, False))
-    for camera, given in zip(held.cameras, block.cameras, strict=True):
+    free, fixed_lens = (
+        pose_block(block, Settings(model="given", self_calibration=own)) for own in (True, False)
+    )
+    for camera, given in zip(fixed_lens.cameras, block.cameras, strict=True):
         assert camera.focal_length_px == given.focal_length_px and camera.k1 == given.k1
     assert any(
         (a.focal_length_px, a.k1) != (b.focal_length_px, b.k1)
         for a, b in zip(free.cameras, block.cameras, strict=True)
     )
-    assert (held.poses.positions_sd_m[:, 2] > 0.0).all()
+    assert (fixed_lens.poses.positions_sd_m[:, 2] > 0.0).all()
 
 
 def test_what_is_no_number_is_removed_by_name() -> None:

@@ -34,15 +34,15 @@ def test_equal_seeds_draw_equal_surveys_and_others_others(tmp_path: Path) -> Non
     first, again = (simulate(tmp_path / name, 6) for name in "ab")
     assert first == again
     assert len({json.dumps(d.summary()) for d in DRAWN}) == len(DRAWN)
-    told = json.loads(first["truth/dirty.json"])
+    reported = json.loads(first["truth/dirty.json"])
     drawn = dirty_survey(6)
-    assert (told["seed"], told["ground"]) == (6, drawn.ground)
-    assert told["faults"] == [{"name": name, "set": values} for name, values in drawn.faults.items()]
+    assert (reported["seed"], reported["ground"]) == (6, drawn.ground)
+    assert reported["faults"] == [{"name": name, "set": values} for name, values in drawn.faults.items()]
     plan = json.loads(first["truth/truth.json"])["plan"]
-    for fault in told["faults"]:
-        later = {k for f in told["faults"][told["faults"].index(fault) + 1 :] for k in f["set"]}
+    for fault in reported["faults"]:
+        later = {k for f in reported["faults"][reported["faults"].index(fault) + 1 :] for k in f["set"]}
         assert all(plan[k] == v for k, v in fault["set"].items() if k not in later)
-    assert told["given"] == {
+    assert reported["given"] == {
         "width_px": "96",
         "height_px": "72",
         "height_above_ground_m": "8.0",
@@ -71,8 +71,8 @@ def test_each_fault_is_as_likely_as_its_table_says() -> None:
 
 def test_the_documents_table_is_the_one_that_is_drawn_from() -> None:
     text = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text()
-    told = re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", text, re.MULTILINE)
-    assert told == [(fault.name, f"{fault.probability:g}") for fault in FAULTS]
+    reported = re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", text, re.MULTILINE)
+    assert reported == [(fault.name, f"{fault.probability:g}") for fault in FAULTS]
 
 
 def test_surveys_are_flown_as_people_fly_them() -> None:
@@ -158,7 +158,7 @@ def test_without_a_mosaic_there_is_none() -> None:
     assert bench_dirty.outcome({"kind": "dirty", "placed": True, "exit": 1}) == ("no mosaic", ["exit 1"])
 
 
-def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_laid_down(tmp_path: Path) -> None:
+def test_the_judge_measures_a_mosaic_without_a_place_once_it_is_georeferenced(tmp_path: Path) -> None:
     """A copy of the ortho turned, shrunk and moved to nowhere, with a step of three pixels in its middle."""
     assert geomosaic(
         "simulate", "frames", tmp_path / "s", "--lines", 1, "--frames-per-line", 2, "--width-px", 400,

@@ -236,8 +236,8 @@ def test_the_guides_run(
             if argv[0] == "evaluate":
                 argv += ["--set", "quality.compare.patch_px=48", "--set", "quality.compare.search_px=32"]
             code = main(argv)
-            told = capsys.readouterr()
-            assert code == 0 or (argv[0], code) == ("diff", 1), f"{line}\n{told.out}{told.err}"
+            output = capsys.readouterr()
+            assert code == 0 or (argv[0], code) == ("diff", 1), f"{line}\n{output.out}{output.err}"
     assert (desk / "flight" / "frames-mosaic" / "mosaic.tif").is_file()
     for block in blocks(ROOT / "docs" / "python.md", "python"):
         exec(block.replace(", set={", ", workers=1, set={"), globals())
@@ -293,8 +293,8 @@ def test_the_commands_of_the_other_pages_run(surveyed: Path, capsys: pytest.Capt
     assert {c[0] for c in commands} >= {"mosaic", "strips", "run", "replay", "inspect", "export", "simulate"}
     for argv in commands:
         code = main([*argv])
-        told = capsys.readouterr()
-        assert code == 0, f"{argv}\n{told.out}{told.err}"
+        output = capsys.readouterr()
+        assert code == 0, f"{argv}\n{output.out}{output.err}"
 
 
 @pytest.mark.proof

@@ -111,12 +111,12 @@ def test_the_run_folder_holds_just_what_is_promised(run: Path) -> None:
 def test_the_mosaic_is_a_cog_on_the_map(run: Path, block: SimulatedSurvey) -> None:
     doubts, errors, _ = validate(str(run / "mosaic.tif"), full_check=True)
     assert (doubts, errors) == ([], [])
-    told_mosaic = summary(run)["mosaic"]
+    of_mosaic = summary(run)["mosaic"]
     with rasterio.open(run / "mosaic.tif") as tiff, rasterio.open(block.ortho) as true:
-        assert tiff.crs.to_epsg() == 32632 and told_mosaic["crs"] == "EPSG:32632"
-        assert (tiff.width, tiff.height) == (told_mosaic["width"], told_mosaic["height"])
-        assert tiff.transform.a == -tiff.transform.e == told_mosaic["gsd_m"]
-        assert 0.095 < told_mosaic["gsd_m"] < 0.105
+        assert tiff.crs.to_epsg() == 32632 and of_mosaic["crs"] == "EPSG:32632"
+        assert (tiff.width, tiff.height) == (of_mosaic["width"], of_mosaic["height"])
+        assert tiff.transform.a == -tiff.transform.e == of_mosaic["gsd_m"]
+        assert 0.095 < of_mosaic["gsd_m"] < 0.105
         assert tiff.dtypes[:3] == ("uint8",) * 3
         filled = (tiff.dataset_mask() > 0).sum() * tiff.transform.a**2
         wanted = (true.dataset_mask() > 0).sum() * true.transform.a**2
@@ -173,8 +173,8 @@ def test_positions_have_the_promised_columns_and_lie_near_the_truth(
 
 
 def test_run_json_keeps_its_promise(run: Path) -> None:
-    told_run = summary(run)
-    assert told_run["frames"] == {"total": 8, "tied": 8, "placed": 0, "rejected": 0}
+    run_summary = summary(run)
+    assert run_summary["frames"] == {"total": 8, "tied": 8, "placed": 0, "rejected": 0}
     assert {
         "warnings",
         "camera",
@@ -184,15 +184,15 @@ def test_run_json_keeps_its_promise(run: Path) -> None:
         "recipe",
         "versions",
         "inputs",
-    } <= (told_run.keys())
-    assert all({"code", "frame", "text"} == w.keys() for w in told_run["warnings"])
-    assert len(told_run["timings_s"]) == 19 and told_run["timings_s"]["matching.sift"] > 0.0
-    (camera,) = told_run["camera"]
+    } <= (run_summary.keys())
+    assert all({"code", "frame", "text"} == w.keys() for w in run_summary["warnings"])
+    assert len(run_summary["timings_s"]) == 19 and run_summary["timings_s"]["matching.sift"] > 0.0
+    (camera,) = run_summary["camera"]
     assert camera["focal_length_px"] == pytest.approx(500.0, abs=10.0) and camera["focal_length_px"] != 500.0
-    assert len(told_run["inputs"]["survey.read.frames"]["files"]) == 8
+    assert len(run_summary["inputs"]["survey.read.frames"]["files"]) == 8
 
 
-def test_the_report_needs_nothing_beside_it(run: Path) -> None:
+def test_the_report_needs_no_other_file(run: Path) -> None:
     """What its scripts might ask for is looked at in a browser (test_report_chromium)."""
     whole = (run / "report.html").read_text(encoding="utf-8")
     assert whole.lower().startswith("<!doctype html>")
@@ -224,13 +224,13 @@ def test_every_method_goes_to_the_end(
     again = tmp_path / "run"
     shutil.copytree(few_run, again)
     assert mosaic(few_survey.frames, again, *told(few_survey), "--adjust", method) == 0
-    told_run = summary(again)
-    assert "matching.sift" in told_run["cached_stages"]
-    assert told_run["metrics"]["adjustment"]["method"] == method
+    run_summary = summary(again)
+    assert "matching.sift" in run_summary["cached_stages"]
+    assert run_summary["metrics"]["adjustment"]["method"] == method
     off = rms(off_m(again, few_survey)[:, :2])
     most = {"none": 1.5, "least_squares": 2.0}.get(method, 12.0)
     assert 0.05 < off < most * NOISE_M, method
-    given = load_artefact(again, told_run, "given", GivenMosaic).image
+    given = load_artefact(again, run_summary, "given", GivenMosaic).image
     alike = [likeness(given, again / "mosaic.tif", east_m) for east_m in (0.0, 4.0)]
     assert alike[0] > alike[1] + 0.1
     if method == "none":
@@ -272,10 +272,10 @@ def test_frames_alone_across_the_border_of_two_zones_in_the_south(tmp_path: Path
     lon = [float(r["lon_deg"]) for r in rows(run / "positions.csv")]
     assert min(lon) < -60.0 < max(lon)
     epsg = "EPSG:32720" if np.median(lon) < -60.0 else "EPSG:32721"
-    told_run = summary(run)
-    assert told_run["mosaic"]["crs"] == epsg
-    assert {"height-above-take-off", "camera-assumed"} <= {w["code"] for w in told_run["warnings"]}
-    quality = told_run["metrics"]["quality"]
+    run_summary = summary(run)
+    assert run_summary["mosaic"]["crs"] == epsg
+    assert {"height-above-take-off", "camera-assumed"} <= {w["code"] for w in run_summary["warnings"]}
+    quality = run_summary["metrics"]["quality"]
     assert quality["share_measured"] > 0.9
     assert 0.05 < quality["absolute_rmse_m"] < 3.0 * NOISE_M
 

@@ -34,9 +34,9 @@ def test_what_the_documentation_shows_is_so(few_survey: SimulatedSurvey, tmp_pat
     run = gm.mosaic(tmp_path / "frames", tmp_path / "run", set=sets, workers=1, overwrite=True)
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for test in doctest.DocTestFinder().find(runs, globs={"gm": gm, "run": run, "folder": run.folder.parent}):
-        told: list[str] = []
-        doctest.DocTestRunner(optionflags=flags).run(test, out=told.append)
-        assert not told, "".join(told)
+        reports: list[str] = []
+        doctest.DocTestRunner(optionflags=flags).run(test, out=reports.append)
+        assert not reports, "".join(reports)
 
 
 def test_a_run_holds_its_products(run: gm.Run) -> None:

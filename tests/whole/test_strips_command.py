@@ -81,8 +81,8 @@ def figures(run: Path) -> dict[str, Any]:
 
 def warnings_of(run: Path) -> dict[str, str]:
     """Texts by code."""
-    told = json.loads((run / "run.json").read_text(encoding="utf-8"))["warnings"]
-    return {w["code"]: f"{w['frame']}: {w['text']}" for w in told}
+    warning_list = json.loads((run / "run.json").read_text(encoding="utf-8"))["warnings"]
+    return {w["code"]: f"{w['frame']}: {w['text']}" for w in warning_list}
 
 
 def test_a_run_is_whole_and_its_mosaic_a_cog_with_an_rpc(run: Path) -> None:
@@ -150,17 +150,17 @@ def test_the_misplacement_rate_counts_runs_by_method(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(run, tmp_path / "worse", ignore=shutil.ignore_patterns("work"))
-    told = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    told["metrics"]["misplacement"] |= {"misplaced": True, "worst_segment_px": 1.25}
-    (tmp_path / "worse" / "run.json").write_text(json.dumps(told))
+    run_summary = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    run_summary["metrics"]["misplacement"] |= {"misplaced": True, "worst_segment_px": 1.25}
+    (tmp_path / "worse" / "run.json").write_text(json.dumps(run_summary))
     capsys.readouterr()
     assert geomosaic("misplacement", run, tmp_path / "worse") == 0
     lines = capsys.readouterr().out.splitlines()
     assert "in place" in lines[0] and lines[1].endswith("worst segment 1.25 px (joint)")
     assert lines[2] == "joint: 1 of 2 misplaced, 50.0 % (95 % interval 9.5 to 90.5 %)"
     (tmp_path / "dark").mkdir()
-    told["metrics"]["misplacement"] |= dict.fromkeys(("misplaced", "rms_px", "worst_segment_px"))
-    (tmp_path / "dark" / "run.json").write_text(json.dumps(told))
+    run_summary["metrics"]["misplacement"] |= dict.fromkeys(("misplaced", "rms_px", "worst_segment_px"))
+    (tmp_path / "dark" / "run.json").write_text(json.dumps(run_summary))
     dark = tmp_path / "dark"
     assert geomosaic("misplacement", run, dark, tmp_path / "worse", dark, dark) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -190,8 +190,10 @@ def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
     again = tmp_path / "run"
     shutil.copytree(run, again)
     assert strips(scene.geometry, again, "--set", "mosaic.strips.blend=hard") == 0
-    told = json.loads((again / "run.json").read_text(encoding="utf-8"))
-    assert "ccd.offsets" in told["cached_stages"] and "mosaic.strips" not in told["cached_stages"]
+    run_summary = json.loads((again / "run.json").read_text(encoding="utf-8"))
+    assert (
+        "ccd.offsets" in run_summary["cached_stages"] and "mosaic.strips" not in run_summary["cached_stages"]
+    )
     whole = (scene.geometry.parent / "ccd2.tif").read_bytes()
     try:
         with warnings.catch_warnings():
@@ -202,8 +204,8 @@ def test_what_a_changed_strip_touches_is_redone_and_nothing_else(
         assert strips(scene.geometry, again, "--set", "mosaic.strips.blend=hard") == 0
     finally:
         (scene.geometry.parent / "ccd2.tif").write_bytes(whole)
-    told = json.loads((again / "run.json").read_text(encoding="utf-8"))
-    assert "ccd.offsets" not in told["cached_stages"]
+    run_summary = json.loads((again / "run.json").read_text(encoding="utf-8"))
+    assert "ccd.offsets" not in run_summary["cached_stages"]
 
 
 def test_a_dead_ccd_and_a_short_strip_are_named_and_the_rest_is_stitched(tmp_path: Path) -> None:
@@ -211,11 +213,11 @@ def test_a_dead_ccd_and_a_short_strip_are_named_and_the_rest_is_stitched(tmp_pat
     made = simulate_strips(tmp_path / "scene", plan, scene=False)
     truth = f"quality.strips.truth={made.true_offsets}"
     assert strips(made.geometry, tmp_path / "run", "--set", truth) == 0
-    told = warnings_of(tmp_path / "run")
-    assert told["ccd-missing"].startswith("CCD 2:") and told["strip-short"].startswith(
+    warning_found = warnings_of(tmp_path / "run")
+    assert warning_found["ccd-missing"].startswith("CCD 2:") and warning_found["strip-short"].startswith(
         "ccd4.tif: has 1700 lines"
     )
-    assert "columns 384 to 575 of the scene stay empty" in told["scene-gap"]
+    assert "columns 384 to 575 of the scene stay empty" in warning_found["scene-gap"]
     errors = json.loads((tmp_path / "run" / "run.json").read_text())["metrics"]["errors"]
     assert errors["figures"]["p95_px"] < 0.2 and errors["measured_above"] == 0
     with rasterio.open(tmp_path / "run" / "mosaic.tif") as mosaic:
@@ -238,8 +240,8 @@ def test_a_bad_geometry_is_one_line_and_nothing_written(
     change, text = BAD[case]
     geometry = elsewhere(scene, tmp_path / "geometry.yaml", **change)
     assert strips(geometry, tmp_path / "run") == 2
-    told = capsys.readouterr().err.strip()
-    assert "\n" not in told and "geometry.yaml" in told and text in told
+    error = capsys.readouterr().err.strip()
+    assert "\n" not in error and "geometry.yaml" in error and text in error
     assert not (tmp_path / "run").exists()
 
 
@@ -251,8 +253,8 @@ def test_a_strip_of_text_is_named(
     entry["ccds"][1]["path"] = "notes.tif"
     (tmp_path / "geometry.yaml").write_text(yaml.safe_dump(entry))
     assert strips(tmp_path / "geometry.yaml", tmp_path / "run") == 2
-    told = capsys.readouterr().err.strip()
-    assert told.endswith("notes.tif: is no raster file that can be read; give a strip such as a GeoTIFF")
+    error = capsys.readouterr().err.strip()
+    assert error.endswith("notes.tif: is no raster file that can be read; give a strip such as a GeoTIFF")
     assert not (tmp_path / "run").exists()
 
 
@@ -264,21 +266,21 @@ def test_an_rpc_of_another_scene_is_named(
     (tmp_path / "other_RPC.TXT").write_text("\n".join(moved))
     geometry = elsewhere(scene, tmp_path / "geometry.yaml", rpc="other_RPC.TXT")
     assert strips(geometry, tmp_path / "run") == 2
-    told = capsys.readouterr().err.strip()
-    assert "other_RPC.TXT: is of another scene" in told and "\n" not in told
+    error = capsys.readouterr().err.strip()
+    assert "other_RPC.TXT: is of another scene" in error and "\n" not in error
     assert not (tmp_path / "run").exists()
 
 
 def test_a_dry_run_says_what_scene_and_map_would_take(
     scene: SimulatedStrips, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = []
+    reports = []
     for more in ([], ["--map"]):
         assert strips(scene.geometry, tmp_path / "run", "--dry-run", *more) == 0
         said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
         assert said["strips"] == "3 of 384 px, up to 3,200 lines, 2 seams"
-        told.append(said["expected"])
-    assert told[0].startswith("the mosaic will have about 960 x 3,900 px") and told[0] != told[1]
+        reports.append(said["expected"])
+    assert reports[0].startswith("the mosaic will have about 960 x 3,900 px") and reports[0] != reports[1]
     assert not (tmp_path / "run").exists()
 
 
@@ -307,8 +309,8 @@ def test_a_strip_cut_short_on_disk_is_named(
     whole = (folder / "ccd3.tif").read_bytes()
     (folder / "ccd3.tif").write_bytes(whole[: len(whole) // 2])
     assert strips(folder / "geometry.yaml", tmp_path / "run") == 2
-    told = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "ccd3.tif" in told
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "ccd3.tif" in error
     assert not (tmp_path / "run" / "mosaic.tif").exists()
 
 

@@ -62,7 +62,7 @@ def make(desk: Path, *arguments: str) -> tuple[int, str]:
 
 
 @pytest.mark.proof
-def test_three_surveys_are_made_side_by_side_and_then_settled(desk: Path) -> None:
+def test_three_surveys_are_made_side_by_side_and_then_up_to_date(desk: Path) -> None:
     code, said = make(desk, "-k", "-j2", "mosaics", "reports", *EXPORTED)
     assert code == 2 and said.count("geomosaic: ") == 1 and "is no JPEG file" in said, said
     (desk / "flights" / "broken").rename(desk / "broken")

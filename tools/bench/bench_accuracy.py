@@ -43,7 +43,7 @@ LINES = ["--lines", "3", "--frames-per-line", "8"]
 BLOCK = [*SIZE, *LINES]
 NAMED = {"turned-frame": "frame-turned", "wrong-yaw": "yaw-wrong", "position-outlier": "position-wrong"}
 """What truth.json calls a thing that is wrong on purpose, and what a run's warning calls it. Of a frame with
-two things wrong one must be told: an image turned by 180 degrees and a heading wrong by 180 cancel."""
+two things wrong one must be expected_warnings: an image turned by 180 degrees and a heading wrong by 180 cancel."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Case:
 
     pairs_px: the largest misalignment of a tied pair by the paper's equation 5. straight: the error must not
     grow or fall with the frame number. parts: how many parts without ties to each other the survey has; each
-    is judged alone. ground: see the stage adjustment.solve. told: warnings that must be there
+    is judged alone. ground: see the stage adjustment.solve. expected_warnings: warnings that must be there
     besides those of frames that are wrong on purpose.
     """
 
@@ -63,7 +63,7 @@ class Case:
     pairs_px: float | None = None
     straight: bool = False
     parts: int = 1
-    told: tuple[str, ...] = ()
+    expected_warnings: tuple[str, ...] = ()
     ground: str = "auto"
     dem: bool = False
     gsd_m: float = 0.1
@@ -71,7 +71,7 @@ class Case:
 
 CASES = [
     Case("flat", BLOCK, 0.15, 0.5),
-    Case("k1 unknown", [*PIXELS, *LINES, "--k1", "-0.08", "--no-lens-told"], 0.3),
+    Case("k1 unknown", [*PIXELS, *LINES, "--k1", "-0.08", "--no-lens-reported"], 0.3),
     Case("hills, DEM", [*BLOCK, "--relief-m", "20"], 0.3, dem=True),
     Case("hills, no DEM", [*BLOCK, "--relief-m", "20"], 0.6, 1.2),
     Case("hills, no DEM, as if flat", [*BLOCK, "--relief-m", "20"],
@@ -84,12 +84,12 @@ CASES = [
     Case("yaw 15 deg, said 2", [*BLOCK, "--yaw-sd-deg", "15", "--stated-yaw-sd-deg", "2"], 0.15, 0.5),
     Case("stale yaw on a line", [*BLOCK, "--stale-yaw-line", "2"], 0.15, 0.5),
     Case("heights off and drifting", [*BLOCK, "--height-bias-m", "-30", "--height-drift-m", "25"], 0.15, 0.5,
-         told=("heights-drift",)),
+         expected_warnings=("heights-drift",)),
     Case("the same, no relative height", [*BLOCK, "--height-bias-m", "-30", "--height-drift-m", "25",
-                                          "--no-relative-height-told"], 0.15, 0.5, told=("heights-drift",)),
-    Case("no attitude", [*BLOCK, "--no-attitude-told"], 0.3),
-    Case("no attitude, no height", [*BLOCK, "--no-attitude-told", "--no-height-told"], 0.5),
-    Case("two parts", [*BLOCK, "--lost", "4-6,11-13,20-22"], 0.15, 0.5, parts=2, told=("separate-part",)),
+                                          "--no-relative-height-reported"], 0.15, 0.5, expected_warnings=("heights-drift",)),
+    Case("no attitude", [*BLOCK, "--no-attitude-reported"], 0.3),
+    Case("no attitude, no height", [*BLOCK, "--no-attitude-reported", "--no-height-reported"], 0.5),
+    Case("two parts", [*BLOCK, "--lost", "4-6,11-13,20-22"], 0.15, 0.5, parts=2, expected_warnings=("separate-part",)),
     Case("RTK positions", [*BLOCK, "--position-sd-m", "0.02", "--height-sd-m", "0.03"], 0.15, 0.5),
     Case("deviations said a fifth", [*BLOCK, "--stated-sd-factor", "0.2"], 0.15, 0.5),
     Case("deviations said five times", [*BLOCK, "--stated-sd-factor", "5"], 0.15, 0.5),
@@ -121,10 +121,10 @@ def run(case: Case, out: Path, seed: int, method: str = "bundle") -> dict[str, A
 
 def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
     """The figures of a run, and whether they are good."""
-    told = json.loads((target / "run.json").read_text())
-    comparison = load_artefact(target, told, "comparison", Comparison)
-    adjusted = load_artefact(target, told, "adjusted", Adjusted)
-    ties = load_artefact(target, told, "ties", TiePoints)
+    run_summary = json.loads((target / "run.json").read_text())
+    comparison = load_artefact(target, run_summary, "comparison", Comparison)
+    adjusted = load_artefact(target, run_summary, "adjusted", Adjusted)
+    ties = load_artefact(target, run_summary, "ties", TiePoints)
     with (target / "positions.csv").open(newline="") as file:
         at_m = np.array([[float(r["easting_m"]), float(r["northing_m"])] for r in csv.DictReader(file)])
     parts = connected_parts(len(at_m), [(t.left, t.right) for t in ties.pairs])
@@ -138,7 +138,7 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         (NAMED[w["code"]], w["frame"])
         for w in json.loads((folder / "truth" / "truth.json").read_text())["warnings"]
     }
-    warned = {(w["code"], w["frame"]) for w in told["warnings"]}
+    warned = {(w["code"], w["frame"]) for w in run_summary["warnings"]}
     once = [w for w in wrong if sum(frame == w[1] for _, frame in wrong) == 1]
     named = {frame for code, frame in warned if code in NAMED.values()}
     row: dict[str, Any] = {
@@ -149,8 +149,8 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         "slope_sd_mm": 1000.0 * slope_sd,
         "pairs_px": float(max(pairs, default=np.nan)),
         "measured": comparison.figures.share_measured,
-        "tied": told["frames"]["tied"],
-        "frames": told["frames"]["total"],
+        "tied": run_summary["frames"]["tied"],
+        "frames": run_summary["frames"]["total"],
         "wrong": len(wrong),
         "named": len(wrong & warned),
         "named_by_code": {c: _named(wrong, warned, c) for c in NAMED.values()},
@@ -168,7 +168,7 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         and (not case.straight or abs(slope) <= 2.0 * slope_sd)
         and warned.issuperset(once)
         and named.issuperset(frame for _, frame in wrong)
-        and set(case.told) <= {code for code, _ in warned}
+        and set(case.expected_warnings) <= {code for code, _ in warned}
     )
     return row
 

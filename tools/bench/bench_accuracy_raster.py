@@ -82,7 +82,7 @@ OPEN_M = 0.1
 
 
 @dataclass(frozen=True)
-class Case:
+class RasterCase:
     """A survey, and how it is mosaicked."""
 
     name: str
@@ -91,13 +91,14 @@ class Case:
 
 
 CASES = [
-    Case("hills", [*BLOCK, "--relief-m", "20"]),
-    Case("town", [*BLOCK, "--relief-m", "10", "--buildings-stand", "--trees-stand", "--buildings", "2",
+    RasterCase("hills", [*BLOCK, "--relief-m", "20"]),
+    RasterCase("town", [*BLOCK, "--relief-m", "10", "--buildings-stand", "--trees-stand", "--buildings", "2",
                   "--forward-overlap", "0.8", "--side-overlap", "0.6"], ("--surface", "dense")),
-    Case("rim", [*SIZE, "--lines", "2", "--frames-per-line", "6", "--relief-m", "25", "--relief-wavelength-m",
-                 "200", "--side-overlap", "0.3"], ("--edges", "keep")),
-    Case("flat", BLOCK),
-    Case("oblique, light, wind", [*BLOCK, "--relief-m", "12", "--trees-stand", "--wind-in-trees-m", "0.3",
+    RasterCase("rim", [*SIZE, "--lines", "2", "--frames-per-line", "6", "--relief-m", "25",
+                 "--relief-wavelength-m", "200", "--side-overlap", "0.3"], ("--edges", "keep")),
+    RasterCase("flat", BLOCK),
+    RasterCase("oblique, light, wind", [*BLOCK, "--relief-m", "12", "--trees-stand",
+                                  "--wind-in-trees-m", "0.3",
                                   "--vignetting", "0.3", "--auto-exposure", "0.5", "--clouds", "0.2",
                                   "--oblique-frames", "4"]),
 ]  # fmt: skip
@@ -108,7 +109,7 @@ def positions_of(seed: int) -> str:
     return tuple(POSITIONS)[seed % len(POSITIONS)]
 
 
-def run(case: Case, out: Path, seed: int) -> tuple[Path, Path]:
+def run(case: RasterCase, out: Path, seed: int) -> tuple[Path, Path]:
     """The survey's folder and its run, made anew."""
     folder = out / f"{case.name.replace(', ', '-')}-{seed}"
     positions = POSITIONS[positions_of(seed)]

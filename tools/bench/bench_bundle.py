@@ -134,7 +134,7 @@ def _seen(
     return near[inside], image_px[inside] + rng.normal(0, 0.5, (int(inside.sum()), 2))
 
 
-def _told(profile: cProfile.Profile, adjusted: Adjusted, truth: Poses) -> None:
+def _printed(profile: cProfile.Profile, adjusted: Adjusted, truth: Poses) -> None:
     figures = adjusted.figures
     off = adjusted.poses.positions_m - truth.positions_m
     off = np.sqrt(np.mean((off - off.mean(axis=0)) ** 2, axis=0))
@@ -180,15 +180,15 @@ def main() -> int:
     print(f"{len(block.ties.pairs)} pairs, {ties} tie points; {before_gb:.2f} GB so far")
     profile = cProfile.Profile()
     begun, begun_cpu = time.perf_counter(), time.process_time()
-    if not told.whole:
+    if not args.whole:
         profile.enable()
     adjusted = METHODS["bundle"](block, Settings())
     profile.disable()
     took_s, took_cpu_s = time.perf_counter() - begun, time.process_time() - begun_cpu
-    _told(profile, adjusted, truth)
+    _printed(profile, adjusted, truth)
     print(f"{'whole':32s} {'':6s} {took_s:7.2f}, of processors {took_cpu_s:.2f}")
-    if told.stats:
-        profile.dump_stats(told.stats)
+    if args.stats:
+        profile.dump_stats(args.stats)
     peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory {peak_gb:.2f} GB")
     write_rows(told, [result_row(len(truth), round(adjusted.figures["observations"]), took_s, peak_gb)])

@@ -55,7 +55,7 @@ def program(*words: object) -> int:
     return subprocess.run([*map(str, (PROGRAM, *words))], capture_output=True, check=False).returncode
 
 
-class Case:
+class ClusterCase:
     """A run that is watched, and hit when one of its stages begins."""
 
     def __init__(self, frames: Path, run: Path, *words: object) -> None:
@@ -99,26 +99,26 @@ def halting(process: subprocess.Popen[bytes]) -> Iterator[None]:
 def undisturbed(folder: Path, frames: Path, run: Path) -> Row:
     """Four workers."""
     with dask_team(folder / "dask", workers=4, hidden=folder / "far") as team:
-        code, last, seconds = Case(frames, run, "--dask", team.address).done()
+        code, last, seconds = ClusterCase(frames, run, "--dask", team.address).done()
     return {"case": "four workers", "exit_code": code, "said": last, "seconds": seconds}
 
 
 def killed_and_slow(folder: Path, frames: Path, run: Path) -> Row:
     """One worker of four dies while pairs are matched, another one is slow."""
     with dask_team(folder / "dask", workers=4, hidden=folder / "far") as team, halting(team.workers[0]):
-        code, last, seconds = Case(frames, run, "--dask", team.address).done("Match frames", team.kill)
+        code, last, seconds = ClusterCase(frames, run, "--dask", team.address).done("Match frames", team.kill)
     return {"case": "four workers, one killed, one slow", "exit_code": code, "said": last, "seconds": seconds}
 
 
 def without_scheduler(folder: Path, frames: Path, run: Path) -> Row:
     """The scheduler dies while tones are evened; the same command goes on with another one."""
     with dask_team(folder / "dask", workers=4, hidden=folder / "far") as team:
-        code, last, seconds = Case(frames, run, "--dask", team.address).done(
+        code, last, seconds = ClusterCase(frames, run, "--dask", team.address).done(
             "Even the tones", team.scheduler.kill
         )
     shutil.rmtree(folder / "dask")
     with dask_team(folder / "dask", workers=4, hidden=folder / "far") as team:
-        again, _, more = Case(frames, run, "--dask", team.address).done()
+        again, _, more = ClusterCase(frames, run, "--dask", team.address).done()
     ended = f"{last} (exit code {code})"
     return {
         "case": "scheduler killed, started anew",
@@ -140,7 +140,7 @@ def scaling(folder: Path, frames: Path) -> Row:
     for count in (1, 2):
         run = folder / "far" / f"by-{count}"
         with dask_team(folder / f"dask-{count}", workers=count, hidden=folder / "far") as team:
-            code, last, _ = Case(frames, run, "--dask", team.address).done()
+            code, last, _ = ClusterCase(frames, run, "--dask", team.address).done()
         if code:
             raise SystemExit(f"{count} workers: {last}")
         seconds[count] = stages_s(run)
@@ -215,7 +215,7 @@ def main() -> int:
     )  # fmt: skip
     (out / "far").mkdir(parents=True)
     frames = simulate_frames(out / "far" / "survey", plan).frames
-    code, last, seconds = Case(frames, out / "here", "--workers", "2").done()
+    code, last, seconds = ClusterCase(frames, out / "here", "--workers", "2").done()
     if code:
         raise SystemExit(last)
     rows = [

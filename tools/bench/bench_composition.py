@@ -111,8 +111,8 @@ def rows_of(seed: int, out: Path) -> list[dict[str, Any]]:
     folder = out / f"flight-{seed}"
     if not (folder / "run" / "run.json").exists():
         _call("simulate", "frames", folder, *FLIGHT, "--seed", seed)
-        told = ["--pos", folder / "pos.csv", "--camera", folder / "cameras.json"]
-        _call("mosaic", folder / "frames", "-o", folder / "run", "--workers", "1", *told)
+        options = ["--pos", folder / "pos.csv", "--camera", folder / "cameras.json"]
+        _call("mosaic", folder / "frames", "-o", folder / "run", "--workers", "1", *options)
     rows: list[dict[str, Any]] = [{"seed": seed, "way": FRAMES, "ssim": of_frames(folder, seed)}]
     for way, settings in WAYS.items():
         run = folder / "run"

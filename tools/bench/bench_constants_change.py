@@ -13,7 +13,7 @@ import numpy as np
 from geomosaic.camera.exterior import Poses
 from geomosaic.doors.bindings import gdal
 from geomosaic.pipeline.context import Notes, RunFile
-from tools.bench.bench_constants_scenes import Outcome
+from tools.bench.bench_constants_scenes import StageOutcome
 
 SHARE, PX, GREY = 0.01, 0.01, 0.1
 """What counts: of a stated deviation, of a figure or of a count; on a frame; of the mosaic's grey levels."""
@@ -23,7 +23,7 @@ CHANGED = float("inf")
 Change = tuple[float, str]
 
 
-def change(before: Outcome, after: Outcome, rasters: Mapping[str, Any]) -> Change:
+def change(before: StageOutcome, after: StageOutcome, rasters: Mapping[str, Any]) -> Change:
     """The largest change, 1 the least that counts, and what changed. rasters: of files before, by name."""
     if after.failure:
         return CHANGED, after.failure

@@ -47,7 +47,7 @@ SCENES = (
     Scene("wrong tags", "--lines 3 --frames-per-line 6 --pos-in exif --yaw-wrong-share 0.2 --turned 9-11 "
           "--gps-outliers 1 --no-gps 4 --seed 2", "mosaic", {}),
     Scene("control", "--lines 2 --frames-per-line 6 --control-points 9 --relief-m 12 "
-          "--relief-wavelength-m 80 --rolling-shutter-s 0.04 --no-lens-told --height-bias-m 8 "
+          "--relief-wavelength-m 80 --rolling-shutter-s 0.04 --no-lens-reported --height-bias-m 8 "
           "--seed 3", "mosaic",
           {"pos": "pos.csv", "gcp": "gcp_list.txt", "dem": "truth/dem.tif"}),
     Scene("dense", "--lines 2 --frames-per-line 4 --buildings-stand --trees-stand --exposure-sd 0.1 "
@@ -72,7 +72,7 @@ SCENES = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StageOutcome:
     """A stage's outputs by name and its notes, or the words with which it failed. seconds: of processor."""
 
     outputs: Mapping[str, Any]
@@ -90,19 +90,19 @@ class Done:
     step: RecipeStep
     inputs: Mapping[str, Any]
     summary: Mapping[str, Any]
-    outcome: Outcome
+    outcome: StageOutcome
     codes: frozenset[tuple[str, str, int]]
     folder: Path
 
-    def again(self, work: Path) -> Outcome:
+    def again(self, work: Path) -> StageOutcome:
         """The stage once more, as it is now."""
         given = StageInputs(RunFolder(self.folder, overwrite=True), self.inputs, self.summary)
         begun = time.process_time()
         try:
             values, notes = run_stage(Recipe("", "", 0, (self.step,)), given, work_folder=work)
         except GeomosaicError as error:
-            return Outcome({}, Notes(), time.process_time() - begun, f"{type(error).__name__}: {error}")
-        return Outcome(values, notes, time.process_time() - begun)
+            return StageOutcome({}, Notes(), time.process_time() - begun, f"{type(error).__name__}: {error}")
+        return StageOutcome(values, notes, time.process_time() - begun)
 
 
 def stages(scene: Scene, out: Path) -> list[Done]:
@@ -163,7 +163,7 @@ def _run(scene: Scene, folder: Path) -> list[Done]:
         names = (*step.stage.inputs, *step.stage.optional_inputs)
         inputs = {name: artefacts[name] for name in names if name in artefacts}
         before = pickle.loads(pickle.dumps(summary))
-        one = Done(scene.name, step, inputs, before, Outcome({}, Notes(), 0.0), frozenset(), run)
+        one = Done(scene.name, step, inputs, before, StageOutcome({}, Notes(), 0.0), frozenset(), run)
         with _called() as codes:
             one.outcome = one.again(run / "work" / step.stage.id)
         one.codes = frozenset((c.co_filename, c.co_name, c.co_firstlineno) for c in codes)

@@ -110,10 +110,10 @@ def outcome(row: Row) -> tuple[str, list[str]]:
     if row["covered"] is not None and row["covered"] < COVERED:
         missed.append(f"covered {100 * row['covered']:.0f} %")
     if row["placed"]:
-        told = row.get("absolute_m"), row.get("stated_m")
-        if None in told or not told[0] <= SDS * told[1]:
+        reported = row.get("absolute_m"), row.get("stated_m")
+        if None in reported or not reported[0] <= SDS * reported[1]:
             missed.append(
-                "absolute {} m, stated {} m".format(*("-" if t is None else f"{t:.2f}" for t in told))
+                "absolute {} m, stated {} m".format(*("-" if t is None else f"{t:.2f}" for t in reported))
             )
     if not missed:
         return ("right" if row["grade"] != "bad" else "right called bad"), []
@@ -179,7 +179,7 @@ def counted(rows: list[Row], by: Callable[[Row], list[str]]) -> list[str]:
 
 def calibration(rows: list[Row]) -> list[str]:
     """How often what a run states of its accuracy holds, and what its verdicts are worth."""
-    held: dict[str, list[bool]] = {}
+    accurate: dict[str, list[bool]] = {}
     for r in rows:
         stated = r.get("accuracy") or {}
         absolute, relative = stated.get("absolute") or {}, stated.get("relative") or {}
@@ -196,13 +196,13 @@ def calibration(rows: list[Row]) -> list[str]:
             ),
         ):
             if off is not None and sd is not None:
-                held.setdefault(name, []).append(abs(off) <= times * sd)
+                accurate.setdefault(name, []).append(abs(off) <= times * sd)
     known = [r for r in rows if r.get("after_px") is not None]
     right = [r for r in known if r["outcome"].startswith("right")]
     wrong = [r for r in known if r["after_px"] > WRONG_PX or any("absolute" in m for m in r["missed"])]
     out = ["# Calibration", ""]
     out += [
-        f"- {name}: {sum(of)} of {len(of)} ({100 * sum(of) / len(of):.0f} %)" for name, of in held.items()
+        f"- {name}: {sum(of)} of {len(of)} ({100 * sum(of) / len(of):.0f} %)" for name, of in accurate.items()
     ]
     for name, mine in (("right", right), (f"wrong by more than {WRONG_PX:g} px or three deviations", wrong)):
         good = sum(r.get("grade") == "good" for r in mine)

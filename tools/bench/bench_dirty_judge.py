@@ -151,8 +151,8 @@ def open_ground(folder: Path) -> Path:
 
 def plan_of(folder: Path) -> SurveyPlan:
     """How a survey was simulated."""
-    told = json.loads((folder / "truth" / "truth.json").read_text())["plan"]
-    return SurveyPlan(**{f.name: told[f.name] for f in fields(SurveyPlan) if f.name in told})
+    truth_record = json.loads((folder / "truth" / "truth.json").read_text())["plan"]
+    return SurveyPlan(**{f.name: truth_record[f.name] for f in fields(SurveyPlan) if f.name in truth_record})
 
 
 def hidden_by_heights(folder: Path) -> tuple[NDArray[np.bool_], Affine]:
@@ -242,20 +242,20 @@ def of_positions(folder: Path, run: Path) -> dict[str, Any]:
     is stated of it, the same of heights, and which frames are in the map or left out that should not be."""
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     frame = LocalFrame(**truth["work_frame"])
-    true, told = (_rows(p) for p in (folder / "truth" / "positions.csv", run / "positions.csv"))
+    true, reported = (_rows(p) for p in (folder / "truth" / "positions.csv", run / "positions.csv"))
     out = {f["frame"] for f in truth["leave_out"]}
-    tied = [name for name, r in told.items() if r["status"] == "tied"]
+    tied = [name for name, r in reported.items() if r["status"] == "tied"]
     row: dict[str, Any] = {
         "tied": len(tied),
         "wanted": len(set(true) - out),
         "strays_tied": sorted(set(tied) & out),
         "lost": sorted(set(true) - out - set(tied)),
     }
-    placed = [n for n in tied if _has(told[n], "lon_deg", "lat_deg", "height_ellipsoidal_m")]
+    placed = [n for n in tied if _has(reported[n], "lon_deg", "lat_deg", "height_ellipsoidal_m")]
     if not placed:
         return row
-    off = np.array([_enu(frame, told[n]) - _enu(frame, true[n]) for n in placed])
-    stated = np.array([[float(told[n][f"sd_{a}_m"] or "nan") for a in "enu"] for n in placed])
+    off = np.array([_enu(frame, reported[n]) - _enu(frame, true[n]) for n in placed])
+    stated = np.array([[float(reported[n][f"sd_{a}_m"] or "nan") for a in "enu"] for n in placed])
     level, up = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
     return {
         **row,

@@ -37,7 +37,7 @@ def _none(_: Path) -> Words:
 
 
 @dataclass(frozen=True)
-class Case:
+class FixCase:
     """A fault and its fix.
 
     evidence: the figure; says: words of its fix; survey: options of the simulation; before, after: files that
@@ -90,7 +90,7 @@ def _without_frames(*names: str) -> Callable[[Path], Words]:
 
 
 CASES = (
-    Case(
+    FixCase(
         "GNSS off in common, 10 cm asked for",
         "absolute accuracy",
         "as control points",
@@ -99,7 +99,7 @@ CASES = (
         _as_checks("--accuracy", "10cm"),
         _as_given("--accuracy", "10cm"),
     ),
-    Case(
+    FixCase(
         "no control, 20 cm asked for",
         "absolute accuracy",
         "control points (--gcp)",
@@ -107,7 +107,7 @@ CASES = (
         lambda _: ("--accuracy", "20cm"),
         _as_given("--accuracy", "20cm"),
     ),
-    Case(
+    FixCase(
         "distances to 1 per mille asked for",
         "relative accuracy",
         "control points (--gcp)",
@@ -115,7 +115,7 @@ CASES = (
         lambda _: ("--accuracy-relative", "1"),
         _as_given("--accuracy-relative", "1"),
     ),
-    Case(
+    FixCase(
         "positions 40 m off in common, RTK check points",
         "check points",
         "as control points",
@@ -124,7 +124,7 @@ CASES = (
         _as_checks(),
         _as_given(),
     ),
-    Case(
+    FixCase(
         "one control point 5 m off",
         "blunders",
         "check the coordinates",
@@ -132,7 +132,7 @@ CASES = (
         _one_wrong,
         _as_given(),
     ),
-    Case(
+    FixCase(
         "steep hills beyond the last tie points",
         "rim",
         "elevation model (--dem)",
@@ -142,7 +142,7 @@ CASES = (
         lambda folder: ("--edges", "keep", "--accuracy-relative", "1", "--dem",
                         str(folder / "truth" / "dem.tif")),
     ),
-    Case(
+    FixCase(
         "a frame that overlaps no other",
         "frames not tied",
         "leave them out",
@@ -153,7 +153,7 @@ CASES = (
 )  # fmt: skip
 
 
-def run_case(case: Case, seed: int, out: Path) -> dict[str, Any]:
+def run_case(case: FixCase, seed: int, out: Path) -> dict[str, Any]:
     """Both runs of a case, and what their verdicts say of its figure."""
     folder = out / f"{case.name.replace(' ', '_').replace(',', '')}-{seed}"
     shutil.rmtree(folder, ignore_errors=True)

@@ -28,7 +28,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from geomosaic.errors import GeomosaicError
 from tools.bench.bench_flights_figures import figures_of, figures_of_failed
-from tools.bench.bench_flights_sheet import Flight, read_flights
+from tools.bench.bench_flights_sheet import SheetFlight, read_flights
 from tools.bench.bench_flights_table import tables
 from tools.bench.bench_speed_measure import measured
 from tools.bench.contact_sheet import write_page
@@ -81,7 +81,7 @@ def _relative(text: str, data: Path) -> str:
     return text.replace(f"{data}/", "").replace(f"{data.parent}/", "../")
 
 
-def missed(flight: Flight, figures: Mapping[str, Any]) -> list[str]:
+def missed(flight: SheetFlight, figures: Mapping[str, Any]) -> list[str]:
     """What the sheet expects and the run does not reach; a figure that the run does not have is missed."""
     lines = []
     for key, wanted in flight.expect.items():

@@ -30,7 +30,7 @@ _FIX = "see the head of tools/bench/bench_flights_sheet.py"
 
 
 @dataclass(frozen=True)
-class Flight:
+class SheetFlight:
     """A flight to run. words: the options as on the command line, with paths below the sheet's folder."""
 
     name: str
@@ -41,7 +41,7 @@ class Flight:
     expect: Mapping[str, float] = field(default_factory=dict)
 
 
-def read_flights(data: Path, only: Sequence[str] = ()) -> list[Flight]:
+def read_flights(data: Path, only: Sequence[str] = ()) -> list[SheetFlight]:
     """All flights of a folder, or those named, by name. Raises `FileError` naming the sheet and the key."""
     sheets = {path.stem: path for path in sorted(data.glob("*.yaml"))}
     for name in only:
@@ -50,7 +50,7 @@ def read_flights(data: Path, only: Sequence[str] = ()) -> list[Flight]:
     return [read_sheet(path) for name, path in sheets.items() if not only or name in only]
 
 
-def read_sheet(path: Path) -> Flight:
+def read_sheet(path: Path) -> SheetFlight:
     """A flight by its sheet. Raises `FileError` naming the sheet and the key that is wrong."""
     sheet = _mapping(read_yaml(path, _MOST_BYTES, "a flight's sheet", _FIX), path, "the sheet", KEYS)
     for key in ("frames", "known", "check_points"):
@@ -63,7 +63,7 @@ def read_sheet(path: Path) -> Flight:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise FileError(f"'expect: {key}' is {shown(value)}, no number", file=path, fix=_FIX)
     check_points = sheet.get("check_points")
-    return Flight(
+    return SheetFlight(
         path.stem,
         path.parent / sheet["frames"],
         tuple(_words(sheet.get("options", {}), path)),

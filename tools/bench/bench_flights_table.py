@@ -69,7 +69,7 @@ def _points(figures: Row | None) -> str:
 
 
 def _stage(row: Row, stage: str) -> str:
-    seconds, held_mb = row.get("stages_s", {}).get(stage), row.get("stages_mb", {}).get(stage)
+    seconds, stage_mb = row.get("stages_s", {}).get(stage), row.get("stages_mb", {}).get(stage)
     if seconds is None:
         return "-"
-    return f"{seconds:.1f}" + ("" if held_mb is None else f", {held_mb:.0f}")
+    return f"{seconds:.1f}" + ("" if stage_mb is None else f", {stage_mb:.0f}")

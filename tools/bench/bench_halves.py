@@ -36,15 +36,15 @@ from geomosaic.quality.figures import interval_of
 from geomosaic.survey.header import JPEG_SUFFIXES, TIFF_SUFFIXES
 from tools.bench.bench_dirty_judge import MOST_PLACES
 from tools.bench.bench_flights import PROGRAM, commit
-from tools.bench.bench_flights_sheet import Flight, read_flights
+from tools.bench.bench_flights_sheet import SheetFlight, read_flights
 
 Floats = NDArray[np.float64]
 FLIGHTS = ("brighton", "garfield", "seneca20")
 CIRCLE_90 = sourced(2.1460, "deviations of a coordinate", "circle that holds 90 %", "Rayleigh")
-HELD = 0.9
+LEAST_SHARE = 0.9
 
 
-def halves(flight: Flight, out: Path) -> tuple[Path, Path]:
+def halves(flight: SheetFlight, out: Path) -> tuple[Path, Path]:
     """Runs of both halves of a flight."""
     names = sorted(p for p in flight.frames.iterdir() if p.suffix.lower() in JPEG_SUFFIXES | TIFF_SUFFIXES)
     runs = []
@@ -156,8 +156,8 @@ def main() -> int:
         asked.results.with_suffix(".md").write_text(
             f"# Split halves\n\n`{whole['command']}`\n\n{table(rows)}"
         )
-    held = [v for r in rows.values() for key, v in r.items() if key.startswith("within")]
-    return 0 if all(v >= HELD for v in held) else 1
+    shares = [v for r in rows.values() for key, v in r.items() if key.startswith("within")]
+    return 0 if all(v >= LEAST_SHARE for v in shares) else 1
 
 
 if __name__ == "__main__":

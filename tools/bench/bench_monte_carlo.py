@@ -108,7 +108,7 @@ ROWS = {
 
 
 @dataclass(frozen=True)
-class Case:
+class DrawnCase:
     """A survey: its plan, tie points a m², the share of its views in which a point is found, image noise.
 
     lens_drawn: the told lens is drawn about the true one with the deviations that the solver believes of
@@ -127,13 +127,13 @@ class Case:
 FRAMES = SurveyPlan(width_px=1336, height_px=1002, lines=3, frames_per_line=8, k1=0.0, k2=0.0)
 LINE = replace(FRAMES, kind="line", frames_per_line=200, forward_overlap=0.6)
 CASES = (
-    Case("flat", FRAMES, 0.19),
-    Case("flat, lens told exactly", FRAMES, 0.19, lens_drawn=False),
-    Case("line of 200", LINE, 0.03),
+    DrawnCase("flat", FRAMES, 0.19),
+    DrawnCase("flat, lens told exactly", FRAMES, 0.19, lens_drawn=False),
+    DrawnCase("line of 200", LINE, 0.03),
 )
 
 
-def draw(case: Case, seed: int) -> Draw:
+def draw(case: DrawnCase, seed: int) -> Draw:
     """A flight, its tie points and what the platform says, all of one seed."""
     plan = replace(case.plan, seed=seed)
     flight, rng = fly(plan), np.random.default_rng([seed, 20])
@@ -156,16 +156,16 @@ def draw(case: Case, seed: int) -> Draw:
     px = np.concatenate([poses[i].image_from_ground(true, points[seen[i]]) for i in range(n)])
     px += rng.normal(0.0, case.noise_px, px.shape)
     lens_sd = interior_deviations(true)[: len(LENS)] if case.lens_drawn else None
-    told = true
+    reported = true
     if lens_sd is not None:
-        told = with_lens(true, lens_of(true) + rng.normal(0.0, DRAWN_SHARE * lens_sd))
+        reported = with_lens(true, lens_of(true) + rng.normal(0.0, DRAWN_SHARE * lens_sd))
     position = poses.positions_m + rng.normal(0.0, POSITION_SD_M, (n, 3))
     rotations = turned(poses.rotations, rng.normal(0.0, TURN_SD_RAD, (n, 3)))
     pos = Poses(position, rotations, np.tile(POSITION_SD_M, (n, 1)), np.tile(TURN_SD_RAD, (n, 1)))
     names = tuple(f"{i:03d}.jpg" for i in range(n))
     lines = tuple(int(k) for k in flight.line)
     block = Block(
-        names, (told,) * n, pos, ground, _ties(seen, px), tuple(range(n)), lines, plan.ground_pixel_m
+        names, (reported,) * n, pos, ground, _ties(seen, px), tuple(range(n)), lines, plan.ground_pixel_m
     )
     return Draw(block, poses, true, points, frame, point, px, case.noise_px, lens_sd)
 
@@ -219,7 +219,7 @@ def stated_over_bound(stated: Floats, bound: Floats) -> dict[str, float]:
     return {"pose": float(full.mean())} | {k: float(marginal[:, c].mean()) for k, c in GROUPS.items()}
 
 
-def measure(case: Case, seed: int) -> dict[str, Any]:
+def measure(case: DrawnCase, seed: int) -> dict[str, Any]:
     """All figures of one draw."""
     d = draw(case, seed)
     n, pixel_m = len(d.poses), case.plan.ground_pixel_m
@@ -255,7 +255,7 @@ def measure(case: Case, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def summed_up(case: Case, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def summed_up(case: DrawnCase, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """A case's figures over its seeds, and whether they are good."""
 
     def rms(key: str) -> float:
@@ -282,7 +282,7 @@ def _standard_error(values: Sequence[float]) -> float | None:
     return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
 
-def _missed(case: Case, out: dict[str, Any], seeds: int) -> list[str]:
+def _missed(case: DrawnCase, out: dict[str, Any], seeds: int) -> list[str]:
     missed = []
     if case.lens_drawn and not NEES_LIMITS[0] <= out["nees"]["pose"] <= NEES_LIMITS[1]:
         missed.append("NEES")
@@ -362,7 +362,7 @@ def main() -> int:
     add_options(parser)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    told = []
+    reports = []
     print(HEADER, flush=True)
     with ProcessPoolExecutor(args.workers) as pool:
         for case in CASES:
@@ -370,7 +370,7 @@ def main() -> int:
                 continue
             rows = list(pool.map(partial(measure, case), range(1, args.seeds + 1)))
             summary = summed_up(case, rows)
-            told.append({**summary, "draws": rows})
+            reports.append({**summary, "draws": rows})
             print(row(summary), flush=True)
     (args.out / "monte_carlo.json").write_text(json.dumps(told, indent=1))
     write_rows(args, result_rows({s["case"]: s for s in told}))

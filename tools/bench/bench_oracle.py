@@ -5,7 +5,7 @@
 
 pycolmap (with Ceres inside) is an outside oracle and no part of the project's environment; without it the
 tool says so and ends with 0. Flights are drawn as in `bench_monte_carlo.py`, geometry alone, with a lens of
-k1 = -0.05 that is told as straight. Solvers:
+k1 = -0.05 that is reported as straight. Solvers:
 
 - geomosaic: the default method, which knows attitudes, what lenses are like and what ground is like.
 - geomosaic, positions alone: its bundle without any of it, for focal length, principal point, k1 and k2.
@@ -52,7 +52,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.matching.tracks import Tracks
 from geomosaic.projection.footprint import ground_from_images
-from tools.bench.bench_monte_carlo import FRAMES, Case, draw
+from tools.bench.bench_monte_carlo import FRAMES, DrawnCase, draw
 from tools.bench.cramer_rao import Draw
 from tools.bench.result_rows import RowKind, add_options, write_rows
 from tools.docs.results_page import BLOCK
@@ -70,8 +70,8 @@ ROWS = {
     )
 }
 CASES = (
-    Case("3 x 8", replace(FRAMES, k1=K1), 0.19, lens_drawn=False),
-    Case("10 x 20", replace(FRAMES, k1=K1, lines=10, frames_per_line=20), 0.06, lens_drawn=False),
+    DrawnCase("3 x 8", replace(FRAMES, k1=K1), 0.19, lens_drawn=False),
+    DrawnCase("10 x 20", replace(FRAMES, k1=K1, lines=10, frames_per_line=20), 0.06, lens_drawn=False),
 )
 _UNKNOWN_SD = {
     "focal_length_px": 1e3,
@@ -85,10 +85,10 @@ _COLMAP_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class Problem:
-    """What every solver is given: a draw with a straight lens told, its tracks, points to begin from."""
+    """What every solver is given: a draw with a straight lens reported, its tracks, points to begin from."""
 
     draw: Draw
-    told: Camera
+    reported: Camera
     tracks: Tracks
     start_m: Floats
 
@@ -109,16 +109,16 @@ class Found:
     rays: Callable[[Floats], Floats]
 
 
-def problem(case: Case, seed: int) -> Problem:
-    """The draw with its lens told as straight, every point seen by two frames or more."""
+def problem(case: DrawnCase, seed: int) -> Problem:
+    """The draw with its lens reported as straight, every point seen by two frames or more."""
     d = draw(case, seed)
-    told = replace(d.camera, k1=0.0)
-    d = replace(d, block=replace(d.block, cameras=(told,) * len(d.poses)))
+    reported = replace(d.camera, k1=0.0)
+    d = replace(d, block=replace(d.block, cameras=(reported,) * len(d.poses)))
     order = np.lexsort((d.frame, d.point))
     tracks = Tracks(d.frame[order].astype(np.intp), d.point[order].astype(np.intp), d.image_px[order])
     at = ground_from_images(tracks.frame, tracks.image_px, d.block.poses, d.block.cameras, d.block.ground)
     sums = np.stack([np.bincount(tracks.point, column) for column in at.T], axis=1)
-    return Problem(d, told, tracks, sums / tracks.lengths[:, None])
+    return Problem(d, reported, tracks, sums / tracks.lengths[:, None])
 
 
 def by_default(p: Problem) -> Found:
@@ -208,8 +208,8 @@ def by_colmap(
 
 
 def _reconstruction(colmap: Any, p: Problem, lens: str) -> Any:
-    """COLMAP's nouns for the block as told, ids from 1."""
-    block, c = colmap.Reconstruction(), p.told
+    """COLMAP's nouns for the block as reported, ids from 1."""
+    block, c = colmap.Reconstruction(), p.reported
     numbers = {"RADIAL": [c.focal_length_px], "OPENCV": [c.focal_length_px] * 2}[lens]
     numbers += [c.principal_col_px, c.principal_row_px, *([0.0] * {"RADIAL": 2, "OPENCV": 4}[lens])]
     camera = colmap.Camera(model=lens, width=c.width_px, height=c.height_px, params=numbers, camera_id=1)
@@ -254,7 +254,7 @@ def _found(block: Any, p: Problem, seconds: float) -> Found:
 
     return Found(
         replace(p.pos, positions_m=positions, rotations=rotations),
-        replace(p.told, **numbers),  # type: ignore[arg-type]
+        replace(p.reported, **numbers),  # type: ignore[arg-type]
         p.tracks.image_px - camera.img_from_cam(local),
         seconds,
         rays,
@@ -303,7 +303,7 @@ HEADER = (
 )
 
 
-def row(case: Case, name: str, p: Problem, found: Found, difference: float | None = None) -> str:
+def row(case: DrawnCase, name: str, p: Problem, found: Found, difference: float | None = None) -> str:
     """A solver's line of the table."""
 
     def rms(errors: Floats) -> float:
@@ -327,7 +327,7 @@ def row(case: Case, name: str, p: Problem, found: Found, difference: float | Non
     return f"| {' | '.join(cells)} |"
 
 
-def compare(colmap: Any, case: Case, seed: int) -> float:
+def compare(colmap: Any, case: DrawnCase, seed: int) -> float:
     """Prints the case's rows; returns how far apart the two solutions of one problem are."""
     p = problem(case, seed)
     print(row(case, "geomosaic", p, by_default(p)), flush=True)
@@ -342,8 +342,8 @@ def compare(colmap: Any, case: Case, seed: int) -> float:
         "COLMAP as it comes": {"alike": False, "position_sd_m": p.pos.positions_sd_m},
         "COLMAP without positions": {"alike": False, "position_sd_m": None},
     }
-    for name, told in others.items():
-        print(row(case, name, p, by_colmap(colmap, p, lens="OPENCV", **told)), flush=True)
+    for name, reported in others.items():
+        print(row(case, name, p, by_colmap(colmap, p, lens="OPENCV", **reported)), flush=True)
     return difference
 
 

@@ -74,7 +74,7 @@ SHOWN = ("none", "chain", "error_sharing", "least_squares", "bundle")
 
 
 @dataclass(frozen=True)
-class Case:
+class PaperCase:
     """A survey to try the methods on. judged: the growth along it decides the exit code. of: the case whose
     frames and tie points it shares, only position and attitude being noisier or better."""
 
@@ -86,7 +86,7 @@ class Case:
 
 
 @dataclass
-class Outcome:
+class PaperOutcome:
     """One method on one survey. Lists hold one entry a draw of position and attitude."""
 
     errors_m: list[Floats] = field(default_factory=list)
@@ -120,7 +120,7 @@ class Outcome:
         }
 
 
-def cases(seed: int, quick: bool) -> list[Case]:
+def cases(seed: int, quick: bool) -> list[PaperCase]:
     """The surveys, smaller for a quick look."""
     base = SurveyPlan(seed=seed, pos_in="csv")
     frames, width, height, scale = (16, 480, 360, 0.1) if quick else (30, 800, 600, 0.2)
@@ -130,10 +130,10 @@ def cases(seed: int, quick: bool) -> list[Case]:
     nine = replace(base, kind="paper", scale=scale)
     good = replace(nine, position_sd_m=8.0, tilt_sd_deg=0.02, yaw_sd_deg=0.05)
     return [
-        Case("nine", "The paper's nine frames", nine),
-        Case("nine_shift", "The paper's nine frames, 8 m positions, good attitudes", good, of="nine"),
+        PaperCase("nine", "The paper's nine frames", nine),
+        PaperCase("nine_shift", "The paper's nine frames, 8 m positions, good attitudes", good, of="nine"),
         *(
-            Case(
+            PaperCase(
                 f"line{p}",
                 f"{frames} frames in one line, {p} % overlap",
                 replace(line, forward_overlap=p / 100.0),
@@ -147,7 +147,7 @@ def cases(seed: int, quick: bool) -> list[Case]:
 class Bench:
     """One case: simulated, matched, then adjusted for one draw of position and attitude after another."""
 
-    def __init__(self, case: Case, folder: Path) -> None:
+    def __init__(self, case: PaperCase, folder: Path) -> None:
         self.case, self.folder, self.plan = case, folder, case.plan
         self.files: SimulatedSurvey = simulate_frames(folder / "survey", case.plan)
         self.flight = fly(case.plan)
@@ -165,9 +165,9 @@ class Bench:
         )
         summary = run(recipe, folder / "match", RunOptions(workers=os.cpu_count() or 1))
         self.ties: TiePoints = load_artefact(folder / "match", summary, "ties", TiePoints)
-        self.outcomes: dict[str, Outcome] = {}
+        self.outcomes: dict[str, PaperOutcome] = {}
 
-    def with_noise_of(self, case: Case) -> Bench:
+    def with_noise_of(self, case: PaperCase) -> Bench:
         """The same frames and tie points under another noise of position and attitude."""
         other = copy.copy(self)
         other.case, other.plan, other.outcomes = case, case.plan, {}
@@ -218,7 +218,7 @@ class Bench:
         cameras = [survey.camera_of(i) for i in range(len(survey.frames))]
         found = FramesOverGround(adjusted.poses, adjusted.cameras, adjusted.ground)
         true = FramesOverGround(truth, cameras, placed["prior_ground"])
-        outcome = self.outcomes.setdefault(name, Outcome())
+        outcome = self.outcomes.setdefault(name, PaperOutcome())
         outcome.errors_m.append(frame_ground_errors(found, true))
         left = [r[np.isfinite(r).all(axis=1)] / UNIT_M for r in adjusted.residuals_m]
         outcome.misaligned.append(np.array([fullest_bin_mean(r) for r in left if len(r)]))

@@ -41,9 +41,9 @@ from tools.bench.bench_oracle import after_similarity_m
 from tools.bench.bench_speed import (
     AS_IT_WAS,
     JUDGE_CACHE_BYTES,
-    Flight,
     Judge,
     Made,
+    SpeedFlight,
     run_ours,
     run_peer,
     simulated,
@@ -121,7 +121,7 @@ def together(*steps: Taken) -> dict[str, float]:
 
 
 def run_pycolmap(
-    flight: Flight, home: Path, most_s: float, most_mb: float
+    flight: SpeedFlight, home: Path, most_s: float, most_mb: float
 ) -> dict[str, tuple[Result, Places]]:
     """Each mapper's figures, and the centres that it found; matched once for all."""
     out = flight.out / "pycolmap"
@@ -151,7 +151,7 @@ def run_pycolmap(
     return found
 
 
-def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> list[Result]:
+def bench(flight: SpeedFlight, home: Path, asked: argparse.Namespace) -> list[Result]:
     """Figures of all programs, geomosaic's first."""
     flight.out.mkdir(parents=True, exist_ok=True)
     for path in flight.paths:
@@ -170,7 +170,7 @@ def bench(flight: Flight, home: Path, asked: argparse.Namespace) -> list[Result]
     truth = places_of(flight.ortho.with_name("positions.csv")) if flight.ortho else None
     by_name = {"geomosaic": ours_places, **{title: places for title, (_, places) in mapped.items()}}
     results[1:1] = [result for result, _ in mapped.values()]
-    return [beside(r, results[0], centres(by_name.get(r.name, {}), ours_places, truth)) for r in results]
+    return [compared_to(r, results[0], centres(by_name.get(r.name, {}), ours_places, truth)) for r in results]
 
 
 def centres(found: Places, ours: Places, truth: Places | None) -> dict[str, float]:
@@ -183,7 +183,7 @@ def centres(found: Places, ours: Places, truth: Places | None) -> dict[str, floa
     return {key: value for key, value in figures.items() if np.isfinite(value)}
 
 
-def beside(result: Result, ours: Result, more: Mapping[str, float]) -> Result:
+def compared_to(result: Result, ours: Result, more: Mapping[str, float]) -> Result:
     """With more figures, and its times over geomosaic's."""
     figures = {**result.figures, **more}
     if result is not ours and "processor_s" in figures:
@@ -241,7 +241,7 @@ def main() -> int:
     if asked.shared:
         real = asked.shared.absolute() / "data" / "brighton_beach" / "images"
         if real.is_dir():
-            flights.append(Flight("18 frames of brighton_beach", real, out / "brighton_beach"))
+            flights.append(SpeedFlight("18 frames of brighton_beach", real, out / "brighton_beach"))
         else:
             print(f"the real flight is left out: there is no {real}", file=sys.stderr)
     for flight in flights:

@@ -45,9 +45,9 @@ def brighton(data: Path, out: Path, results: list[ResultRow]) -> list[Row]:
     start = time.monotonic()
     subprocess.run([GEOMOSAIC, "mosaic", data / "brighton_beach" / "images", "-o", run], check=True)
     seconds = time.monotonic() - start
-    told = json.loads((run / "run.json").read_text())
-    tied = told["frames"]["tied"]
-    turned = {w["frame"] for w in told["warnings"] if w["code"] == "frame-turned"}
+    run_summary = json.loads((run / "run.json").read_text())
+    tied = run_summary["frames"]["tied"]
+    turned = {w["frame"] for w in run_summary["warnings"] if w["code"] == "frame-turned"}
     gdal.UseExceptions()
     _, errors, _ = cog.validate(str(run / "mosaic.tif"), full_check=True)
     mosaic, metrics = told["mosaic"], told["metrics"]["adjustment"]
@@ -58,7 +58,7 @@ def brighton(data: Path, out: Path, results: list[ResultRow]) -> list[Row]:
         ("CRS", mosaic["crs"], "EPSG:32615", mosaic["crs"] == "EPSG:32615"),
         ("pixel", f"{100 * mosaic['gsd_m']:.2f} cm", "about 1.7 cm", abs(mosaic["gsd_m"] - 0.017) < 0.001),
         ("COG validator", "; ".join(errors) or "passes", "passes", not errors),
-        ("frames tied", f"{tied} of {told['frames']['total']}", "18", tied == 18),
+        ("frames tied", f"{tied} of {run_summary['frames']['total']}", "18", tied == 18),
         ("frames found turned", f"{len(turned)}", "0024 to 0029", turned == TURNED),
         ("mean reprojection error", f"{metrics['reprojection_mean_px']:.2f} px", "", True),
         ("tracks, mean length", f"{metrics['tracks']:.0f}, {metrics['track_length_mean']:.2f}", "", True),

@@ -92,8 +92,8 @@ def ngi_surface(data: Path, out: Path, results: list[ResultRow]) -> list[Row]:
     more = ["--surface", "dense", "--ortho", "surface", "--surface-reference", dem]
     more += ["--set", "quality.surface.offset_m=0"]
     run = mosaic(folder, folder / "ngi_xyz_opk.csv", out / "ngi-surface", "none", *more)
-    told = read_summary(run)
-    matched = told["metrics"]["quality"]["surface"]["by_support"]["matched"]
+    run_summary = read_summary(run)
+    matched = run_summary["metrics"]["quality"]["surface"]["by_support"]["matched"]
     with rasterio.open(run / "surface_confidence.tif") as raster:
         sd_m, views = raster.read(masked=True)
     with rasterio.open(run / "surface_difference.tif") as raster:
@@ -104,7 +104,7 @@ def ngi_surface(data: Path, out: Path, results: list[ResultRow]) -> list[Row]:
     text = (
         f"NMAD {nmad_px:.2f} frame px ({matched['nmad_m']:.1f} m), median {matched['median_m']:+.2f} m at "
         f"{matched['n']:,} matched points; within 1 and 2 deviations {within[0]:.0f} and {within[1]:.0f} %; "
-        f"verdict {told['verdict']['grade']}: {told['verdict']['text']}"
+        f"verdict {run_summary['verdict']['grade']}: {run_summary['verdict']['text']}"
     )
     met = nmad_px < WANTED_NMAD_PX
     results.append(SURFACE_ROWS["ngi"].row(met, nmad_px=nmad_px, wanted_px=WANTED_NMAD_PX))

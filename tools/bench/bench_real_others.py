@@ -55,14 +55,14 @@ def _run(frames: Path, run: Path, *more: object) -> tuple[dict[str, Any], float]
     return json.loads((run / "run.json").read_text()), time.monotonic() - start
 
 
-def _found(told: dict[str, Any], name: str) -> dict[str, Any]:
-    return next(s for s in told["metrics"]["adjustment"]["shared"] if s["name"] == name)
+def _found(run_summary: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(s for s in run_summary["metrics"]["adjustment"]["shared"] if s["name"] == name)
 
 
 def _rolling(frames: Path, out: Path, results: list[ResultRow]) -> list[Row]:
     run = out / "garfield"
-    told, seconds = _run(frames, run)
-    adjustment, tied = told["metrics"]["adjustment"], told["frames"]["tied"]
+    run_summary, seconds = _run(frames, run)
+    adjustment, tied = run_summary["metrics"]["adjustment"], run_summary["frames"]["tied"]
     survey: Survey = load_artefact(run, read_summary(run), "survey", Survey)
     adjusted: Adjusted = load_artefact(run, read_summary(run), "adjusted", Adjusted)
     maker, found = survey.cameras[0], adjusted.cameras[0]
@@ -72,7 +72,7 @@ def _rolling(frames: Path, out: Path, results: list[ResultRow]) -> list[Row]:
     silent, _ = _run(bare, out / "garfield-no-readout")
     readout = _found(silent, "readout_s")
     off_tag = readout["found"] / maker.readout_s - 1.0
-    total, sigma_px = told["frames"]["total"], adjustment["sigma_px"]
+    total, sigma_px = run_summary["frames"]["total"], adjustment["sigma_px"]
     sides = " and ".join(f"{100 * s:.1f} %" for s in share)
     found_readout, within = not readout["held"] and abs(off_tag) < OFF_TAG, share.max() < PRINCIPAL
     results += [
@@ -131,12 +131,17 @@ def _halves(frames: Path, out: Path, results: list[ResultRow]) -> Row:
 
 def _rig(frames: Path, out: Path, results: list[ResultRow]) -> list[Row]:
     run = out / "garfield-msp"
-    told, seconds = _run(frames, run)
+    run_summary, seconds = _run(frames, run)
     with rasterio.open(run / "mosaic.tif") as tiff:
         names, bands, valid = tiff.descriptions, tiff.read().astype(np.float64), tiff.dataset_mask() > 0
     rows: list[Row] = [
         ("garfield/msp: wall time, bands", f"{seconds:.0f} s, {', '.join(names)}", "four", len(names) == 4),
-        ("deviation of an image coordinate", f"{told['metrics']['adjustment']['sigma_px']:.2f} px", "", True),
+        (
+            "deviation of an image coordinate",
+            f"{run_summary['metrics']['adjustment']['sigma_px']:.2f} px",
+            "",
+            True,
+        ),
     ]
     apart: list[float] = []
     for k in range(1, len(names)):
@@ -162,13 +167,13 @@ def _shifts(one: Floats, other: Floats, valid: NDArray[np.bool_]) -> list[Floats
             at = slice(row, row + _TILE_PX), slice(col, col + _TILE_PX)
             if not valid[row - 8 : row + _TILE_PX + 8, col - 8 : col + _TILE_PX + 8].all():
                 continue
-            told = np.empty((9, 9))
+            alike = np.empty((9, 9))
             for i, j in np.ndindex(9, 9):
                 there = slice(row + i - 4, row + i - 4 + _TILE_PX), slice(col + j - 4, col + j - 4 + _TILE_PX)
-                told[i, j] = _information(one[at], other[there])
-            i, j = (int(k) for k in np.unravel_index(int(told.argmax()), told.shape))
+                alike[i, j] = _information(one[at], other[there])
+            i, j = (int(k) for k in np.unravel_index(int(alike.argmax()), alike.shape))
             if 0 < i < 8 and 0 < j < 8:
-                down, right = _peak(told[i - 1 : i + 2, j]), _peak(told[i, j - 1 : j + 2])
+                down, right = _peak(alike[i - 1 : i + 2, j]), _peak(alike[i, j - 1 : j + 2])
                 found.append(np.array([i - 4 + down, j - 4 + right]))
     return found
 
@@ -195,15 +200,15 @@ def _peak(three: Floats) -> float:
 
 def _crooked(frames: Path, out: Path) -> list[Row]:
     run = out / "seneca"
-    told, seconds = _run(frames, run)
-    tied, total = told["frames"]["tied"], told["frames"]["total"]
-    codes = [w["code"] for w in told["warnings"]]
+    run_summary, seconds = _run(frames, run)
+    tied, total = run_summary["frames"]["tied"], run_summary["frames"]["total"]
+    codes = [w["code"] for w in run_summary["warnings"]]
     return [
         ("seneca: wall time", f"{seconds:.0f} s", "", True),
         ("frames tied", f"{tied} of {total}", "all", tied == total),
         ("frames called turned; headings called wrong",
          f"{codes.count('frame-turned')}; {codes.count('yaw-wrong')}", "none; any",
          "frame-turned" not in codes),
-        ("deviation of an image coordinate", f"{told['metrics']['adjustment']['sigma_px']:.2f} px", "", True),
-        ("verdict", told["verdict"]["grade"] + ": " + told["verdict"]["cause"], "", True),
+        ("deviation of an image coordinate", f"{run_summary['metrics']['adjustment']['sigma_px']:.2f} px", "", True),
+        ("verdict", run_summary["verdict"]["grade"] + ": " + run_summary["verdict"]["cause"], "", True),
     ]  # fmt: skip

@@ -51,7 +51,7 @@ LOOK_S = 10.0
 
 
 @dataclass(frozen=True)
-class Run:
+class ScaleRun:
     """One block through the whole command; disk: the largest run folder over the raw mosaic."""
 
     frames: int
@@ -70,7 +70,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Flight:
+class ScaleFlight:
     """A simulated flight, every other line of which is flown back, and the frames in each line."""
 
     folder: Path
@@ -87,7 +87,7 @@ class Flight:
         return to
 
 
-def fly(out: Path, seed: int, frames: int) -> Flight:
+def fly(out: Path, seed: int, frames: int) -> ScaleFlight:
     """The flight of so many frames, simulated if it isn't there yet."""
     lines, per_line = BLOCKS[frames]
     folder = out / f"flight-{lines}x{per_line}-{seed}"
@@ -99,7 +99,7 @@ def fly(out: Path, seed: int, frames: int) -> Flight:
             check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         (folder / "done").touch()
-    return Flight(folder, per_line)
+    return ScaleFlight(folder, per_line)
 
 
 @contextmanager
@@ -134,7 +134,7 @@ def on_disk(folder: Path) -> float:
     return float(size)
 
 
-def run(frames: int, flight: Flight, out: Path) -> Run:
+def run(frames: int, flight: ScaleFlight, out: Path) -> ScaleRun:
     """A block of so many frames, in a new run folder, which is deleted afterwards but for run.json."""
     of = flight.cut_out(*BLOCKS[frames], out / "frames")
     target = out / f"run-{frames}"
@@ -151,7 +151,7 @@ def run(frames: int, flight: Flight, out: Path) -> Run:
     shutil.copy(target / "run.json", out / f"run-{frames}.json")
     shutil.rmtree(target)
     shutil.rmtree(of)
-    return Run(
+    return ScaleRun(
         frames,
         summary["frames"]["tied"],
         summary["metrics"].get("matching", {}).get("pairs_tied", 0),
@@ -169,7 +169,7 @@ def growth(frame_s: list[float]) -> float:
     return max(grown, default=1.0)
 
 
-def table(runs: list[Run]) -> list[str]:
+def table(runs: list[ScaleRun]) -> list[str]:
     """Milliseconds a frame by stage, a column a run, and how far each grows; misses are bold."""
     heads = [f"{r.frames} frames" for r in runs]
     lines = [f"| ms a frame | {' | '.join(heads)} | growth |", f"|---|{'---:|' * (len(runs) + 1)}"]
@@ -194,7 +194,7 @@ def table(runs: list[Run]) -> list[str]:
     return lines
 
 
-def _fits(run: Run) -> bool:
+def _fits(run: ScaleRun) -> bool:
     return run.peak_mb <= 1e3 * TARGETS["peak_gb"]
 
 
@@ -202,7 +202,7 @@ def _bold(text: str, good: bool) -> str:
     return text if good else f"**{text}**"
 
 
-def plot(runs: list[Run]) -> str:
+def plot(runs: list[ScaleRun]) -> str:
     """What a frame takes by the number of frames: whole, and the three stages that take longest."""
     frames = [r.frames for r in runs]
     longest = sorted(runs[-1].stages_s, key=lambda name: -runs[-1].stages_s[name])[:3]

@@ -56,7 +56,7 @@ JUDGE_CACHE_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
-class Flight:
+class SpeedFlight:
     """Frames that every program gets, a folder for what comes out, and the true ortho where there is one."""
 
     name: str
@@ -72,7 +72,7 @@ class Flight:
         return sorted(p for p in self.frames.iterdir() if p.suffix.lower() == ".jpg")
 
 
-def simulated(out: Path, frames: int, width_px: int, seed: int) -> Flight:
+def simulated(out: Path, frames: int, width_px: int, seed: int) -> SpeedFlight:
     """A block flown at 100 m, as near to a square of lines and frames as it goes."""
     lines = max(k for k in range(1, int(frames**0.5) + 1) if frames % k == 0)
     height_px = width_px * 3 // 4
@@ -80,11 +80,11 @@ def simulated(out: Path, frames: int, width_px: int, seed: int) -> Flight:
     if not (folder / "done").exists():
         shutil.rmtree(folder, ignore_errors=True)
         print(f"simulating {frames} frames of {width_px} x {height_px} px", file=sys.stderr)
-        told = {"lines": lines, "frames-per-line": frames // lines,
+        reported = {"lines": lines, "frames-per-line": frames // lines,
                 "width-px": width_px, "height-px": height_px, "ground-pixel-m": ACROSS_M / width_px,
                 "height-above-ground-m": HEIGHT_M, "k1": 0, "k2": 0,
                 "pos-in": "exif", "seed": seed}  # fmt: skip
-        options = [word for name, value in told.items() for word in (f"--{name}", str(value))]
+        options = [word for name, value in reported.items() for word in (f"--{name}", str(value))]
         command = [str(GEOMOSAIC), "simulate", "frames", str(folder), *options]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         (folder / "done").touch()
@@ -103,7 +103,7 @@ class Made:
     georeferenced: bool = True
 
 
-def run_ours(flight: Flight) -> tuple[Path, Taken, dict[str, Any]]:
+def run_ours(flight: SpeedFlight) -> tuple[Path, Taken, dict[str, Any]]:
     """The whole command into a new run folder."""
     run = flight.out / "run"
     shutil.rmtree(run, ignore_errors=True)
@@ -113,7 +113,7 @@ def run_ours(flight: Flight) -> tuple[Path, Taken, dict[str, Any]]:
     return run, taken, json.loads((run / "run.json").read_text())
 
 
-def run_floor(flight: Flight, run: Path) -> dict[str, float]:
+def run_floor(flight: SpeedFlight, run: Path) -> dict[str, float]:
     """Seconds of the floor's parts."""
     out, log = flight.out / "floor.tif", flight.out / "floor.log"
     taken = measured([sys.executable, TOOLS / "bench_speed_floor.py", run, out], log, env=AS_IT_WAS)
@@ -123,7 +123,7 @@ def run_floor(flight: Flight, run: Path) -> dict[str, float]:
     return dict(json.loads(taken.said.splitlines()[-1]))
 
 
-def run_peer(flight: Flight, peer: Peer, home: Path, most_s: float, most_mb: float) -> Made:
+def run_peer(flight: SpeedFlight, peer: Peer, home: Path, most_s: float, most_mb: float) -> Made:
     """A peer's mosaic, which stays in the flight's results; whatever else it has written goes."""
     name = "".join(c if c.isalnum() else "-" for c in peer.name)
     out, log = flight.out / name, flight.out / f"{name}.log"
@@ -155,10 +155,12 @@ class Judge:
     fit, which is as good as none.
     """
 
-    def __init__(self, flight: Flight, run: Path, made: Sequence[Made], asked: argparse.Namespace) -> None:
+    def __init__(
+        self, flight: SpeedFlight, run: Path, made: Sequence[Made], asked: argparse.Namespace
+    ) -> None:
         self._flight = flight
         onto = flight.ortho or run / "mosaic.tif"
-        self._laid = {
+        self._registered = {
             m.result.name: m.mosaic
             if m.georeferenced
             else placed(m.mosaic, onto, m.mosaic.with_name("placed.vrt"))
@@ -168,7 +170,7 @@ class Judge:
         self._frames = None if flight.ortho else Frames(run)
         self._squares = None
         if flight.ortho and asked.parts:
-            shown = [laid for laid in self._laid.values() if laid]
+            shown = [registered for registered in self._registered.values() if registered]
             self._squares = parts_of(flight.ortho, shown, asked.parts, asked.part_px, FAR_M, asked.seed)
 
     def words(self) -> str:
@@ -181,23 +183,25 @@ class Judge:
     def judged(self, made: Made) -> Result:
         """With the figures of its mosaic, by the keys of `bench_speed_table.COLUMNS`; what can't be told is
         not in it."""
-        laid = self._laid.get(made.result.name)
-        if laid is None:
+        registered = self._registered.get(made.result.name)
+        if registered is None:
             return made.result
         start = time.process_time()
         try:
-            found = self._figures(laid, made.georeferenced)
+            found = self._figures(registered, made.georeferenced)
         except GeomosaicError as error:
             print(f"{made.result.name}: {error}", file=sys.stderr)
             return made.result
         print(f"{made.result.name}: judged in {time.process_time() - start:.0f} s", file=sys.stderr)
         return replace(made.result, figures={**made.result.figures, **found})
 
-    def _figures(self, laid: Path, georeferenced: bool) -> dict[str, float]:
+    def _figures(self, registered: Path, georeferenced: bool) -> dict[str, float]:
         if self._flight.ortho:
-            return against_truth(laid, self._flight.ortho, self._flight.out, georeferenced, self._squares)
+            return against_truth(
+                registered, self._flight.ortho, self._flight.out, georeferenced, self._squares
+            )
         assert self._frames
-        return {"area_m2": area_m2(laid), "steps_grey": steps_figure(self._frames.steps(laid))}
+        return {"area_m2": area_m2(registered), "steps_grey": steps_figure(self._frames.steps(registered))}
 
 
 def bench(
@@ -210,14 +214,14 @@ def bench(
         path.read_bytes()
     rounds = []
     for _ in range(asked.rounds):
-        run, taken, told = run_ours(flight)
-        rounds.append((taken, told, run_floor(flight, run)))
-    taken, told, _ = min(rounds, key=lambda r: r[0].wall_s)
+        run, taken, reported = run_ours(flight)
+        rounds.append((taken, reported, run_floor(flight, run)))
+    taken, reported, _ = min(rounds, key=lambda r: r[0].wall_s)
     floor = min((r[2] for r in rounds), key=lambda f: f["whole_s"])
     peak_mb = max(r[0].peak_mb for r in rounds)
-    lines = against_floor(floor, told["timings_s"], taken.wall_s, taken.processor_s, peak_mb)
+    lines = against_floor(floor, reported["timings_s"], taken.wall_s, taken.processor_s, peak_mb)
     print(f"\n**{flight.name}**\n", *lines, sep="\n", flush=True)
-    used = told["frames"]["tied"] + told["frames"]["placed"]
+    used = reported["frames"]["tied"] + reported["frames"]["placed"]
     took = {"wall_s": taken.wall_s, "processor_s": taken.processor_s, "peak_mb": peak_mb, "frames_used": used}
     made = [Made(Result("geomosaic", took), run / "mosaic.tif")]
     made += [
@@ -234,11 +238,11 @@ def bench(
     results += result_rows(measured_here, ours, others)
     figures = {
         "floor": floor,
-        "stages_s": told["timings_s"],
-        "sum_of_own_peaks_mb": told["peak_memory_mb"],
+        "stages_s": reported["timings_s"],
+        "sum_of_own_peaks_mb": reported["peak_memory_mb"],
         "programs": [asdict(r) for r in (ours, *others)],
     }
-    return figures, not missed([*lines, *beside])
+    return figures, not missed([*lines, *compared])
 
 
 def main() -> int:
@@ -264,7 +268,7 @@ def main() -> int:
     real = asked.shared.absolute() / "data" / "brighton_beach" / "images"
     if asked.only != "simulated":
         if real.is_dir():
-            flights.append(Flight("18 frames of brighton_beach", real, out / "brighton_beach"))
+            flights.append(SpeedFlight("18 frames of brighton_beach", real, out / "brighton_beach"))
         else:
             print(f"the real flight is left out: there is no {real}")
     if asked.only != "real":

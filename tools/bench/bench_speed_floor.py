@@ -43,12 +43,12 @@ SAMPLES = 9
 
 def solved(run: Path) -> tuple[Survey, Adjusted, GroundSurface, OutputGrid]:
     """What a finished run says of its frames."""
-    told = read_summary(run)
+    run_summary = read_summary(run)
     return (
-        load_artefact(run, told, "survey", Survey),
-        load_artefact(run, told, "adjusted", Adjusted),
-        load_artefact(run, told, "ground", GroundSurface),
-        load_artefact(run, told, "mosaic", Mosaic).grid,
+        load_artefact(run, run_summary, "survey", Survey),
+        load_artefact(run, run_summary, "adjusted", Adjusted),
+        load_artefact(run, run_summary, "ground", GroundSurface),
+        load_artefact(run, run_summary, "mosaic", Mosaic).grid,
     )
 
 
@@ -142,8 +142,8 @@ def main() -> None:
     pasted = time.perf_counter()
     write(grid, mosaic, mask, asked.out, asked.threads)
     ended = time.perf_counter()
-    told = {"warp_s": pasted - begun, "cog_s": ended - pasted, "whole_s": ended - begun}
-    print(json.dumps({name: round(value, 3) for name, value in told.items()}))
+    reported = {"warp_s": pasted - begun, "cog_s": ended - pasted, "whole_s": ended - begun}
+    print(json.dumps({name: round(value, 3) for name, value in reported.items()}))
 
 
 if __name__ == "__main__":

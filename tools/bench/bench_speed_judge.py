@@ -51,7 +51,7 @@ PATCH_PX = 64
 """`compare`'s."""
 MOST_SMALL_PX = 4096
 """Longer side of mosaics in which each other patch is looked for, instead of each eighth."""
-PATCH, BESIDE = 32, 5
+PATCH, SHIFTED = 32, 5
 """Side of the patches, of the grid's pixels, by which a mosaic is laid onto another before its steps are
 measured; and how many of them count in a cell."""
 PLACED_PX, LEAST_PAIRS = 1600, 30
@@ -234,11 +234,11 @@ class Frames:
         found = measure_displacements(
             MaskedImage(here, valid), MaskedImage(there, own_valid), corners, PatchMatching(PATCH, search)
         )
-        if len(found.displacement_px) < 2 * BESIDE:
+        if len(found.displacement_px) < 2 * SHIFTED:
             raise InputError("nearly nothing of it is found in the run's mosaic", fix="look at it")
         shape = valid.shape[0] // CELL, valid.shape[1] // CELL
         rows, cols = np.indices(shape) * float(CELL) + CELL / 2.0
-        near = cKDTree(found.centres_px).query(np.stack([cols, rows], axis=-1), k=BESIDE)[1]
+        near = cKDTree(found.centres_px).query(np.stack([cols, rows], axis=-1), k=SHIFTED)[1]
         by_cell = np.median(found.displacement_px[near], axis=2).astype(np.float32)
         moved_px = cv2.resize(cv2.GaussianBlur(by_cell, (0, 0), 1.5), valid.shape[::-1])
         rows, cols = np.indices(valid.shape, dtype=np.float32)

@@ -62,7 +62,7 @@ def measured(
                 process.wait(pause_s)
                 break
             began = time.perf_counter()
-            peak_mb = max(peak_mb, held_mb(process.pid))
+            peak_mb = max(peak_mb, used_mb(process.pid))
             used_s |= processors_s(process.pid)
             pause_s = max(SAMPLE_S, (time.perf_counter() - began) / MOST_SHARE)
             if time.perf_counter() - start > most_s:
@@ -90,15 +90,15 @@ def processors_s(pid: int) -> dict[int, float]:
     return used
 
 
-def held_mb(pid: int) -> float:
+def used_mb(pid: int) -> float:
     """What a process and all below it hold, in MB."""
-    held = 0
+    used = 0
     with suppress(psutil.Error):
         root = psutil.Process(pid)
         for one in [root, *root.children(recursive=True)]:
             with suppress(psutil.Error):
-                held += one.memory_full_info().pss
-    return held / 1e6
+                used += one.memory_full_info().pss
+    return used / 1e6
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -51,7 +51,7 @@ SMALL = [
     *["--width-px", "640", "--height-px", "480", "--height-above-ground-m", "72", "--pos-in", "exif"],
 ]
 LARGER = [*BLOCK, *["--width-px", "1336", "--height-px", "1002", "--pos-in", "exif"]]
-WITH_CSV = [*(word for word in SMALL if word not in ("--pos-in", "exif")), "--no-relative-height-told"]
+WITH_CSV = [*(word for word in SMALL if word not in ("--pos-in", "exif")), "--no-relative-height-reported"]
 KEYPOINTS = 1500
 RIGHT_PX, RIGHT_SDS = 0.2, 3.0
 ROWS = {
@@ -65,7 +65,7 @@ ROWS = {
 
 
 @dataclass(frozen=True)
-class Case:
+class StartCase:
     """A survey; the told focal length is wrong by focal_error, too long on odd seeds and too short on even
     ones. altitude: what becomes of the heights that the frames tell, in a POS file with nothing else told
     but plan positions."""
@@ -77,18 +77,18 @@ class Case:
 
 
 CASES = (
-    Case("flat", SMALL),
-    Case("flat, larger frames", LARGER),
-    Case("lies", [*SMALL, "--yaw-wrong-share", "0.2", "--turned", "9-16", "--gps-outliers", "1"]),
-    Case("no attitude", [*SMALL, "--no-attitude-told"]),
-    Case("heights constant", WITH_CSV, altitude="constant"),
-    Case("heights drift", WITH_CSV, altitude="drift"),
-    Case("heights below ground", WITH_CSV, altitude="below"),
-    Case("heights in steps", WITH_CSV, altitude="steps"),
+    StartCase("flat", SMALL),
+    StartCase("flat, larger frames", LARGER),
+    StartCase("lies", [*SMALL, "--yaw-wrong-share", "0.2", "--turned", "9-16", "--gps-outliers", "1"]),
+    StartCase("no attitude", [*SMALL, "--no-attitude-reported"]),
+    StartCase("heights constant", WITH_CSV, altitude="constant"),
+    StartCase("heights drift", WITH_CSV, altitude="drift"),
+    StartCase("heights below ground", WITH_CSV, altitude="below"),
+    StartCase("heights in steps", WITH_CSV, altitude="steps"),
 )  # fmt: skip
 
 
-def matched(case: Case, out: Path, seed: int) -> tuple[Path, Path]:
+def matched(case: StartCase, out: Path, seed: int) -> tuple[Path, Path]:
     """The survey's folder and the folder of its run as far as the tie points; both are made once."""
     folder = out / f"{''.join(c for c in case.name.replace(' ', '_') if c.isalnum() or c == '_')}-{seed}"
     if not (folder / "truth" / "truth.json").exists():
@@ -116,7 +116,7 @@ def _altered(folder: Path, altitude: str) -> Path:
         rows = list(csv.DictReader(file))
     height = np.array([float(r["height_ellipsoidal_m"]) for r in rows])
     along = np.linspace(0.0, 1.0, len(rows))
-    told = {
+    reported = {
         "constant": np.full(len(rows), 6.0),
         "drift": height + 120.0 * along,
         "below": height - 90.0 - 60.0 * along,
@@ -126,21 +126,23 @@ def _altered(folder: Path, altitude: str) -> Path:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["frame", "lon_deg", "lat_deg", "height_ellipsoidal_m"])
-        writer.writerows([r["frame"], r["lon_deg"], r["lat_deg"], h] for r, h in zip(rows, told, strict=True))
+        writer.writerows(
+            [r["frame"], r["lon_deg"], r["lat_deg"], h] for r, h in zip(rows, reported, strict=True)
+        )
     return path
 
 
-def measure(case: Case, out: Path, seed: int) -> dict[str, Any]:
+def measure(case: StartCase, out: Path, seed: int) -> dict[str, Any]:
     """All figures of one seed."""
     folder, run = matched(case, out, seed)
-    told = read_summary(run)
+    run_summary = read_summary(run)
     parts = {
         "levelled_survey": Survey,
         "prior_ground": GroundSurface,
         "placement": Placement,
         "ties": TiePoints,
     }
-    survey, ground, placement, ties = (load_artefact(run, told, k, t) for k, t in parts.items())
+    survey, ground, placement, ties = (load_artefact(run, run_summary, k, t) for k, t in parts.items())
     block = block_of(survey, ground, placement, ties)
     begun = time.process_time()
     adjusted = METHODS["bundle"](block, Settings())

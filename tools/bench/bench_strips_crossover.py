@@ -31,7 +31,7 @@ from geomosaic.ccd.virtual_line import virtual_line
 from geomosaic_simulate.strip_files import given_heights
 from geomosaic_simulate.strip_overlaps import strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_scene import PairTruth, Scene
+from geomosaic_simulate.strip_scene import PairTruth, StripWorld
 
 Floats = NDArray[np.float64]
 Level = float | Callable[[StripPlan], float]
@@ -60,7 +60,7 @@ class Row:
     worst_px: float
 
 
-def space_of(scene: Scene) -> ObjectSpace:
+def space_of(scene: StripWorld) -> ObjectSpace:
     """Model and heights as they are reported."""
     heights = given_heights(scene)
 
@@ -75,7 +75,7 @@ def errors_px(plan: StripPlan, truth: list[PairTruth]) -> Floats:
     """Lengths of (dcol, dline) of virtual_line less truth, all pairs' lines one after another."""
     g = plan.geometry()
     strips = strips_in_memory(g, [])
-    strips.object_space = space_of(Scene(plan))
+    strips.object_space = space_of(StripWorld(plan))
     out = []
     for found, true in zip(
         virtual_line(strips, CcdSettings(), lambda _done, _total: None), truth, strict=True
@@ -106,7 +106,7 @@ def table(level: Level, seeds: int, lines: int) -> tuple[str, bool]:
     plans = [StripPlan(seed=FIRST_SEED + k, width_px=4096, lines=lines) for k in range(seeds)]
     level_px = float(np.mean([level(plan) for plan in plans])) if callable(level) else level
     origin = "measured on these scenes" if callable(level) else "as given, not measured here"
-    scenes = [Scene(plan) for plan in plans]
+    scenes = [StripWorld(plan) for plan in plans]
     truths = [
         [scene.truth(pair) for pair in plan.geometry().pairs]
         for scene, plan in zip(scenes, plans, strict=True)

@@ -122,9 +122,9 @@ def whole(out: Path) -> tuple[float, float, dict[str, float]]:
     ]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     seconds = time.perf_counter() - start
-    told = json.loads((out / "run" / "run.json").read_text())
+    run_summary = json.loads((out / "run" / "run.json").read_text())
     shutil.rmtree(out / "run")
-    return seconds, told["peak_memory_mb"] / 1e3, told["timings_s"]
+    return seconds, run_summary["peak_memory_mb"] / 1e3, run_summary["timings_s"]
 
 
 def processors_s() -> float:
@@ -147,15 +147,15 @@ def main() -> int:
     told = ask.parse_args()
     out = told.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    if told.floor:
+    if args.floor:
         timed_floor(out)
         return 0
-    plan = StripPlan(seed=3, ccds=told.ccds, width_px=told.width, lines=told.lines)
+    plan = StripPlan(seed=3, ccds=args.ccds, width_px=args.width, lines=args.lines)
     ratios, of_processors, peak = [], [], 0.0
     try:
         if not is_made(out, plan):
             make_strips(plan, out)
-        for _ in range(told.rounds):
+        for _ in range(args.rounds):
             command = [sys.executable, __file__, "--floor", "--out", str(out)]
             before = processors_s()
             done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
@@ -173,7 +173,7 @@ def main() -> int:
             print(f"{ratios[-1]:.2f} and {of_processors[-1]:.2f} of the floor; seconds by stage:")
             print("  " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in stages.items()), flush=True)
     finally:
-        if not told.keep:
+        if not args.keep:
             shutil.rmtree(out)
     print(f"the whole takes {np.median(ratios):.2f} of the floor's time, ", end="")
     print(f"{np.median(of_processors):.2f} of its processors' time, {peak:.2f} GB")

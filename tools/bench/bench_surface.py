@@ -31,7 +31,7 @@ from tools.bench.bench_real_cloud import read_cloud, write_bare_ground
 from tools.bench.bench_real_halves import CRS, GSD_M, Wanted, halves
 from tools.bench.bench_real_ngi import ngi_surface
 from tools.bench.bench_real_table import Row, print_table
-from tools.bench.bench_surface_judge import Judged, judged
+from tools.bench.bench_surface_judge import SurfaceErrors, judged
 from tools.bench.bench_surface_land import judged_land
 from tools.bench.bench_surface_rival import stereo_sgbm
 from tools.bench.bench_surface_roofs import FAR_PX, Roofs, roofs, similarity_by_tile
@@ -63,7 +63,7 @@ def town(
     truth = survey / "truth"
     if not (truth / "truth.json").is_file():
         called(out, "simulate", "frames", survey, *TOWN, *LINES, *size, "--seed", seed)
-    told = [
+    options = [
         "--pos",
         survey / "pos.csv",
         "--camera",
@@ -77,7 +77,9 @@ def town(
     compared = (("tie points' ground", "ties"), ("ground with roofs in place", "auto")) * with_roofs
     grounds = (*compared, ("surface", "dense", "--ortho", "surface"))
     for name, *how in grounds:
-        taken = called(out, "mosaic", survey / "frames", *told, "-o", run, "--surface", *how, "--overwrite")
+        taken = called(
+            out, "mosaic", survey / "frames", *options, "-o", run, "--surface", *how, "--overwrite"
+        )
         took.append(f"mosaic on the {name} {taken.processor_s:.0f}")
         if with_roofs:
             begun = time.process_time()
@@ -95,7 +97,7 @@ def town(
     of_town.nmad_px = {name: of.nmad_m / (cell_m / _CELL_PX) for name, of in found.items()}
     rows += [_class_row(f"town {seed}, {name}", name, of, cell_m) for name, of in found.items()]
     land = judged_land(run, truth)
-    rows.append((f"town {seed}, land of the mosaic ({land.places:,} places)", *land.told()))
+    rows.append((f"town {seed}, land of the mosaic ({land.places:,} places)", *land.figures()))
     took.append(f"judging {time.process_time() - begun:.0f}")
     if with_rival:
         begun = time.process_time()
@@ -140,21 +142,21 @@ def _tile_row(of: Town, how: str) -> Row:
 
 def _far(of: Roofs) -> str:
     """Corners that are off by more than is asked, farthest first: how far, and the pixel they are at."""
-    worst = sorted(of.far, key=lambda f: -f[2])[:_TOLD]
+    worst = sorted(of.far, key=lambda f: -f[2])[:_SHOWN]
     if not worst:
         return ""
     places = ", ".join(f"{off:.1f} px at {col:.0f} {row:.0f}" for col, row, off in worst)
     return f", {len(of.far)} of them off by more than {FAR_PX:g} px: {places}"
 
 
-def _class_row(what: str, name: str, of: Judged, cell_m: float) -> Row:
+def _class_row(what: str, name: str, of: SurfaceErrors, cell_m: float) -> Row:
     nmad_px = of.nmad_m / (cell_m / _CELL_PX)
     text = (
         f"NMAD {nmad_px:.2f} ground px, {100.0 * of.off_1_m:.1f} % off by 1 m "
         f"({100.0 * of.two_off_1_m:.1f} % of {of.two_see:,} that two see, "
         f"{100.0 * of.three_off_1_m:.1f} % of {of.three_see:,} that three see); "
         f"within 1 and 2 deviations {100.0 * of.within_1_sd:.0f} and {100.0 * of.within_2_sd:.0f} %, "
-        f"held {100.0 * of.held:.0f} %"
+        f"held {100.0 * of.filled:.0f} %"
     )
     what = f"{what} ({of.cells:,} cells)"
     if name in WANTED_NMAD_PX:
@@ -173,8 +175,8 @@ def flight(out: Path, data: Path, results: list[ResultRow]) -> list[Row]:
         print(f"skipped: {frames} is missing")
         return []
     run = out / "brighton"
-    told = ["--gsd", GSD_M, "--crs", CRS, "--surface", "dense", "--ortho", "surface", "--overwrite"]
-    taken = called(out, "mosaic", frames, "-o", run, *told)
+    options = ["--gsd", GSD_M, "--crs", CRS, "--surface", "dense", "--ortho", "surface", "--overwrite"]
+    taken = called(out, "mosaic", frames, "-o", run, *options)
     summary = json.loads((run / "run.json").read_text(encoding="utf-8"))
     seconds = summary["timings_s"]["surface.dense"]
     matched = summary["metrics"]["surface"]["matched"]

@@ -46,7 +46,7 @@ roof."""
 
 
 @dataclass(frozen=True)
-class Judged:
+class SurfaceErrors:
     """A class's cells: how many, NMAD (m), shares off by more than 1 m, within 1 and 2 stated deviations, and
     held; how many of them two frames see and three, and the shares of those that are off by more than 1 m."""
 
@@ -55,14 +55,16 @@ class Judged:
     off_1_m: float
     within_1_sd: float
     within_2_sd: float
-    held: float
+    filled: float
     two_see: int
     two_off_1_m: float
     three_see: int
     three_off_1_m: float
 
 
-def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[dict[str, Judged], float]:
+def judged(
+    run: Path, truth: Path, other: DenseSurface | None = None
+) -> tuple[dict[str, SurfaceErrors], float]:
     """By class, and the side of a cell (m); of another surface if given.
 
     Heights are compared in each cell's middle with the land there, roofs and crowns as they stand. What all
@@ -74,10 +76,10 @@ def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[d
     adjusted: Adjusted = load_artefact(run, summary, "adjusted", Adjusted)
     surface = other or load_artefact(run, summary, "surface", DenseSurface)
     true = true_positions(truth, survey)
-    told = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
+    truth_record = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
 
     def errors(cells: Cells, up_m: Floats32 | None = None) -> tuple[Floats32, NDArray[np.uint8]]:
-        return _errors(told, survey, adjusted, true, cells, up_m)
+        return _errors(truth_record, survey, adjusted, true, cells, up_m)
 
     off_m, kind = errors(surface.cells, surface.up_m)
     squares = _squares(surface.cells)
@@ -97,7 +99,7 @@ def judged(run: Path, truth: Path, other: DenseSurface | None = None) -> tuple[d
             two, three = (
                 (int(m.sum()), float(np.mean(off[m] > 1.0))) for m in (seeing[of] > 1, seeing[of] > 2)
             )
-            found[name] = Judged(int(of.sum()), 1.4826 * float(spread), *shares, *two, *three)
+            found[name] = SurfaceErrors(int(of.sum()), 1.4826 * float(spread), *shares, *two, *three)
     return found, surface.cells.cell_m
 
 
@@ -108,7 +110,7 @@ def _squares(cells: Cells) -> Cells:
 
 
 def _errors(
-    told: dict[str, Any],
+    truth_record: dict[str, Any],
     survey: Survey,
     adjusted: Adjusted,
     true: Floats,
@@ -121,20 +123,20 @@ def _errors(
     for some in np.array_split(np.arange(cells.rows), -(-cells.rows * cells.cols // _AT_ONCE)):
         up = np.zeros(1) if up_m is None else up_m[some].astype(float)
         points = np.stack(np.broadcast_arrays(east, north[some, None], up), axis=-1)
-        off_m, kind = errors_at(told, survey, adjusted, true, points)
+        off_m, kind = errors_at(truth_record, survey, adjusted, true, points)
         found.append((off_m.astype(np.float32), kind))
     off, kinds = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return off, kinds
 
 
 def errors_at(
-    told: dict[str, Any], survey: Survey, adjusted: Adjusted, true: Floats, points: Floats
+    truth_record: dict[str, Any], survey: Survey, adjusted: Adjusted, true: Floats, points: Floats
 ) -> tuple[Floats, NDArray[np.uint8]]:
     """Height errors (m) of points (..., 3) of the work frame, and which of `CLASSES` lies there, after the
     similarity that lays the solved projection centres on the true ones."""
     geodetic = survey.work_frame.geodetic_from_enu(_similarity(adjusted.poses.positions_m, true, points))
-    at = MapProjection(told["map_crs"]).map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
-    height_m, kind = _land(told, at)
+    at = MapProjection(truth_record["map_crs"]).map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
+    height_m, kind = _land(truth_record, at)
     return geodetic[..., 2] - height_m, kind
 
 
@@ -180,11 +182,11 @@ def true_positions(truth: Path, survey: Survey) -> Floats:
     """The true projection centres (n, 3) in the survey's work frame."""
     with (truth / "positions.csv").open(encoding="utf-8") as file:
         rows = {row["frame"]: row for row in csv.DictReader(file)}
-    told = [
+    reported = [
         [float(rows[f.name][k]) for k in ("lon_deg", "lat_deg", "height_ellipsoidal_m")]
         for f in survey.frames
     ]
-    return survey.work_frame.enu_from_geodetic(*np.array(told).T)
+    return survey.work_frame.enu_from_geodetic(*np.array(reported).T)
 
 
 def _similarity(a: Floats, b: Floats, points: Floats) -> Floats:
@@ -196,10 +198,10 @@ def _similarity(a: Floats, b: Floats, points: Floats) -> Floats:
     return np.asarray(scale * (points - a.mean(axis=0)) @ ((u * sign) @ vt).T + b.mean(axis=0))
 
 
-def _land(told: dict[str, Any], at: Floats) -> tuple[Floats, NDArray[np.uint8]]:
+def _land(truth_record: dict[str, Any], at: Floats) -> tuple[Floats, NDArray[np.uint8]]:
     """True heights at map places (..., 2), and which of `CLASSES` lies there."""
-    plan = SurveyPlan(**told["plan"])
-    land, relief = landscape_of(plan), Relief(**told["relief"])
+    plan = SurveyPlan(**truth_record["plan"])
+    land, relief = landscape_of(plan), Relief(**truth_record["relief"])
     west, south = at.reshape(-1, 2).min(axis=0) - 2.0
     east, north = at.reshape(-1, 2).max(axis=0) + 2.0
     bounds = west - 20.0, south - 20.0, east + 20.0, north + 20.0

@@ -35,7 +35,7 @@ class Land:
     ground_true_px: float
     grade: str
 
-    def told(self) -> tuple[str, str, bool]:
+    def figures(self) -> tuple[str, str, bool]:
         """What was found and is wanted, and whether it is: no more off than was said, and the word for it."""
         text = (
             f"off by more than {OFF_PX:g} px: stated {100.0 * self.stated:.1f} %, "
@@ -58,8 +58,8 @@ def judged_land(run: Path, truth: Path) -> Land:
     at_m, tangent, _ = places_of(
         ground_doubt.Land(ownership, adjusted.poses, survey.work_frame, ground, adjusted.ground)
     )
-    told = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
-    errors, kind = errors_at(told, survey, adjusted, true_positions(truth, survey), at_m)
+    truth_record = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
+    errors, kind = errors_at(truth_record, survey, adjusted, true_positions(truth, survey), at_m)
     of_open = kind == _OPEN
     per_m = tangent / ownership.grid.gsd_m
     off_px = np.abs(errors - np.median(errors[of_open])) * per_m

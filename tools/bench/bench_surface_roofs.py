@@ -93,11 +93,11 @@ def roofs(mosaic: Path, truth: Path) -> dict[str, Roofs]:
     """Houses and bridges of a mosaic on the true ortho's grid. A similarity, found on all that lies still, is
     taken off: it is the positions' error."""
     image, true, seen, affine = _registered(mosaic, truth / "ortho.tif")
-    told = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
+    truth_record = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
     height, width = seen.shape
     west, north = affine * (0, 0)
     east, south = affine * (width, height)
-    built = landscape_of(SurveyPlan(**told["plan"])).buildings_in((west, south, east, north))
+    built = landscape_of(SurveyPlan(**truth_record["plan"])).buildings_in((west, south, east, north))
     inner = cv2.distanceTransform(seen.view(np.uint8), cv2.DIST_L2, 5) * affine.a > _RIM_M
     found = {}
     for name, of in (
@@ -150,9 +150,9 @@ def _registered(mosaic: Path, ortho: Path) -> tuple[Image, Image, Bools, rasteri
     m = cv2.getAffineTransform((corners - 0.5).astype(np.float32), (to - 0.5).astype(np.float32))
     size = image.shape[2], image.shape[1]
     how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    laid = cv2.warpAffine(np.moveaxis(image, 0, -1).astype(np.float32), m, size, flags=how)
+    registered = cv2.warpAffine(np.moveaxis(image, 0, -1).astype(np.float32), m, size, flags=how)
     mask = cv2.warpAffine(valid.view(np.uint8) * 255, m, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    return laid, np.moveaxis(true, 0, -1).astype(np.float32), valid & (mask > 250), affine
+    return registered, np.moveaxis(true, 0, -1).astype(np.float32), valid & (mask > 250), affine
 
 
 def _moved(similarity: Similarity, at: Floats) -> Floats:

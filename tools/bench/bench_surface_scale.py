@@ -65,8 +65,8 @@ def large(out: Path, results: list[ResultRow], seed: int = 908) -> list[Row]:
     cores = os.cpu_count() or 1
     _run(out, survey, run, *BEFORE, workers=cores)
     taken = _run(out, survey, run, *BEFORE, STAGE, workers=cores)
-    told = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    seconds, surface = told["timings_s"][STAGE], told["metrics"]["surface"]
+    run_summary = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    seconds, surface = run_summary["timings_s"][STAGE], run_summary["metrics"]["surface"]
     text = (
         f"{seconds:.1f} s, {taken.peak_mb:.0f} MB at most; cells of {surface['cell_m']:.3f} m, "
         f"{100.0 * surface['matched']:.0f} % matched"
@@ -85,8 +85,8 @@ def _same_by_two(out: Path, run: Path) -> Row:
 
 
 def _surface_of(run: Path) -> bytes:
-    told = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    return (run / told["artefacts"]["surface"]["file"]).read_bytes()
+    run_summary = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    return (run / run_summary["artefacts"]["surface"]["file"]).read_bytes()
 
 
 def _run(out: Path, survey: Path, run: Path, *stages: str, workers: int = 1) -> Taken:

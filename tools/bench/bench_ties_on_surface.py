@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.bundle_method import pose_block
-from geomosaic.adjustment.procedure.cross_validation import Judged
+from geomosaic.adjustment.procedure.cross_validation import ModelScore
 from geomosaic.adjustment.procedure.model_selection import with_readout
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
@@ -65,7 +65,7 @@ AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
-class Run:
+class SurfaceRun:
     """What a finished run found."""
 
     survey: Survey
@@ -74,14 +74,14 @@ class Run:
     block: Block
 
     @classmethod
-    def of(cls, folder: Path) -> Run:
-        told = read_summary(folder)
+    def of(cls, folder: Path) -> SurfaceRun:
+        run_summary = read_summary(folder)
         kinds = {"survey": Survey, "prior_ground": GroundSurface, "placement": Placement, "ties": TiePoints}
-        block = block_of(*(load_artefact(folder, told, name, kind) for name, kind in kinds.items()))
+        block = block_of(*(load_artefact(folder, run_summary, name, kind) for name, kind in kinds.items()))
         return cls(
-            load_artefact(folder, told, "survey", Survey),
-            load_artefact(folder, told, "adjusted", Adjusted),
-            load_artefact(folder, told, "surface", DenseSurface),
+            load_artefact(folder, run_summary, "survey", Survey),
+            load_artefact(folder, run_summary, "adjusted", Adjusted),
+            load_artefact(folder, run_summary, "surface", DenseSurface),
             block,
         )
 
@@ -112,7 +112,7 @@ def sure_cells(surface: DenseSurface) -> tuple[Floats, Floats]:
     )
 
 
-def seen(run: Run, i: int, points_m: Floats, margin_px: float) -> tuple[Ints, Floats]:
+def seen(run: SurfaceRun, i: int, points_m: Floats, margin_px: float) -> tuple[Ints, Floats]:
     """Which points a frame sees, and where."""
     camera, pose = run.adjusted.cameras[i], run.adjusted.poses[i]
     px = pose.image_from_ground(camera, points_m)
@@ -137,7 +137,7 @@ def by_ground(pose: Pose, camera: Camera, points_m: Floats, slope: Floats, step_
     return np.stack(ways, axis=-1)
 
 
-def surface_ties(run: Run) -> Tracks:
+def surface_ties(run: SurfaceRun) -> Tracks:
     """Places on the surface, sought in all frames that see them; what was asked for is printed."""
     poses, cameras = run.adjusted.poses, run.adjusted.cameras
     used = [i for i, status in enumerate(run.adjusted.status) if status != "rejected"]
@@ -242,7 +242,7 @@ def flying_height_m(of: Adjusted) -> float:
     return float(np.median(at[:, 2] - of.ground.up_at(at[:, 0], at[:, 1])))
 
 
-def print_heights(run: Run, own: Tracks) -> None:
+def print_heights(run: SurfaceRun, own: Tracks) -> None:
     """How far sure tie points lie off the surface."""
     long = chosen_tracks(own, own.lengths >= 3)
     error_px, points = left_px(long, run.adjusted)
@@ -262,7 +262,7 @@ def print_heights(run: Run, own: Tracks) -> None:
             print(f"  tie points off the surface, {name}: {of.sum()}, {text}")
 
 
-def print_left_out(run: Run, own: Tracks, more: Tracks, folds: int) -> None:
+def print_left_out(run: SurfaceRun, own: Tracks, more: Tracks, folds: int) -> None:
     """What both solutions leave of tie points in places that neither has seen."""
     side_m, kinds = PLACE * flying_height_m(run.adjusted), {"its own": own, "the surface's": more}
     squares = [np.floor(left_px(t, run.adjusted)[1][:, :2] / side_m) for t in kinds.values()]
@@ -280,13 +280,13 @@ def print_left_out(run: Run, own: Tracks, more: Tracks, folds: int) -> None:
             left[name].append((*each, places[name][out[name]]))
     for name, parts in left.items():
         before_px, after_px, where = (np.concatenate(part) for part in zip(*parts, strict=True))
-        judged = [Judged(run.adjusted, px, where) for px in (before_px, after_px)]
+        judged = [ModelScore(run.adjusted, px, where) for px in (before_px, after_px)]
         share, most = judged[1].compared_to(judged[0])
         text = f"median {judged[0].median_px:.4f} px, with the surface's {judged[1].median_px:.4f}"
         print(f"  left-out tie points, {name}: {text}; share {share:.3f}, at most {most:.3f}", flush=True)
 
 
-def print_truth(run: Run, truth: Path, solutions: dict[str, Adjusted]) -> None:
+def print_truth(run: SurfaceRun, truth: Path, solutions: dict[str, Adjusted]) -> None:
     """Positions against the true ones, after the best similarity."""
     with truth.open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -308,19 +308,19 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="+")
     parser.add_argument("--folds", type=int, default=5, help="of places left out; 0: none are")
     parser.add_argument("--truth", type=Path, help="positions.csv of a simulated survey")
-    told = parser.parse_args()
-    for folder in told.runs:
+    args = parser.parse_args()
+    for folder in args.runs:
         print(folder, flush=True)
-        run = Run.of(folder)
+        run = SurfaceRun.of(folder)
         own = join_tracks(run.block.ties)
         print_heights(run, own)
         more = surface_ties(run)
         print(f"  tracks: {own.points} of its own, {more.points} from the surface", flush=True)
-        if told.truth is not None:
+        if args.truth is not None:
             both = {"its own": run.solved(own, None), "both": run.solved(own, more)}
-            print_truth(run, told.truth, both)
-        if told.folds:
-            print_left_out(run, own, more, told.folds)
+            print_truth(run, args.truth, both)
+        if args.folds:
+            print_left_out(run, own, more, args.folds)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ class Draw:
     lens_sd: Floats | None
 
     @property
-    def pose_errors_told(self) -> Floats:
+    def reported_pose_errors(self) -> Floats:
         """(f, 6): POS minus truth."""
         return pose_errors(self.block.poses, self.poses)
 
@@ -166,15 +166,15 @@ def cramer_rao(d: Draw, *, on_ground: bool = True) -> Bound:
     lever = (block_diag(own, format="csr") @ (y.T @ x)).tocsr()
     pos = d.block.poses
     prior_sd = np.column_stack([pos.positions_sd_m, pos.rotations_sd_rad]).ravel()
-    told = d.pose_errors_told.ravel()
+    reported = d.reported_pose_errors.ravel()
     if d.lens_sd is not None:
         prior_sd = np.append(prior_sd, d.lens_sd)
-        told = np.append(told, lens_of(d.block.cameras[0]) - lens_of(d.camera))
-    prior, told = np.append(prior_sd, LEVEL_SD_M) ** -2.0, np.append(told, 0.0)
+        reported = np.append(reported, lens_of(d.block.cameras[0]) - lens_of(d.camera))
+    prior, reported = np.append(prior_sd, LEVEL_SD_M) ** -2.0, np.append(reported, 0.0)
     information = (x.T @ x + diags(prior) - (y.T @ x).T @ lever).toarray()
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale
-    side = x.T @ white - lever.T @ (y.T @ white) + prior * told
+    side = x.T @ white - lever.T @ (y.T @ white) + prior * reported
     some = np.unique(np.linspace(0, p - 1, _SAMPLED_POINTS).astype(np.intp))
     rows = (each * some[:, None] + np.arange(2)).ravel()
     follow = -lever[rows].toarray().reshape(len(some), 2, columns)

@@ -47,7 +47,7 @@ COLUMNS = (
     *("differs, warned", "differs, small", "differs, gross", "stray lines"),
 )
 FAILURES = set(COLUMNS[3:15])
-TOLD_EVERY = 500
+REPORT_EVERY = 500
 """Cases after which a line says how far it is."""
 
 
@@ -143,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
                     trials.keep(case)
                     what = ", ".join((*case.problems, case.grade))
                     print(f"{case.kind} {case.number}: {what}: {case.done[:90]}", flush=True)
-                if len(cases) % TOLD_EVERY == 0:
+                if len(cases) % REPORT_EVERY == 0:
                     print(
                         f"{len(cases)} of {len(todo)} cases, {time.monotonic() - started:.0f} s", flush=True
                     )

@@ -18,14 +18,14 @@ from tools.fuzz.fuzz_base import make_base, people
 from tools.fuzz.fuzz_kinds import HANG_S, KINDS, Kind, fill, spoil
 from tools.fuzz.fuzz_mutations import Nasty
 from tools.fuzz.fuzz_verdict import Difference, Result, difference, problems, result_of, stray_lines
-from tools.trials.trial_box import Box, Ended, changes, snapshot
+from tools.trials.trial_box import Box, EndedCommand, changes, snapshot
 
 _MOST = ("seconds", "cpu_s", "peak_mb")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case's outcome. argv, code, told: of its last command, or of the one that something is wrong with;
+    """One case's outcome. argv, code, reported: of its last command, or of the one that something is wrong with;
     seconds, cpu_s, peak_mb: the most that a command took."""
 
     kind: str
@@ -41,7 +41,7 @@ class Case:
     cpu_s: float
     peak_mb: float
     stray: tuple[str, ...]
-    told: str
+    reported: str
     raised: str = ""
 
 
@@ -130,7 +130,7 @@ class Trials:
         before = snapshot(self.box.folder, own)
         mine_before = self._own_notes()
         found: list[str] = []
-        all_ended: list[Ended] = []
+        all_ended: list[EndedCommand] = []
         shown = False
         for argv in commands:
             self._mark_unread()
@@ -174,18 +174,20 @@ class Trials:
         """Whether people's files were read since."""
         return any(path.stat().st_atime_ns for path in self.box.path("beside").iterdir())
 
-    def _detail(self, ended: Ended, found: list[str], changed: list[str], kind: Kind, number: int) -> str:
+    def _detail(
+        self, ended: EndedCommand, found: list[str], changed: list[str], kind: Kind, number: int
+    ) -> str:
         """Where a failure was raised, from a second run that tells it; and what changed or was done."""
         lines = [*changed[:5], *ended.doings[:5]]
         if ended.code == 1 or "fault" in found or "traceback" in found:
             self._again(kind, number)
-            told = self.box.run(ended.argv, kind.most_s, details=True).err.splitlines()
-            places = [i for i, line in enumerate(told) if line.lstrip().startswith("File ")]
+            reported = self.box.run(ended.argv, kind.most_s, details=True).err.splitlines()
+            places = [i for i, line in enumerate(reported) if line.lstrip().startswith("File ")]
             if places:
-                own = [i for i in places if "geomosaic/" in told[i]] or places
+                own = [i for i in places if "geomosaic/" in reported[i]] or places
                 lines += [
-                    told[own[-1]].strip(),
-                    *[x for x in told[places[-1] :] if x and not x.startswith(" ")][:2],
+                    reported[own[-1]].strip(),
+                    *[x for x in reported[places[-1] :] if x and not x.startswith(" ")][:2],
                 ]
         return " | ".join(lines)[:1500]
 
@@ -216,6 +218,6 @@ class Trials:
         words = [
             f"python -m tools.fuzz --seed {self.seed} --only {case.kind} --case {case.number}",
             "geomosaic " + " ".join(case.argv), f"{case.file}: {case.done}", f"exit {case.code}",
-            ", ".join((*case.problems, case.grade)), *case.where, case.raised, case.told,
+            ", ".join((*case.problems, case.grade)), *case.where, case.raised, case.reported,
         ]  # fmt: skip
         (folder / "case.txt").write_text("\n".join(words) + "\n", errors="replace")

@@ -20,7 +20,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey
 from geomosaic.survey.strips import StripGeometry
-from tools.trials.trial_box import MEMORY_BYTES, Ended
+from tools.trials.trial_box import MEMORY_BYTES, EndedCommand
 
 _NO_MEMORY = re.compile(r"MemoryError|bad_alloc|nable to allocate|ut of memory")
 _USUAL = re.compile(r"geomosaic: |warning: |\[\d+/\d+\] ")
@@ -43,7 +43,7 @@ class Result:
     pixels: Any = None
 
 
-def problems(ended: Ended, changed: list[str], out: Path, most_bytes: int = MEMORY_BYTES) -> list[str]:
+def problems(ended: EndedCommand, changed: list[str], out: Path, most_bytes: int = MEMORY_BYTES) -> list[str]:
     """Names of what must never be."""
     words, found = ended.err + ended.out, []
     if "Traceback (most recent call last)" in words:
@@ -74,7 +74,7 @@ def problems(ended: Ended, changed: list[str], out: Path, most_bytes: int = MEMO
     return found
 
 
-def stray_lines(ended: Ended) -> list[str]:
+def stray_lines(ended: EndedCommand) -> list[str]:
     """Lines on stderr that are none of geomosaic's own: a library spoke."""
     return [line for line in ended.err.splitlines() if line.strip() and not _USUAL.match(line)]
 

@@ -35,7 +35,7 @@ from geomosaic.recording.inspect.inspection import Inspection
 from tools.bench.result_rows import ResultRow, RowKind, add_options, write_rows
 from tools.docs.results_page import SAFE
 from tools.trials.chaos_changes import CHANGES, change, put_back
-from tools.trials.chaos_world import PROGRAM, Ended, Running, Trial, World, items_of, result_of
+from tools.trials.chaos_world import PROGRAM, EndedRun, Running, Trial, World, items_of, result_of
 from tools.trials.trial_box import changes, snapshot
 from tools.trials.trial_tables import write_tables
 
@@ -145,10 +145,10 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
 def where_it_was(trial: Trial, run: Path, done: int, killed_ns: int) -> str:
     """What `inspect` says of where a killed run was, and how old the last word in its recording is; what
     `--repair` makes of it must be whole and say the same. done: how many stages its progress names."""
-    told = geomosaic("inspect", run, "--json")
-    if told.returncode:
-        return told.stderr.strip()
-    said = json.loads(told.stdout)
+    reported = geomosaic("inspect", run, "--json")
+    if reported.returncode:
+        return reported.stderr.strip()
+    said = json.loads(reported.stdout)
     finished = sum(stage["finished"] for stage in said["stages"])
     if done and not done <= finished <= done + 1:
         trial.problems.append("wrong place")
@@ -191,7 +191,7 @@ def judge_items(trial: Trial, before: Items, after: Items) -> None:
         trial.words += f"[done twice] {len(again)} of {len(before)}, {again[0]}\n"
 
 
-def judge_blow(trial: Trial, blow: str, ended: Ended) -> None:
+def judge_blow(trial: Trial, blow: str, ended: EndedRun) -> None:
     """What a run that was hit must not do."""
     before = len(trial.problems)
     killed = blow.startswith("kill")

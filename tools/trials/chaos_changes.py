@@ -65,12 +65,12 @@ def _darker_strip(path: Path, keep: bool) -> None:
 def change(inputs: Path, name: str, rng: Random) -> str:
     """Changes an input as `name` says: what was done, the same words for the same change."""
     keep = rng.random() < 0.5
-    told = f"{name}{', time kept' if keep else ''}"
+    reported = f"{name}{', time kept' if keep else ''}"
     match name:
         case "pixels":
             frame = rng.choice(sorted((inputs / "frames").glob("*.jpg")))
             _inverted_jpeg(frame, keep)
-            return f"{told} {frame.name}"
+            return f"{reported} {frame.name}"
         case "positions":
             _other_digit(inputs / "pos.csv", rng.choice(("F0001.jpg,11.29", "F0002.jpg,11.29")), rng, keep)
         case "camera":
@@ -82,7 +82,7 @@ def change(inputs: Path, name: str, rng: Random) -> str:
         case "strip":
             strip = rng.choice(sorted(inputs.glob("ccd*.tif")))
             _darker_strip(strip, keep)
-            return f"{told} {strip.name}"
+            return f"{reported} {strip.name}"
         case "attitude":
             lines = (inputs / "model_attitude.csv").read_text().splitlines()
             _other_digit(inputs / "model_attitude.csv", lines[len(lines) // 2][:8], rng, keep)
@@ -107,7 +107,7 @@ def change(inputs: Path, name: str, rng: Random) -> str:
             gone = rng.choice(files)
             gone.unlink()
             return f"{name} {gone.name}"
-    return told
+    return reported
 
 
 def put_back(inputs: Path) -> None:

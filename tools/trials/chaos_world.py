@@ -40,7 +40,7 @@ _VOLATILE = (
 
 
 @dataclass(frozen=True)
-class Ended:
+class EndedRun:
     """How a run ended: exit code (a signal negative), its words, seconds from the blow to the end."""
 
     code: int
@@ -98,7 +98,7 @@ class Running:
             pid for pid in mine if pid not in servers and b"resource_tracker" not in _command(pid)
         ] + forked
 
-    def end(self, struck: float) -> Ended:
+    def end(self, struck: float) -> EndedRun:
         """Waits for the end; a run that has none is ended."""
         hung = not self.wait(LONGEST_S)
         seconds = time.monotonic() - struck
@@ -111,7 +111,7 @@ class Running:
             except ProcessLookupError:
                 continue
         code = self.process.wait()
-        return Ended(code, self.log.read_bytes().decode(errors="replace"), seconds, hung, len(left))
+        return EndedRun(code, self.log.read_bytes().decode(errors="replace"), seconds, hung, len(left))
 
     def _left(self) -> list[int]:
         """What lives on of its session after it."""
@@ -149,8 +149,8 @@ class Disk:
         )
 
     def used_kb(self) -> int:
-        told = os.statvfs(self.folder)
-        return (told.f_blocks - told.f_bfree) * told.f_frsize // 1024
+        reported = os.statvfs(self.folder)
+        return (reported.f_blocks - reported.f_bfree) * reported.f_frsize // 1024
 
     def resize(self, kb: int) -> None:
         subprocess.run(["mount", "-o", f"remount,size={kb}k", str(self.folder)], check=True)
@@ -181,10 +181,12 @@ def result_of(run: Path) -> dict[str, str]:
     if (run / "layers.gpkg").exists():
         found["layers.gpkg"] = _hash(json.dumps(_tables(run / "layers.gpkg"), default=repr).encode())
     if (run / "run.json").exists():
-        told = json.loads((run / "run.json").read_text())
-        told.get("metrics", {}).pop("estimate", None)  # of the machine and its workers, not of the result
-        told.get("artefacts", {}).pop("report_file", None)  # it tells the time that the run took
-        for name, value in told.items():
+        run_summary = json.loads((run / "run.json").read_text())
+        run_summary.get("metrics", {}).pop(
+            "estimate", None
+        )  # of the machine and its workers, not of the result
+        run_summary.get("artefacts", {}).pop("report_file", None)  # it tells the time that the run took
+        for name, value in run_summary.items():
             if name not in _VOLATILE:
                 found.update(_parts(f"run.json {name}", value))
     return found

@@ -47,7 +47,7 @@ _digests: dict[tuple[int, int], tuple[tuple[int, int], str]] = {}
 
 
 @dataclass(frozen=True)
-class Ended:
+class EndedCommand:
     """How a command ended: exit code (a signal negative), its words, and what it did beside.
 
     seconds: without those in which others had the processor, so that a busy machine makes nothing slow.
@@ -134,7 +134,7 @@ class Box:
     def path(self, name: str) -> Path:
         return self.folder / name
 
-    def run(self, argv: Sequence[str], seconds: float, details: bool = False) -> Ended:
+    def run(self, argv: Sequence[str], seconds: float, details: bool = False) -> EndedCommand:
         """`geomosaic ARGV` in a forked child. details: errors are told with where they were raised."""
         logs = [self.folder.with_name(f"{self.folder.name}.{name}") for name in ("out", "err", "doings")]
         before, accepted = _attempts(), 0
@@ -159,7 +159,7 @@ class Box:
         _, status, usage = os.wait4(pid, 0)
         os.close(handle)
         texts = [log.read_bytes()[:200_000].decode(errors="replace") for log in logs]
-        return Ended(
+        return EndedCommand(
             tuple(argv),
             os.waitstatus_to_exitcode(status),
             texts[0],
@@ -283,6 +283,6 @@ def _attempts() -> int:
     count = rows["Tcp:"]["ActiveOpens"] + rows["Udp:"]["OutDatagrams"] + rows["Ip:"]["OutNoRoutes"]
     six = Path("/proc/self/net/snmp6")
     if six.exists():
-        told = dict(line.split() for line in six.read_text().splitlines())
-        count += int(told.get("Ip6OutNoRoutes", 0)) + int(told.get("Udp6OutDatagrams", 0))
+        reported = dict(line.split() for line in six.read_text().splitlines())
+        count += int(reported.get("Ip6OutNoRoutes", 0)) + int(reported.get("Udp6OutDatagrams", 0))
     return count

@@ -108,7 +108,7 @@ def _odd_terms(lens: Camera) -> Floats:
 
 
 @dataclass(frozen=True)
-class Judged:
+class ModelScore:
     """A model's solution (None where there is none), and the residual of each track left out of it, (t,);
     place (t,): number of the place where it lies; vibration: `left_by_vibration` of the left-out tracks."""
 
@@ -121,12 +121,12 @@ class Judged:
     def median_px(self) -> float:
         return float(np.median(self.each_px))
 
-    def beats(self, other: Judged) -> bool:
+    def beats(self, other: ModelScore) -> bool:
         """Whether it leaves less by what makes a model worth its unknowns, and surely less."""
         share, at_most = self.compared_to(other)
         return share < BETTER and at_most < 1.0
 
-    def compared_to(self, other: Judged) -> tuple[float, float]:
+    def compared_to(self, other: ModelScore) -> tuple[float, float]:
         """The share of another model's residuals that this one leaves, and its upper limit: the median of the
         tracks' own shares, so that what moves in the wind decides nothing. Tracks weigh by the inverse of
         what both models leave together, down to a quarter of the median. Those of one place err alike: the
@@ -154,7 +154,7 @@ class LeftOutTest:
     place: Ints
 
 
-class LeftOut:
+class LeftOutTracks:
     """Tracks that models are solved by, and all others, which judge them; of a large block those of some
     neighbouring frames. Args: first: the solution by all tracks."""
 
@@ -182,7 +182,7 @@ class LeftOut:
 
     def judged(
         self, name: str, models: dict[str, Model], solve: Callable[[Tracks, Model], Start] = solved
-    ) -> dict[str, Judged]:
+    ) -> dict[str, ModelScore]:
         """What each model leaves, solved or `tested`. The last takes longest: it is begun first. One alone is
         solved here, where numpy has all threads."""
         names, spread = list(models)[::-1], self._spread if len(models) > 1 else AtOnce()
@@ -213,15 +213,15 @@ def places(points_m: Floats, height_m: float) -> Ints:
     return np.unique(square, axis=0, return_inverse=True)[1].astype(np.intp).ravel()
 
 
-def _judged(test: LeftOutTest, solve: Callable[[Tracks, Model], Start], model: Model) -> Judged:
+def _judged(test: LeftOutTest, solve: Callable[[Tracks, Model], Start], model: Model) -> ModelScore:
     """A solution by points of its own and no control, and what it leaves."""
     try:
         solved = solve(test.solving, model)
     except NotSolvableError:
-        return Judged(None, np.full(test.judges.points, np.inf), test.place)
+        return ModelScore(None, np.full(test.judges.points, np.inf), test.place)
     image = left_out_residuals(test.judges, model.block, solved)
     vibration = left_by_vibration(image, model.block.cameras)
-    return Judged(solved, left_out_px(test.judges, image), test.place, vibration)
+    return ModelScore(solved, left_out_px(test.judges, image), test.place, vibration)
 
 
 def left_out_px(tracks: Tracks, image: ImageResiduals) -> Floats:

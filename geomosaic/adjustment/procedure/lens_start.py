@@ -18,8 +18,8 @@ from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.cross_validation import (
     BETTER,
     LEFT_OUT,
-    Judged,
     LeftOutTest,
+    ModelScore,
     left_out_px,
     left_out_residuals,
     places,
@@ -53,8 +53,8 @@ def unsure(camera: Camera) -> bool:
 def with_lens_starts(block: Block, settings: Settings, spread: Spread) -> Block:
     """The block whose uncertain lenses begin where tie points left out of small solves are predicted best.
     Each start is solved on up to ten well-overlapping frames, and taken where it is surely better than the
-    given one (`Judged.beats`). A reported focal length becomes uncertain where these frames contradict it,
-    and positions allow another one."""
+    given one (`ModelScore.beats`). A reported focal length becomes uncertain where these frames contradict
+    it, and positions allow another one."""
     starts = {c.name: _begun(block, settings, spread, c) for c in block.lenses}
     if all(starts[c.name] == c for c in block.lenses):
         return block
@@ -106,7 +106,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     place = places(at_m, flying_height_m(part))
     test = LeftOutTest(chosen_tracks(tracks, ~out), judges, place)
 
-    def judged(name: str, lenses: Sequence[Camera]) -> list[Judged]:
+    def judged(name: str, lenses: Sequence[Camera]) -> list[ModelScore]:
         """What each lens leaves, of cameras whose rows are read at once."""
         at_once = [replace(lens, readout_s=0.0, readout_sd_s=0.0) for lens in lenses]
         blocks = [replace(part, cameras=(lens,) * len(part.names)) for lens in at_once]
@@ -142,9 +142,9 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     )
 
 
-def _tried(settings: Settings, test: LeftOutTest, block: Block) -> Judged:
+def _tried(settings: Settings, test: LeftOutTest, block: Block) -> ModelScore:
     """A lens's own solve, begun as a block is, and what it leaves at the other tracks."""
-    nothing = Judged(None, np.full(test.judges.points, np.inf), test.place)
+    nothing = ModelScore(None, np.full(test.judges.points, np.inf), test.place)
     try:
         start = start_poses(block, offset_net(block))
         block = placed_by_images(block, start)
@@ -156,7 +156,7 @@ def _tried(settings: Settings, test: LeftOutTest, block: Block) -> Judged:
         left_px = left_out_px(test.judges, left_out_residuals(test.judges, block, solved))
     except (NotSolvableError, np.linalg.LinAlgError):
         return nothing
-    return Judged(solved.of_points(solved.points_m), left_px, test.place)
+    return ModelScore(solved.of_points(solved.points_m), left_px, test.place)
 
 
 def _part(block: Block, camera: Camera) -> Block:

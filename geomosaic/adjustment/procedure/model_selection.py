@@ -10,7 +10,7 @@ import numpy as np
 from geomosaic.adjustment.kernels.interior import INTERIOR, READOUT
 from geomosaic.adjustment.model import Block, ImageResiduals, ModelChoice, Settings
 from geomosaic.adjustment.procedure.block_problem import CRUISE_M_PER_S, velocities_known
-from geomosaic.adjustment.procedure.cross_validation import BETTER, Judged, LeftOut, Model, tested
+from geomosaic.adjustment.procedure.cross_validation import BETTER, LeftOutTracks, Model, ModelScore, tested
 from geomosaic.adjustment.procedure.residual_pattern import left_by_vibration, residual_patterns
 from geomosaic.adjustment.solver.solution import Solution, Start
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
@@ -62,8 +62,8 @@ def chosen_model(
 
     What is missing is added one by one, each time what helps most, as long as it helps by a twentieth. Every
     model is judged on the same tracks, which took no part in its solve, track by track
-    (`Judged.compared_to`). Some steps from the solution so far show which models may win; only the best of
-    these is solved, and a simpler one that does about as well. A lens that does worse is not tried again.
+    (`ModelScore.compared_to`). Some steps from the solution so far show which models may win; only the best
+    of these is solved, and a simpler one that does about as well. A lens that does worse is not tried again.
     Args: first: the solution as given, by these tracks.
     """
     good = first.components[IMAGE] <= GOOD_PX and _pattern_px(block, tracks, first) <= _PATTERN_PX
@@ -71,7 +71,7 @@ def chosen_model(
         good = good and median_of_known(np.linalg.norm(first.residual_px, axis=1)) <= _LEAST_PX
     if good or tracks.points < _TOO_FEW:
         return block, settings, None, first
-    left_out = LeftOut(block, tracks, first, spread)
+    left_out = LeftOutTracks(block, tracks, first, spread)
     now = Model(block, settings, left_out.begun)
     its = left_out.judged("models", {_GIVEN: now})[_GIVEN]
     now, now_px = replace(now, before=its.solved or now.before), its.median_px
@@ -109,14 +109,14 @@ class _Compared:
     """What each candidate leaves; those that are better, that would be but that positions contradict, and
     that ask for what the block does not determine."""
 
-    judged: dict[str, Judged]
+    judged: dict[str, ModelScore]
     better: list[str]
     contradicted: list[str]
     in_vain: set[str]
 
 
 def _compared(
-    left_out: LeftOut, name: str, now: Block, candidates: dict[str, Model], its: Judged
+    left_out: LeftOutTracks, name: str, now: Block, candidates: dict[str, Model], its: ModelScore
 ) -> _Compared:
     """Candidates some steps from the solution so far. Solved are the simplest that none is better than by
     these steps, and a simpler one if it may do as well; then others as long as these are rejected."""
@@ -152,7 +152,7 @@ def contradicts(its: Start | None, now: Start | None) -> bool:
     return scattered or any(not 0.0 <= c.readout_s <= _SLOWEST_READOUT_S for c in its.cameras)
 
 
-def _in_vain(block: Block, its: Judged) -> bool:
+def _in_vain(block: Block, its: ModelScore) -> bool:
     """Whether the block determines none of the readouts that a model asks for: its gain is chance."""
     if its.solved is None:
         return False

@@ -23,7 +23,7 @@ from geomosaic.adjustment.solver.solution import (
     with_unreported_readouts,
 )
 from geomosaic.adjustment.solver.steps import (
-    Progress,
+    SolveState,
     converged,
     first_steps,
     iterate,
@@ -92,7 +92,7 @@ def solved_start(problem: BlockProblem, poses: Poses, start: Start | None, optio
 class _Solved:
     """A solve that has converged; which shared unknowns (s,) are implausible, and which are fixed."""
 
-    progress: Progress
+    progress: SolveState
     implausible: Bools
     fixed: Bools
 
@@ -143,7 +143,7 @@ def _solved(
         problem = replace(problem, image=replace(problem.image, local=start.local))
     problem = replace(problem, clearance_m=clearances_m(problem.tracks, at.positions_m, at.points_m))
     implausible, may_free = np.zeros_like(fixed), start is not None and options.self_calibration
-    progress = Progress(problem, at, components)
+    progress = SolveState(problem, at, components)
     while True:
         progress = with_fixed(replace(progress, problem=replace(progress.problem, fixed=fixed)))
         progress = iterate(progress, rough=True, image_converged=image_converged, near=options.near)
@@ -159,7 +159,7 @@ def _solved(
     return _Solved(progress, implausible, fixed)
 
 
-def _at_last(progress: Progress) -> Solution:
+def _at_last(progress: SolveState) -> Solution:
     """The solution once nothing moves any more."""
     progress = converged(progress)
     problem, scores = with_unreported_readouts(progress.problem, progress.at, progress.components)
@@ -169,7 +169,7 @@ def _at_last(progress: Progress) -> Solution:
 
 def last_steps(begun: Solution) -> Solution:
     """The fully converged solution from one of a solve that was not the `last`. Raises: NotSolvableError."""
-    solved = _at_last(Progress(begun.problem, begun.estimate, begun.components))
+    solved = _at_last(SolveState(begun.problem, begun.estimate, begun.components))
     return replace(solved, implausible=begun.implausible, fixed=begun.fixed)
 
 
@@ -188,7 +188,7 @@ def few_steps(problem: BlockProblem, start: Start) -> Start:
     as_before = components.also({IMAGE: start.components[IMAGE]})
     fixed = fixed & undetermined(problem, at, as_before)
     problem = replace(problem, fixed=fixed)
-    progress = with_components(Progress(problem.reweighted(at, components), at, components))
+    progress = with_components(SolveState(problem.reweighted(at, components), at, components))
     unknown = np.zeros_like(fixed)
     return replace(_Solved(first_steps(progress), unknown, fixed).start, local=None)
 
@@ -226,7 +226,7 @@ def _first_components(problem: BlockProblem, at: Estimate) -> Components:
     return Components(ones | problem.image.first_components(at))
 
 
-def _finished(progress: Progress) -> Solution:
+def _finished(progress: SolveState) -> Solution:
     """The solution with its covariances."""
     problem, at, components = progress.problem, progress.at, progress.components
     image, stated = problem.image, stated_accuracy(problem, at, components)

@@ -51,7 +51,7 @@ _SHARES = tuned((1.0, 0.5, 0.25, 0.1), "of a step", "tried before damping where 
 
 
 @dataclass(frozen=True)
-class Progress:
+class SolveState:
     """A solve on its way: the problem with its present robust weights, estimate, components, past steps."""
 
     problem: BlockProblem
@@ -64,7 +64,7 @@ class Progress:
         return self.problem.cost(self.at, self.components)
 
 
-def with_fixed(progress: Progress) -> Progress:
+def with_fixed(progress: SolveState) -> SolveState:
     """Fixed unknowns at their prior values; the others follow to first order, where that lowers the cost."""
     problem, at = progress.problem, progress.at
     known = problem.known(at.layout)
@@ -83,7 +83,7 @@ def with_fixed(progress: Progress) -> Progress:
     return alone
 
 
-def iterate(progress: Progress, *, rough: bool, image_converged: bool, near: bool = False) -> Progress:
+def iterate(progress: SolveState, *, rough: bool, image_converged: bool, near: bool = False) -> SolveState:
     """Iterates until unknowns, robust weights and variance components have converged. image_converged: the
     image's component is taken as converged. near: see `SolveOptions`."""
     for k in range(_ROUNDS):
@@ -108,7 +108,7 @@ def iterate(progress: Progress, *, rough: bool, image_converged: bool, near: boo
     return progress
 
 
-def _without_vanished(progress: Progress) -> Progress:
+def _without_vanished(progress: SolveState) -> SolveState:
     """Without the functions of the frames' rotation that have no share in it any more."""
     frames = tuple(
         t.without_vanished(progress.components) if isinstance(t, RollingShutterRotation) else t
@@ -121,17 +121,17 @@ def _without_vanished(progress: Progress) -> Progress:
     return replace(progress, problem=replace(progress.problem, frames=frames), at=at)
 
 
-def converged(progress: Progress) -> Progress:
+def converged(progress: SolveState) -> SolveState:
     """Iterates with these robust weights and variance components until nothing moves any more."""
     return _converge(progress, _MOST_STEPS, _FINE)[0]
 
 
-def first_steps(progress: Progress) -> Progress:
+def first_steps(progress: SolveState) -> SolveState:
     """A few undamped steps, until they gain a thousandth of the cost."""
     return _converge(progress, _FIRST_STEPS, _FIRST)[0]
 
 
-def with_components(progress: Progress) -> Progress:
+def with_components(progress: SolveState) -> SolveState:
     """After a few steps, with all variance components by the residuals then."""
     progress, reduced = _converge(progress, _FIRST_STEPS, _FIRST)
     problem, at = progress.problem, progress.at
@@ -139,7 +139,7 @@ def with_components(progress: Progress) -> Progress:
     return replace(progress, components=components)
 
 
-def _converge(progress: Progress, most: int, stop: _Stop) -> tuple[Progress, Reduced]:
+def _converge(progress: SolveState, most: int, stop: _Stop) -> tuple[SolveState, Reduced]:
     """Steps until `stop`, or `most`; and the last step's equations without damping."""
     problem, components = progress.problem, progress.components
     sd_m = next(t for t in problem.frames if isinstance(t, GnssPositions)).sd(components)

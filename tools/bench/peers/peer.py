@@ -49,13 +49,13 @@ def _affine(frames: Path, out: Path, home: Path) -> Command:
     return [programs / "python", Path(__file__).with_name("stitching_affine.py"), frames, out]
 
 
-def _told(file: str) -> Callable[[Path], int]:
+def _counted(file: str) -> Callable[[Path], int]:
     return lambda out: int(json.loads((out / file).read_text())["images_used"])
 
 
 PEERS = (
-    Peer("pyOrthomosaic 0.9.3, 2D", True, _two_dimensions, "mosaic.tif", _told("mosaic_report.json")),
-    Peer("pyOrthomosaic 0.9.3, 3D", True, _three_dimensions, "orthophoto.tif", _told("report.json")),
-    Peer("OpenCV Stitcher, SCANS", False, _scans, "mosaic.tif", _told("report.json")),
-    Peer("stitching 0.7.0, affine", False, _affine, "mosaic.tif", _told("report.json")),
+    Peer("pyOrthomosaic 0.9.3, 2D", True, _two_dimensions, "mosaic.tif", _counted("mosaic_report.json")),
+    Peer("pyOrthomosaic 0.9.3, 3D", True, _three_dimensions, "orthophoto.tif", _counted("report.json")),
+    Peer("OpenCV Stitcher, SCANS", False, _scans, "mosaic.tif", _counted("report.json")),
+    Peer("stitching 0.7.0, affine", False, _affine, "mosaic.tif", _counted("report.json")),
 )
