@@ -21,7 +21,7 @@ from geomosaic_simulate.strip_ground import (
 )
 from geomosaic_simulate.strip_motion import cameras_of, scene_crs
 from geomosaic_simulate.strip_plan import StripPlan
-from geomosaic_simulate.strip_seen import Heights, Rays, Seen
+from geomosaic_simulate.strip_seen import CcdView, Heights, Rays
 
 _COARSE_PX = 8
 _OFFSET_ROUNDS = 8
@@ -46,7 +46,7 @@ class PairTruth:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class SightLines:
     """World columns and rows (2, n, m) of pixels on the ground, and on the clouds' own plane (None: none)."""
 
     ground: Floats
@@ -96,16 +96,16 @@ class StripWorld:
         along = plan.lines / 2.0 + plan.row_separation_lines / 2.0 + _MARGIN_PX
         return -half_x, -along * plan.ground_pixel_m, half_x, along * plan.ground_pixel_m
 
-    def look(self, ccd: int, cols: tuple[int, int], lines: Ints64) -> Look:
+    def look(self, ccd: int, cols: tuple[int, int], lines: Ints64) -> SightLines:
         """Where the middles of columns first to last (exclusive) look at camera lines (n,), whole numbers."""
         first, last = cols
         coarse = first + np.arange(0.0, last - first + _COARSE_PX, _COARSE_PX) + 0.5
         rays = self._seen[ccd].rays(np.asarray(coarse), np.asarray(lines + 0.5))
         ground = _between(self._world(rays.on(self._heights)[0]), last - first)
         cloud = None if self.clouds is None else _between(self._on_clouds(rays, lines), last - first)
-        return Look(ground, cloud)
+        return SightLines(ground, cloud)
 
-    def light(self, look: Look, window: PatternWindow | None = None) -> Light:
+    def light(self, look: SightLines, window: PatternWindow | None = None) -> Light:
         """What is seen there; `window` is one of the ground that covers it, where there is one already."""
         window = window or self.ground.window(*window_of(look.ground))
         brightness = window.at(look.ground) * np.float32(self.plan.brightness)
@@ -145,10 +145,10 @@ class StripWorld:
             self._hidden(pair + 1, (0, plan.overlap_px), seen_at),
         )
 
-    def _seen_by(self, ccd: int) -> Seen:
+    def _seen_by(self, ccd: int) -> CcdView:
         plan, ideal = self.plan, ccd == IDEAL
         spare = plan.row_separation_lines + 100.0
-        return Seen(
+        return CcdView(
             self.cameras.ideal if ideal else self.cameras.true,
             0 if ideal else ccd,
             self.projection,

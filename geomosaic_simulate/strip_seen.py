@@ -23,7 +23,7 @@ _STEP_M = 2000.0
 _RELIEF_ROUNDS = 4  # heights move a ray's foot by less than a fifteenth of themselves
 
 
-class Seen:
+class CcdView:
     """Map coordinates that one CCD of a model looks at.
 
     Convention: cols and lines are corner-origin coordinates, as in `Pushbroom`. Within a few pixels of the

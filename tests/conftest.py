@@ -46,7 +46,7 @@ LONGEST = (
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """pytest-xdist goes by how many tests a file has unless it is told not to."""
+    """pytest-xdist goes by how many tests a file has unless it is asked not to."""
     config.option.loadscopereorder = False
 
 

@@ -53,7 +53,7 @@ def main() -> None:
     print(
         f"""
 Where it lies, and how to open it
-mosaic        {run / "mosaic.tif"}, beside {survey / "truth" / "ortho.tif"}, in any GIS
+mosaic        {run / "mosaic.tif"}, and {survey / "truth" / "ortho.tif"}, in any GIS
 GeoPackage    {run / "layers.gpkg"} in any GIS: frames, footprints, tie points, residuals, seamlines
 report        {run / "report.html"} in a browser
 recording     {run / "run.mcap"}: .venv/bin/geomosaic inspect {run / "run.mcap"}

@@ -178,7 +178,7 @@ def _figures(confidence: Path, metrics: Mapping[str, Any], heights: Floats32) ->
 def _ortho(metrics: Mapping[str, Any]) -> list[Row]:
     """What the mosaic stands on, and why, where the run says it."""
     chosen = metrics.get("ortho", {})
-    ground = chosen.get("ground", chosen.get("laid_on"))  # "laid_on": of earlier versions
+    ground = chosen.get("ground", chosen.get("laid_on"))  # the second key is of earlier versions
     if ground is None:
         return []
     found, why = chosen.get("disagreement"), "as was asked for"

@@ -32,7 +32,7 @@ class OrthoParams(StageParams):
 def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What frames are projected onto, and why."""
     ortho = summary["metrics"].get("ortho", {})
-    ground = ortho.get("ground", ortho.get("laid_on"))  # "laid_on": of earlier versions
+    ground = ortho.get("ground", ortho.get("laid_on"))  # the second key is of earlier versions
     if ground is None:
         return []
     found, why = ortho.get("disagreement"), ""

@@ -51,7 +51,7 @@ def off_m(surface: GroundSurface, beyond_m: float) -> float:
 
 
 def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
-    """The edge held level would be off by 2 m at 10 m and by 5 m at 25 m; the true slope straight on by 0.2
+    """The edge kept level would be off by 2 m at 10 m and by 5 m at 25 m; the true slope straight on by 0.2
     and 1.2 m, and slopes of noisy points by more."""
     surface = tie_surface(Heights(*points(1), LOW, HIGH, 100.0))
     assert surface.kind == "tie_surface"
@@ -64,7 +64,7 @@ def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
 
 def test_mountains_are_followed_where_points_show_them() -> None:
     """Summits of 60 m every 75 m, seen from 100 m, by a point on 13 m²: a surface of a third derivative of at
-    most 32 per squared flying height lay 10 m beside them."""
+    most 32 per squared flying height lay 10 m off them."""
     rng = np.random.default_rng(3)
 
     def mountains(at: np.ndarray) -> np.ndarray:

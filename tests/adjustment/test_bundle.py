@@ -113,7 +113,7 @@ def test_derivatives_against_differences(kinds: np.ndarray | None) -> None:
 
 
 def test_derivatives_of_frames_that_turn_against_differences() -> None:
-    """By readout and by a rate of their own, beside told turns; and the poses that hold both, where rows are
+    """By readout and by a rate of their own, with reported turns; and the poses that hold both, where rows are
     measured 2 px off."""
     m, rng = 30, np.random.default_rng(4)
     positions, rotations, interior, points = _observations(m, 5)
@@ -235,7 +235,7 @@ def _scale(adjusted: Adjusted, truth: Poses) -> float:
 
 def test_a_known_readout_leaves_steps_whole() -> None:
     """A readout that is solved for follows the block's scale. One that is known does not, by a billionth of it
-    either: beside what it is known to, that would cost more than the step gains, and the step be cut in half."""
+    either: compared to its prior, that would cost more than the step gains, and the step be cut in half."""
     flown = fly(3, readout_s=0.1)
     block, centre = flown.block, flown.truth.positions_m.mean(axis=0)
     wider = centre + 1.04 * (flown.truth.positions_m - centre)
@@ -348,8 +348,8 @@ def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> N
 
 
 def test_ground_at_another_level_than_reported_leaves_the_scale_alone() -> None:
-    """Heights and level of the ground are told to 15 m: positions alone know how large the block is. The solve
-    by all tie points began with the level as told, went a long way (17 steps here), and could grow a block by a
+    """Heights and level of the ground are reported to 15 m: positions alone know how large the block is. The solve
+    by all tie points began with the level as reported, went a long way (17 steps here), and could grow a block by a
     fifth instead of moving it."""
     flown = fly(2, points=2500)
     reported = flown.block.poses
@@ -413,7 +413,7 @@ def test_a_step_changes_the_blocks_scale_and_turn_last(scale: float, turn_deg: t
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.proof)])
 def test_land_that_slopes_is_not_taken_as_level(seed: int) -> None:
-    """3.4 degrees below two lines, by tags of which nobody told how good they are: 15 m and 10 degrees."""
+    """3.4 degrees below two lines, by tags of unreported quality: 15 m and 10 degrees."""
     sd_m, turns_rad = np.array([5.0, 5.0, 15.0]), np.radians([10.0, 10.0, 20.0])
     for slope, kind in ((0.06, "tie_surface"), (0.0, "flat")):
         flown = fly(seed, 2, 7, relief=lambda e, n, s=slope: s * e + 0.0 * n)

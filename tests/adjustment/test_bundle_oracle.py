@@ -1,6 +1,6 @@
 """The bundle against an oracle: the same cost written down apart from it, minimised by scipy's least squares.
 
-The oracle takes nothing from the solver but the deviations it settled on and which numbers it held: own
+The oracle takes nothing from the solver but the deviations it estimated and which numbers it fixed: own
 residuals by `Pose.image_from_ground`, derivatives by differences, all unknowns in one dense system, begun from
 what was reported.
 """
@@ -29,7 +29,7 @@ from geomosaic.projection.footprint import ground_from_images
 LENS = ("focal_length_px", "principal_col_px", "principal_row_px", "k1", "k2", "k3", "p1", "p2")
 LENS_SDS = {
     "some of the lens, all determined": [120.0, 120.0, 120.0, 0.1, 0.0, 0.0, 0.0, 0.0],
-    "all of the lens, in part held": [10.0, 10.0, 10.0, 0.1, 0.1, 0.1, 0.003, 0.003],
+    "all of the lens, in part fixed": [10.0, 10.0, 10.0, 0.1, 0.1, 0.1, 0.003, 0.003],
 }
 OFF_PX = {7: [2.5, -1.0], 60: [0.0, 3.0], 131: [-1.5, 1.5]}
 """Observations with an error of 5 to 14 deviations."""
@@ -64,7 +64,7 @@ class Oracle:
 
     @property
     def size(self):
-        """Prior deviations: of poses those the solver settled on, of the lens and points those reported."""
+        """Prior deviations: of poses those the solver estimated, of the lens and points those reported."""
         names = HORIZONTAL, HORIZONTAL, VERTICAL, TILT, TILT, YAW
         factor = [self.solved.components[name] for name in names]
         pose = np.column_stack([self.reported.positions_sd_m, self.reported.rotations_sd_rad]) * factor
@@ -177,7 +177,7 @@ class Oracle:
 
     def covariance(self, x):
         """(J'PJ)^-1 of all unknowns in the units of `size`, P with Student's weights of a mean of 1;
-        what is held is as unknown as it was, and the others follow it."""
+        fixed numbers keep their prior deviation, and the others follow them."""
         n = len(self.size)
         r = self.image(x)
         weight = self.shown * (FREEDOM + 2.0) / (FREEDOM + (r**2).sum(axis=1) / TELLS)
@@ -205,7 +205,7 @@ class Oracle:
         return onward @ covariance @ onward.T
 
 
-PARTLY = "all of the lens, in part held"
+PARTLY = "all of the lens, in part fixed"
 
 
 @pytest.fixture(
@@ -239,7 +239,7 @@ def both(request):
 
 
 def test_the_block_is_what_it_should_be(both, request):
-    """What is compared has free and held numbers, observations without much say, and no tag that lies."""
+    """What is compared has free and fixed numbers, observations without much say, and no tag that lies."""
     oracle, x, _ = both
     fixed = [name for name, h in zip(LENS, oracle.solved.fixed, strict=False) if h]
     some = "some" in request.node.callspec.params["both"]

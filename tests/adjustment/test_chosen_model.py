@@ -186,7 +186,9 @@ def test_turns_that_are_reported_wrongly_are_not_followed() -> None:
     assert adjusted.model is not None
     assert adjusted.model.taken == ("without_reported_turns",)
     assert adjusted.poses.turns is not None
-    assert np.abs(adjusted.poses.turns.rad).max() < 5e-4  # what velocities are off by, of 0.02 that were told
+    assert (
+        np.abs(adjusted.poses.turns.rad).max() < 5e-4
+    )  # what velocities are off by, of 0.02 that were reported
     assert adjusted.figures["sigma_px"] < 0.4
 
 
@@ -218,7 +220,7 @@ def test_a_lens_that_its_maker_reports_wrongly() -> None:
 
 @pytest.mark.proof
 def test_a_readout_without_a_tag_and_with_a_gyroscope() -> None:
-    """The turns are told, how long the rows are read is not: begun at the span of the samples."""
+    """The turns are reported, the readout time is not: begun at the span of the samples."""
     flown = fly(3, 2, 4, **(TURNING | {"points": 350}))
     poses = replace(flown.block.poses, turns=Turns(0.14, flown.truth.turns.rad * 1.4))
     cameras = tuple(replace(c, readout_s=0.0) for c in flown.block.cameras)

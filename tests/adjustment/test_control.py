@@ -170,7 +170,7 @@ def test_control_in_another_datum_is_named() -> None:
 
 
 def test_control_places_frames_without_ties() -> None:
-    """No tie points at all: the frames that see control are laid on it, the others keep their POS."""
+    """No tie points at all: the frames that see control are placed by it, the others keep their POS."""
     flown = fly(6, 1, 4)
     plan = np.array([[-25.0, -15.0], [25.0, -12.0], [-22.0, 16.0], [20.0, 14.0], [3.0, 1.0]])
     first = tuple(

@@ -113,7 +113,7 @@ def test_control_corrects_heights_without_datum_that_are_off_in_common(seed: int
 
 
 def test_precise_positions_keep_their_accuracy_with_coarse_control() -> None:
-    """RTK positions of 0.02 m, stated as 0.1 m, beside control of 2 m: it shifts nothing, and the map is as sure
+    """RTK positions of 0.02 m, stated as 0.1 m, with control of 2 m: it shifts nothing, and the map is as sure
     as they are."""
     flown = fly(1, points=300, position_sd_m=np.array([0.02, 0.02, 0.03]))
     poses = replace(flown.block.poses, positions_sd_m=np.full((len(flown.block.poses), 3), 0.1))

@@ -20,7 +20,9 @@ from geomosaic.camera.rotation import Rotation, exp_turn
 EAST = np.array([[0.0, 12.0, 3.0]])
 
 
-def told(yaw: float, pitch: float, roll: float, at: list[float], velocity: np.ndarray | None = None) -> Poses:
+def poses_of(
+    yaw: float, pitch: float, roll: float, at: list[float], velocity: np.ndarray | None = None
+) -> Poses:
     rotation = Rotation.from_yaw_pitch_roll(*np.radians([yaw, pitch, roll])).matrix
     return Poses(np.array([at]), rotation[None], np.ones((1, 3)), np.ones((1, 3)), velocity)
 
@@ -42,18 +44,18 @@ def miss_of(terms: tuple[GnssPositions, Attitudes], at: Estimate) -> np.ndarray:
 def test_each_number_means_what_its_name_says() -> None:
     """Heading east: forward is east, right is south. The reported attitude is turned further than the
     camera's."""
-    camera = told(90.0, 0.0, 0.0, [10.0, 20.0, 100.0])
+    camera = poses_of(90.0, 0.0, 0.0, [10.0, 20.0, 100.0])
     for name, value, reported in (
-        ("boresight_roll_deg", 2.0, told(90.0, 0.0, 2.0, [10.0, 20.0, 100.0])),
-        ("boresight_pitch_deg", -3.0, told(90.0, -3.0, 0.0, [10.0, 20.0, 100.0])),
-        ("boresight_yaw_deg", 4.0, told(94.0, 0.0, 0.0, [10.0, 20.0, 100.0])),
-        ("lever_arm_forward_m", 0.7, told(90.0, 0.0, 0.0, [10.7, 20.0, 100.0])),
-        ("lever_arm_right_m", 0.4, told(90.0, 0.0, 0.0, [10.0, 19.6, 100.0])),
-        ("lever_arm_down_m", -0.3, told(90.0, 0.0, 0.0, [10.0, 20.0, 100.3])),
-        ("gps_lag_s", 0.5, told(90.0, 0.0, 0.0, [10.0, 14.0, 98.5], EAST)),
-        ("offset_east_m", 1.5, told(90.0, 0.0, 0.0, [11.5, 20.0, 100.0])),
-        ("offset_north_m", -0.6, told(90.0, 0.0, 0.0, [10.0, 19.4, 100.0])),
-        ("offset_up_m", 2.5, told(90.0, 0.0, 0.0, [10.0, 20.0, 102.5])),
+        ("boresight_roll_deg", 2.0, poses_of(90.0, 0.0, 2.0, [10.0, 20.0, 100.0])),
+        ("boresight_pitch_deg", -3.0, poses_of(90.0, -3.0, 0.0, [10.0, 20.0, 100.0])),
+        ("boresight_yaw_deg", 4.0, poses_of(94.0, 0.0, 0.0, [10.0, 20.0, 100.0])),
+        ("lever_arm_forward_m", 0.7, poses_of(90.0, 0.0, 0.0, [10.7, 20.0, 100.0])),
+        ("lever_arm_right_m", 0.4, poses_of(90.0, 0.0, 0.0, [10.0, 19.6, 100.0])),
+        ("lever_arm_down_m", -0.3, poses_of(90.0, 0.0, 0.0, [10.0, 20.0, 100.3])),
+        ("gps_lag_s", 0.5, poses_of(90.0, 0.0, 0.0, [10.0, 14.0, 98.5], EAST)),
+        ("offset_east_m", 1.5, poses_of(90.0, 0.0, 0.0, [11.5, 20.0, 100.0])),
+        ("offset_north_m", -0.6, poses_of(90.0, 0.0, 0.0, [10.0, 19.4, 100.0])),
+        ("offset_up_m", 2.5, poses_of(90.0, 0.0, 0.0, [10.0, 20.0, 102.5])),
     ):
         terms = frame_terms(reported)
         miss = miss_of(terms, estimate_of(camera, terms, {name: value}))
@@ -63,7 +65,7 @@ def test_each_number_means_what_its_name_says() -> None:
 def test_derivatives_are_those_of_finite_differences() -> None:
     """Of the computed positions and attitudes: the residual falls as these rise."""
     turn = np.array([[0.01, -0.02, 0.015]])
-    camera = told(33.0, 5.0, -7.0, [1.0, 2.0, 90.0], EAST)
+    camera = poses_of(33.0, 5.0, -7.0, [1.0, 2.0, 90.0], EAST)
     reported = replace(camera, rotations=exp_turn(turn * 1e-3) @ camera.rotations)
     terms = frame_terms(reported)
     at = estimate_of(camera, terms, {})

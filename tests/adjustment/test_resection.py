@@ -27,7 +27,7 @@ def flown_aside(seed: int) -> Flown:
 
 
 def off_m(flown: Flown, adjusted: Adjusted) -> np.ndarray:
-    """How far each frame is from its place, beside what all have in common."""
+    """How far each frame is from its place, without what all have in common."""
     off = adjusted.poses.positions_m - flown.truth.positions_m
     return np.linalg.norm((off - np.median(off, axis=0))[:, :2], axis=1)
 

@@ -43,7 +43,7 @@ def test_a_band_gives_what_the_whole_matrix_gives(rows: int, cols: int, off: flo
     grid = SmoothedGrid(at, (rows, cols), 0.05, 8.0, off)
     nodes = grid.fitted(up, weight, 100.0)
     expected = dense(at, up, weight, (rows, cols), 0.05, off)
-    assert grid.laid_out(nodes) == pytest.approx(expected, abs=1e-4)
+    assert grid.arranged(nodes) == pytest.approx(expected, abs=1e-4)
     inside = np.array([[0.25, 0.5]])
     at_it = SmoothedGrid(inside, (rows, cols), 0.05, 8.0, off).at_points(nodes)
     corner = expected[:2, :2]

@@ -20,7 +20,7 @@ from geomosaic.quality.figures import best_similarity
 EXIF_SD_M = np.array([5.0, 5.0, 15.0])
 
 
-def told(flown: Flown, **changes: np.ndarray) -> Block:
+def with_reported(flown: Flown, **changes: np.ndarray) -> Block:
     return replace(flown.block, poses=replace(flown.block.poses, **changes))
 
 
@@ -40,7 +40,7 @@ def test_no_heading_at_all(seed: int) -> None:
     flown = fly(seed, lines=3, per_line=6)
     any_way = flown.rng.uniform(-np.pi, np.pi, 18)
     poses = flown.block.poses
-    block = told(
+    block = with_reported(
         flown,
         rotations=about_z(any_way) @ poses.rotations,
         rotations_sd_rad=np.column_stack([poses.rotations_sd_rad[:, :2], np.full(18, np.pi)]),
@@ -52,11 +52,11 @@ def test_no_heading_at_all(seed: int) -> None:
 
 
 def test_heights_by_any_factor_come_from_the_images() -> None:
-    """Told from 35 m to 160 m in the course of the flight, true are 100 m."""
+    """Reported from 35 m to 160 m in the course of the flight, true are 100 m."""
     flown = fly(4, lines=3, per_line=6)
     at = flown.block.poses.positions_m.copy()
     at[:, 2] = np.linspace(35.0, 160.0, 18)
-    start = begun(told(flown, positions_m=at, positions_sd_m=np.tile(EXIF_SD_M, (18, 1))))
+    start = begun(with_reported(flown, positions_m=at, positions_sd_m=np.tile(EXIF_SD_M, (18, 1))))
     off = start.positions_m[:, 2] - flown.truth.positions_m[:, 2]
     assert np.std(off) < 2.5
     assert abs(off.mean()) < 5.0, "the level from positions 1.5 m off over 90 m"
@@ -67,7 +67,7 @@ def test_the_scale_is_that_of_the_positions() -> None:
     flown = fly(5, lines=3, per_line=8, position_sd_m=np.array([0.5, 0.5, 0.5]))
     at = flown.block.poses.positions_m.copy()
     at[:, 2] *= 1.12
-    start = begun(told(flown, positions_m=at, positions_sd_m=np.tile(EXIF_SD_M, (24, 1))))
+    start = begun(with_reported(flown, positions_m=at, positions_sd_m=np.tile(EXIF_SD_M, (24, 1))))
     left = best_similarity(
         flown.truth.positions_m[:, :2], (start.positions_m - flown.truth.positions_m)[:, :2]
     )[1]
@@ -77,14 +77,16 @@ def test_the_scale_is_that_of_the_positions() -> None:
 
 
 def test_positions_that_lie_don_t_pull() -> None:
-    """The block lies where it would if the two wrong positions had not been told."""
+    """The block lies where it would if the two wrong positions had not been reported."""
     flown = fly(6, lines=3, per_line=6)
     at = flown.block.poses.positions_m.copy()
     at[[4, 13], :2] += [[80.0, -60.0], [-90.0, 45.0]]
     wide = flown.block.poses.positions_sd_m.copy()
     wide[[4, 13], :2] = 1e4
-    lying = METHODS["bundle"](told(flown, positions_m=at), Settings(model="given"))
-    without = METHODS["bundle"](told(flown, positions_m=at, positions_sd_m=wide), Settings(model="given"))
+    lying = METHODS["bundle"](with_reported(flown, positions_m=at), Settings(model="given"))
+    without = METHODS["bundle"](
+        with_reported(flown, positions_m=at, positions_sd_m=wide), Settings(model="given")
+    )
     named = {w.frame for w in lying.warnings if w.code == "position-wrong"}
     assert named == {"004.jpg", "013.jpg"}
     apart = lying.poses.positions_m - without.poses.positions_m
@@ -94,7 +96,7 @@ def test_positions_that_lie_don_t_pull() -> None:
 def test_what_all_frames_miss_in_common_excuses_none() -> None:
     """Stated as good to 5 m, drawn with 1.5 m: the factor comes out near 0.3 whatever the scale of the start."""
     flown = fly(7, lines=3, per_line=8)
-    block = told(flown, positions_sd_m=np.tile(EXIF_SD_M, (24, 1)))
+    block = with_reported(flown, positions_sd_m=np.tile(EXIF_SD_M, (24, 1)))
     adjusted = METHODS["bundle"](block, Settings())
     assert adjusted.figures["sigma_horizontal"] == pytest.approx(0.3, abs=0.1)
     error = (adjusted.poses.positions_m - flown.truth.positions_m)[:, :2].mean(axis=0)
@@ -108,7 +110,7 @@ def test_an_assumed_heading_is_never_called_wrong() -> None:
     sd = np.column_stack([poses.rotations_sd_rad[:, :2], np.full(12, np.radians(20.0))])
     back = about_z(np.where(np.arange(12) < 6, np.pi, 0.0))
     adjusted = METHODS["bundle"](
-        told(flown, rotations=back @ poses.rotations, rotations_sd_rad=sd), Settings()
+        with_reported(flown, rotations=back @ poses.rotations, rotations_sd_rad=sd), Settings()
     )
     assert not [w for w in adjusted.warnings if w.code in ("yaw-wrong", "frame-turned")]
     assert np.abs(turned_deg(adjusted.poses, flown.truth)).max() < 3.0
@@ -121,7 +123,8 @@ def test_a_frame_of_which_nothing_is_known_is_rejected() -> None:
     sd, turn_sd = flown.block.poses.positions_sd_m.copy(), flown.block.poses.rotations_sd_rad.copy()
     sd[5], turn_sd[5] = np.inf, np.inf
     block = replace(
-        told(flown, positions_sd_m=sd, rotations_sd_rad=turn_sd), ties=replace(flown.block.ties, pairs=ties)
+        with_reported(flown, positions_sd_m=sd, rotations_sd_rad=turn_sd),
+        ties=replace(flown.block.ties, pairs=ties),
     )
     adjusted = METHODS["bundle"](block, Settings())
     assert [block.names[i] for part in unplaced_parts(block) for i in part] == ["005.jpg"]
@@ -148,7 +151,7 @@ def test_wrong_pairs_are_outvoted() -> None:
 
 @pytest.mark.parametrize("whole", [1.0 + 0j, 0.7 * np.exp(2.9j)])
 def test_a_part_is_georeferenced_as_one(whole: complex) -> None:
-    """A third of the positions wrong; headings and heights all told by the same amount wrong."""
+    """A third of the positions wrong; headings and heights all reported wrong by the same amount."""
     rng = np.random.default_rng(1)
     place = rng.uniform(-80.0, 80.0, 21) + 1j * rng.uniform(-40.0, 40.0, 21)
     nadir = whole * place + (12.0 - 5.0j) + rng.normal(0.0, 1.0, 21) + 1j * rng.normal(0.0, 1.0, 21)

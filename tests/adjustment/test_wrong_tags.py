@@ -1,4 +1,4 @@
-"""Headings and heights that lie: told from turned images, set right with their tilts, named."""
+"""Wrong headings and heights: distinguished from turned images, corrected with their tilts, named."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from geomosaic.matching.turned import PairOnMap, flown_courses_rad, reheaded, tu
 
 
 def test_another_heading_takes_the_tilt_along_and_is_known_as_a_course_is() -> None:
-    """Told 40 degrees, looking 6 degrees forward and 2 left: so it did, from another heading."""
+    """Reported 40 degrees, looking 6 degrees forward and 2 left: so it did, from another heading."""
     reported = Rotation.from_yaw_pitch_roll(*np.radians([[40.0, 40.0], [6.0, 6.0], [2.0, 2.0]])).matrix
     poses = Poses(np.zeros((2, 3)), reported, np.ones((2, 3)), np.radians(np.tile([0.3, 0.3, 1.0], (2, 1))))
     right = reheaded(poses, {1: np.radians(155.0)})
@@ -116,7 +116,7 @@ def test_an_image_on_its_head_whose_heading_fits_its_line_was_turned() -> None:
 @pytest.mark.parametrize("relief", [pytest.param(level, marks=pytest.mark.proof), hills])
 def test_attitudes_of_the_platform_given_for_the_cameras_do_no_harm(relief) -> None:  # type: ignore[no-untyped-def]
     """The camera is mounted 3 degrees aside and 4 aslant, and nobody says so: tilts that all frames miss in
-    common, at 0.3 stated, are no reason to lean the block. Held against it, a survey flown there and back came
+    common, at 0.3 stated, are no reason to lean the block. Counted against it, a survey flown there and back came
     out 8 m aside, bent by 2.9 px and called good."""
     flown = fly(5, lines=3, per_line=5, relief=relief, there_and_back=True)
     aside = exp_turn(np.radians([[3.0, -4.0, 0.0]]))[0]

@@ -1,4 +1,4 @@
-"""Systems of curves beside their dense twins."""
+"""Systems of curves against their dense twins."""
 
 from __future__ import annotations
 

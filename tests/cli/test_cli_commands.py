@@ -118,7 +118,7 @@ def test_a_run_says_where_its_results_lie(desk: Desk) -> None:
     code, out, err = desk.ask("run", "toy.yaml", "-o", "run", "--set", "toy.power.power=3", "--workers", "1")
     assert code == 0
     assert out == (
-        "total      run/total.txt\ntold       run/told.txt\nrecording  run/run.mcap\n"
+        "total      run/total.txt\nnotes      run/notes.txt\nrecording  run/run.mcap\n"
         "warnings   1, see above and run.json\nframes     3 tied\n"
     )
     lines = err.splitlines()

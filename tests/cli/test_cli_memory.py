@@ -44,7 +44,7 @@ def test_what_the_environment_says_stays() -> None:
 def test_memory_of_a_process_is_without_that_of_its_parent() -> None:
     asks = "from geomosaic.pipeline.executor import peak_memory_bytes; print(peak_memory_bytes())"
     starts = (
-        "import subprocess, sys; import numpy as np; held = np.ones(1 << 26)\n"
+        "import subprocess, sys; import numpy as np; kept = np.ones(1 << 26)\n"
         f"print(subprocess.run([sys.executable, '-c', {asks!r}], preexec_fn=int, capture_output=True).stdout.decode())"
     )
     assert 10e6 < figure(starts) < 250e6

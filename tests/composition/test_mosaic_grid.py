@@ -159,7 +159,7 @@ def test_an_area_with_a_hole_cuts_the_mosaic_and_leaves_the_rest(tmp_path: Path,
     before = written(tmp_path / "all", given, seam="nearest_nadir")[0]
     before = before[off[1] : off[1] + grid.height_px, off[0] : off[0] + grid.width_px]
     differs = np.abs(before.astype(int) - cut_pixels)[wanted]
-    assert np.quantile(differs, 0.99) <= 3, "cells of owners are laid from another corner"
+    assert np.quantile(differs, 0.99) <= 3, "cells of owners are counted from another corner"
     assert cut.holes.number == 0
     with rasterio.open(tmp_path / "RUN" / "sources.tif") as tiff:
         assert ((tiff.read(1) > 0) == wanted).all()
@@ -265,7 +265,7 @@ def test_an_area_beyond_the_frames_is_reported(tmp_path: Path) -> None:
 
 
 def test_holes_are_those_in_the_area(tmp_path: Path) -> None:
-    """One frame with an invalid patch: an area through it has one hole, an area beside it none."""
+    """One frame with an invalid patch: an area through it has one hole, an area next to it none."""
     given = given_for(tmp_path, lines=1, per_line=1)
     mask = np.full((180, 240), 255, np.uint8)
     mask[60:120, 90:150] = 0
@@ -273,7 +273,7 @@ def test_holes_are_those_in_the_area(tmp_path: Path) -> None:
     *_, mosaic = written(tmp_path, given)
     assert mosaic.holes.number == 1
     at = mosaic.holes.largest[0]
-    for name, west, number in (("in.gpkg", at.easting_m - 1.0, 1), ("beside.gpkg", at.easting_m + 10.0, 0)):
+    for name, west, number in (("in.gpkg", at.easting_m - 1.0, 1), ("off.gpkg", at.easting_m + 10.0, 0)):
         ring = box(west, at.northing_m - 2.0, west + 6.0, at.northing_m + 2.0)
         *_, cut = written(tmp_path, given, aoi=polygons(tmp_path / name, CRS, [ring]))
         assert cut.holes.number == number
@@ -329,7 +329,7 @@ def test_a_bomb_of_entities_and_a_log_of_sqlite_are_refused(tmp_path: Path) -> N
     aoi = polygons(tmp_path / "area.gpkg", CRS, [box(0.0, 0.0, 9.0, 9.0)])
     before = sorted(p.name for p in tmp_path.iterdir())
     assert len(read_shapes(aoi).geometries) == 1
-    assert sorted(p.name for p in tmp_path.iterdir()) == before, "SQLite has put nothing beside it"
+    assert sorted(p.name for p in tmp_path.iterdir()) == before, "SQLite has put nothing next to it"
     (tmp_path / "area.gpkg-wal").write_bytes(b"log")
     for file, problem in (
         (tmp_path / "bomb.kml", "can't be read"),

@@ -158,7 +158,7 @@ def glimpses(survey: Survey, scene: Scene) -> tuple[Ownership, list[SeamPart]]:
 
 
 def test_seams_go_where_frames_agree(tmp_path: Path) -> None:
-    """Two frames alike in one lane of cells only, which leads beside the line halfway between them."""
+    """Two frames alike in one lane of cells only, which leads next to the line halfway between them."""
     survey, *_, scene = scene_of(tmp_path, lines=1, per_line=2)
     nearest, found = glimpses(survey, scene)
     one, other = (part.of_all for part in found)

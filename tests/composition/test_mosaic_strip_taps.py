@@ -1,4 +1,4 @@
-"""A strip's pixels between its pixels, beside the kernels' own sums and beside OpenCV."""
+"""A strip's pixels between its pixels, against the kernels' own sums and against OpenCV."""
 
 from __future__ import annotations
 

@@ -246,7 +246,7 @@ def test_dead_short_and_all_of_it_read_once(tmp_path):
 
 @pytest.mark.parametrize("blend", BLENDS)
 def test_blends(tmp_path, blend):
-    """A right strip 30 brighter, beside overlaps of 24 px that offsets may make 6 narrower from either side."""
+    """A right strip 30 brighter, with overlaps of 24 px that offsets may make 6 narrower from either side."""
     g = strips(tmp_path, ccds=2, change=lambda k, p: (0 * p + 500 + 30 * k).astype(np.uint16))
     _, pixels, _ = composed(g, tmp_path / "m.tif", blend=blend)
     row = pixels[500].astype(int)

@@ -60,14 +60,14 @@ def test_low_steps_and_islands_hide_nothing_and_edges_count_in_full() -> None:
 def test_what_no_frame_sees_is_given_by_the_one_that_comes_nearest_to_it() -> None:
     grid = OutputGrid("EPSG:32632", 0.0, 0.0, 0.25, 64, 64)
 
-    def told(frame: int, depth: np.ndarray) -> OcclusionDepth:
+    def depth_of(frame: int, depth: np.ndarray) -> OcclusionDepth:
         shape = (depth.shape[0], depth.shape[1])
         return OcclusionDepth(frame, 0, 0, shape, zlib.compress(depth.astype(np.uint8).tobytes()))
 
     one, other = np.zeros((16, 16)), np.zeros((16, 16))
     one[2:6], other[4:9] = 30, 20
     one[4, :8], one[:, 15], other[:, 15] = 10, 255, 255
-    hidden, unseen = occluded_parts(grid, 4, [told(3, one), told(7, other)])
+    hidden, unseen = occluded_parts(grid, 4, [depth_of(3, one), depth_of(7, other)])
     flags = {h.frame: h.flags for h in hidden}
     assert flags[3][2:6, 8:15].all() and not flags[3][4, :8].any() and flags[3][5, :15].all()
     assert flags[7][4, :8].all() and not flags[7][4:6, 8:15].any() and flags[7][6:9, :15].all()

@@ -1,4 +1,4 @@
-"""What of a matched surface is smoothed before frames are laid on it."""
+"""What of a matched surface is smoothed before frames are projected onto it."""
 
 from __future__ import annotations
 

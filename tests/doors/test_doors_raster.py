@@ -197,7 +197,7 @@ def test_a_text_next_to_a_dem_that_is_no_text_s_size(tmp_path: Path) -> None:
 
 
 def test_what_belongs_to_a_dem_is_read(tmp_path: Path) -> None:
-    """.prj, world file, .aux.xml and overviews beside it; a VRT and a warped VRT of it."""
+    """.prj, world file, .aux.xml and overviews next to it; a VRT and a warped VRT of it."""
     path = tmp_path / "bare.tif"
     cv2.imwrite(str(path), np.full((20, 30), 5, np.uint8))
     (tmp_path / "bare.tfw").write_text("10\n0\n0\n-10\n500005\n5399995\n")
@@ -220,7 +220,7 @@ def test_what_belongs_to_a_dem_is_read(tmp_path: Path) -> None:
     )[:]
     assert not built
     gdal.SetConfigOption("COMPRESS_OVERVIEW", "DEFLATE")
-    dataset = gdal.Open(str(large))  # read only: the overviews lie beside
+    dataset = gdal.Open(str(large))  # read only: the overviews lie next to it
     dataset.BuildOverviews("AVERAGE", [2])
     del dataset
     gdal.SetConfigOption("COMPRESS_OVERVIEW", None)
@@ -447,7 +447,7 @@ def test_millions_of_blocks_are_looked_at_by_share(tmp_path: Path) -> None:
 
 
 def test_a_thread_that_is_done_with_frames_leaves_another_one_s_quiet() -> None:
-    """A mosaic is composed beside another one, and ends first."""
+    """A mosaic is composed at the same time as another one, and ends first."""
     before, first, second = list(warnings.filters), unreferenced_is_fine(), unreferenced_is_fine()
     with first:
         second.__enter__()

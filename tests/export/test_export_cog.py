@@ -71,7 +71,7 @@ def test_lerc_changes_values_by_no_more_than_it_may(tmp_path):
 
 
 def test_statistics_are_of_valid_pixels_alone(tmp_path):
-    """Half of the raster is masked zeros; nothing is left beside the files."""
+    """Half of the raster is masked zeros; nothing is left but the files."""
     pixels = raw_raster(tmp_path / "raw.tif", dtype="uint16")
     write_cog(tmp_path / "raw.tif", tmp_path / "out.tif")
     with rasterio.open(tmp_path / "out.tif") as tiff:

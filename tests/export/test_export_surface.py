@@ -174,7 +174,7 @@ def test_confidence_tells_deviation_and_frames(written):
 
 
 def test_what_neither_frames_nor_the_mosaic_show_is_unknown(written):
-    """The mosaic ends in the south, where nothing was matched, and begins north of where heights are held."""
+    """The mosaic ends in the south, where nothing was matched, and begins north of where heights are filled."""
     with rasterio.open(written / "surface.tif") as tiff:
         known = tiff.read_masks(1) > 0
     with rasterio.open(written / "surface_confidence.tif") as tiff:

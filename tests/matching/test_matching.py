@@ -171,8 +171,8 @@ AUTO = Matching(0.8, "auto", 2.0, 16)
 
 
 def predicted(off_px: tuple[float, float], radius_px: float) -> Guess:
-    """The right frame truly lies 300 px to the right of the left one and 140 px below it; it is believed to
-    be off_px from there."""
+    """The right frame truly lies 300 px to the right of the left one and 140 px below it; it is predicted
+    off_px from there."""
     corners = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, 700.0], [0.0, 700.0]])
     return Guess(SIZE, tuple(map(tuple, (corners - [300.0, 140.0] + off_px).tolist())), radius_px)
 

@@ -43,8 +43,8 @@ def image(affine: np.ndarray, seed: int, size: tuple[int, int] = (420, 400)) -> 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.proof)])
 def test_windows_are_found_to_a_fiftieth_of_a_pixel_turned_and_stretched(seed: int) -> None:
-    """A quarter turn less 8 degrees, 12 % smaller, seen aslant, darker: places told 1.5 px off are found without
-    bias, where the shapes told are 3 % off."""
+    """A quarter turn less 8 degrees, 12 % smaller, seen aslant, darker: places predicted 1.5 px off are found
+    without bias, where the predicted shapes are 3 % off."""
     rng = np.random.default_rng(seed)
     c, s = np.cos(np.radians(82.0)), np.sin(np.radians(82.0))
     there = np.array([[1.12 * c, -1.12 * s, 330.0], [1.05 * s, 1.05 * c, -20.0]])

@@ -194,9 +194,10 @@ def test_an_unknown_declaration_is_refused() -> None:
 
 def test_a_declaration_may_have_its_former_name() -> None:
     """Of a function and of a class."""
-    declared = stage("toy.old", "Old", group="Toys", beside=True)  # type: ignore[call-arg]
+    former: Any = {"beside": True}
+    declared = stage("toy.old", "Old", group="Toys", **former)
     assert declared(nothing).concurrent
-    assert type("Old", (Stage,), {"beside": True}).concurrent
+    assert type("Old", (Stage,), former).concurrent
     assert not Stage.concurrent
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from pipeline_toy import Numbers, ReadNumbers, powered, recipe_file, told
+from pipeline_toy import Numbers, ReadNumbers, log_line, powered, recipe_file
 
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.pipeline.recipe import load_recipe
@@ -54,7 +54,7 @@ class Wait(Stage):
         sign, until = context.run_folder / params.sign, time.monotonic() + params.patience_s
         while not sign.exists() and time.monotonic() < until:
             time.sleep(0.01)
-        told("seen" if sign.exists() else "not seen")
+        log_line("seen" if sign.exists() else "not seen")
         context.warn("waited", "", "the first")
         if params.fail:
             raise InputError("no pixels", file="x.jpg", fix="take it away")
@@ -95,7 +95,7 @@ class Parallel(Stage):
 
 
 class Listener(Silent):
-    """What a reporter is told, in order."""
+    """Messages to a reporter, in order."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []

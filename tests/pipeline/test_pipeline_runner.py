@@ -96,7 +96,7 @@ def test_a_run_leaves_what_the_design_says(toys: Toys) -> None:
     returned = toys.run()
     assert toys.done() == ALL
     assert (toys.run_folder / "total.txt").read_text().startswith("30.0 0 ")
-    assert (toys.run_folder / "told.txt").read_text() == "1 {'largest': 16.0}\n"
+    assert (toys.run_folder / "notes.txt").read_text() == "1 {'largest': 16.0}\n"
     summary = json.loads((toys.run_folder / "run.json").read_text())
     assert summary == returned
     assert summary["frames"] == {"total": 4, "tied": 3, "placed": 1, "rejected": 0}
@@ -110,7 +110,7 @@ def test_a_run_leaves_what_the_design_says(toys: Toys) -> None:
     assert list(summary["inputs"]["toy.read.file"]["files"]) == ["numbers.txt"]
     assert {"geomosaic", "python", "numpy", "gdal", "rasterio"} <= summary["versions"].keys()
     assert sorted(p.name for p in toys.run_folder.iterdir()) == [
-        MARKER, "run.json", "run.mcap", "told.txt", "total.txt", "work",
+        MARKER, "run.json", "run.mcap", "notes.txt", "total.txt", "work",
     ]  # fmt: skip
 
 
@@ -407,7 +407,7 @@ def test_an_error_that_cannot_travel_says_at_least_what_it_said(
             context.map("picky", picky, [1])
 
 
-def told(name: str) -> str | None:
+def environment_of(name: str) -> str | None:
     return os.environ.get(name)
 
 
@@ -418,7 +418,9 @@ def test_a_worker_has_the_environment_of_now(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setenv("TOY_SET", "later")
     monkeypatch.delenv("TOY_GONE")
     with executor.Workers(2) as team:
-        assert Context(tmp_path, workers=team).map("told", told, ["TOY_SET", "TOY_GONE"]) == ["later", None]
+        assert Context(tmp_path, workers=team).map(
+            "environment_of", environment_of, ["TOY_SET", "TOY_GONE"]
+        ) == ["later", None]
 
 
 def test_workers_need_not_look_through_what_was_imported_for_them() -> None:

@@ -118,7 +118,7 @@ def test_changed_code_gets_no_old_results(desk: Desk) -> None:
     desk.install("1.0", SUMS.format(factor=1))
     assert desk.sum() == ("7.0", False)
     assert desk.sum() == ("7.0", True)
-    # As in an editable install: a module beside the stage's changes, the version stays. Items are redone too.
+    # As in an editable install: another module than the stage's changes, the version stays. Items are redone too.
     (desk.site / "hazeplugin" / "sums.py").write_text(SUMS.format(factor=10))
     assert desk.sum() == ("700.0", False)
     assert desk.sum() == ("700.0", True)

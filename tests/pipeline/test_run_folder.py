@@ -67,7 +67,7 @@ def test_a_file_of_others_under_a_result_s_name_is_refused_before_any_work(toys:
 
 
 def test_a_result_that_is_not_made_again_goes(toys: Toys) -> None:  # noqa: F811
-    """Beside new results an old one would tell of another run."""
+    """Among new results an old one would be of another run."""
     toys.run()
     folder = RunFolder(toys.run_folder)
     folder.claim("extra.txt").write_text("an export's")

@@ -39,25 +39,25 @@ class Pair:
     radius: float = 1.0
 
 
-def told(line: str) -> None:
+def log_line(line: str) -> None:
     """Notes that real work was done, from whatever process."""
     with Path(os.environ["TOY_LOG"]).open("a") as log:
         log.write(line + "\n")
 
 
 def keypoints(path: str) -> Keypoints:
-    told(f"keypoints {Path(path).name}")
+    log_line(f"keypoints {Path(path).name}")
     return Keypoints(np.full(1000, float(Path(path).read_text())))
 
 
 def matched(pair: Pair) -> float:
-    told("pair")
+    log_line("pair")
     assert pair.left.recall() is pair.left.recall() or pair.left.path is None
     return pair.radius * float(pair.left.recall().at[0] * pair.right.recall().at[-1])
 
 
 def weighed(item: float, *, ground: NDArray[np.float64]) -> float:
-    told(f"weighed in {os.getpid()}")
+    log_line(f"weighed in {os.getpid()}")
     return item * float(ground.sum())
 
 

@@ -47,7 +47,7 @@ print(run.folder.name, written)
 
 
 def test_workers_take_no_module_from_the_current_folder(tmp_path: Path) -> None:
-    """Neither one of a library's name nor a folder named as the package, as a clone beside the frames is."""
+    """Neither one of a library's name nor a folder named as the package, as a clone next to the frames is."""
     folder, script = tmp_path / "frames", tmp_path / "elsewhere" / "run.py"
     (folder / "geomosaic").mkdir(parents=True)
     for name in ("cv2", "signal", "numpy"):

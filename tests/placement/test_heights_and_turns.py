@@ -1,4 +1,4 @@
-"""Tags that can't be believed: heights on the ground, quarter turns of images that lie as all others do."""
+"""Implausible tags: heights on the ground, quarter turns of images that lie as all others do."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Where frames are believed to lie before they are compared, and who is compared with whom."""
+"""Predicted poses of frames before they are matched, and who is compared with whom."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -128,7 +128,7 @@ def test_courses_do_not_cross_flight_lines() -> None:
 
 
 def test_heights() -> None:
-    """A good absolute height is believed; a weak one gives way to take-off (the median ground below the
+    """A good absolute height is taken; a weak one gives way to take-off (the median ground below the
     frames that say) plus height above ground; without either nothing is invented."""
     frames = (
         with_height(631.0, 95.0, 1.0),

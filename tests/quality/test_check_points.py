@@ -81,7 +81,7 @@ def test_one_shift_beyond_three_deviations_is_one_line() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_one_blunder_among_twelve_is_named_and_only_it(axis: int) -> None:
-    """5 m, beside a shift of 2 m: less than five of the stated deviations, and 250 of the scatter."""
+    """5 m, with a shift of 2 m: less than five of the stated deviations, and 250 of the scatter."""
     five_m = [5.0 * (k == axis) for k in range(3)]
     some = points(12, {7: five_m})
     (warning,) = control_warnings(some)

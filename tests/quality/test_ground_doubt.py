@@ -38,7 +38,7 @@ def doubt(owner: np.ndarray, ground: GroundSurface, known: GroundSurface | None 
 
 
 def test_a_place_leans_by_the_angle_of_the_frame_that_gives_it() -> None:
-    """30 m beside the point below a frame 50 m up, and 470 m beside that of the other."""
+    """30 m off the point below a frame 50 m up, and 470 m off that of the other."""
     owner = np.zeros((61, 61))
     owner[30, 60] = owner[10, 30] = 1
     at_m, tangent, _ = places_of(land(owner, SURE))
@@ -66,7 +66,7 @@ def test_unknown_land_amid_known_land_is_no_rim() -> None:
 
 
 def test_what_stands_unsurely_is_distinguished_from_the_ground() -> None:
-    """30 m beside the point below a frame 50 m up, 1 m of height is 0.6 m, 6 px: of such places 62 % lie off by
+    """30 m off the point below a frame 50 m up, 1 m of height is 0.6 m, 6 px: of such places 62 % lie off by
     more than 3 px; the ground through tie points is known to 0.4 m."""
     owner = np.zeros((61, 61))
     owner[30, 60] = 1

@@ -74,7 +74,7 @@ def test_an_area_is_off_as_its_vertices_are() -> None:
 
 
 def test_the_ellipsoid_counts_where_the_map_is_out_of_scale() -> None:
-    """On UTM's central meridian 1 m is 0.9996 m of map; 180 km beside it the map is true."""
+    """On UTM's central meridian 1 m is 0.9996 m of map; 180 km off it the map is true."""
     line = shapely.LineString([[500_000.0, 5_300_000.0], [500_000.0, 5_301_000.0]])
     found = length_of(line, np.zeros(2), 0.0, UTM)
     assert found.ellipsoidal == pytest.approx(1000.0 / 0.9996, rel=1e-6)
@@ -180,7 +180,7 @@ def middle_of(run: Path) -> tuple[float, float]:
 def test_a_line_and_a_square_of_a_run(
     few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """True lengths are told within the stated deviations' reach; what all of the map is off by cancels."""
+    """True lengths are stated within the stated deviations' reach; what all of the map is off by cancels."""
     east, north = middle_of(few_run)
     line = geojson(tmp_path / "line.geojson", "LineString", [[east - 15, north], [east + 15, north]])
     ring = [

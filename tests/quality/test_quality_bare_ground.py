@@ -23,7 +23,7 @@ def flown() -> Flown:
 
 
 def with_lake(flown: Flown, radius_m: float) -> TiePoints:
-    """The tie points that lie beside a round lake."""
+    """The tie points that lie around a round lake."""
     out = []
     for t in flown.block.ties.pairs:
         at = ground_from_image(flown.truth[t.left], flown.block.cameras[0], flown.block.ground, t.left_px)
@@ -44,7 +44,7 @@ def adjusted(flown: Flown) -> Adjusted:
 def test_a_lake_is_found_where_it_is(flown: Flown) -> None:
     outlines = bare_outlines(adjusted(flown), with_lake(flown, 30.0))
     lake, found = shapely.Point(*LAKE_M).buffer(30.0), shapely.Polygon(outlines[0])
-    assert lake.buffer(1.0).contains(found), "but for errors of placing, nothing beside it"
+    assert lake.buffer(1.0).contains(found), "but for errors of placing, nothing off it"
     assert found.area > 0.4 * lake.area, "cells on its shore have tie points"
     assert sum(shapely.Polygon(o).area for o in outlines[1:]) < 0.02 * lake.area
 

@@ -112,7 +112,7 @@ def test_clouds_that_the_labels_know_are_not_misplacement() -> None:
     quality = checked(strips, offsets_of(pairs, thin=0.02))
     assert not quality.misplaced and quality.figures.worst_segment_px < 0.2
     assert quality.other_lines > 0.15 * quality.lines
-    # What the bridged lines show is told beside it: the clouds' own motion, or a method that doesn't trust itself.
+    # What the bridged lines show is reported too: the clouds' own motion, or a method that doesn't trust itself.
     assert quality.others.lines > 0 and quality.others.share_above > 0.5
     assert quality_metrics(quality)["others_share_above_1px"] == pytest.approx(quality.others.share_above)
     assert quality.figures.lines + quality.unmeasured_lines + quality.other_lines == quality.lines

@@ -54,7 +54,7 @@ def write(
 
 @pytest.fixture
 def run(tmp_path) -> Path:
-    """surface.tif on the land, unknown in a corner, held by what lies around in the west."""
+    """surface.tif on the land, unknown in a corner, filled from what lies around in the west."""
     heights = land(*middles())
     heights[:20, :20] = -9999.0
     views = np.full(heights.shape, 5.0)
@@ -109,7 +109,7 @@ def test_differences_are_surface_minus_reference(run, tmp_path):
     assert found.over_all.nmad_m < 1e-3 and found.over_all.rmse_m == pytest.approx(0.75, abs=1e-3)
     assert np.isnan(difference[:20, :20]).all()
     np.testing.assert_allclose(difference[40:, 40:], 0.75, atol=1e-3)
-    assert [name for name, _ in found.by_support] == ["matched", "held by what lies around"]
+    assert [name for name, _ in found.by_support] == ["matched", "filled from what lies around"]
     assert found.by_support[1][1].n == 40 * SIDE - 400
     assert len(warned_codes) == 1 and "no vertical datum" in warned_codes[0]
     assert found.after_fit.rmse_m < 0.01 and found.fit.up_m == pytest.approx(0.75, abs=0.01)
@@ -280,7 +280,7 @@ def test_a_finished_run_is_compared_without_running_again(run, tmp_path, capsys)
         ("all", "25,200", "0.500"),
         ("after the best shift and tilt", "25,200", "0.000"),
         ("matched", "19,200", "0.500"),
-        ("held by what lies around", "6,000", "0.500"),
+        ("filled from what lies around", "6,000", "0.500"),
     ):
         (line,) = (line for line in lines if line.startswith(f"{name} "))
         assert line.removeprefix(name).split()[:2] == [n, median], line

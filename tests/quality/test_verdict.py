@@ -256,11 +256,11 @@ def test_the_worst_figure_gives_cause_and_fix() -> None:
 
 
 def test_land_that_may_be_off_is_reported_even_where_all_is_good() -> None:
-    def told(share: float) -> Verdict:
+    def with_doubt(share: float) -> Verdict:
         return judged(outcome(), doubt=LandDoubt(0.0, 0.0, share))
 
-    assert told(0.004).text == "5 of 5 frames tied, image deviation 0.40 px"
-    some, much = told(0.07), told(0.235)
+    assert with_doubt(0.004).text == "5 of 5 frames tied, image deviation 0.40 px"
+    some, much = with_doubt(0.07), with_doubt(0.235)
     assert some.grade == "good" and some.text.endswith("7 % of the land may be off by more than 30.0 cm")
     assert (
         much.cause.endswith("(surface unsure 24 %, accuracy.tif shows where)")

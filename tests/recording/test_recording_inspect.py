@@ -1,4 +1,4 @@
-"""`geomosaic inspect` of a survey with known faults: what is wrong, how sure, what mends it."""
+"""`geomosaic inspect` of a survey with known faults: what is wrong, how sure, how to fix it."""
 
 from __future__ import annotations
 

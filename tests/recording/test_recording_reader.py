@@ -53,7 +53,7 @@ def test_all_of_a_recording(scene: Path) -> None:
     assert (warning.level, warning.frame, warning.text) == (
         "warning",
         FRAMES[2],
-        "turned: righted by 180 degrees",
+        "turned: corrected by 180 degrees",
     )
     (entry,) = recording.artefacts
     assert (entry.name, entry.parts, entry.total_bytes) == ("survey", 3, 2_300_001)

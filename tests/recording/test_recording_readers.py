@@ -224,7 +224,7 @@ def test_the_plan_names_what_is_odd(tmp_path: Path) -> None:
 
 
 def test_a_survey_that_is_bad_everywhere_is_red_everywhere(tmp_path: Path) -> None:
-    """All frames 60 m off, all pairs by 4 ground pixels: beside the median nothing stands out."""
+    """All frames 60 m off, all pairs by 4 ground pixels: relative to the median nothing stands out."""
     names = [f"{k}.jpg" for k in range(9)]
     with Recorder(tmp_path / "run.mcap") as recorder:
         recorder.stage_started("adjustment.solve", 1, {}, {})
@@ -249,7 +249,7 @@ def test_names_on_the_plan_do_not_lie_on_one_another() -> None:
     for k in (7, 8, 500):
         labels[k], far[k] = f"F{k:04d} 60 m", 12.0 + k
     shown, places = names_apart(at, np.array([400.0, 250.0]), labels, far)
-    assert shown[0] == 500 and 8 in shown and 7 in shown, "7 lies beside 8, which moved farther: below it"
+    assert shown[0] == 500 and 8 in shown and 7 in shown, "7 lies next to 8, which moved farther: below it"
     apart_pt = (places - at[shown]) * 2.4
     assert apart_pt[shown.index(7)] == pytest.approx([0.0, 24.0])
     assert np.delete(apart_pt, shown.index(7), axis=0) == pytest.approx(0.0, abs=1e-9)

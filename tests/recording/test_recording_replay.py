@@ -129,7 +129,7 @@ stages:
 
 @pytest.fixture
 def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A finished run's folder; its frames are in FRAMES beside it."""
+    """A finished run's folder; its frames are in FRAMES next to it."""
     stages = Registry()
     for stage in (Find, Raise, Read):
         stages.register(stage)

@@ -102,13 +102,13 @@ def test_a_run_tells_where_it_ran_on_what(tmp_path: Path) -> None:
 
 
 def test_what_the_cache_gives_records_its_figures_again(tmp_path: Path) -> None:
-    def told() -> list[bytes]:
+    def metrics() -> list[bytes]:
         return [data for _, _, data in messages(tmp_path / "run" / "run.mcap", "geomosaic.Metric")]
 
     run_toys(tmp_path)
-    first = told()
+    first = metrics()
     run_toys(tmp_path)
-    assert told() == first
+    assert metrics() == first
 
 
 def test_the_level_off_leaves_no_recording_not_even_an_older_one(tmp_path: Path) -> None:

@@ -267,18 +267,18 @@ def test_no_signs_of_life_with_fixed_times(tmp_path: Path) -> None:
 )
 def test_levels(tmp_path: Path, level: str, topics: set[str]) -> None:
     with Recorder(tmp_path / "run.mcap", level=level) as recorder:
-        told(recorder)
+        record_all(recorder)
     assert set(read_recording(tmp_path / "run.mcap").topics) == topics
 
 
 def test_the_level_off_writes_no_file(tmp_path: Path) -> None:
     with Recorder(None, level="off") as recorder:
-        told(recorder)
+        record_all(recorder)
     assert not list(tmp_path.iterdir())
 
 
-def told(recorder: Recorder) -> None:
-    """One of everything that levels tell apart."""
+def record_all(recorder: Recorder) -> None:
+    """One of everything that levels distinguish."""
     recorder.begin_run(RECIPE, {}, {})
     recorder.stage_started("toy", 1, {}, {})
     recorder.image("/frames", FRAMES[0], thumbnail(np.zeros((8, 8, 3), np.uint8)))

@@ -147,7 +147,7 @@ def test_the_table_measures_from_the_prior(run):
 
 
 def test_equal_warnings_are_counted_and_routine_ones_folded(run):
-    one = {"code": "frame-turned", "text": "righted here"}
+    one = {"code": "frame-turned", "text": "upright here"}
     given = [{**one, "frame": f"{i}.jpg"} for i in range(6)]
     given.append({"code": "frame-damaged", "frame": "7.jpg", "text": "no end"})
     given.append({"code": "shutter-doubtful", "frame": "", "text": "frames turn"})
@@ -163,7 +163,7 @@ def test_equal_warnings_are_counted_and_routine_ones_folded(run):
     assert (
         words.index("The map suffers from this") < words.index("Worth a look") < words.index("1 routine note")
     )
-    assert "× 6" in words and words.count("righted here") == 1
+    assert "× 6" in words and words.count("upright here") == 1
 
 
 def test_severities_are_of_codes_that_there_are():

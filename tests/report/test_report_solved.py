@@ -199,7 +199,7 @@ def test_the_page_of_a_bundle_says_what_was_solved(solved, tmp_path):
         "σ = 0.2", "means of 1 994 observations",
     ):  # fmt: skip
         assert wanted in words, wanted
-    assert "cameras" not in {a.get("id") for _, a in page.tags}, "told once"
+    assert "cameras" not in {a.get("id") for _, a in page.tags}, "said once"
     assert not re.search(r"\bnan\b", html)
     row = next(r for r in re.findall(r"<tr data-row=.*?</tr>", html) if f"00{ALONE}.jpg" in r)
     own_m = float(np.hypot(*solved.adjusted.poses.positions_sd_m[ALONE, :2]))

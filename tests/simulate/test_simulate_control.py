@@ -1,4 +1,4 @@
-"""Control points of simulated surveys: where frames show them, what is told of them, who reads it."""
+"""Control points of simulated surveys: where frames show them, what is reported of them, who reads it."""
 
 from __future__ import annotations
 

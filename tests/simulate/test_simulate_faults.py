@@ -307,7 +307,7 @@ def test_the_tags_tell_the_reported_lens_and_not_the_true_one(tmp_path: Path) ->
     plan = SurveyPlan(
         seed=3, lines=1, frames_per_line=1, lens="fisheye", lens_in_tags=True, **{**TINY, "k1": 0.04}
     )
-    tags = camera_tags(simulated(tmp_path / "told", plan).frames / "F0001.jpg")
+    tags = camera_tags(simulated(tmp_path / "reported", plan).frames / "F0001.jpg")
     assert tags["ModelType"] == "fisheye"
     half_turn_px = [float(v) for v in tags["FisheyeAffineMatrix"].split(",")]
     np.testing.assert_allclose(half_turn_px, np.array([1.0, 0.0, 0.0, 1.0]) * 200.0 * np.pi / 2.0, atol=1e-5)

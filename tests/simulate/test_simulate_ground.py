@@ -126,7 +126,7 @@ def test_spline_noise_is_smooth_and_pointwise(x: float, y: float) -> None:
 
 @pytest.mark.proof
 def test_crop_rows_run_on_over_the_blocks_edge() -> None:
-    """On every block edge of 2 km of land, neighbours differ no more than pixels beside them."""
+    """On every block edge of 2 km of land, neighbours differ no more than adjacent pixels."""
     ground = GroundImage(Landscape(8), 0.2)
     worst = []
     for k in range(8):

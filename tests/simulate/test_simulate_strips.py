@@ -31,7 +31,7 @@ from geomosaic_simulate.stage_strips import SimulateStrips
 from geomosaic_simulate.strip_overlaps import simulate_overlaps
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strip_scene import PairTruth, StripWorld
-from geomosaic_simulate.strip_seen import Seen
+from geomosaic_simulate.strip_seen import CcdView
 from geomosaic_simulate.strips import SimulatedStrips, simulate_strips
 
 STILL: dict[str, Any] = {
@@ -265,7 +265,7 @@ def test_fast_rays_are_the_rigorous_model_s() -> None:
     plan = StripPlan(ccds=8, width_px=4096, lines=12000, jitter_22hz_px=0.4, course_deg=11.0, lat_deg=-61.0)
     scene = StripWorld(plan)
     ccd, model = 6, scene.cameras.true
-    seen = Seen(
+    seen = CcdView(
         model, ccd, scene.projection, scene.cameras.slow_rad, plan.ground_height_m, plan.altitude_m, 4096,
         (-100.0, 12100.0),
     )  # fmt: skip

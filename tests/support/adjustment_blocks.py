@@ -75,7 +75,7 @@ def fly(
     aslant_deg: Mapping[int, float] | None = None,
     low_m: Mapping[int, float] | None = None,
 ) -> Flown:
-    """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise, and beside that as nobody
+    """At 15 m/s, each second line back or, crossed, west, if asked; all north otherwise, and apart from that as nobody
     tells. While they are read, frames turn at a
     rate of their own, or shake; some look forward by so many degrees, some fly only so high. What stands on every second square of 20 m sways in the wind; gusts move all land, alike from neighbour to neighbour. Nadir frames of 800 x 600 px at 100 m (0.1 m a pixel), 70 % forward and 50 % side overlap."""
     rng = np.random.default_rng(seed)

@@ -35,7 +35,7 @@ class Total:
     raster: str
 
 
-def told(line: str) -> None:
+def log_line(line: str) -> None:
     """Notes that real work was done, from whatever process."""
     log = os.environ.get("TOY_LOG")
     if log:
@@ -45,7 +45,7 @@ def told(line: str) -> None:
 
 def powered(value: float, power: int, delay_s: float) -> float:
     """The work of one item."""
-    told(f"item {value:g}")
+    log_line(f"item {value:g}")
     time.sleep(delay_s)
     if value == 13.0:
         raise UnknownNameError("number", "13", ["12", "14"])
@@ -71,7 +71,7 @@ class ReadNumbers(Stage):
         loud: bool = param(False, help="say more", affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        told("read")
+        log_line("read")
         values = np.array([float(line) for line in params.file.read_text().split()]) + params.offset_m
         if len(values) > 3:
             context.warn("many-numbers", "four.jpg", f"{len(values)} numbers are many")
@@ -97,7 +97,7 @@ class PowerNumbers(Stage):
         delay_s: float = param(0.0, help="time per number", unit="s", ge=0, affects_output=False)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        told("power")
+        log_line("power")
         work = functools.partial(powered, power=params.power, delay_s=params.delay_s)
         values = context.map("powers", work, [float(v) for v in inputs["numbers"].values])
         context.recorder.offsets("toy.power", 0, [("a", "b", 1.5, -2.5)], [("a", 0.25, 0.5)])
@@ -122,7 +122,7 @@ class SumNumbers(Stage):
         fill: int = param(0, help="what the raw file holds", ge=0, le=255)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        told("sum")
+        log_line("sum")
         name = "work/toy.sum/raw.bin"
         with context.writing(name) as path:
             path.write_bytes(bytes([params.fill]) * 1000)
@@ -152,7 +152,7 @@ class WriteTotal(Stage):
         megabytes: int = param(0, help="padding", unit="MB", ge=0, le=1000)
 
     def run(self, inputs: Mapping[str, Any], params: Params, context: Context) -> dict[str, Any]:
-        told("write")
+        log_line("write")
         raw = (context.run_folder / inputs["total"].raster).read_bytes()
         with context.writing("total.txt") as path:
             path.write_text(f"{inputs['total'].value!r} {raw[0]} {context.rng('x').integers(1000)}\n")
@@ -172,12 +172,12 @@ class Tell(Stage):
     version = 1
     outputs: ClassVar = {}
     cached = False
-    results = ("told.txt",)
+    results = ("notes.txt",)
 
     def run(self, inputs: Mapping[str, Any], params: StageParams, context: Context) -> dict[str, Any]:
-        told("tell")
+        log_line("tell")
         summary = context.summary()
-        with context.writing("told.txt") as path:
+        with context.writing("notes.txt") as path:
             path.write_text(f"{len(summary['warnings'])} {summary['metrics'].get('toy')}\n")
         return {}
 

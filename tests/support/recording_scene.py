@@ -82,7 +82,7 @@ def record(recorder: Recorder, *, method: str = "error_sharing", rounds: int = 3
         recorder.pose(frame, CAMERA, POSITIONS_M[i], ROTATIONS.matrix[i], captured_s(i))
     recorder.points("ties", POINTS_M, {"residual_m": [0.01, 0.02, 0.03, 0.04]}, captured_s(0))
     if warn:
-        recorder.log("warning", "turned: righted by 180 degrees", stage="adjustment.solve", frame=FRAMES[2])
+        recorder.log("warning", "turned: corrected by 180 degrees", stage="adjustment.solve", frame=FRAMES[2])
     recorder.stage_finished(
         "adjustment.solve", StageEnd(outputs={"adjusted": f"{len(method):040x}"}, seconds=0.5)
     )

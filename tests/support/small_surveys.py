@@ -38,7 +38,7 @@ def simulated(out: Path, plan: SurveyPlan) -> SimulatedSurvey:
 
 
 def small_survey(out: Path, **plan: Any) -> SimulatedSurvey:
-    """480 x 360 frames from 50 m, pixels of 0.1 m: two lines of four unless told otherwise."""
+    """480 x 360 frames from 50 m, pixels of 0.1 m: two lines of four unless asked otherwise."""
     usual = {"lines": 2, "frames_per_line": 4, "width_px": 480, "height_px": 360, "seed": 3}
     noise = {"position_sd_m": NOISE_M, "height_sd_m": NOISE_M}
     return simulated(out, SurveyPlan(**{**usual, **noise, "height_above_ground_m": 50.0, **plan}))

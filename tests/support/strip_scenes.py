@@ -1,4 +1,4 @@
-"""A small scene of CCD strips on the disk with true offsets, composed, for the tests of what is told of it."""
+"""A small scene of CCD strips on the disk with true offsets, composed, for the tests of what is reported of it."""
 
 from __future__ import annotations
 

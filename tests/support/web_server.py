@@ -1,4 +1,4 @@
-"""A web server of this machine, which is an object store too, and does wrong what it is told to."""
+"""A web server of this machine, which is an object store too, and fails as it is asked to."""
 
 from __future__ import annotations
 

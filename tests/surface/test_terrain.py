@@ -148,7 +148,7 @@ def test_the_stage_takes_the_surface_and_says_how_much_is_ground(tmp_path):
 
 
 def test_what_was_known_before_counts_by_its_deviation_and_the_distance():
-    """Held cells of a wood's crowns, 5 m up and 80 m wide: near seen ground that goes on, far away they count."""
+    """Filled cells of a wood's crowns, 5 m up and 80 m wide: near seen ground that goes on, far away they count."""
     up = np.zeros((100, 400), dtype=np.float32)
     up[:, 160:] = 5.0
     surface = surface_of(up)
@@ -161,7 +161,7 @@ def test_what_was_known_before_counts_by_its_deviation_and_the_distance():
 
 
 def test_arrays_go_once_they_are_of_no_more_use():
-    """Bytes a cell at most, beside the surface: 34, and 51 where what judged the cells lives until the end."""
+    """Bytes a cell at most, without the surface: 34, and 51 where what judged the cells lives until the end."""
     up_m = np.zeros((SIDE, SIDE), dtype=np.float32)
     up_m[200:240, 200:240] = 6.0
     surface = surface_of(up_m)

@@ -1,4 +1,4 @@
-"""Frames whose data are damaged: heard at the decoder, left out and named, or used above the damage."""
+"""Frames whose data are damaged: detected by the decoder, left out and named, or used above the damage."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def zeroed(data: bytes, first: float, last: float = 1.0) -> bytes:
 
 
 def found(path: Path, data: bytes) -> tuple[str, int]:
-    """What is heard of a JPEG's damage, and how many rows are said to be whole."""
+    """What is detected of a JPEG's damage, and how many rows are said to be whole."""
     path.write_bytes(data)
     detected = wholeness(str(path))
     return detected.damage, detected.whole_rows

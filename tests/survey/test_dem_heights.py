@@ -78,7 +78,7 @@ def test_lone_pixels_far_off_are_unknown() -> None:
 
 
 def test_what_is_ground_stays() -> None:
-    """Hills, a lake, the sea beside a cliff, terraces, a flat roof, a plain, and one height alone."""
+    """Hills, a lake, the sea next to a cliff, terraces, a flat roof, a plain, and one height alone."""
     lake = np.maximum(hills(), np.float32(510.0)).astype(float)
     coast = np.tile(np.repeat([0.0, 14.0, 30.0, 33.0], 30), (90, 1))
     coast[:, 60:] += np.random.default_rng(1).normal(0.0, 0.2, (90, 60))

@@ -76,7 +76,7 @@ def test_what_a_table_tells_excel_is_no_line_of_it(tmp_path: Path) -> None:
 
 
 def test_a_column_of_the_hemisphere_gives_the_sign(tmp_path: Path) -> None:
-    """As exiftool writes it: unsigned degrees beside `South` and `W`."""
+    """As exiftool writes it: unsigned degrees next to `South` and `W`."""
     head = "SourceFile,GPSLatitudeRef,GPSLatitude,GPSLongitudeRef,GPSLongitude\n"
     south, north = pos(tmp_path, head + "a.jpg,South,48.25,W,9.5\nb.jpg,N,48.25,E,9.5\n").rows
     assert (south.lon_deg, south.lat_deg, north.lon_deg, north.lat_deg) == (-9.5, -48.25, 9.5, 48.25)

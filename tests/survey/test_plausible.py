@@ -257,7 +257,7 @@ def test_a_scene_of_strips_has_the_same_limit() -> None:
 
 
 def tagged(folder: Path, focal: Fraction, film_mm: int | None, wrong: int = 1, count: int = 4) -> Path:
-    """Frames of one camera, the focal length of the first `wrong` ones as told."""
+    """Frames of one camera, the focal length of the first `wrong` ones as reported."""
     folder.mkdir()
     for i in range(count):
         tags: dict[str, object] = {

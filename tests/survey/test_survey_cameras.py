@@ -484,14 +484,14 @@ MSP = {  # of a Sequoia's green camera; 3.75 um pixels
 }
 
 
-def told(xmp: dict[str, str]) -> FrameHeader:
+def sequoia(xmp: dict[str, str]) -> FrameHeader:
     exif = {"pixels_per_mm": 1000.0 / 3.75, "focal_length_mm": 3.98, "make": "Parrot", "model": "Sequoia"}
     return header(1280, 960, xmp, **exif)
 
 
 def test_the_makers_fisheye_in_pix4ds_tags() -> None:
     """Pixels by hand: 0.3 rad is 0.19099 of a right angle, rho 0.19025 of the image circle's 1676.83 px."""
-    camera, source = camera_from_header(told({f"Camera:{k}": v for k, v in MSP.items()}))
+    camera, source = camera_from_header(sequoia({f"Camera:{k}": v for k, v in MSP.items()}))
     assert (source, camera.kind) == ("xmp-fisheye", "fisheye")
     assert camera.focal_length_px == pytest.approx(1067.5003, abs=1e-3)
     assert (camera.principal_col_px, camera.principal_row_px) == pytest.approx((663.449, 467.982), abs=1e-3)
@@ -505,7 +505,7 @@ def test_the_makers_fisheye_in_pix4ds_tags() -> None:
 
 def test_a_fourth_power_is_taken_up_by_the_others() -> None:
     camera, _ = camera_from_header(
-        told({f"Camera:{k}": v for k, v in (MSP | {"FisheyePolynomial": "0,1,0.006,-0.14,0.05"}).items()})
+        sequoia({f"Camera:{k}": v for k, v in (MSP | {"FisheyePolynomial": "0,1,0.006,-0.14,0.05"}).items()})
     )
     theta = np.linspace(0.01, 0.7, 9)
     share = 2.0 * theta / np.pi
@@ -529,7 +529,7 @@ def test_a_fourth_power_is_taken_up_by_the_others() -> None:
 )
 def test_a_fisheye_that_no_tag_tells_rightly_is_equidistant(odd: dict[str, str]) -> None:
     xmp = {f"Camera:{k}": v for k, v in (MSP | odd).items()}
-    camera, source = camera_from_header(told(xmp))
+    camera, source = camera_from_header(sequoia(xmp))
     assert (source, camera.kind, camera.terms.any(), camera.distortion_sd) == (
         "focal-plane",
         "fisheye",

@@ -41,7 +41,7 @@ def test_a_constant_rate_about_each_axis_by_hand() -> None:
 
 
 def test_rates_are_written_later_than_they_were() -> None:
-    """A knock in the sample 20 ms after the middle one's place, told of the delay before."""
+    """A knock in the sample 20 ms after the middle one's place, with the delay reported."""
     rates = np.zeros((SAMPLES, 3))
     knock = 92 + round(1000 * UNIT_DELAY_S) + 20
     rates[knock, 0] = 5.0

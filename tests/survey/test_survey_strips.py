@@ -257,7 +257,7 @@ def test_altitude_is_the_models(scene: SimulatedStrips, tmp_path: Path) -> None:
     plan = StripPlan(row_separation_lines=150.0, lines=600)
     model = plan.altitude_m + plan.ground_height_m
     assert read_geometry(scene.geometry).altitude_m == pytest.approx(model, abs=20.0)
-    reported = changed(scene, tmp_path / "told.yaml", altitude_m=40e3)
+    reported = changed(scene, tmp_path / "reported.yaml", altitude_m=40e3)
     assert read_geometry(reported).altitude_m == 40e3
 
 

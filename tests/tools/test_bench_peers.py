@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomosaic.geodesy.local import LocalFrame
-from tools.bench.bench_peers import apart_m, compared_to, centres, save, table, together
+from tools.bench.bench_peers import apart_m, centres, compared_to, save, table, together
 from tools.bench.bench_speed_measure import Taken
 from tools.bench.bench_speed_table import Result
 from tools.docs.results_page import all_rows

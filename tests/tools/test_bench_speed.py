@@ -85,7 +85,7 @@ def test_mosaics_are_judged_on_the_same_squares_of_ground_which_most_of_them_sho
     found = squares(3)
     cols = (found.middles_m[:, 0] - west) / gsd
     assert len(cols) == 12 and found.side_m == pytest.approx(6.4)
-    assert cols.min() - 32 >= 210 and cols.max() + 32 <= 490, "both show them, and a metre beside"
+    assert cols.min() - 32 >= 210 and cols.max() + 32 <= 490, "both show them, and a metre off"
     assert np.array_equal(found.middles_m, squares(3).middles_m)
     assert not np.array_equal(found.middles_m, squares(4).middles_m)
     assert len(squares(3, 149).middles_m) == 149 and squares(3, 150) is None

@@ -17,7 +17,7 @@ from tools.bench.bench_surface_roofs import _both_ways
 
 
 def test_frames_see_what_nothing_stands_before_at_its_true_height() -> None:
-    """A house 10 m high and 4 m wide; a frame from its west, one from its east, one that ends 5 m beside it."""
+    """A house 10 m high and 4 m wide; a frame from its west, one from its east, one that ends 5 m off it."""
     squares = Cells(-50.0, -50.0, 0.5, 200, 200)
     land = np.zeros((200, 200), dtype=np.float32)
     land[90:110, 96:104] = 10.0
@@ -33,7 +33,7 @@ def test_frames_see_what_nothing_stands_before_at_its_true_height() -> None:
         "on its roof": ((0.0, 0.0, 10.0), 2, 2),
         "just before the eastern shadow ends, at 16 m": ((15.0, 0.0, 0.0), 3, 2),
         "just past it": ((17.0, 0.0, 0.0), 3, 3),
-        "at the same place, beside the house": ((15.0, 20.0, 0.0), 3, 3),
+        "at the same place, next to the house": ((15.0, 20.0, 0.0), 3, 3),
     }
     points = np.array([point for point, *_ in places.values()])
     looking, seeing = frames_seeing(adjusted, points, squares, land)

@@ -1,4 +1,4 @@
-"""Frames taken out of a video, and the subtitles beside it."""
+"""Frames taken out of a video, and its subtitles."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_sharp_frames_a_quarter_apart_with_their_positions(tmp_path: Path) -> No
     steps = np.diff(moved_px[numbers])
     assert 10 <= len(numbers) <= 15
     assert steps[:-1].min() >= 0.6 * 120 and steps.max() <= 1.4 * 120
-    assert not set(numbers[1:]) & set(BLURRED), "the sharp ones beside them are taken"
+    assert not set(numbers[1:]) & set(BLURRED), "the sharp ones next to them are taken"
     with (folder / "pos.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["frame"] for row in rows] == [f"DJI_0042_{n:06d}.jpg" for n in numbers]

@@ -56,7 +56,7 @@ class Survey:
             shutil.copy(made.pos, self.pos)
 
     def mosaic(self, *more: object) -> int:
-        """The mosaic with the files beside the frames."""
+        """The mosaic with the files next to the frames."""
         quick = () if "--adjust" in more else QUICK
         return mosaic(self.frames, self.run, "--pos", self.pos, "--camera", self.camera, *quick, *more)
 

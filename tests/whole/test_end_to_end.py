@@ -33,8 +33,8 @@ LAYERS = {"frames", "footprints", "nadir_points", "tie_points", "residuals", "se
           "error_ellipses", "image_residuals", "control", "control_residuals", "moves", "trimmed"}  # fmt: skip
 
 
-def told(survey: SimulatedSurvey) -> list[str]:
-    """The files beside the frames."""
+def companions(survey: SimulatedSurvey) -> list[str]:
+    """Options of the files next to the frames."""
     return ["--pos", str(survey.pos), "--camera", str(survey.camera)]
 
 
@@ -96,7 +96,7 @@ def run(block: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> Pat
     """The block's run folder."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     fewer = "--set=matching.sift.keypoints=1500"
-    assert mosaic(block.frames, folder, *told(block), *compared(block), fewer) == 0
+    assert mosaic(block.frames, folder, *companions(block), *compared(block), fewer) == 0
     return folder
 
 
@@ -223,7 +223,7 @@ def test_every_method_goes_to_the_end(
     """Stages before the adjustment come from the cache of the first run."""
     again = tmp_path / "run"
     shutil.copytree(few_run, again)
-    assert mosaic(few_survey.frames, again, *told(few_survey), "--adjust", method) == 0
+    assert mosaic(few_survey.frames, again, *companions(few_survey), "--adjust", method) == 0
     run_summary = summary(again)
     assert "matching.sift" in run_summary["cached_stages"]
     assert run_summary["metrics"]["adjustment"]["method"] == method
@@ -251,7 +251,7 @@ def test_hills_with_a_dem_and_frames_that_were_turned(tmp_path: Path) -> None:
     )
     run = tmp_path / "run"
     dem = ["--dem", str(survey.dem), "--dem-offset", "0"]
-    assert mosaic(survey.frames, run, *told(survey), *dem, *compared(survey)) == 0
+    assert mosaic(survey.frames, run, *companions(survey), *dem, *compared(survey)) == 0
     quality = summary(run)["metrics"]["quality"]
     assert summary(run)["metrics"]["ground"]["kind"] == "dem"
     assert warned(run, "frame-turned") == ["F0002.jpg", "F0003.jpg"]
@@ -302,7 +302,7 @@ def test_16_bits_and_four_bands_with_a_mask_at_the_180th_meridian(tmp_path: Path
     assert min(lon) < -179.9 and max(lon) > 179.9
     run = tmp_path / "run"
     dem = ["--dem", str(survey.dem), "--dem-offset", "0"]
-    assert mosaic(survey.frames, run, *told(survey), *dem, "--adjust", "least_squares") == 0
+    assert mosaic(survey.frames, run, *companions(survey), *dem, "--adjust", "least_squares") == 0
     assert summary(run)["mosaic"]["crs"] in ("EPSG:32701", "EPSG:32760")
     assert summary(run)["frames"]["tied"] == 4
     assert 0.02 < rms(off_m(run, survey)[:, :2]) < 2.0 * NOISE_M

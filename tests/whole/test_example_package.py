@@ -23,7 +23,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where it is installed."""
     folder = tmp_path_factory.mktemp("site")
-    project = folder / "project"  # setuptools builds beside what it builds
+    project = folder / "project"  # setuptools builds next to what it builds
     subprocess.run(["cp", "-r", EXAMPLE, project], check=True)
     quiet = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
     command = [sys.executable, "-m", "pip", "install", *quiet, "--target", folder / "site", project]

@@ -1,4 +1,4 @@
-"""survey.mk in somebody's Makefile: three surveys, every product, side by side, and settled when they are
+"""survey.mk in somebody's Makefile: three surveys, every product, side by side, and up to date when they are
 made; one that fails stops no other."""
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def test_three_surveys_are_made_side_by_side_and_then_up_to_date(desk: Path) -> 
     for goals in ([], ["mosaics", "layers", "reports", *EXPORTED, "out/south/positions.csv"]):
         assert make(desk, "-q", *goals)[0] == 0
     assert "Nothing to be done for 'mosaics'" in make(desk)[1]
-    # Outputs from the cache keep their times: the target must be settled none the less.
+    # Outputs from the cache keep their times: the target must be up to date none the less.
     (frame, *_) = sorted((desk / "flights" / "middle").iterdir())
     frame.touch()
     before = (desk / "out" / "middle" / "mosaic.tif").stat().st_mtime_ns

@@ -43,7 +43,8 @@ LINES = ["--lines", "3", "--frames-per-line", "8"]
 BLOCK = [*SIZE, *LINES]
 NAMED = {"turned-frame": "frame-turned", "wrong-yaw": "yaw-wrong", "position-outlier": "position-wrong"}
 """What truth.json calls a thing that is wrong on purpose, and what a run's warning calls it. Of a frame with
-two things wrong one must be expected_warnings: an image turned by 180 degrees and a heading wrong by 180 cancel."""
+two things wrong one must be named: an image turned by 180 degrees and a heading wrong by 180
+cancel."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Case:
 
     pairs_px: the largest misalignment of a tied pair by the paper's equation 5. straight: the error must not
     grow or fall with the frame number. parts: how many parts without ties to each other the survey has; each
-    is judged alone. ground: see the stage adjustment.solve. expected_warnings: warnings that must be there
+    is judged alone. ground: see the stage adjustment.solve. warned: warnings that must be there
     besides those of frames that are wrong on purpose.
     """
 
@@ -63,7 +64,7 @@ class Case:
     pairs_px: float | None = None
     straight: bool = False
     parts: int = 1
-    expected_warnings: tuple[str, ...] = ()
+    warned: tuple[str, ...] = ()
     ground: str = "auto"
     dem: bool = False
     gsd_m: float = 0.1
@@ -84,12 +85,13 @@ CASES = [
     Case("yaw 15 deg, said 2", [*BLOCK, "--yaw-sd-deg", "15", "--stated-yaw-sd-deg", "2"], 0.15, 0.5),
     Case("stale yaw on a line", [*BLOCK, "--stale-yaw-line", "2"], 0.15, 0.5),
     Case("heights off and drifting", [*BLOCK, "--height-bias-m", "-30", "--height-drift-m", "25"], 0.15, 0.5,
-         expected_warnings=("heights-drift",)),
+         warned=("heights-drift",)),
     Case("the same, no relative height", [*BLOCK, "--height-bias-m", "-30", "--height-drift-m", "25",
-                                          "--no-relative-height-reported"], 0.15, 0.5, expected_warnings=("heights-drift",)),
+                                          "--no-relative-height-reported"], 0.15, 0.5,
+         warned=("heights-drift",)),
     Case("no attitude", [*BLOCK, "--no-attitude-reported"], 0.3),
     Case("no attitude, no height", [*BLOCK, "--no-attitude-reported", "--no-height-reported"], 0.5),
-    Case("two parts", [*BLOCK, "--lost", "4-6,11-13,20-22"], 0.15, 0.5, parts=2, expected_warnings=("separate-part",)),
+    Case("two parts", [*BLOCK, "--lost", "4-6,11-13,20-22"], 0.15, 0.5, parts=2, warned=("separate-part",)),
     Case("RTK positions", [*BLOCK, "--position-sd-m", "0.02", "--height-sd-m", "0.03"], 0.15, 0.5),
     Case("deviations said a fifth", [*BLOCK, "--stated-sd-factor", "0.2"], 0.15, 0.5),
     Case("deviations said five times", [*BLOCK, "--stated-sd-factor", "5"], 0.15, 0.5),
@@ -168,7 +170,7 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         and (not case.straight or abs(slope) <= 2.0 * slope_sd)
         and warned.issuperset(once)
         and named.issuperset(frame for _, frame in wrong)
-        and set(case.expected_warnings) <= {code for code, _ in warned}
+        and set(case.warned) <= {code for code, _ in warned}
     )
     return row
 

@@ -7,7 +7,7 @@ A simulated flight is mosaicked on this machine, then by Dask workers that each 
 own, in which the frames and the run folder are empty (needs root). Cases: four workers; one of them killed
 and one stopped for half of each second; the scheduler killed, then the same command with a new one. With a
 server of S3 (`pip install 'moto[server]'` in any environment) the frames come from it by `fetch`, and the
-results go back to it by `push`. Last, one worker beside two, on matching, surface and composition. Exit code
+results go back to it by `push`. Last, one worker against two, on matching, surface and composition. Exit code
 1 if a case's mosaic, sources or positions differ by a byte from those of this machine.
 """
 
@@ -135,7 +135,7 @@ def stages_s(run: Path) -> dict[str, float]:
 
 
 def scaling(folder: Path, frames: Path) -> Row:
-    """One worker beside two, without shared disk."""
+    """One worker against two, without shared disk."""
     seconds = {}
     for count in (1, 2):
         run = folder / "far" / f"by-{count}"

@@ -6,7 +6,7 @@
 Each survey comes from `geomosaic simulate frames --dirty SEED` and goes through `geomosaic mosaic` with
 nothing but its frames. Right: after the best similarity 1 px, jumps (99 %) 1.5 px, positions within three
 stated deviations, and nine tenths of the land shown. Of a survey that nothing places (no GPS at all), shape
-alone is judged. What the run says of itself (`verdict` in run.json) stands beside it. --plain: surveys
+alone is judged. What the run says of itself (`verdict` in run.json) is listed with it. --plain: surveys
 without faults, by EXIF's default accuracy: 0.2 px. Options after `--` go to the simulation, instead of draws,
 such as `-- --without vibration`. --again mosaics surveys whose row is there already. Tables go to standard
 output, OUT/dirty.md and OUT/dirty.json; exit code 1 if one survey has no mosaic, one is wrong without its

@@ -1,4 +1,4 @@
-"""The sheet of a flight: a YAML file beside its frames that says how to run it and what to expect.
+"""The sheet of a flight: a YAML file next to its frames that says how to run it and what to expect.
 
     frames: caliterra/images             # folder, relative to the sheet
     options: {gcp: caliterra/gcp.txt}    # of `geomosaic mosaic`, without dashes; files relative to the sheet

@@ -64,7 +64,7 @@ def halves(flight: SheetFlight, out: Path) -> tuple[Path, Path]:
 
 
 def compared(one: Path, other: Path) -> dict[str, Any]:
-    """How far two runs' maps differ, beside what they state."""
+    """How far two runs' maps differ, and the accuracy that they state."""
     said = [json.loads((run / "run.json").read_text()) for run in (one, other)]
     relative = [s["accuracy"]["relative"] for s in said]
     found = compare(one / "mosaic.tif", other / "mosaic.tif", ComparisonOptions(step_px=48, search_px=256))

@@ -5,7 +5,7 @@
 
 A block of so many lines and one more is simulated twice: with positions as RTK gives them (2 cm) and as
 consumers' GNSS does (1.5 m). Exposures differ by 5 %. All lines but the last are run whole, then the last one
-is added and the run goes on by `--incremental`; beside it stands a whole run of all. Times are those of the
+is added and the run goes on by `--incremental`; a whole run of all is timed too. Times are those of the
 processors, since other programs may run. Shifts are those of squares of 64 x 64 pixels, by least squares
 from the whole run's mosaic to the other; grey levels are of the pixels that both show.
 """
@@ -55,7 +55,7 @@ def run(frames: Path, survey: Path, target: Path, workers: int, *more: str) -> T
 
 
 def linked(survey: Path, names: Sequence[str], to: Path) -> Path:
-    """Frames as hard links in a folder, beside those that it has."""
+    """Frames as hard links in a folder, with those that it has."""
     to.mkdir(parents=True, exist_ok=True)
     for name in names:
         os.link(survey / "frames" / name, to / name)
@@ -63,7 +63,7 @@ def linked(survey: Path, names: Sequence[str], to: Path) -> Path:
 
 
 def case(name: str, survey: Path, lines: tuple[int, int], out: Path, workers: int) -> Row:
-    """A line added to a finished survey, beside a whole run of all."""
+    """A line added to a finished survey, against a whole run of all."""
     frames = sorted(path.name for path in (survey / "frames").iterdir())
     before = lines[0] * lines[1]
     shutil.rmtree(out, ignore_errors=True)
@@ -172,7 +172,7 @@ def write(results: Row, to: Path) -> None:
     lines = [
         f"# {results['title']}",
         "",
-        f"`{results['command']}`, {results['date']}, {results['machine']}, beside other programs, commit "
+        f"`{results['command']}`, {results['date']}, {results['machine']}, while other programs ran, commit "
         f"{results['commit']}. Simulated frames of {width} x {height} px; times are of the processors.",
         "",
         f"| | target | {' | '.join(r['positions'] for r in rows)} |",

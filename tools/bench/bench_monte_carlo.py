@@ -16,8 +16,8 @@ method; no image is made. Three figures a survey:
 
 The oracle is the bound's own estimate of the same draws: linear least squares about the truth with the true
 deviations, which no solver knows. Frames of a block share their errors, so that 30 seeds leave NEES uncertain
-by a tenth; what the oracle has of this luck, the solver has too. Where the lens is told exactly, the stated
-covariance, which believes it less, must be too large; there NEES isn't judged.
+by a tenth; what the oracle has of this luck, the solver has too. Where the lens is reported exactly, the
+stated covariance, which believes it less, must be too large; there NEES isn't judged.
 
 The table goes to standard output as Markdown and to OUT/monte_carlo.json; exit code 1 if a bound is missed.
 """
@@ -72,7 +72,7 @@ Ints = NDArray[np.intp]
 POSITION_SD_M = np.array([1.5, 1.5, 2.0])
 TURN_SD_RAD = np.radians([0.3, 0.3, 1.0])
 DRAWN_SHARE = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1, 1.0, 1.0])
-"""k1 to k3 are determined by any block; drawn as widely as they are believed some would be no lens."""
+"""k1 to k3 are determined by any block; drawn as widely as their prior deviations some would be no lens."""
 GROUPS = {"east, north": (0, 1), "up": (2,), "tilt": (3, 4), "yaw": (5,)}
 NEES_LIMITS, RATIO_LIMIT, SLOPE_LEVEL = (0.85, 1.15), 1.15, 0.99
 _MARGIN_PX = 5.0
@@ -111,8 +111,8 @@ ROWS = {
 class DrawnCase:
     """A survey: its plan, tie points a m², the share of its views in which a point is found, image noise.
 
-    lens_drawn: the told lens is drawn about the true one with the deviations that the solver believes of
-    it, and the bound has them for priors; else it is told exactly, and the bound knows that.
+    lens_drawn: the reported lens is drawn about the true one with the solver's prior deviations, which
+    the bound has too. Else it is reported exactly, and the bound knows that.
     """
 
     name: str
@@ -128,7 +128,7 @@ FRAMES = SurveyPlan(width_px=1336, height_px=1002, lines=3, frames_per_line=8, k
 LINE = replace(FRAMES, kind="line", frames_per_line=200, forward_overlap=0.6)
 CASES = (
     DrawnCase("flat", FRAMES, 0.19),
-    DrawnCase("flat, lens told exactly", FRAMES, 0.19, lens_drawn=False),
+    DrawnCase("flat, lens reported exactly", FRAMES, 0.19, lens_drawn=False),
     DrawnCase("line of 200", LINE, 0.03),
 )
 

@@ -1,4 +1,4 @@
-"""The project's bundle beside COLMAP's: the same tie points, positions and start, solved by both.
+"""The project's bundle against COLMAP's: the same tie points, positions and start, solved by both.
 
     .venv/bin/python -m pip install --no-deps --target out/oracle pycolmap
     python -m tools.bench.bench_oracle [--pycolmap out/oracle] [--only NAME ...] [--seed N]
@@ -14,7 +14,7 @@ k1 = -0.05 that is reported as straight. Solvers:
   so that they must agree: *apart* is the largest difference of a position, focal length or k1 in its stated
   deviations; exit code 1 above 0.05.
 - COLMAP, OPENCV: the same with two focal lengths and decentring.
-- COLMAP as it comes: OPENCV, principal point held, squares, an image deviation of 1 px.
+- COLMAP as it comes: OPENCV, principal point fixed, squares, an image deviation of 1 px.
 - COLMAP without positions: the same, gauge fixed by two frames.
 
 Reprojection: root mean square of the residuals' lengths. Block: the tie points' true image coordinates, taken

@@ -3,7 +3,7 @@
 Three surveys: the nine frames of table 2 of Yue et al. 2021 (doi:10.3788/IRLA20200529), and one line of 30
 frames at 20 % and at 60 % overlap. Each is rendered and matched once; position and attitude are then drawn
 anew many times, and every draw is adjusted by every method on the same tie points. The nine frames are
-drawn at two levels of noise. The first draw is also composed and laid over the true ortho. Ends with exit
+drawn at two levels of noise. The first draw is also composed and compared to the true ortho. Ends with exit
 code 1 unless `chain` grows along both lines and `error_sharing` does not.
 """
 

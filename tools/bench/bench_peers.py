@@ -1,4 +1,4 @@
-"""geomosaic beside other open programs on the same frames, one after the other in one go.
+"""geomosaic against other open programs on the same frames, one after the other in one go.
 
     python -m tools.bench.bench_peers [--frames 24 100 500] [--width-px 1336] [--shared ../shared] [--seed 1]
                                       [--out out/bench-peers] [--results docs/results/peers]

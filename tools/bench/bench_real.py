@@ -1,4 +1,5 @@
-"""Real surveys: a drone flight with turned frames, its halves laid over each other, and other people's data.
+"""Real surveys: a drone flight with turned frames, its halves compared to each other, and other people's
+data.
 
     python -m tools.bench.bench_real [--shared ../shared] [--out out/bench-real]
 

@@ -1,4 +1,4 @@
-"""The split-half test: mosaics from every second frame of one flight, laid over each other.
+"""The split-half test: mosaics from every second frame of one flight, compared to each other.
 
 Frames 1, 3, 5 ... and 2, 4, 6 ... along each line: 65 % forward overlap leaves 30 % in a half, 63 % across.
 Each half is a survey of its own (own matching, own adjustment, own ground). What is left of the

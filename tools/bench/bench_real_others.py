@@ -209,6 +209,7 @@ def _crooked(frames: Path, out: Path) -> list[Row]:
         ("frames called turned; headings called wrong",
          f"{codes.count('frame-turned')}; {codes.count('yaw-wrong')}", "none; any",
          "frame-turned" not in codes),
-        ("deviation of an image coordinate", f"{run_summary['metrics']['adjustment']['sigma_px']:.2f} px", "", True),
+        ("deviation of an image coordinate", f"{run_summary['metrics']['adjustment']['sigma_px']:.2f} px", "",
+         True),
         ("verdict", run_summary["verdict"]["grade"] + ": " + run_summary["verdict"]["cause"], "", True),
     ]  # fmt: skip

@@ -7,7 +7,7 @@ The largest block, of frames of 640 x 480 px, is simulated and kept in OUT; smal
 out of it, whose frames are the same. Each goes through the whole command; what a frame takes by stage
 is read from run.json, its memory sampled over all processes, its run folder every ten seconds. What a run
 takes however few frames it has is in it, so that figures may fall. A larger block has more overlapping pairs
-a frame, since fewer frames lie at its rim: they stand beside.
+a frame, since fewer frames lie at its rim: they are listed too.
 
 Then the composition's planning of 50,000 windows over 7,000 frames (bench_scale_plan.py), in a process of its
 own; `make bench-bundle` adjusts by observations alone. RESULTS.json and RESULTS.md hold the tables,

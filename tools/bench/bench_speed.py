@@ -1,9 +1,9 @@
-"""How fast frames become a mosaic: beside the floor of the same libraries, and beside other programs.
+"""How fast frames become a mosaic: against the floor of the same libraries, and against other programs.
 
     python -m tools.bench.bench_speed [--shared ../shared] [--out DIR] [--frames 100] [--no-peers]
 
 Two flights: 18 real frames of 9 MP (SHARED/data/brighton_beach, left out where it isn't there) and 100
-simulated ones of 12 MP, made once and kept in OUT, with nothing told but by their tags. On each the whole
+simulated ones of 12 MP, made once and kept in OUT, with nothing given but their tags. On each the whole
 command, then the floor (`bench_speed_floor`: every frame decoded and warped once, one COG written), then the
 peers (tools/peers), each in an environment of its own, made from PyPI; what can't be had is left out and
 said. Time is of the whole process; memory of all its processes together, sampled; frames are read once
@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 AS_IT_WAS = dict(os.environ)
-"""For programs; the judge does its algebra on one core, since two wait for each other beside other work."""
+"""For programs; the judge does its algebra on one core, since two wait for each other during other work."""
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import rasterio
@@ -151,8 +151,8 @@ def run_peer(flight: SpeedFlight, peer: Peer, home: Path, most_s: float, most_mb
 class Judge:
     """Looks at the mosaics of one flight, of which a run is solved.
 
-    One that lies nowhere is laid onto the truth or the run's mosaic; nothing is told of one that doesn't
-    fit, which is as good as none.
+    One without a place is registered to the truth or the run's mosaic; one that doesn't register has no
+    figures fit, which is as good as none.
     """
 
     def __init__(
@@ -181,8 +181,8 @@ class Judge:
         return f"Judged on {squares} squares of {side_m:.1f} m that most programs show; ground shown: of all."
 
     def judged(self, made: Made) -> Result:
-        """With the figures of its mosaic, by the keys of `bench_speed_table.COLUMNS`; what can't be told is
-        not in it."""
+        """With the figures of its mosaic, by the keys of `bench_speed_table.COLUMNS`; unknown figures are
+        left out."""
         registered = self._registered.get(made.result.name)
         if registered is None:
             return made.result

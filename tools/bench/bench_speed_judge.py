@@ -52,10 +52,10 @@ PATCH_PX = 64
 MOST_SMALL_PX = 4096
 """Longer side of mosaics in which each other patch is looked for, instead of each eighth."""
 PATCH, SHIFTED = 32, 5
-"""Side of the patches, of the grid's pixels, by which a mosaic is laid onto another before its steps are
+"""Side of the patches, of the grid's pixels, by which a mosaic is registered to another before its steps are
 measured; and how many of them count in a cell."""
 PLACED_PX, LEAST_PAIRS = 1600, 30
-"""Longer side of images by whose keypoints a mosaic that lies nowhere is laid onto another, and how many of
+"""Longer side of images by whose keypoints a mosaic without a place is registered to another, and how many of
 them have to agree."""
 
 
@@ -123,7 +123,7 @@ def _is_small(mosaic: Path) -> bool:
 
 
 def placed(image: Path, reference: Path, to: Path) -> Path | None:
-    """An image that lies nowhere, its fourth band its mask, laid onto a georeferenced raster by keypoints.
+    """An image without a place, its fourth band its mask, registered to a georeferenced raster by keypoints.
 
     None where they disagree.
     """
@@ -199,7 +199,8 @@ class Frames:
     def steps(self, mosaic: Path) -> Floats:
         """Steps (n,) of all neighbouring cells of a georeferenced mosaic that some frame sees, grey levels.
 
-        It is first laid onto the run's own mosaic, since a peer has its own idea of where the ground lies.
+        It is first registered to the run's own mosaic, since a peer has its own idea of where the ground
+        lies.
         Raises `InputError` where they have too little in common.
         """
         shown, valid = self._read(mosaic)

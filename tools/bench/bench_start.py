@@ -66,8 +66,8 @@ ROWS = {
 
 @dataclass(frozen=True)
 class StartCase:
-    """A survey; the told focal length is wrong by focal_error, too long on odd seeds and too short on even
-    ones. altitude: what becomes of the heights that the frames tell, in a POS file with nothing else told
+    """A survey; the reported focal length is wrong by focal_error, too long on odd seeds and too short on
+    even ones. altitude: what becomes of the heights that the frames report, in a POS file with nothing else
     but plan positions."""
 
     name: str

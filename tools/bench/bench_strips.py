@@ -1,7 +1,7 @@
 """CCD strips against known truth: the table of cases, and the misplacement rate of mixed scenes.
 
     python -m tools.bench.bench_strips --seeds 20                 # joint on the five cases
-    python -m tools.bench.bench_strips --seeds 5 --methods all    # its rivals beside it
+    python -m tools.bench.bench_strips --seeds 5 --methods all    # its rivals too
     python -m tools.bench.bench_strips --mixed 60                 # the paper's two chains and joint
     python -m tools.bench.bench_strips --small 20                 # short scenes of two cameras
     python -m tools.bench.bench_strips --resampled 20             # scenes that are sampled otherwise

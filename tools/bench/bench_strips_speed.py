@@ -1,11 +1,11 @@
-"""How fast strips become a scene: `geomosaic strips` as a whole, beside what GDAL needs to copy the strips.
+"""How fast strips become a scene: `geomosaic strips` as a whole, against what GDAL needs to copy the strips.
 
     python -m tools.bench.bench_strips_speed [--lines 35000] [--width 4096] [--ccds 8] [--out DIR]
 
 The floor reads every strip once and writes the scene once: a VRT of the strips at their nominal places, as a
 COG with the options of export.cog. The strips' overlaps are simulated, what lies between them is noise and
 ground made cheaply. Each step runs in a process of its own; printed are its seconds, those of all processors
-(which other work beside disturbs least) and its peak memory (Linux). Strips and results (some 8 GB at full
+(which other work disturbs least) and its peak memory (Linux). Strips and results (some 8 GB at full
 size) are deleted at the end but with --keep. Exit code 1 if the whole takes more than 1.4 of the floor, or
 1 GB.
 """

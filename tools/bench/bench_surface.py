@@ -5,10 +5,10 @@
 
 Towns of 18 frames of 2000 x 1500 px from 100 m, 70 % and 60 % overlap, hills of 10 m, houses with walls of
 3.5 to 10 m and hipped or level roofs, bridges, trees, through the whole command with cells of 4 ground
-pixels: the surface against the true heights, and how far the mosaic's land lies off beside what the verdict
+pixels: the surface against the true heights, and how far the mosaic's land lies off against what the verdict
 says of it. With --roofs the mosaic on the surface, the one on the ground through tie points, and the one with
 roofs in place on that (--surface auto) against the true ortho, with --rival StereoSGBM on rectified pairs
-beside it, with --scale what 20, 60 and 200 small frames take, and whether one process and two give the same
+next to it, with --scale what 20, 60 and 200 small frames take, and whether one process and two give the same
 bytes, with --large what 160 frames of 10 MP take. Of real data, skipped where they aren't: 18 frames of 9 MP
 (seconds of the stage and memory of the run, mosaics of odd and even frames compared), and four
 over 600 m of relief against their DEM. Tables
@@ -156,7 +156,7 @@ def _class_row(what: str, name: str, of: SurfaceErrors, cell_m: float) -> Row:
         f"({100.0 * of.two_off_1_m:.1f} % of {of.two_see:,} that two see, "
         f"{100.0 * of.three_off_1_m:.1f} % of {of.three_see:,} that three see); "
         f"within 1 and 2 deviations {100.0 * of.within_1_sd:.0f} and {100.0 * of.within_2_sd:.0f} %, "
-        f"held {100.0 * of.filled:.0f} %"
+        f"filled {100.0 * of.filled:.0f} %"
     )
     what = f"{what} ({of.cells:,} cells)"
     if name in WANTED_NMAD_PX:

@@ -1,8 +1,8 @@
 """A surface of a simulated survey against its true heights, class by class.
 
-Judged are all cells whose middle, at its true height, two frames have in their images. Told apart are those
-that two and three frames see, with nothing of the true land before it: what fewer than two see no method can
-match, only guess.
+Judged are all cells whose middle, at its true height, two frames have in their images. Distinguished are
+those that two and three frames see, with nothing of the true land before it: what fewer than two see no
+method can match, only guess.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from geomosaic_simulate.survey import landscape_of
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Counts = NDArray[np.int64]
-CLASSES = ("ground", "roofs", "trees", "edges", "beside trees")
+CLASSES = ("ground", "roofs", "trees", "edges", "next to trees")
 _FINE_M = 0.1
 _BAND_M = 1.0
 _AT_ONCE = 200_000
@@ -48,7 +48,8 @@ roof."""
 @dataclass(frozen=True)
 class SurfaceErrors:
     """A class's cells: how many, NMAD (m), shares off by more than 1 m, within 1 and 2 stated deviations, and
-    held; how many of them two frames see and three, and the shares of those that are off by more than 1 m."""
+    filled; how many of them two frames see and three, and the shares of those that are off by more than 1
+    m."""
 
     cells: int
     nmad_m: float

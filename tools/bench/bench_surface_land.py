@@ -1,4 +1,4 @@
-"""Where the land of a mosaic on a matched surface lies, beside what the verdict says of it."""
+"""Where the land of a mosaic on a matched surface lies, against what the verdict says of it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _OPEN = 0
 class Land:
     """Places of the mosaic: how many; shares that the verdict expects and that do lie off by more than
     `OFF_PX` since the surface is wrong; within 1 and 2 stated deviations; displacement that 99 % keep below
-    on open ground, stated (`ground unknown`, NaN if it isn't told) and true, px."""
+    on open ground, stated (`ground unknown`, NaN if it isn't reported) and true, px."""
 
     places: int
     stated: float

@@ -37,7 +37,7 @@ _SMOOTH: tuple[int, int] = sourced(
 
 def stereo_sgbm(run: Path) -> tuple[DenseSurface, float]:
     """The surface on the run's cells, and the seconds that it took. Cells without a height are filled evenly
-    and count as held; deviations are not known."""
+    and count as filled; deviations are not known."""
     summary = read_summary(run)
     survey: Survey = load_artefact(run, summary, "survey", Survey)
     adjusted: Adjusted = load_artefact(run, summary, "adjusted", Adjusted)

@@ -39,7 +39,7 @@ _INWARD_PX = tuned(
     "is where it belongs whatever the roof does",
 )
 _SEARCH_PX = tuned(64, "px", "a roof 14 m high at the side of a frame leans by 60 on a smooth ground")
-_SAME_PX = tuned(1.0, "px", "by which a corner that is looked for both ways may come back beside itself")
+_SAME_PX = tuned(1.0, "px", "by which a corner that is looked for both ways may come back off itself")
 _BACK_SD_PX = tuned(1.0, "px", "deviation of the way back: it only has to tell one place from another")
 FAR_PX = sourced(2.0, "px", "by which a corner is off that is listed", "what is asked")
 _RIM_M = tuned(15.0, "m", "of the mosaic at its border, where less than three frames see")

@@ -96,7 +96,7 @@ class SurfaceRun:
 
 
 def sure_cells(surface: DenseSurface) -> tuple[Floats, Floats]:
-    """Middles (p, 3) of cells that are sure and beside no step, and how the surface slopes there (p, 2)."""
+    """Middles (p, 3) of cells that are sure and next to no step, and how the surface slopes there (p, 2)."""
     cell_m = surface.cells.cell_m
     up_m = cv2.medianBlur(np.ascontiguousarray(surface.up_m), 5)
     around = np.ones((5, 5), np.uint8)
@@ -253,7 +253,7 @@ def print_heights(run: SurfaceRun, own: Tracks) -> None:
     at = row[on], col[on]
     off_m = np.abs(points[on, 2] - run.surface.up_m[at])
     views, sd_m = run.surface.views[at], run.surface.sd_m[at]
-    kinds = {"all": views >= 0, "held": views == 0, "2 views": views == 2, "3 and more": views > 2}
+    kinds = {"all": views >= 0, "filled": views == 0, "2 views": views == 2, "3 and more": views > 2}
     kinds |= {"sure to 0.3 cells": sd_m < 0.3 * cell_m, "unsure by a cell": sd_m >= cell_m}
     for name, of in kinds.items():
         if of.sum() >= 10:

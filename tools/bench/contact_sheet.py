@@ -4,7 +4,7 @@
 
 OUT holds run folders, as `bench_flights --out` leaves them. Twenty crops of each mosaic at 100 %: half of
 them where frames meet, half of any ground, each as unlike those before as there are. With --before, the same
-places of the run of that name there stand beside them.
+places of the run of that name there are shown with them.
 """
 
 from __future__ import annotations

@@ -35,10 +35,10 @@ _SAMPLED_POINTS = 400
 
 @dataclass(frozen=True)
 class Draw:
-    """A block as told, and the truth: poses, lens, tie points (on the block's ground); which frame saw which
-    where, (m,) and (m, 2), with noise_px on each axis.
+    """A block as reported, and the truth: poses, lens, tie points (on the block's ground); which frame saw
+    which where, (m,) and (m, 2), with noise_px on each axis.
 
-    lens_sd: (8,) what is believed of the told lens in the order of LENS; None where it is known.
+    lens_sd: (8,) prior deviations of the reported lens in the order of LENS; None where it is known.
     """
 
     block: Block

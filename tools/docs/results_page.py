@@ -84,7 +84,7 @@ class Row:
 
 
 _COMPARED = (("processor_s", " s", 1.0), ("centres_after_mm", " mm", 1.0), ("ssim", "", -1.0))
-"""Figures of other programs beside geomosaic's: key, unit, and the sign of what is worse."""
+"""Figures of other programs next to geomosaic's: key, unit, and the sign of what is worse."""
 
 
 def main() -> int:

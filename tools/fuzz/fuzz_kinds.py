@@ -281,7 +281,7 @@ def spoil(kind: Kind, box: Path, rng: Random, nasty: Nasty) -> tuple[str, str]:
         done.append(what)
     if kind.name == "forged":
         if path.suffix == ".tif" and rng.random() < 0.5:
-            data, done = _RASTER.format(box / "beside" / "secret.tif").encode(), ["a VRT of people's file"]
+            data, done = _RASTER.format(box / "outside" / "secret.tif").encode(), ["a VRT of people's file"]
         _forge(box, name, old, data)
     path.write_bytes(data)
     return name, ", then ".join(done)

@@ -44,7 +44,7 @@ class Nasty:
             "/",
             *(f"/vsicurl/{url}", "/vsis3/bucket/a.tif", url, f"ftp://127.0.0.1:{port}/a"),
             f"WMS:{url}",
-            *(str(box / "beside" / "secret.tif"), "../beside/secret.tif", "../beside/secret.txt"),
+            *(str(box / "outside" / "secret.tif"), "../outside/secret.tif", "../outside/secret.txt"),
             "/vsimem/a",
             *("/vsizip/a.zip/b.tif", f"<GDAL_WMS><Service name='TMS'><ServerUrl>{url}</ServerUrl>"
               "</Service><DataWindow><SizeX>64</SizeX><SizeY>64</SizeY></DataWindow></GDAL_WMS>"),
@@ -205,11 +205,11 @@ def a_table(data: bytes, rng: Random, nasty: Nasty) -> tuple[bytes, str]:
 
 def spoil_the_file(path: Path, rng: Random, nasty: Nasty) -> str:
     """Something else stands where the file stood."""
-    people = nasty.box / "beside" / "secret.tif"
+    people = nasty.box / "outside" / "secret.tif"
     kinds: dict[str, Callable[[], object]] = {
         "a link to people's file": lambda: path.symlink_to(people),
         "a link to itself": lambda: path.symlink_to(path.name),
-        "a dangling link": lambda: path.symlink_to(nasty.box / "beside" / "new.txt"),
+        "a dangling link": lambda: path.symlink_to(nasty.box / "outside" / "new.txt"),
         "a pipe": lambda: os.mkfifo(path),
         "a folder": path.mkdir,
         "an empty file": lambda: path.write_bytes(b""),

@@ -25,7 +25,8 @@ _MOST = ("seconds", "cpu_s", "peak_mb")
 
 @dataclass(frozen=True)
 class Case:
-    """One case's outcome. argv, code, reported: of its last command, or of the one that something is wrong with;
+    """One case's outcome. argv, code, reported: of its last command, or of the one that something is wrong
+    with;
     seconds, cpu_s, peak_mb: the most that a command took."""
 
     kind: str
@@ -100,7 +101,7 @@ class Trials:
 
     def _new_box(self, kind: Kind) -> None:
         self.box.empty()
-        people(self.box.path("beside"))
+        people(self.box.path("outside"))
         fill(self.box.folder, self.templates / kind.template)
 
     def base(self, kind: Kind, rng: Random, file: str) -> Result:
@@ -167,12 +168,12 @@ class Trials:
 
     def _mark_unread(self) -> None:
         """Sets the time of people's files' last reading far back: the next reading shows."""
-        for path in self.box.path("beside").iterdir():
+        for path in self.box.path("outside").iterdir():
             os.utime(path, ns=(0, path.stat().st_mtime_ns))
 
     def _was_read(self) -> bool:
         """Whether people's files were read since."""
-        return any(path.stat().st_atime_ns for path in self.box.path("beside").iterdir())
+        return any(path.stat().st_atime_ns for path in self.box.path("outside").iterdir())
 
     def _detail(
         self, ended: EndedCommand, found: list[str], changed: list[str], kind: Kind, number: int

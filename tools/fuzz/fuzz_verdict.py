@@ -27,9 +27,10 @@ _USUAL = re.compile(r"geomosaic: |warning: |\[\d+/\d+\] ")
 _LEFT = re.compile(r"^\..*\.(part|old)")
 
 REACH_M = 1000.0
-"""A position may be told so far from where it was, without another word, by a survey of this size."""
+"""A position may be reported so far from where it was, without a warning, by a survey of this size."""
 RATIO = 2.0
-"""Flying height and focal length may be told up to this factor off: more no honest slip of a digit hides."""
+"""Flying height and focal length may be reported off by up to this factor: more no honest slip of a digit
+hides."""
 PIXELS_SHARE, PIXEL_STEP = 0.002, 30.0
 """A mosaic is grossly another where this share of its pixels differs by this much of 255."""
 

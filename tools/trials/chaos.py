@@ -288,8 +288,8 @@ def snapshot_marks(inputs: Path, done: list[str]) -> list[str]:
 
 
 def _put_own_files(run: Path, mine: dict[Path, bytes]) -> None:
-    """People's files, into a run folder that is one already, into its work folder, and beside it."""
-    places = [run.with_name("beside.txt")]
+    """People's files, into a run folder that is one already, into its work folder, and next to it."""
+    places = [run.with_name("outside.txt")]
     if run.is_dir() and any(run.iterdir()):
         places += [
             run / "my notes.txt",

@@ -48,11 +48,11 @@ _digests: dict[tuple[int, int], tuple[tuple[int, int], str]] = {}
 
 @dataclass(frozen=True)
 class EndedCommand:
-    """How a command ended: exit code (a signal negative), its words, and what it did beside.
+    """How a command ended: exit code (a signal negative), its words, and its other doings.
 
     seconds: without those in which others had the processor, so that a busy machine makes nothing slow.
     cpu_s: processor time.
-    doings: programs started, files opened for writing outside the output, as Python told.
+    doings: programs started, files opened for writing outside the output, as Python reported.
     """
 
     argv: tuple[str, ...]
@@ -114,7 +114,7 @@ def changes(before: Snapshot, after: Snapshot) -> list[str]:
 
 
 class Box:
-    """A folder with in/ (what is given), out/ (the run folder), beside/ (people's), home/, cwd/ and tmp/."""
+    """A folder with in/ (what is given), out/ (the run folder), outside/ (people's), home/, cwd/ and tmp/."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -126,16 +126,16 @@ class Box:
         self.port: int = self.listener.getsockname()[1]
 
     def empty(self) -> None:
-        """A new box: nothing in it but people's files beside."""
+        """A new box: nothing in it but people's files outside."""
         shutil.rmtree(self.folder, ignore_errors=True)
-        for name in ("in", "beside", "home", "cwd", "tmp"):
+        for name in ("in", "outside", "home", "cwd", "tmp"):
             (self.folder / name).mkdir(parents=True)
 
     def path(self, name: str) -> Path:
         return self.folder / name
 
     def run(self, argv: Sequence[str], seconds: float, details: bool = False) -> EndedCommand:
-        """`geomosaic ARGV` in a forked child. details: errors are told with where they were raised."""
+        """`geomosaic ARGV` in a forked child. details: errors are reported with where they were raised."""
         logs = [self.folder.with_name(f"{self.folder.name}.{name}") for name in ("out", "err", "doings")]
         before, accepted = _attempts(), 0
         started = time.monotonic()
@@ -237,7 +237,7 @@ def _watcher(fd: int, allowed: Sequence[Path]) -> Callable[[str, tuple[object, .
             written = isinstance(flags, int) and flags & _WRITES and isinstance(path, str | bytes)
             if not written or (
                 mode is None and not Path(os.fsdecode(path)).is_absolute()
-            ):  # beside a folder's descriptor
+            ):  # next to a folder's descriptor
                 return ""
             return "" if inside(os.path.realpath(os.fsdecode(path))) else f"open for writing {path!r}"
         for at, folder in _CHANGES.get(event, ()):

@@ -33,7 +33,13 @@ from geomosaic.adjustment.procedure.model_selection import (
     turns_shown,
     with_readout,
 )
-from geomosaic.adjustment.procedure.outcome import Work, bundle_outcome, outcome, places_of, shape_figures
+from geomosaic.adjustment.procedure.outcome import (
+    BlockState,
+    bundle_outcome,
+    outcome,
+    places_of,
+    shape_figures,
+)
 from geomosaic.adjustment.procedure.reading_order import read_backwards, surely_better, turned_back
 from geomosaic.adjustment.procedure.reported_corrections import (
     height_drift,
@@ -122,19 +128,21 @@ def _named(name: str, steps: tuple[SolveStep, ...]) -> tuple[SolveStep, ...]:
     return tuple(replace(step, solve=name) for step in steps)
 
 
-def again(work: Work, block: Block, settings: Settings, start: BlockSolution | Start | None = None) -> Work:
+def again(
+    work: BlockState, block: Block, settings: Settings, start: BlockSolution | Start | None = None
+) -> BlockState:
     """The block solved anew with another block or settings, from the present poses or a solver's solution."""
     poses = start.poses if isinstance(start, Start) else work.found.solution.poses
     found = block_solution(_task(replace(work, block=block, settings=settings)), poses, start)
     return replace(work.then(found), block=block, settings=settings)
 
 
-def _task(work: Work) -> BlockTask:
+def _task(work: BlockState) -> BlockTask:
     """Its block by few tie points, whose flights are off as found before."""
     return BlockTask(work.block, work.settings, work.few, work.rough, flights_sd_m(work.found.problem))
 
 
-def _wrong_ones_resected(work: Work) -> Work:
+def _wrong_ones_resected(work: BlockState) -> BlockState:
     """Frames with most of their tie points put aside, by what the others have found."""
     ties, solution, cameras = work.found.ties, work.found.of_ties, work.block.cameras
     wrong = counted_shares(ties, solution, len(cameras)) < 0.5
@@ -144,7 +152,7 @@ def _wrong_ones_resected(work: Work) -> Work:
     return work.then(block_solution(_task(work), poses))
 
 
-def _read_in_order(work: Work) -> Work:
+def _read_in_order(work: BlockState) -> BlockState:
     """Images turned back that were turned after the flight, where rolling shutters show it."""
     quarters = read_backwards(work)
     if not quarters or work.turned:
@@ -157,7 +165,7 @@ def _read_in_order(work: Work) -> Work:
     return work
 
 
-def _heights_freed(work: Work) -> Work:
+def _heights_freed(work: BlockState) -> BlockState:
     """Velocities by the solved positions; heights that drift or jump don't any longer."""
     poses = work.found.solution.poses
     block, other = with_solved_velocities(work.block, poses)
@@ -168,7 +176,7 @@ def _heights_freed(work: Work) -> Work:
     return replace(work, block=block)
 
 
-def _model_chosen(work: Work) -> Work:
+def _model_chosen(work: BlockState) -> BlockState:
     """With what tie points left out of a solve speak for, of lens and shutter."""
     found = work.found
     if work.settings.model != "auto" or not found.ties.points:
@@ -189,7 +197,7 @@ def _model_chosen(work: Work) -> Work:
     return chosen
 
 
-def _turning_too(work: Work) -> Work:
+def _turning_too(work: BlockState) -> BlockState:
     """Rotations while rows are read: besides reported ones, what a gyroscope's filter and last sample leave
     of them; and where frames rotate faster than unknown velocities explain."""
     settings, before = work.settings, work.found.solution
@@ -208,7 +216,7 @@ def _turning_too(work: Work) -> Work:
     return replace(turning, choice=replace(tried, taken=(*tried.taken, "turning"), shown=True))
 
 
-def _leaves_open(its: Work, now: Work) -> bool:
+def _leaves_open(its: BlockState, now: BlockState) -> bool:
     """Whether a model leaves the block's shape less certain than the one before."""
     before_px, after_px = (
         shape_figures(w.block, places_of(w.found)).get("shape_sd_px", np.inf) for w in (now, its)
@@ -216,7 +224,7 @@ def _leaves_open(its: Work, now: Work) -> bool:
     return bool(after_px > max(before_px, GOOD_PX))
 
 
-def _zero_of_the_gyroscope(work: Work) -> Work:
+def _zero_of_the_gyroscope(work: BlockState) -> BlockState:
     solution = work.found.solution
     rotating = work.settings.turning and solution.estimate.rotation_terms_rad.shape[1]
     if not rotating or work.block.poses.turns is None:
@@ -224,7 +232,7 @@ def _zero_of_the_gyroscope(work: Work) -> Work:
     return again(work, *with_common_rate(work.block, work.settings, solution))
 
 
-def _by_all(work: Work) -> Work:
+def _by_all(work: BlockState) -> BlockState:
     """All tie points, weighed by what those of a frame have in common, and the last ground."""
     found, block = work.found, work.block
     effect = design_effect(found.solution, found.ties.points).among(work.tracks)
@@ -238,7 +246,7 @@ def _by_all(work: Work) -> Work:
     return replace(work, found=found)
 
 
-def _readout_shown(work: Work) -> Work:
+def _readout_shown(work: BlockState) -> BlockState:
     """With a rolling shutter, where the solution by all points with all rows read at once shows it."""
     before = work.found.solution
     if work.settings.model != "auto" or not readout_shown(before):
@@ -252,14 +260,14 @@ def _readout_shown(work: Work) -> Work:
     return work if contradicts(shown.found.solution, before) else shown
 
 
-def _accuracy_stated(work: Work) -> Work:
+def _accuracy_stated(work: BlockState) -> BlockState:
     """With covariances that hold what the image errors of a frame have in common."""
     found = work.found
     solution = with_design_effect(found.solution, found.ties.points)
     return replace(work, found=replace(found, solution=solution))
 
 
-PROCEDURE: dict[str, Callable[[Work], Work]] = {
+PROCEDURE: dict[str, Callable[[BlockState], BlockState]] = {
     "wrong frames resected": _wrong_ones_resected,
     "heights": _heights_freed,
     "order of reading": _read_in_order,

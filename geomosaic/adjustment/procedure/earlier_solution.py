@@ -13,7 +13,7 @@ from geomosaic.adjustment.problem.estimate import Estimate
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import BlockTask, block_solution
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
-from geomosaic.adjustment.procedure.outcome import Work
+from geomosaic.adjustment.procedure.outcome import BlockState
 from geomosaic.adjustment.procedure.reported_corrections import with_common_heading, with_solved_velocities
 from geomosaic.adjustment.solver.solution import Start
 from geomosaic.adjustment.terms.image_observations import IMAGE
@@ -34,7 +34,7 @@ _LEAST_KNOWN = tuned(0.5, "share of the frames", "solved earlier: with fewer new
 
 def begun_from_earlier(
     given: Block, asked: Settings, all_and_few: tuple[Tracks, Tracks], spread: Spread
-) -> Work | None:
+) -> BlockState | None:
     """The block with the earlier run's model, solved by few tie points from its solution; frames that are new
     begin where the images put them relative to it. None where that solution says too little of the block.
 
@@ -61,7 +61,7 @@ def begun_from_earlier(
     start = start_from_earlier(block, settings, few, poses)
     found = block_solution(BlockTask(block, settings, few, few is not tracks), poses, start)
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
-    return Work(
+    return BlockState(
         *(given, misalignments_m, tracks, few, rolling, block, settings, found, spread),
         choice=earlier.choice,
         notes=tuple(notes),
@@ -69,7 +69,7 @@ def begun_from_earlier(
     )
 
 
-def still_fits(work: Work, earlier: SolvedBlock) -> bool:
+def still_fits(work: BlockState, earlier: SolvedBlock) -> bool:
     """Whether the earlier model explains an image observation as well as it did then, but for chance: the
     deviation of a variance by r numbers is the root of 2 / r, and an observation has two."""
     now, before = work.found.solution.components[IMAGE], Components(earlier.components)[IMAGE]

@@ -12,7 +12,7 @@ from geomosaic.adjustment.procedure.block_part import read_at_once
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import BlockTask, block_solution, points_on_ground
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
-from geomosaic.adjustment.procedure.outcome import Work
+from geomosaic.adjustment.procedure.outcome import BlockState
 from geomosaic.adjustment.procedure.reported_corrections import with_common_heading, with_solved_velocities
 from geomosaic.adjustment.solver.solve import SolveOptions, solved_start
 from geomosaic.camera.exterior import Poses
@@ -26,7 +26,7 @@ def begun(
     all_and_few: tuple[Tracks, Tracks],
     spread: Spread,
     start: Poses | None = None,
-) -> Work:
+) -> BlockState:
     """Similarities, or initial poses, then a bundle; with a rolling shutter first with all rows read at
     once."""
     tracks, few = all_and_few
@@ -40,7 +40,7 @@ def begun(
     misalignments_m = net.misalignments_m(np.zeros((net.n, 2)))
     del net  # where every tie point lies, twice
     found = block_solution(BlockTask(block, settings, few, few is not tracks), start)
-    return Work(
+    return BlockState(
         *(given, misalignments_m, tracks, few, rolling, block, settings, found, spread),
         notes=tuple(notes),
         steps=found.steps,

@@ -143,7 +143,7 @@ def _with_untied(accuracy: BundleAccuracy, poses: Poses, untied: Bools) -> Sprea
 
 
 @dataclass(frozen=True)
-class Work:
+class BlockState:
     """A block on its way through the procedure. given: the block as it came; misalignments_m: of its pairs.
     tracks: all tie points, few: those that the model is found by. rolling: rolling shutters were reported.
     block, settings: as corrected by now. found: the present solution. spread: runs tasks side by side.
@@ -169,12 +169,12 @@ class Work:
         """Whether a solve by all tie points follows."""
         return self.few is not self.tracks
 
-    def then(self, found: BlockSolution) -> Work:
+    def then(self, found: BlockSolution) -> BlockState:
         """With the next solution."""
         return replace(self, found=found, steps=self.steps + found.steps)
 
 
-def bundle_outcome(work: Work) -> Adjusted:
+def bundle_outcome(work: BlockState) -> Adjusted:
     """The outcome with warnings, figures and covariances."""
     block, given, found = work.block, work.given, work.found
     solution, components = found.of_ties, found.solution.components
@@ -230,7 +230,7 @@ def bundle_outcome(work: Work) -> Adjusted:
     )
 
 
-def _solved(work: Work, rejected: Collection[int]) -> SolvedBlock:
+def _solved(work: BlockState, rejected: Collection[int]) -> SolvedBlock:
     """What a later adjustment may begin from."""
     solution, names = work.found.solution, work.block.names
     at, slices = solution.estimate, solution.estimate.layout.slices

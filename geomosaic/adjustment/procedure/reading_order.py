@@ -15,7 +15,7 @@ from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.problem.usable_block import as_taken
 from geomosaic.adjustment.procedure.cross_validation import BETTER
 from geomosaic.adjustment.procedure.model_selection import GOOD_PX
-from geomosaic.adjustment.procedure.outcome import Work
+from geomosaic.adjustment.procedure.outcome import BlockState
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.interior_orientation import NOMINAL_READOUT_S
@@ -31,7 +31,7 @@ _SURE = sourced(150.0, "times as likely", "that one order is right, not the othe
 _MOST_BACKWARDS = tuned(0.6, "share of the frames", "more fly backwards: cameras look back; half: two lines")
 
 
-def read_backwards(work: Work) -> tuple[int, ...]:
+def read_backwards(work: BlockState) -> tuple[int, ...]:
     """Quarters by which to turn each frame's image: 2 for those that fly backwards by their images while
     others fly forwards, or the reverse where cameras look back; empty where there are none, or where the
     order of reading hardly matters."""
@@ -57,7 +57,7 @@ def _steady(block: Block, speed: Floats) -> Bools:
     return np.asarray((speed > 0.0) & (unsteady <= _STEADY * speed))
 
 
-def turned_back(work: Work, quarters: tuple[int, ...]) -> Work:
+def turned_back(work: BlockState, quarters: tuple[int, ...]) -> BlockState:
     """The same work for the images turned back, but for its solution. Cameras stay: they are those of the
     sensor."""
     half = np.array(quarters) == 2

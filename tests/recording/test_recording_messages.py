@@ -129,7 +129,7 @@ def test_a_chip_shows_the_worst_tie_points_and_lays_the_right_frame_like_the_lef
     np.testing.assert_allclose(made.right_xy - made.left_xy, [[SIDE_PX, 0]] * len(bad), atol=1.1)
     both = np.concatenate(halves, axis=1)
     for x, y in np.concatenate([made.left_xy, made.right_xy]).astype(int):
-        assert both[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].max() == 255, "a tie point beside its mark"
+        assert both[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].max() == 255, "a tie point next to its mark"
 
 
 def test_beyond_a_frames_edge_a_chip_is_black() -> None:

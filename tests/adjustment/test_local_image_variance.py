@@ -61,7 +61,7 @@ def test_what_is_unknown_counts_as_ever() -> None:
 
 @pytest.mark.proof
 def test_still_ground_holds_a_block_of_which_half_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Good to 0.1 px beside 1.5 px: taken alike, all count as if they were good to 0.3 px."""
+    """Good to 0.1 px next to 1.5 px: taken alike, all count as if they were good to 0.3 px."""
     flights = [fly(seed, 3, 5, points=2500, noise_px=0.1, swaying_px=1.5) for seed in (31, 32)]
 
     def bent_m() -> float:
