@@ -22,7 +22,7 @@ from geomosaic.constants import tuned
 
 _STEEP_KNOTS = tuned(8, "knots", "of a rise, of lines fitted beyond: fewer follow noise; more see relief")
 _SHARP_LINES = tuned(48, "lines", "on which one offset must win: fewer are noise; more merge near steps")
-_LEAST_SEEN = tuned(0.6, "share", "valid pixels at a step: less decides beside clouds; more misses some")
+_LEAST_SEEN = tuned(0.6, "share", "valid pixels at a step: less decides next to clouds; more misses some")
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,8 @@ class Blocks:
 def radiometry(strips: Strips, offsets: StripOffsets, progress: Progress) -> Radiometry:
     """Gains and offsets of all CCDs; in each unbroken run the gains' mean is 1 and the offsets' mean is 0.
 
-    A run ends where a CCD is dead or a pair has too little to compare (`straight_line`), as beside a CCD that
-    is stuck at one grey. Of long strips 64 pieces of 512 lines, evenly spread, are seen.
+    A run ends where a CCD is dead or a pair has too little to compare (`straight_line`), as next to a CCD
+    that is stuck at one grey. Of long strips 64 pieces of 512 lines, evenly spread, are seen.
     """
     g = strips.geometry
     lag = round(g.row_separation_lines)

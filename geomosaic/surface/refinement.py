@@ -20,7 +20,7 @@ from geomosaic.surface.visibility import Asked
 _ROUNDS = tuned(2, "rounds", "each halves the step: one leaves a tenth of a step; a third gains a hundredth")
 SIDE_CELLS = tuned(3, "(half) cells", "window of comparison: smaller follows noise; larger cuts corners")
 _RIM_CELLS: Final = SIDE_CELLS // 2
-_AGREEING = tuned(3, "frames", "best ones beside the first: more, and one behind a wall spoils the match")
+_AGREEING = tuned(3, "frames", "best ones after the first: more, and one behind a wall spoils the match")
 NOISE_GREY = tuned(2.0, "grey levels", "image noise: blank areas vary by less and correlate by chance")
 SURE = tuned(0.6, "correlation", "to trust a height: 10 % off by > 1 m above it, 31 % below (simulated)")
 

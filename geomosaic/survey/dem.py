@@ -21,7 +21,7 @@ from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
 MOST_PIXELS = tuned(2000, "px a side", "as many as the ground has nodes: fewer lose relief; more are unused")
-_AROUND = tuned(32, "px", "beside the window, to judge it by: less misses fills and spikes at its edge")
+_AROUND = tuned(32, "px", "next to the window, to judge it by: less misses fills and spikes at its edge")
 
 
 @dataclass(frozen=True)
