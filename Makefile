@@ -99,7 +99,7 @@ bench-halves: DATA = ../flights
 bench-halves: setup ## two maps of every second frame of real flights, with what both state (about 10 minutes); DATA=../flights
 	$(PY) -m tools.bench.bench_halves "$(DATA)" --results docs/results/halves --out out/bench-halves
 
-bench-speed: setup ## real and simulated frames beside the floor and other programs (about an hour); DATA=../shared, skips the real ones without it
+bench-speed: setup ## real and simulated frames against the floor and other programs (about an hour); DATA=../shared, skips the real ones without it
 	$(PY) -m tools.bench.bench_speed $(ROWS) --shared "$(DATA)" --out out/bench-speed
 
 bench-cluster: dev ## Dask workers without a shared disk: killed, slow, by an object store (about 15 minutes; root)
@@ -120,7 +120,7 @@ bench-scale: setup ## 50 to 5,000 frames from pixels, 50,000 windows planned (ab
 bench-bundle: setup ## 1,000 frames with 300,000 image observations (about a minute)
 	$(PY) -m tools.bench.bench_bundle $(ROWS) --whole
 
-bench-oracle: setup ## the bundle beside COLMAP's on the same tie points; says how to get pycolmap (about 2 minutes)
+bench-oracle: setup ## the bundle against COLMAP's on the same tie points; says how to get pycolmap (about 2 minutes)
 	$(PY) -m tools.bench.bench_oracle $(ROWS)
 
 bench-recording: setup ## what the recording costs: at most 5 % of the time and 1 MB a frame (about 20 minutes)

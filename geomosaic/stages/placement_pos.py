@@ -121,7 +121,7 @@ def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
             "the given height lies at the ground, below it or far above other frames: estimated from "
             f"the images instead ({some(named)}); correct it with --pos, or the DEM with --dem-offset"
         )
-        context.warn("height-not-believed", named[0] if len(named) == 1 else "", text)
+        context.warn("height-implausible", named[0] if len(named) == 1 else "", text)
     for name, height, floor in zip(names, heights.m, below_m, strict=True):
         if not height > floor:
             problem = (

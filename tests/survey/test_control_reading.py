@@ -323,7 +323,7 @@ def test_stated_deviations_are_used(read: Read, columns: str, values: str, sd_m:
 
 
 @pytest.mark.parametrize(
-    ("named", "beside", "given", "taken"),
+    ("named", "prj", "given", "taken"),
     [
         ("", "", "EPSG:32632", "EPSG:32632"),
         ("", "", "EPSG:32633", "EPSG:32633"),
@@ -333,13 +333,13 @@ def test_stated_deviations_are_used(read: Read, columns: str, values: str, sd_m:
 )
 @pytest.mark.parametrize("place", [ROME, (9.2, 44.9)])
 def test_a_file_without_a_system_is_in_that_of_pos_crs(
-    tmp_path: Path, named: str, beside: str, given: str, taken: str, place: tuple[float, float]
+    tmp_path: Path, named: str, prj: str, given: str, taken: str, place: tuple[float, float]
 ) -> None:
     path = tmp_path / "points.csv"
     x, y = xy(taken, place)
     path.write_text(f"{named}name,x,y,height,image,col,row\np,{x:.4f},{y:.4f},31.5,a.jpg,80.5,60.25\n")
-    if beside:
-        path.with_suffix(".prj").write_text(beside)
+    if prj:
+        path.with_suffix(".prj").write_text(prj)
     inputs = SurveyInputs(tmp_path, gcp=path, pos_crs=given)
     file = inputs.control(FrameNames(FRAMES), np.array([place, (place[0] + 1e-3, place[1])]))
     assert file is not None

@@ -418,9 +418,9 @@ def test_slips_among_honest_heights_are_found(kind: str, seed: int, count: int, 
 @pytest.mark.parametrize("height", [616333.1, 6163331.0, 61633.31, 6163.331, 1e7, 1e300, -61633.0, -6163.0])
 def test_a_slip_is_named_with_its_value(height: float) -> None:
     given_ = positions(np.arange(9) * 20.0, 0.0, [616.3] * 4 + [height] + [616.1] * 4, 90.0)
-    kept, (told,) = plausible_positions([f"{i}.jpg" for i in range(9)], given_)
+    kept, (warning_found,) = plausible_positions([f"{i}.jpg" for i in range(9)], given_)
     text = f"a height of {height:g} m can't be: taken as not given; correct it with --pos"
-    assert told == Warn("height-absurd", "4.jpg", text)
+    assert warning_found == Warn("height-absurd", "4.jpg", text)
     assert kept[4] == replace(given_[4], height_ellipsoidal_m=None)
     assert kept[:4] + kept[5:] == tuple(given_[:4] + given_[5:])
 

@@ -62,7 +62,7 @@ def test_frames_without_gps_are_placed_by_the_images(tmp_path: Path, flown: Path
     run_summary = summary(tmp_path / "run")
     assert run_summary["frames"] == {"total": 7, "tied": 6, "placed": 0, "rejected": 1}
     assert warned(tmp_path / "run", "not-placed") == ["F0007.jpg"]
-    (line,) = [w["text"] for w in told["warnings"] if w["code"] == "position-missing"]
+    (line,) = [w["text"] for w in run_summary["warnings"] if w["code"] == "position-missing"]
     assert line.startswith(
         "no position: placed by the images; give it with --pos if its ground is missing (3 "
     )

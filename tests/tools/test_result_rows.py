@@ -75,7 +75,7 @@ def test_the_file_is_as_add_rows_writes_it() -> None:
     assert text == json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
-def told(path: Path) -> list[tuple[Any, ...]]:
+def rows_of(path: Path) -> list[tuple[Any, ...]]:
     return [(r["what"], r["value"], r["met"]) for r in json.loads(path.read_text(encoding="utf-8"))["rows"]]
 
 
@@ -85,12 +85,12 @@ def test_a_row_replaces_its_like_and_keeps_the_others(tmp_path: Path) -> None:
     first = [KIND.row(True, frames=frames, seen=7, most=2, took=1.0) for frames in (10, 100)]
     add_rows(path, "one", first)
     add_rows(path, "two", [KIND.row(False, frames=10, seen=8, most=2, took=3.0)], note="by night")
-    assert told(path) == [
+    assert rows_of(path) == [
         ("10 frames, 8 seen (by night)", "3.0 s", False),
         ("100 frames, 7 seen", "1.0 s", True),
     ]
     add_rows(path, "three", [KIND.row(True, frames=10, seen=9, most=2, took=1.5)])
-    assert told(path)[0] == ("10 frames, 9 seen", "1.5 s", True)
+    assert rows_of(path)[0] == ("10 frames, 9 seen", "1.5 s", True)
     row = json.loads(path.read_text(encoding="utf-8"))["rows"][0]
     assert row["command"] == "three" and row["target"] == "2 s" and row["commit"] and row["date"]
     assert [*row] == ["question", "what", "target", "value", "met", "command", "date", "commit"]

@@ -156,9 +156,9 @@ def judged(case: Case, folder: Path, target: Path) -> dict[str, Any]:
         "wrong": len(wrong),
         "named": len(wrong & warned),
         "named_by_code": {c: _named(wrong, warned, c) for c in NAMED.values()},
-        "sigma_px": told["metrics"]["adjustment"].get("sigma_px"),
-        "ground": told["metrics"]["ground"]["kind"],
-        "seconds": sum(told["timings_s"].values()),
+        "sigma_px": run_summary["metrics"]["adjustment"].get("sigma_px"),
+        "ground": run_summary["metrics"]["ground"]["kind"],
+        "seconds": sum(run_summary["timings_s"].values()),
     }
     bounds = (
         (row["after_px"], case.after_px),

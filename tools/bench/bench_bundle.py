@@ -172,9 +172,9 @@ def main() -> int:
     parser.add_argument("--stats", type=Path, help="write the profile here")
     parser.add_argument("--whole", action="store_true", help="time the whole alone, without its parts")
     add_options(parser)
-    told = parser.parse_args()
-    relief_m = 10.0 if told.relief else 0.0
-    block, truth = fly(told.lines, told.per_line, told.observations, relief_m, told.seed)
+    args = parser.parse_args()
+    relief_m = 10.0 if args.relief else 0.0
+    block, truth = fly(args.lines, args.per_line, args.observations, relief_m, args.seed)
     before_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     ties = sum(map(len, block.ties.pairs))
     print(f"{len(block.ties.pairs)} pairs, {ties} tie points; {before_gb:.2f} GB so far")
@@ -191,7 +191,7 @@ def main() -> int:
         profile.dump_stats(args.stats)
     peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory {peak_gb:.2f} GB")
-    write_rows(told, [result_row(len(truth), round(adjusted.figures["observations"]), took_s, peak_gb)])
+    write_rows(args, [result_row(len(truth), round(adjusted.figures["observations"]), took_s, peak_gb)])
     if took_s > MOST_S or peak_gb > MOST_GB:
         print(f"over {MOST_S:.0f} s or {MOST_GB:.0f} GB", file=sys.stderr)
         return 1

@@ -142,8 +142,8 @@ def of_clean(folder: Path, ortho: Path) -> float:
     """SSIM of the mosaic of the frames without noise and compression, by the default settings."""
     clean, run = folder / "clean", folder / "clean" / "run"
     if not (run / "run.json").exists():
-        told = ["--pos", clean / "pos.csv", "--camera", clean / "cameras.json"]
-        _call("mosaic", clean / "frames", "-o", run, "--workers", "1", *told)
+        options = ["--pos", clean / "pos.csv", "--camera", clean / "cameras.json"]
+        _call("mosaic", clean / "frames", "-o", run, "--workers", "1", *options)
     return likeness(run / "mosaic.tif", ortho, folder / "moved.vrt")
 
 

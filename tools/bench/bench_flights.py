@@ -49,7 +49,7 @@ ROWS = {
 }
 
 
-def run_flight(flight: Flight, data: Path, asked: argparse.Namespace) -> dict[str, Any]:
+def run_flight(flight: SheetFlight, data: Path, asked: argparse.Namespace) -> dict[str, Any]:
     """Runs a flight and returns its row of the results."""
     run = asked.out / flight.name
     shutil.rmtree(run, ignore_errors=True)

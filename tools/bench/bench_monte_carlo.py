@@ -372,9 +372,9 @@ def main() -> int:
             summary = summed_up(case, rows)
             reports.append({**summary, "draws": rows})
             print(row(summary), flush=True)
-    (args.out / "monte_carlo.json").write_text(json.dumps(told, indent=1))
-    write_rows(args, result_rows({s["case"]: s for s in told}))
-    return 1 if any(s["missed"] for s in told) else 0
+    (args.out / "monte_carlo.json").write_text(json.dumps(reports, indent=1))
+    write_rows(args, result_rows({s["case"]: s for s in reports}))
+    return 1 if any(s["missed"] for s in reports) else 0
 
 
 if __name__ == "__main__":

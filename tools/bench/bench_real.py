@@ -51,11 +51,13 @@ def brighton(data: Path, out: Path, results: list[ResultRow]) -> list[Row]:
     turned = {w["frame"] for w in run_summary["warnings"] if w["code"] == "frame-turned"}
     gdal.UseExceptions()
     _, errors, _ = cog.validate(str(run / "mosaic.tif"), full_check=True)
-    mosaic, metrics = told["mosaic"], told["metrics"]["adjustment"]
-    results.append(ROWS["brighton"].row(seconds < TIME_S, seconds=seconds, peak_mb=told["peak_memory_mb"]))
+    mosaic, metrics = run_summary["mosaic"], run_summary["metrics"]["adjustment"]
+    results.append(
+        ROWS["brighton"].row(seconds < TIME_S, seconds=seconds, peak_mb=run_summary["peak_memory_mb"])
+    )
     return [
         ("wall time", f"{seconds:.0f} s", f"< {TIME_S:.0f} s", seconds < TIME_S),
-        ("peak memory", f"{told['peak_memory_mb']:.0f} MB", "", True),
+        ("peak memory", f"{run_summary['peak_memory_mb']:.0f} MB", "", True),
         ("CRS", mosaic["crs"], "EPSG:32615", mosaic["crs"] == "EPSG:32615"),
         ("pixel", f"{100 * mosaic['gsd_m']:.2f} cm", "about 1.7 cm", abs(mosaic["gsd_m"] - 0.017) < 0.001),
         ("COG validator", "; ".join(errors) or "passes", "passes", not errors),

@@ -89,7 +89,7 @@ def _rolling(frames: Path, out: Path, results: list[ResultRow]) -> list[Row]:
          f"{readout['found']:.4f} s; the tag says {maker.readout_s:.4f} s: {100 * off_tag:+.1f} %", "10 %",
          found_readout),
         _halves(frames, out, results),
-        ("verdict", told["verdict"]["grade"] + ": " + told["verdict"]["cause"], "", True),
+        ("verdict", run_summary["verdict"]["grade"] + ": " + run_summary["verdict"]["cause"], "", True),
     ]  # fmt: skip
 
 

@@ -91,7 +91,7 @@ def simulated(out: Path, frames: int, width_px: int, seed: int) -> SpeedFlight:
     short = f"{frames} simulated frames"
     name = f"{short} of {width_px * height_px / 1e6:.0f} MP"
     truth = folder / "truth" / "ortho.tif"
-    return Flight(name, folder / "frames", folder / "results", truth, (short, name))
+    return SpeedFlight(name, folder / "frames", folder / "results", truth, (short, name))
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class Judge:
 
 
 def bench(
-    flight: Flight, home: Path, asked: argparse.Namespace, results: list[ResultRow]
+    flight: SpeedFlight, home: Path, asked: argparse.Namespace, results: list[ResultRow]
 ) -> tuple[dict[str, Any], bool]:
     """All of one flight: prints its tables, and adds its rows to results. Returns the figures, and whether
     all aims are reached."""
@@ -230,10 +230,10 @@ def bench(
     ]
     judge = Judge(flight, run, made, asked)
     ours, *others = map(judge.judged, made)
-    beside = side_by_side(ours, others)
-    print("", *beside, "", judge.words(), sep="\n", flush=True)
+    compared = side_by_side(ours, others)
+    print("", *compared, "", judge.words(), sep="\n", flush=True)
     measured_here = Measured(
-        *flight.row_names, len(flight.paths), floor["whole_s"], told["timings_s"], taken.wall_s, peak_mb
+        *flight.row_names, len(flight.paths), floor["whole_s"], reported["timings_s"], taken.wall_s, peak_mb
     )
     results += result_rows(measured_here, ours, others)
     figures = {

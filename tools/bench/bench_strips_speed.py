@@ -144,8 +144,8 @@ def main() -> int:
     ask.add_argument("--keep", action="store_true", help="keep the strips")
     ask.add_argument("--floor", action="store_true", help=argparse.SUPPRESS)
     add_options(ask)
-    told = ask.parse_args()
-    out = told.out.absolute()
+    args = ask.parse_args()
+    out = args.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
     if args.floor:
         timed_floor(out)
@@ -177,9 +177,9 @@ def main() -> int:
             shutil.rmtree(out)
     print(f"the whole takes {np.median(ratios):.2f} of the floor's time, ", end="")
     print(f"{np.median(of_processors):.2f} of its processors' time, {peak:.2f} GB")
-    ratio, size = float(np.median(ratios)), {"ccds": told.ccds, "width": told.width, "lines": told.lines}
+    ratio, size = float(np.median(ratios)), {"ccds": args.ccds, "width": args.width, "lines": args.lines}
     time_row = ROWS["time"].row(ratio <= MOST_OF_FLOOR, ratio=ratio, **size)
-    write_rows(told, [time_row, ROWS["memory"].row(peak <= MOST_GB, peak=peak, **size)])
+    write_rows(args, [time_row, ROWS["memory"].row(peak <= MOST_GB, peak=peak, **size)])
     return int(np.median(ratios) > MOST_OF_FLOOR or peak > MOST_GB)
 
 

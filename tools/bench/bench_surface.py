@@ -52,7 +52,7 @@ LINES = ["--lines", "3"]
 SIZE = ["--width-px", "2000", "--height-px", "1500", "--frames-per-line", "6"]
 SMALL = ["--width-px", "1000", "--height-px", "750", "--frames-per-line", "5"]
 WANTED_S, WANTED_MB = 15.0, 1500.0
-_CELL_PX, _BARE_REACH_M, _TOLD = 4.0, 1.0, 3
+_CELL_PX, _BARE_REACH_M, _SHOWN = 4.0, 1.0, 3
 
 
 def town(

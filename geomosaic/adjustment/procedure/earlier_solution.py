@@ -51,7 +51,7 @@ def begun_from_earlier(
         earlier.settings, ground=asked.ground, self_calibration=asked.self_calibration, model=asked.model
     )
     net = offset_net(given)
-    poses = beside_earlier(start_poses(given, net), earlier, given, known)
+    poses = with_earlier_poses(start_poses(given, net), earlier, given, known)
     block = replace(given, cameras=tuple(known_lenses[c.name] for c in given.cameras))
     block, notes = with_common_heading(placed_by_images(block, poses), poses)
     rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
@@ -77,8 +77,8 @@ def still_fits(work: BlockState, earlier: SolvedBlock) -> bool:
     return bool((now / before) ** 2 <= _MOST_COST + THREE_SIGMA * chance)
 
 
-def beside_earlier(begun: Poses, earlier: SolvedBlock, block: Block, known: Bools) -> Poses:
-    """The earlier poses of known frames; of the others the initial ones, moved as those beside them were."""
+def with_earlier_poses(begun: Poses, earlier: SolvedBlock, block: Block, known: Bools) -> Poses:
+    """The earlier poses of known frames; of the others the initial ones, moved as their neighbours were."""
     at = {name: k for k, name in enumerate(earlier.names)}
     rows = np.array([at[name] for name, its in zip(block.names, known, strict=True) if its], dtype=np.intp)
     positions_m, rotations = begun.positions_m.copy(), begun.rotations.copy()

@@ -26,7 +26,7 @@ from geomosaic.adjustment.procedure.changed_part import (
     tied_with,
     whole_block_shift_m,
 )
-from geomosaic.adjustment.procedure.earlier_solution import beside_earlier, start_from_earlier
+from geomosaic.adjustment.procedure.earlier_solution import start_from_earlier, with_earlier_poses
 from geomosaic.adjustment.procedure.initialisation import start_poses
 from geomosaic.adjustment.procedure.merged_blocks import SolvedPart, merged, merged_surface
 from geomosaic.adjustment.solver.problem import BlockProblem
@@ -107,7 +107,7 @@ def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adju
     if adjusted.ground.kind != "tie_surface":
         part = replace(part, ground=adjusted.ground)
     was = changed.was[changed.frames]
-    poses = beside_earlier(start_poses(part, offset_net(part)), solved, part, was >= 0)
+    poses = with_earlier_poses(start_poses(part, offset_net(part)), solved, part, was >= 0)
     sizes = np.array([[c.width_px, c.height_px] for c in part.cameras])
     tracks = thin_tracks(join_tracks(part.ties), sizes, solved.settings.observations_per_frame)
     if not tracks.points:

@@ -173,7 +173,7 @@ def _solved(block: Block, earlier: EarlierBlock, free: Bools, part: SolvedPart |
         names=tuple(all_names[k] for k in order),
         positions_m=both(solved.positions_m, at.positions_m),
         rotations=both(solved.rotations, at.rotations),
-        swing_rad=both(solved.swing_rad, at.swing_rad),
+        rotation_terms_rad=both(solved.rotation_terms_rad, at.rotation_terms_rad),
         drift=both(solved.drift, at.drift),
     )
 

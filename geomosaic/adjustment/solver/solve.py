@@ -175,7 +175,7 @@ def last_steps(begun: Solution) -> Solution:
 
 def converged_solution(problem: BlockProblem, start: Start) -> Solution:
     """The solution with the variance components and fixed unknowns of a start. Raises: NotSolvableError."""
-    solved = _at_last(Progress(replace(problem, fixed=start.fixed), start.estimate, start.components))
+    solved = _at_last(SolveState(replace(problem, fixed=start.fixed), start.estimate, start.components))
     return replace(solved, fixed=start.fixed)
 
 
