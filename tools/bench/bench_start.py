@@ -57,7 +57,7 @@ RIGHT_PX, RIGHT_SDS = 0.2, 3.0
 ROWS = {
     "found": RowKind(
         DIRTY,
-        "initialisation: blocks of {kinds} kinds of wrong tags that are found",
+        "initialisation: blocks of {kinds} of wrong tags that are found",
         "all",
         "{right:d} of {blocks:d}, seeds {seeds}",
     )
@@ -284,7 +284,8 @@ def main() -> int:
             print(f"{case.name}: {sum(r['right'] for r in mine)} of {len(mine)} right", flush=True)
     if rows:
         right, seeds = sum(r["right"] for r in rows), sorted({r["seed"] for r in rows})
-        kinds = in_words(len({r["case"] for r in rows}))
+        cases = len({r["case"] for r in rows})
+        kinds = f"{in_words(cases)} kind{'s' if cases > 1 else ''}"
         figures = {"kinds": kinds, "right": right, "blocks": len(rows), "seeds": counted(seeds)}
         write_rows(args, [ROWS["found"].row(right == len(rows), **figures)])
     return 0 if all(r["right"] for r in rows) else 1
