@@ -23,7 +23,7 @@ from tools.bench.bench_accuracy import CASES
 from tools.bench.bench_real_halves import Halves
 from tools.bench.bench_scale import TARGETS
 from tools.bench.bench_speed_table import Result
-from tools.bench.bench_surface_judge import Judged
+from tools.bench.bench_surface_judge import SurfaceErrors
 from tools.bench.bench_surface_roofs import Roofs
 from tools.bench.result_rows import ResultRow
 from tools.fuzz.fuzz_rows import result_row as fuzz_row
@@ -133,7 +133,7 @@ def test_scale() -> None:
 
 def town(seed: int) -> bench_surface_rows.Town:
     cells = {
-        name: Judged(**{f.name: 0.2 for f in fields(Judged)})
+        name: SurfaceErrors(**{f.name: 0.2 for f in fields(SurfaceErrors)})
         for name in ("ground", "roofs", "edges", "trees")
     }
     shown = {f.name: 0.9 for f in fields(Roofs)}

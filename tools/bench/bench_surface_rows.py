@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.bench.bench_surface_judge import Judged
+from tools.bench.bench_surface_judge import SurfaceErrors
 from tools.bench.bench_surface_roofs import FAR_PX, Roofs
 from tools.bench.result_rows import ResultRow, RowKind, in_words, listed
 from tools.docs.results_page import SURFACE
@@ -72,8 +72,8 @@ class Town:
 
     seed: int
     nmad_px: dict[str, float] = field(default_factory=dict)
-    cells: dict[str, Judged] = field(default_factory=dict)
-    rival: dict[str, Judged] = field(default_factory=dict)
+    cells: dict[str, SurfaceErrors] = field(default_factory=dict)
+    rival: dict[str, SurfaceErrors] = field(default_factory=dict)
     houses: dict[str, Roofs] = field(default_factory=dict)
     tiles: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
