@@ -51,7 +51,7 @@ PROCEDURE: Final[tuple[Callable[[SurveyDraft], SurveyDraft], ...]] = (
 
 def check_survey_files(inputs: SurveyInputs) -> None:
     """Raises what `read_survey` would raise without opening a frame: of a survey's files each by itself."""
-    files = inputs.frame_files()
+    files, _ = inputs.frame_files(), inputs.datum
     names = FrameNames(files.values())
     near: list[tuple[float, float]] = []
     with proposing_zone(files, near):

@@ -110,7 +110,7 @@ def test_a_run_leaves_what_the_design_says(toys: Toys) -> None:
     assert list(summary["inputs"]["toy.read.file"]["files"]) == ["numbers.txt"]
     assert {"geomosaic", "python", "numpy", "gdal", "rasterio"} <= summary["versions"].keys()
     assert sorted(p.name for p in toys.run_folder.iterdir()) == [
-        MARKER, "run.json", "run.mcap", "notes.txt", "total.txt", "work",
+        MARKER, "notes.txt", "run.json", "run.mcap", "total.txt", "work",
     ]  # fmt: skip
 
 

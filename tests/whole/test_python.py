@@ -66,7 +66,7 @@ def test_help_shows_every_option_with_its_default() -> None:
     shown = inspect.signature(runs.mosaic).parameters
     assert shown["crs"].default == "auto" and shown["pos"].annotation == Path | None
     assert not {"dry_run", "as_json", "quiet", "help_all"} & shown.keys()
-    assert "pos_crs: CRS of x and y in the --pos file" in (runs.mosaic.__doc__ or "")
+    assert "pos_crs: CRS of x and y in the pos file" in (runs.mosaic.__doc__ or "")
 
 
 @pytest.mark.parametrize("name", ["help_all", "help", "no_such_option", "dry_run"])
