@@ -31,7 +31,7 @@ from tools.trials import chaos
 from tools.trials.chaos_world import Trial
 
 
-def told(rows: list[ResultRow]) -> dict[str, tuple[str, str, bool | None]]:
+def asked(rows: list[ResultRow]) -> dict[str, tuple[str, str, bool | None]]:
     return {row.what: (row.target, row.value, row.met) for row in rows}
 
 
@@ -45,7 +45,7 @@ def accuracy_row(case: str, **more: Any) -> dict[str, Any]:
 def test_accuracy() -> None:
     bounds = {c.name: (c.after_px, c.jumps_px) for c in CASES}
     rows = [accuracy_row(case) for case in bounds]
-    found = told(bench_accuracy_rows.result_rows(rows, bounds))
+    found = asked(bench_accuracy_rows.result_rows(rows, bounds))
     assert found["simulated surveys within their bounds (seed 1)"] == ("all", "19 of 19", True)
     flat = found["flat ground: shape after a similarity, jumps"]
     assert flat == ("0.15, 0.5 px", "0.046, 0.19 px", True)
@@ -54,7 +54,7 @@ def test_accuracy() -> None:
     assert ("all", "8 of 8 and 8 of 8", True) in found.values()
     assert len(found) == len(bench_accuracy_rows.ROWS)
     rows = [accuracy_row("flat", good=False, after_px=0.3), accuracy_row("flat", seed=2)]
-    found = told(bench_accuracy_rows.result_rows(rows, bounds))
+    found = asked(bench_accuracy_rows.result_rows(rows, bounds))
     assert found["flat ground: shape after a similarity, jumps"][1:] == ("0.300, 0.19 px", False)
     assert len(found) == 2
 
@@ -69,7 +69,7 @@ def test_strips() -> None:
     aims = bench_strips_rows.AIMS_PX
     methods = ("joint", "whole_scene", "piecewise_linear", "image_registration")
     rows = [strips_row(case, m, 0.01 if m == "joint" else 2.4) for case in aims for m in methods]
-    found = told(bench_strips_rows.result_rows(rows, len(rows)))
+    found = asked(bench_strips_rows.result_rows(rows, len(rows)))
     clear = found["RMSE of `joint`, clear ground; errors within the stated 90 %"]
     assert clear == ("0.05 px", "0.010 px; 94 %", True)
     lines = found["lines called measured that are off by more than 1 px, 5 scenes"]
@@ -77,17 +77,17 @@ def test_strips() -> None:
     assert ("", "2.40, 2.40, 2.40 px", None) in found.values()
     low = "resampled, low contrast 40 %"
     faint = [strips_row(low, "joint", 0.6, coverage=(0.88, 0.88))]
-    ((what, row),) = told(bench_strips_rows.result_rows(faint, 1)).items()
+    ((what, row),) = asked(bench_strips_rows.result_rows(faint, 1)).items()
     assert what.startswith("RMSE of `joint`, low contrast on 40 %, another sampling")
     assert row == ("0.3 px; 85 to 95 %", "0.60 px; 88 %", False)
     short = [strips_row("5 m, clouds 30 %, ground as bright", "joint", 0.1, measured_above=9415)]
-    found = told(bench_strips_rows.result_rows(short, 160))
+    found = asked(bench_strips_rows.result_rows(short, 160))
     assert ("160; none", "1; 9,415 lines", False) in found.values()
     assert ("none", "9,415 lines", False) in found.values()
     mixed = [strips_row("mixed", m, 0.1) for m in ("whole_scene", "piecewise_linear", "joint")]
-    assert ("", "0, 0, 0 %", None) in told(bench_strips_rows.result_rows(mixed, 3)).values()
+    assert ("", "0, 0, 0 %", None) in asked(bench_strips_rows.result_rows(mixed, 3)).values()
     means = [strips_row(case, "mean_offset", 1.64) for case in bench_strips_rows.RESAMPLED_AIMS_PX]
-    assert ("", "1.64, 1.64, 1.64 px", None) in told(bench_strips_rows.result_rows(means, 3)).values()
+    assert ("", "1.64, 1.64, 1.64 px", None) in asked(bench_strips_rows.result_rows(means, 3)).values()
 
 
 def test_speed() -> None:
@@ -101,7 +101,7 @@ def test_speed() -> None:
         Result("pyOrthomosaic 0.9.3, 2D", {"wall_s": 152.9, "ssim": 0.332, "frames_used": 18}),
         Result("stitching 0.7.0, affine", failed="left out"),
     ]
-    assert told(bench_speed_rows.result_rows(flight, ours, peers)) == {
+    assert asked(bench_speed_rows.result_rows(flight, ours, peers)) == {
         "18 real frames of 9 MP, over the floor": ("2.5", "3.43 (23.3 s)", False),
         "18 real frames: composition and COG alone, over the floor": ("1.3", "1.32", False),
         "18 real frames: peak memory": ("1500 MB", "1146 MB", True),
@@ -121,7 +121,7 @@ def test_scale() -> None:
         "growth": {"wall": 1.05, "processors": 1.05},
         "plan": {"windows": 49506, "frames": 6944, "seconds": {"all": 17.6}},
     }
-    assert told(bench_scale_rows.result_rows(results)) == {
+    assert asked(bench_scale_rows.result_rows(results)) == {
         "time a frame, 2,000 frames over 500": ("1.25", "1.05", True),
         "time of the processors a frame, 2,000 frames over 500": ("1.25", "1.05 (2.1 s and 2.0 s)", True),
         "2,000 frames of 0.3 MP from pixels: frames tied": ("all", "2,000", True),
@@ -150,7 +150,7 @@ def town(seed: int) -> bench_surface_rows.Town:
 
 def test_surface() -> None:
     rows = bench_surface_rows.town_rows([town(7), town(11)], small=False)
-    found = told(rows)
+    found = asked(rows)
     assert found["ground, NMAD of two towns"] == ("1.2 px", "0.13, 0.13 px", True)
     edges = found["edges off by more than 1 m (StereoSGBM: 20.0, 20.0 %)"]
     assert edges == ("25 %", "20.0, 20.0 %", True)
@@ -159,7 +159,7 @@ def test_surface() -> None:
     assert what.startswith("towns 7 and 11, `--surface auto`: tiles of the mosaic that change;")
     value = "2 of 2 and 2 of 2, nearer by 0.046 and 0.046; 1 and 1 (by 0.007)"
     assert row == ("none farther", value, False)
-    small = told(bench_surface_rows.town_rows([town(k) for k in range(4)], small=True))
+    small = asked(bench_surface_rows.town_rows([town(k) for k in range(4)], small=True))
     assert small["four unseen towns: trees off by more than 1 m"][2] is False
     assert len(small) == 3
     assert not bench_surface_rows.town_rows([], small=False)
@@ -180,7 +180,7 @@ def test_monte_carlo() -> None:
         return row | {"seeds": [*range(seeds)], "absolute_ratio": 0.99, "after_ratio": 1.11}
 
     rows = bench_monte_carlo.result_rows({"flat": case(1.43), "line of 200": case(1.2)})
-    assert told(rows) == {
+    assert asked(rows) == {
         "normalised squared error of the poses, flat block, 30 seeds": ("0.8 to 1.25", "1.07 ± 0.10", True),
         "normalised squared error of the poses, line of 200 frames": ("0.8 to 1.25", "1.07 ± 0.10", True),
         "normalised squared error of the yaw, flat block and line": ("0.8 to 1.25", "1.43 and 1.20", False),
@@ -192,7 +192,7 @@ def test_monte_carlo() -> None:
 def test_composition() -> None:
     ways = (*bench_composition.WAYS, bench_composition.FRAMES, bench_composition.CLEAN)
     rows = [{"seed": 11, "way": w, "ssim": 0.9676, "seams_grey": {"difference_mean": 1.56}} for w in ways]
-    found = told(bench_composition.result_rows(rows))
+    found = asked(bench_composition.result_rows(rows))
     assert found["SSIM against the true ortho, default settings"] == ("0.985", "0.9676", False)
     assert ("", "1.56 and 1.56 grey levels", None) in found.values()
     assert ("", "0.968 and 0.968; 0.968", None) in found.values()
@@ -207,7 +207,7 @@ def test_composition() -> None:
     ],
 )
 def test_bundle(frames: int, took_s: float, row: tuple[str, str, bool | None]) -> None:
-    found = told([bench_bundle.result_row(frames, 298_843, took_s, 0.59)])
+    found = asked([bench_bundle.result_row(frames, 298_843, took_s, 0.59)])
     assert found == {f"adjustment of {frames:,} frames, 298,843 observations": row}
 
 
