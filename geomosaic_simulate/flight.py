@@ -97,9 +97,9 @@ def _planned(plan: SurveyPlan) -> Flight:
 
 
 def _wander(plan: SurveyPlan, time_s: Floats) -> tuple[Floats, Floats]:
-    """How far the flight strays from its course, (n, 3), and how fast: a smooth stationary Gaussian process
+    """How far the flight strays from its course, (n, 3), and how fast. A smooth stationary Gaussian process
     whose correlation falls to exp(-1/2) in `wander_s`, by random frequencies (Rahimi and Recht 2007, section
-    3), so that places and velocities are of one path."""
+    3). So places and velocities are of one path."""
     rng = plan.rng("wander")
     rate = rng.standard_normal((_WAVES, 3)) / plan.wander_s
     phase = rate * time_s[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, (_WAVES, 3))
@@ -110,7 +110,7 @@ def _wander(plan: SurveyPlan, time_s: Floats) -> tuple[Floats, Floats]:
 def _with_others(plan: SurveyPlan, flight: Flight) -> Flight:
     """The flight with the second battery's pause, and with frames at take-off, of the view and at landing.
 
-    On the way up and down frames are taken straight below, above the first and below the last place; oblique
+    On the way up and down frames are taken straight below, above the first and below the last place. Oblique
     frames and those of the horizon come after the survey, from its places, in any direction.
     """
     n = len(flight.poses)

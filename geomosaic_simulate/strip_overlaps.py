@@ -22,8 +22,8 @@ _CHUNK_LINES = 1024
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPair:
-    """A pair's overlap: left (n, read_px) the left strip's last columns at all lines of its file, right
-    (n', read_px) the right strip's first ones, and the truth for each of the left strip's lines."""
+    """A pair's overlap. left (n, read_px): the left strip's last columns at all lines of its file. right (n',
+    read_px): the right strip's first ones. truth: for each of the left strip's lines."""
 
     left: NDArray[Any]
     right: NDArray[Any]

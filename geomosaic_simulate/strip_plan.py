@@ -123,7 +123,7 @@ class StripPlan:
     def altitude_m(self) -> float:
         """Flying height above the ground, from the height of one line's parallax between the rows.
 
-        The rows' rays meet the ground at an angle of separation * pixel * (1 / altitude + 1 / R): the second
+        The rows' rays meet the ground at an angle of separation * pixel * (1 / altitude + 1 / R). The second
         part is the turn of the vertical between the two places from which they look.
         """
         return 1.0 / (1.0 / (self.parallax_m_per_line * self.row_separation_lines) - 1.0 / MEAN_RADIUS_M)

@@ -1,7 +1,7 @@
 """Where the CCDs look on the scene's map, fast: the rigorous model at nodes, smooth curves in between.
 
 The rigorous model (`Pushbroom`) is asked at a few lines and columns for the ground, and for how it moves with
-the attitude and with height; in between, it is smooth. What jitters is added line by line.
+the attitude and with height. In between, it is smooth. What jitters is added line by line.
 """
 
 from __future__ import annotations

@@ -242,7 +242,7 @@ def true_positions(
     """Rows of positions.csv for the truth: of each image as it is stored, so turned where it was turned.
 
     Yaw, pitch and roll are against each frame's own true north and vertical, yaw being the heading of the
-    stored image's top edge; omega, phi, kappa are against the map grid's east and north. A turned
+    stored image's top edge. Omega, phi, kappa are against the map grid's east and north. A turned
     image obeys the collinearity equations with `camera.turned(2)`. `moved_m` and `turned_deg` are what
     a perfect adjustment moves and turns the POS, the half turn of a turned image left out.
     """

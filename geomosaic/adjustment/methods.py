@@ -62,7 +62,7 @@ def _least_squares(block: Block, settings: Settings, spread: Spread | None = Non
 
 def _deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
     """Standard deviations of the offset model in metres: of each frame's ground (n,), by its position and by
-    height times tilt; of each pair (m,), by yaw and height errors half a base away from either nadir point,
+    height times tilt. Of each pair (m,), by yaw and height errors half a base away from either nadir point,
     at least half a ground pixel."""
     poses = block.poses
     height = poses.positions_m[:, 2] - block.ground.up_at(poses.positions_m[:, 0], poses.positions_m[:, 1])

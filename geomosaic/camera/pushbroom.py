@@ -20,8 +20,8 @@ from geomosaic.geodesy.local import ecef_from_geodetic, enu_from_ecef_rotation, 
 class Pushbroom:
     """Where each pixel of each CCD looks from and to, at the time of its line.
 
-    Convention: line is a corner-origin coordinate, the same for all CCDs: line l, first touched at l and
-    left at l + 1, has its middle at l + 0.5, and time_s = line / line_rate_hz. Orbit axes: down along the
+    Convention: line is a corner-origin coordinate, the same for all CCDs. Line l, first touched at l and left
+    at l + 1, has its middle at l + 0.5, and time_s = line / line_rate_hz. Orbit axes: down along the
     ellipsoid's normal through the satellite, forward along the horizontal part of the velocity over the
     ground, right = down x forward. Body axes are orbit axes turned by Rz(yaw) Ry(pitch) Rx(roll): pitch > 0
     looks forward, roll > 0 looks left, yaw > 0 turns to the right. In body axes pixel (ccd, col) looks along

@@ -94,13 +94,13 @@ class Rotation:
     - omega, phi, kappa: `Rx(omega) Ry(phi) Rz(kappa)`. kappa turns the image's right side from east
       to north; the heading of the image's top is -kappa.
     - phi, omega, kappa of the Chinese order (Yue et al. 2021, equation 1): axes X north, Y west, Z
-      up; image x to the top, y to the left; `Ry(-phi) Rx(omega) Rz(kappa)`. phi > 0 lifts the image's
-      top side, omega > 0 its left side, and the heading of the top is -kappa: the paper puts the true
-      heading into kappa, which with Y west needs the minus sign.
+      up; image x to the top, y to the left; `Ry(-phi) Rx(omega) Rz(kappa)`. phi > 0 lifts the image's top
+      side, omega > 0 its left side, and the heading of the top is -kappa. The paper puts the true heading
+      into kappa, which with Y west needs the minus sign.
     - yaw, pitch, roll of a body that carries a camera looking down, the image's top forward:
-      north-east-down from forward-right-down is `Rz(yaw) Ry(pitch) Rx(roll)`. yaw is the true heading
-      of the image's top; pitch > 0 lifts the nose, so that the camera looks forward; roll > 0 lowers
-      the right side, so that it looks left.
+      north-east-down from forward-right-down is `Rz(yaw) Ry(pitch) Rx(roll)`. yaw is the true heading of the
+      image's top; pitch > 0 lifts the nose, so that the camera looks forward. roll > 0 lowers the right side,
+      so that it looks left.
     - gimbal yaw, pitch, roll: the same product for axes along view, right, image bottom; pitch is -90
       degrees at the nadir. Body pitch p without roll is gimbal pitch p - 90 degrees. A gimbal roll of
       180 degrees at the nadir turns the heading around; it never turns the camera up.

@@ -1,6 +1,6 @@
 """A window of lines of all pairs solved at once: curves at knots, their deviations, what was measured itself.
 
-Correlation volumes give the way to about a pixel (`paths`), least squares matching of small cells refines it
+Correlation volumes give the way to about a pixel (`paths`). Least squares matching of small cells refines it
 (`least_squares_matching`), and a smoother (`motion`) draws the curves and bridges what clouds hide.
 """
 

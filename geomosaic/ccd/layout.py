@@ -1,8 +1,8 @@
 """Where the strips' pixels lie in the scene.
 
-Scene coordinates: a leading-row strip's line u lies nominally at scene line t = u + S / 2, a trailing-row
-strip's at t = u - S / 2 (S the rows' separation in lines); scene col = ccd * (width - overlap) + strip col.
-Corner origin throughout; raster row r is of scene lines first_line + r to first_line + r + 1.
+Scene coordinates: a leading-row strip's line u lies nominally at scene line t = u + S / 2. A trailing-row
+strip's lies at t = u - S / 2, with S the rows' separation in lines. Scene col = ccd * (width - overlap) +
+strip col. Corner origin throughout; raster row r is of scene lines first_line + r to first_line + r + 1.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class StripLookup:
     """Where raster rows see a strip: at knots, bilinear between them across the columns.
 
     knots_px: (m,) raster cols, ascending, from the first to the last col of the CCD at least.
-    image_px: (2, rows, m) the strip's col and line (the file's own) at the middles of the rows; NaN where
+    image_px: (2, rows, m) the strip's col and line (the file's own) at the middles of the rows. NaN where
     there is no such place, and then nothing between it and the next knots is the strip's.
     """
 
@@ -93,7 +93,7 @@ class ImageSpaceLayout:
     """The scene by the pairs' offsets alone: each is split in halves between its two strips.
 
     Displacements are constant across each overlap, so that both strips of a pair put all of it at the same
-    place; within a strip they go linearly from the left overlap to the right one. At the scene's outer edges
+    place. Within a strip they go linearly from the left overlap to the right one. At the scene's outer edges
     and next to a dead CCD the other overlap's offset is used throughout. Nothing accumulates from strip to
     strip.
     """

@@ -1,6 +1,6 @@
 """Sub-pixel offsets of small cells by least squares, and how reliable each is.
 
-Ackermann 1984 (high precision digital image correlation), with shifts alone: the curve that is refined bends
+Ackermann 1984 (high precision digital image correlation), with shifts alone. The curve that is refined bends
 along the lines, so that within a cell of some lines nothing else is left. Both images' fine detail is taken
 over the ground that both show: a blur over different ground shifts what it leaves. A cell's residuals are
 compared to what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
@@ -88,7 +88,7 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
     """Offsets at every knot, from a curve near them.
 
     Args: curve_px (2, n) dcol, dline of every line of the strips beyond known_px (n,), the known part of
-    dline; n is a whole number of knots, of knot_lines lines each.
+    dline. n is a whole number of knots, of knot_lines lines each.
     """
     s = given.scale
     lines = knot_lines // s

@@ -1,8 +1,8 @@
 """Nouns of the strips' offsets: the overlap of a pair, its offsets line by line, what a method may be given.
 
-Convention: a ground point at (col, line) of the left strip lies in the right strip at
-`col - (width - overlap) + dcol` and `line + side * row_separation + dline`; side is +1 when the left
-strip is in the leading row and the right one in the trailing row, and -1 the other way round.
+Convention: a ground point at (col, line) of the left strip lies in the right strip at `col - (width -
+overlap) + dcol` and `line + side * row_separation + dline`. side is +1 when the left strip is in the leading
+row and the right one in the trailing row, and -1 the other way round.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ UNKNOWN_SD_PX = tuned(10.0, "px", "of unseen lines, as far as TH-1 is off nomina
 class Overlap:
     """What two neighbours see of the same ground, lines set against each other by the nominal geometry.
 
-    left, right: (n, read_px), the left strip's last columns and the right strip's first; row i is the left
+    left, right: (n, read_px), the left strip's last columns and the right strip's first. Row i is the left
     strip's line first_line + i and the right strip's line first_line + i + round(side * row_separation).
     valid: (n, read_px) where both hold an image; rows that only one strip has are False throughout.
     relief_px: (n,) the part of dline that the ground's known heights make, from a DEM.

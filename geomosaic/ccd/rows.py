@@ -1,8 +1,8 @@
 """A pair as its leading and its trailing strip: the view in which all pairs see one and the same motion.
 
-With the pointing error a(t), in lines and columns at time t, the ground that the leading row sees at line u
-comes to the trailing row at u + S + a(u) - a(u + S): every pair sees b(u) = a(u) - a(u + S), whatever its
-side. In the words of the left strip the same is +b(t) for side +1 and about -b(t - S) for side -1, hence the
+With the pointing error a(t), in lines and columns at time t, the leading row sees ground at line u. It comes
+to the trailing row at u + S + a(u) - a(u + S). Every pair sees b(u) = a(u) - a(u + S), whatever its side. In
+the words of the left strip the same is +b(t) for side +1 and about -b(t - S) for side -1. Hence the
 alternating sign and the lag of S = row_separation lines. Relief and clouds too move all pairs alike here.
 """
 
@@ -82,7 +82,7 @@ def left_offsets(strips: Strips, pair: int, dcol_px: Floats, dline_px: Floats) -
 
     Args: dcol_px, dline_px (n,) trailing minus leading at the leading strip's lines u = 0, 1, ...
     Returns: (2, lines) dcol and dline of the left strip's lines, and (lines,) the u, with fractions, which
-    see the same ground; beyond the ends the offsets stay what they are there.
+    see the same ground. Beyond the ends the offsets stay what they are there.
     """
     g = strips.geometry
     side = g.side(pair)

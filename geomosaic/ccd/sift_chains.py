@@ -71,8 +71,8 @@ def pieces(strips: Strips, length: int) -> Iterator[tuple[int, int, int, int]]:
     """Every pair's lines piece by piece: pair, first line, stop, and the number of pieces there are.
 
     The pieces of all pairs at one time come one after the other, so that both edges of a strip are read at
-    once. They reach over what both strips have by the nominal geometry, and are of about that length: what
-    is left over at the end makes the last one longer or shorter by up to half.
+    once. They reach over what both strips have by the nominal geometry, and are of about that length. What is
+    left over at the end makes the last one longer or shorter by up to half.
     """
     g = strips.geometry
     lag = round(g.row_separation_lines)
@@ -226,7 +226,7 @@ def piecewise_linear(strips: Strips, settings: CcdSettings, progress: Progress) 
     """Offsets linear between the centres of the segments kept: the new chain.
 
     The standard deviation has the points' own part and what the segments' departures from their neighbours
-    show of the way in between; it grows with the distance to the next segment kept.
+    show of the way in between. It grows with the distance to the next segment kept.
     """
     return tuple(_polyline(strips.lines(found.pair), found) for found in segments(strips, settings, progress))
 
@@ -252,7 +252,7 @@ def bridging_sd(t: Floats, at: Floats, values: Floats, own_sd: Floats, reach: fl
     """Standard deviation at t of a polyline through values (k,) at `at`, whose own are own_sd (at t).
 
     Two parts follow from how far evenly spaced values are from their neighbours: from a cubic through four of
-    them, their noise; from the line between two, beyond that noise, the bend of the curve, which between
+    them, their noise. From the line between two, beyond that noise, the bend of the curve, which between
     values leaves about a fifth of it. Beyond `reach` lines of any value the curve may have gone at its usual
     rate, at most as far as its whole spread.
     """

@@ -21,7 +21,7 @@ class Stop:
     """Whether the user asked for an end, and by which signal.
 
     The system writes each signal into a pipe at the moment it comes, also while the main thread is deep in a
-    library and Python's own handlers wait; a watch reads it there.
+    library and Python's own handlers wait. A watch reads it there.
     """
 
     def __init__(self) -> None:

@@ -39,8 +39,9 @@ class Blending:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A window, it with its surroundings, and of each source that matters there: its number, the rows and
-    cols that it is asked for, and all that it gives to the mosaic; or the tile of an earlier mosaic."""
+    """A window, it with its surroundings, and each source that matters there. Of a source: its number, the
+    rows and cols that it is asked for, and all that it gives to the mosaic, or the tile of an earlier
+    mosaic."""
 
     window: Window
     around: Window

@@ -35,7 +35,7 @@ _NOTHING_ALIKE = tuned(0.9, "1 - correlation", "where frames say nothing: woods 
 @dataclass(frozen=True)
 class Agreement:
     """What frames say of the grounds: disagreement of each, the median of 1 - correlation between two frames
-    over squares where the grounds differ; the squares, and the places that they lie in."""
+    over squares where the grounds differ. The squares, and the places that they lie in."""
 
     disagreement: tuple[float, float]
     squares: int

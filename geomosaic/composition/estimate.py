@@ -75,7 +75,7 @@ _SURFACE_BYTES = sourced(128.0, "bytes/cell", "of a surface on disk", "18 frames
 
 @dataclass(frozen=True)
 class Before:
-    """What comes before a mosaic is composed: s of a core, least and most; bytes of memory that the whole run
+    """What comes before a mosaic is composed: s of a core, least and most. Bytes of memory that the whole run
     takes without the windows at work; bytes on the disk."""
 
     core_s: Range

@@ -101,7 +101,7 @@ def _overlap(patch: Patch, window: Window) -> tuple[tuple[slice, slice], tuple[s
 @dataclass(frozen=True)
 class Warping:
     """How frames are brought onto the grid: the scene, whose views don't matter; the type of the mosaic's
-    pixels; and how far inside, in pixels of the mosaic, the distance from a frame's edge ceases to matter."""
+    pixels. How far inside, in pixels of the mosaic, the distance from a frame's edge ceases to matter."""
 
     scene: Scene
     resampling: str

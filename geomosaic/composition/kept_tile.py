@@ -18,8 +18,8 @@ from geomosaic.doors.raster import OWN, open_raster
 
 @dataclass(frozen=True)
 class KeptTile:
-    """A tile of an earlier mosaic: its files, its first col and row there, and for the number of each of its
-    sources, from 1, the present number, from 0, or -1."""
+    """A tile of an earlier mosaic: its files, its first col and row there, and present numbers of its
+    sources. By the number of each source, from 1, the present number, from 0, or -1."""
 
     raster: Path
     sources: Path

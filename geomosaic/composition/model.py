@@ -23,8 +23,8 @@ class MapPixels:
 class OutputGrid(MapGrid):
     """The raster that a mosaic or another product of the run is written to.
 
-    The corner lies at whole multiples of the ground pixel, so that mosaics of one CRS and ground pixel
-    share their pixels; or whole ground pixels from the corner of a raster that it is aligned to.
+    The corner lies at whole multiples of the ground pixel, so that mosaics of one CRS and ground pixel share
+    their pixels. Of an aligned mosaic it lies whole ground pixels from the corner of the raster.
     """
 
 

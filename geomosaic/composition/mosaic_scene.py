@@ -125,7 +125,7 @@ class CandidateFrames(PosedFrames):
 
 @dataclass(frozen=True)
 class MosaicScene:
-    """The scene of a mosaic, the extent that was asked for, the area that it is cut to, where it ends, the
+    """The scene of a mosaic, the extent that was asked for, the area that it is cut to and where it ends. The
     frames left out for lying too far away, and those that see some of it well."""
 
     scene: Scene
@@ -170,8 +170,8 @@ class MosaicScene:
 
 @dataclass(frozen=True)
 class SceneChoice:
-    """What a scene is chosen by: the adjusted frames, where they were reported (n, 3), the pixels, the file
-    of the area that the mosaic is cut to, and its largest size."""
+    """What a scene is chosen by: the adjusted frames, where they were reported (n, 3), and the pixels. Also
+    the file of the area that the mosaic is cut to, and its largest size."""
 
     frames: CandidateFrames
     adjusted: Adjusted

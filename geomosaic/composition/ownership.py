@@ -77,8 +77,8 @@ class Ownership:
 
 @dataclass(frozen=True)
 class FrameCells:
-    """What a frame sees, by the mosaic's cells from `row` and `col` on: where their middles lie in the frame,
-    how far inside it (margin_px, not above 0 outside), and how far from its nadir point, (h, w) each.
+    """What a frame sees, by the mosaic's cells from `row` and `col` on, (h, w) each. Where their middles lie
+    in the frame, how far inside it (margin_px, not above 0 outside), and how far from its nadir point.
     relief_m (h, w): how high the ground is over a smooth one, None where it is smooth."""
 
     view: FrameView
@@ -260,7 +260,7 @@ def within(ownership: Ownership, area: Area) -> Ownership:
 
 def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]:
     """The frames that own any of a window or of the adjacent cells, and in which of its planning cells each
-    may own pixels, (k, h, w): those that meet its own or adjacent cells."""
+    may own pixels, (k, h, w). Those that meet its own or adjacent cells."""
     row, col, around = ownership.around(window)
     owners = [n for n in np.flatnonzero(np.bincount(around.ravel())).tolist() if n]
     side = ownership.cell_px

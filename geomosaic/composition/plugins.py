@@ -19,7 +19,7 @@ SEAMS_GROUP: Final = "geomosaic.seams"
 class Named(Mapping[str, T], Generic[T]):
     """The room's own strategies and a group's. A plug-in is loaded when it is first asked for.
 
-    Raises, when a name is asked for: `KeyError` for none, `PluginError`, which names the plug-in and its
+    Raises, when a name is asked for: `KeyError` for none. `PluginError`, which names the plug-in and its
     distribution, where it can't be loaded, isn't what `fits` asks for, or has a name that is taken.
     """
 

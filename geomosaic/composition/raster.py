@@ -80,7 +80,7 @@ def index_kind(frames: int) -> TileKind:
 @dataclass(frozen=True)
 class MosaicFiles:
     """Where a mosaic's raster goes, and that of its frame indices, if it is wanted: 0 where there is no
-    frame, else the frame's index + 1; its tags name the frames."""
+    frame, else the frame's index + 1. Its tags name the frames."""
 
     raster: Path
     sources: Path | None = None

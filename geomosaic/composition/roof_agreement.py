@@ -32,9 +32,9 @@ _INSIDE = np.ones((_WINDOW, _WINDOW), np.uint8)
 @dataclass(frozen=True)
 class RoofAgreement:
     """Median correlation of a roof between frames, on its heights and on the ground; shares: of the roof that
-    frames do not agree on, of what lies about it and on it that they agree on less than on the ground, and of
-    the ground about the roof, and about what it hides, that they do not agree on, where seams will lie; and
-    of what it hides from the steepest frame, that no other one sees."""
+    frames do not agree on, and of what lies about it and on it that they agree on less than on the ground. Of
+    the ground about the roof and about what it hides, where seams will lie, that they do not agree on. Of
+    what it hides from the steepest frame, that no other one sees."""
 
     on_roof: float
     on_ground: float

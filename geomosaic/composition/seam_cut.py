@@ -32,7 +32,7 @@ items may be spread."""
 
 @dataclass(frozen=True)
 class Shared:
-    """What two frames may give of some cells: `may` (h, w) and `values` (h, w, 1 or 3) of both, and where
+    """What two frames may give of some cells: `may` (h, w) and `values` (h, w, 1 or 3) of both. Also where
     something stands on the ground, if that is known."""
 
     may: tuple[Bools, Bools]

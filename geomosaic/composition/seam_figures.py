@@ -14,8 +14,8 @@ from geomosaic.composition.seam_parts import SeamPart, to_8_bits
 
 @dataclass(frozen=True)
 class SeamFigures:
-    """Along seams: their length in m, the mean and nine tenths of how far both frames differ there, in grey
-    levels of 8 bits, and their share on what stands on the ground, if that is known."""
+    """Along seams: their length in m, and the mean and nine tenths of how far both frames differ there, in
+    grey levels of 8 bits. Their share on what stands on the ground, if that is known."""
 
     length_m: float
     difference_mean: float

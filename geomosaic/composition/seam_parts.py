@@ -32,8 +32,8 @@ _SOME = tuned(4, "cells", "between samples of brightness: all would take longer 
 
 @dataclass(frozen=True)
 class SeamBand:
-    """The mosaic's cells from `row` and `col` on that a frame may give by where its nadir point is, (h, w):
-    its own, and those about them that are not much farther from it than from the nearest one."""
+    """The mosaic's cells from `row` and `col` on that a frame may give by where its nadir point is, (h, w).
+    Its own, and adjacent ones that are not much farther from it than from the nearest one."""
 
     view: FrameView
     row: int
@@ -128,7 +128,7 @@ def glimpses(
 
 
 def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> SeamPart:
-    """Decodes a frame once, reduced, and takes it at the cells that it may give: it sees them, no mask is in
+    """Decodes a frame once, reduced, and takes it at the cells that it may give. It sees them, no mask is in
     the way, and its outermost pixels are its own cells' alone. Of the scene no views are asked for."""
     frame, band, view = job.frame, job.band, job.band.view
     fine = scene.ground.kind != "flat" and scene.ground.spacing_m <= _FINE_M
@@ -171,7 +171,8 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> S
 
 def standing(heights_m: Floats32, cell_m: float) -> Bools:
     """Where something stands on the ground, by its heights (h, w): what a square wider than houses doesn't
-    fit under, a top-hat transform (Serra 1982, Image analysis and mathematical morphology, ch. XII)."""
+    fit under. This is a top-hat transform (Serra 1982, Image analysis and mathematical morphology, ch.
+    XII)."""
     across = 2 * int(_WIDEST_M / cell_m / 2.0) + 1
     over_m = cv2.morphologyEx(heights_m, cv2.MORPH_TOPHAT, np.ones((across, across), np.uint8))
     return np.asarray(over_m > HIGH_M)

@@ -20,7 +20,7 @@ _EFFORT = tuned(2, "ISA-L level", "1 gains 1 % less; 3 takes a quarter longer fo
 
 @dataclass(frozen=True)
 class TileKind:
-    """What tiles hold: bands of a type, and whether a mask goes with them, as with an image; without one they
+    """What tiles hold: bands of a type, and whether a mask goes with them, as with an image. Without one they
     are numbers that have no mean: of four, an overview takes the first."""
 
     bands: int
@@ -28,9 +28,9 @@ class TileKind:
     masked: bool = True
 
     def packed(self, pixels: NDArray[Any]) -> bytes:
-        """A tile's pixels (h, w, bands), filled up with zeros to its full size, as TIFF's predictors 2 (of
-        whole numbers) and 3 (of others) and deflate have them (TIFF 6.0, section 14; Adobe's Photoshop TIFF
-        Technical Note 3)."""
+        """A tile's pixels (h, w, bands), filled up with zeros to its full size, as TIFF's predictors and
+        deflate have them. Predictor 2 is of whole numbers, 3 of others (TIFF 6.0, section 14; Adobe's
+        Photoshop TIFF Technical Note 3)."""
         return _deflated(_less_neighbours(_full(pixels)))
 
     def tile(self, pixels: NDArray[Any], valid: Bools, *, first: bool = True) -> PackedTile | None:
@@ -95,7 +95,7 @@ def _deflated(values: NDArray[Any]) -> bytes:
 
 @dataclass(frozen=True)
 class PackedTile:
-    """What is left of a tile that shows something: its bytes and its mask's, packed; of an image's its
+    """What is left of a tile that shows something: its bytes and its mask's, packed. Of an image's its
     figures, where it is none of an overview, and its part of the next overview: pixels and valid ones."""
 
     packed: bytes

@@ -88,9 +88,9 @@ class Edges:
 
 @dataclass(frozen=True)
 class ViewingGeometry:
-    """How a survey's frames look at the ground: poses, which of them tie points hold, views of all they see
-    up to `HORIZON`, and the limits of what they see well. known: the ground before a surface was matched,
-    the same without one. area: what the mosaic is cut to."""
+    """How a survey's frames look at the ground: poses, which of them have tie points, and views of all they
+    see up to `HORIZON`. Also the limits of what they see well. known: the ground before a surface was
+    matched, the same without one. area: what the mosaic is cut to."""
 
     poses: Poses
     tied: Sequence[bool]
@@ -101,8 +101,8 @@ class ViewingGeometry:
 
 
 def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
-    """What of all that frames see is left out: what no frame sees within the limits, and beyond the land that
-    was flown over what lies on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches
+    """What of all that frames see is left out: what no frame sees within the limits. Beyond the land that was
+    flown over also what lies on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches
     the mosaic's outside.
 
     Of a matched surface and the ground known before it the surer counts. Scene: its views are of what is seen
@@ -157,7 +157,7 @@ def filled(nearest: Ownership, nearest_m: Floats32, scene: Scene, filling: froze
 def looked_at(
     ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface, step: int = 1
 ) -> tuple[Floats, Floats]:
-    """Of every step-th cell, its place (h, w, 3) in the work frame, m, and the tangent (h, w) of the angle at
+    """Of every step-th cell its place (h, w, 3) in the work frame, m. Also the tangent (h, w) of the angle at
     which its frame looks at it, NaN where none does."""
     grid, owner = ownership.grid, ownership.owner[::step, ::step]
     side_m = step * ownership.cell_px * grid.gsd_m

@@ -40,7 +40,7 @@ def check_name(path: Path) -> None:
 
 
 def mode_of(path: Path) -> int:
-    """The mode of what lies under a name that may be anybody's; 0 where nothing does, where it may not be
+    """The mode of what lies under a name that may be anybody's. 0 where nothing does, where it may not be
     looked at, and where no file can have such a name."""
     try:
         return path.stat().st_mode
@@ -80,7 +80,7 @@ def read_bytes(path: Path, most_bytes: int, kind: str, fix: str) -> bytes:
     """A regular file's content, read once and without waiting.
 
     Args: kind: what it is to be, as in `is too large for a camera file`.
-    Raises: `FileError` where it is missing, empty, larger than most_bytes, can't be read, or is one of those
+    Raises: `FileError` where it is missing, empty, larger than most_bytes, or can't be read. Also for files
     that the system makes up (/proc), which don't hold what their size says.
     """
     path = Path(path)

@@ -1,7 +1,7 @@
 """The one place where a raster is opened, by rasterio or by osgeo: a regular local file of a listed driver.
 
-No raster that is opened here makes GDAL open a connection or a file that was not looked at: sidecars are left
-shut unless they were looked at, and so are the sources of a VRT (`doors.references`).
+No raster that is opened here makes GDAL open a connection or a file that was not checked. Sidecars and the
+sources of a VRT are left shut unless they were checked (`doors.references`).
 """
 
 from __future__ import annotations

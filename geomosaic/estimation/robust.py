@@ -93,7 +93,7 @@ def share_down_weighted(standardised: Floats) -> float:
 
 
 def credible(factor: float, redundancy: float) -> float:
-    """A factor of standard deviations, shrunk towards 1 where it may be chance: its logarithm is weighted
+    """A factor of standard deviations, shrunk towards 1 where it may be chance. Its logarithm is weighted
     with the probability that the stated deviation is wrong, by Schwarz's approximation (1978) of the
     evidence. With a redundancy of 48, 1.1 is chance and 1.5 is not."""
     variance = max(factor**2, 1e-6)
@@ -112,9 +112,9 @@ def blunders(values: Floats, sd: Floats) -> Bools:
     """Which of n observations (n,) are blunders; none among fewer than five.
 
     A blunder differs from the median by more than two of its deviations (n,) and by more than the scatter of
-    the others explains (Rosner 1983: generalised extreme studentised deviates); or by more than five
-    deviations, stated and by the MAD. The deviations may include an error that all share. Args: values, sd:
-    in one unit, finite, sd > 0.
+    the others explains (Rosner 1983: generalised extreme studentised deviates). Or it differs by more than
+    five deviations, stated and by the MAD. The deviations may include an error that all share. Args: values,
+    sd: in one unit, finite, sd > 0.
     """
     n = len(values)
     if n < LEAST_OBSERVATIONS:

@@ -45,7 +45,7 @@ def write_layers(path: Path, solved: SolvedSurvey, stated: Mapping[str, str] | N
     error_ellipses: of the adjusted positions, larger than life. tie_points: midway between where its two
     frames put each; residuals: lines from where the left frame puts it to where the right one does, true to
     scale; image_residuals: each observation of the bundle where its frame puts it on the ground, with its
-    vector in pixels; these three show at most 2,000 a frame and 200,000 in all, as their description says.
+    vector in pixels. These three show at most 2,000 a frame and 200,000 in all, as their description says.
     control: where points were surveyed; control_residuals: lines to there from where the images put them,
     true to scale. seamlines: where each frame gives the mosaic. trimmed: what frames see and the
     mosaic leaves out, a part a reason.

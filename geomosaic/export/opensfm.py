@@ -1,7 +1,7 @@
 """An adjusted block for OpenSfM and OpenDroneMap: reconstruction.json, tracks.csv, reference_lla.json.
 
 As in OpenSfM's documentation ("Dataset structure", "Geometric models"): lengths in images are shares of the
-longer side, from the middle of the image; the world is the topocentric frame of reference_lla, ours.
+longer side, from the middle of the image. The world is the topocentric frame of reference_lla, ours.
 """
 
 from __future__ import annotations

@@ -116,8 +116,8 @@ def accuracy_layers(folder: Path) -> list[ProjectLayer]:
 
 
 def surface_layers(folder: Path) -> list[ProjectLayer]:
-    """Those of a run's surface, if it has one, the shading on top, the file's where it was written, else
-    made by QGIS of the heights themselves; none is seen at first, as they would hide the mosaic."""
+    """Those of a run's surface, if it has one, the shading on top, the file's where it was written, else made
+    by QGIS of the heights themselves. None is seen at first, as they would hide the mosaic."""
     surface, terrain, confidence = (
         folder / f"{name}.tif" for name in ("surface", "terrain", "surface_confidence")
     )

@@ -36,7 +36,7 @@ _GRAIN: Final = np.float32(1024.0)
 
 def surface_grid(mosaic: OutputGrid, cell_m: float) -> tuple[OutputGrid, int]:
     """The grid of a surface over a mosaic's, from the same corner, and how many of its pixels one is along a
-    side: as many as come nearest to a cell."""
+    side. As many as come nearest to a cell."""
     by = max(1, round(cell_m / mosaic.gsd_m))
     size = -(-mosaic.width_px // by), -(-mosaic.height_px // by)
     return OutputGrid(mosaic.crs, mosaic.west_m, mosaic.north_m, mosaic.gsd_m * by, *size), by

@@ -38,9 +38,9 @@ def mid_latitude_offset_m(
 
     The nadir points on the map of Yue et al. 2021 (IRLA20200529), equation 4: radii at the mean
     latitude B0, with the second eccentricity's term in the meridian. The paper counts y to the west
-    (delta L = L1 - L2); here the first component is to the east. Up to 60 degrees of latitude lengths
-    are off by at most 4 um at 1 km, 4 mm at 10 km, 4 m at 100 km; directions are those at the middle
-    point, half the meridians' convergence away from those at the start (see docs/methods/paper_methods.md).
+    (delta L = L1 - L2); here the first component is to the east. Up to 60 degrees of latitude lengths are off
+    by at most 4 um at 1 km, 4 mm at 10 km, 4 m at 100 km. Directions are those at the middle point, half the
+    meridians' convergence away from those at the start (see docs/methods/paper_methods.md).
 
     Args: degrees, any shapes that broadcast. Longitudes may lie on both sides of 180 degrees.
     Returns: (..., 2) metres, east and north.

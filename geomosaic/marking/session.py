@@ -64,9 +64,9 @@ class MarkingSession:
         }
 
     def state(self) -> dict[str, Any]:
-        """Of each point its kind and, by falling nearness to the frame's middle, the frames that show it:
-        predicted place, mark, and how far the mark is from where the others predict it. All frames where
-        nothing can be predicted."""
+        """Of each point its kind and, by falling nearness to the frame's middle, the frames that show it. Of
+        a frame: predicted place, mark, and how far the mark is from where the others predict it. All frames
+        where nothing can be predicted."""
         points, frames = self._points, self.frames.frames
         places = predicted_places(self.frames, points)
         sizes = np.array([(f.width_px, f.height_px) for f in frames], dtype=np.float64)

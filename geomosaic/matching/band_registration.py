@@ -78,7 +78,7 @@ def register_bands(
     captures: Captures, threads: int = 2, progress: Callable[[int, int, str], None] | None = None
 ) -> RigPoses:
     """One rotation and focal length for each band, from all captures at once. Both images of a capture are
-    projected to the ground; edges (the gradient of log grey values, which red and infrared share) are
+    projected to the ground. Edges (the gradient of log grey values, which red and infrared share) are
     correlated in patches; least squares with Cauchy's loss follow. A second round searches nearby. The offset
     of the lenses, some centimetres, acts as a rotation over level ground."""
     out = []

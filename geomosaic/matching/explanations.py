@@ -1,7 +1,7 @@
 """Causes of a heading that does not fit: the heading tag is wrong, the image was turned, or both.
 
-Three directions of a frame are compared: its heading tag y, the heading h in which its image lies relative to
-its neighbours' images, and the heading e that its flight is expected to have. An image that was turned by q
+Three directions of a frame are compared: its heading tag y, the heading h of its image relative to its
+neighbours' images, and the expected heading e of its flight. An image that was turned by q
 quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h fits e, and y fits neither.
 
     p(y, h | tag right, q) = N(y - h - 90 q; s) f(y)
@@ -10,9 +10,10 @@ quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h
 
 g is uniform, and if the image was not turned half the heading kept from the line before, which was flown the
 other way. The usual angle u, its scatter w and the rates a and b of frames that look elsewhere are estimated
-from the frames whose tags and images agree; the rates of wrong tags and turned images from all frames. The
-method is expectation maximisation with weak priors of the rates (Laplace's rule of succession). Expected
-headings e are the course, one heading for all frames, or none; they are averaged by their likelihoods.
+from the frames whose tags and images agree. The rates of wrong tags and turned images are estimated from all
+frames. The method is expectation maximisation with weak priors of the rates (Laplace's rule of succession).
+Expected headings e are the course, one heading for all frames, or none; they are averaged by their
+likelihoods.
 
 References: Dempster, Laird and Rubin 1977 (mixtures); Kass and Raftery 1995 (averages over models, with
 Schwarz's penalty for the estimated parameters).

@@ -47,9 +47,9 @@ def stretched(
     """One 8 bit band for matching only: a chosen band, or luma; stretched where the contrast is low. Then
     how many grey levels one of the pixels' own 8 bits has become; None where they have more bits.
 
-    The stretch (0.5 to 99.5 % of the valid pixels onto 0 to 255) is applied to more than 8 bits
-    always, and to 8 bits where that range holds less than a third of the scale: the logical adaptive
-    enhancement of Cheng et al. 2018, which never touches the output.
+    The stretch (0.5 to 99.5 % of the valid pixels onto 0 to 255) is always applied to more than 8 bits. It is
+    applied to 8 bits where that range is less than a third of the scale: the logical adaptive enhancement of
+    Cheng et al. 2018, which never touches the output.
 
     Args: pixels (rows, cols, bands). band counts from 1.
     """
@@ -98,8 +98,8 @@ def sift_features(
 ) -> Features:
     """SIFT (Lowe 2004) on an 8 bit image, one pixel of which is pixel_px columns and rows of the frame.
 
-    The strongest are taken cell by cell of a grid of about 24 x 24 cells, so that they cover the
-    frame evenly; keypoints next to invalid pixels are left out.
+    The strongest are taken cell by cell of a grid of about 24 x 24 cells, so that they cover the frame
+    evenly. Keypoints next to invalid pixels are left out.
     """
     mask = None if valid is None else away_from_invalid(valid)
     sift = cv2.SIFT.create(contrastThreshold=SIFT_CONTRAST, edgeThreshold=12, enable_precise_upscale=True)

@@ -46,7 +46,7 @@ class Match:
 @dataclass(frozen=True)
 class _Basis:
     """What patches are cut from: the image's spline coefficients, padded; the reference's two gradients and
-    itself; and 1 where all pixels nearby are valid in the image and in the reference, else 0."""
+    itself. 1 where all pixels nearby are valid in the image and in the reference, else 0."""
 
     coefficients: Floats32
     bases: tuple[Floats32, Floats32, Floats32]
@@ -72,13 +72,13 @@ def refine(
 ) -> Match:
     """Sub-pixel shifts from whole-pixel ones.
 
-    With T the reference and I the image, `I(x + d) = a T(x) + b`; about a shift d0 the image is
-    regressed on T's two gradients, T and 1 (Gruen 1985, without the affine terms), the gradient's
-    coefficients over T's being d0 - d. The image is read between its pixels by a cubic B-spline, which
-    for one shift a patch is separable. The normal matrix is the patch's own and stays.
+    With T the reference and I the image, `I(x + d) = a T(x) + b`. About a shift d0 the image is regressed on
+    T's two gradients, T and 1 (Gruen 1985, without the affine terms), the gradient's coefficients over T's
+    being d0 - d. The image is read between its pixels by a cubic B-spline, which for one shift a patch is
+    separable. The normal matrix is the patch's own and stays.
 
     The stated deviation is the sandwich `N^-1 (G' C G) N^-1`, G the gradients and C the covariance of the
-    residuals, which are correlated from pixel to pixel; G' C G is summed in the frequency domain.
+    residuals, which are correlated from pixel to pixel. G' C G is summed in the frequency domain.
 
     Args: corners (n, 2) first row and col in the reference, shifts (n, 2) rows and cols.
     """

@@ -26,7 +26,7 @@ class Matching:
 
     ratio: Lowe's. check: one of CHECKS, with its tolerance in pixels of the images that keypoints are of.
     least: fewest tie points of a pair. search: `coarse`, the coarsest keypoints first, about the guess, then
-    everywhere, and all about what they say; `near`, all about the guess; `all`, that and all everywhere, a
+    everywhere, and all about what they say. `near`: all about the guess. `all`: that and all everywhere, a
     quarter of a second a pair.
     """
 

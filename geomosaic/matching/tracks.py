@@ -67,8 +67,8 @@ def join(pairs: Sequence[TiePair]) -> Joined:
 
 
 def references(joined: Joined, sizes_px: Floats) -> Ints:
-    """For each keypoint the one of its track that stands for the place on the ground, (n,): that with most
-    tie points, of those the nearest to its frame's middle, where the ground is seen most from above.
+    """For each keypoint the one of its track that stands for the place on the ground, (n,). It has most tie
+    points; of several it is the nearest to its frame's middle, where the ground is seen most from above.
 
     Args: sizes_px (frames, 2): width and height of each frame.
     """
@@ -115,7 +115,7 @@ def _tracks_of(joined: Joined) -> tuple[Tracks, Ints]:
 
 def thin_pairs(pairs: TiePairs, sizes_px: Floats, least: int, most: int) -> TiePairs:
     """The tie points of a block with at most about so many tied keypoints, as `asked_tracks` chooses them, so
-    that its memory does not grow with the frames; a pair that would keep fewer than `least` keeps all."""
+    that its memory does not grow with the frames. A pair that would keep fewer than `least` keeps all."""
     if len(pairs.frame) <= most:
         return pairs
     joined = join(pairs)

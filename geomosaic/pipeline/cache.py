@@ -39,8 +39,8 @@ _MISSING = object()
 class ArtefactHandle:
     """An artefact of a run: its file, and its value, decoded on first use.
 
-    fingerprint: of the bytes, of the files the stage wrote with them, and of the lineage, so that
-    whoever takes the artefact is redone if any file changes that it goes back to, through all stages.
+    fingerprint: of the bytes, of the files the stage wrote with them, and of the lineage. So whoever takes
+    the artefact is redone if any file changes that it goes back to, through all stages.
     """
 
     type: Any
@@ -115,7 +115,7 @@ def stage_key(
 class StageCache:
     """RUN/work: a folder for each finished stage, whole once its `entry.json` is there.
 
-    What lies there may have been cut by a power failure or put there by a stranger: it counts only if every
+    What lies there may have been cut by a power failure or put there by a stranger. It counts only if every
     hash is right, no link stands on the way, and no artefact names a file that this run was not given.
     """
 

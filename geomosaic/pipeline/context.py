@@ -253,17 +253,17 @@ class Context:
         """`[function(item) for item in items]`, spread over the workers, each result kept on disk.
 
         `function` is a module-level function (or a partial of one) whose result depends on its arguments and
-        the files that these name alone; it says what it returns in its annotation. A killed run finds the
+        the files that these name alone. It says what it returns in its annotation. A killed run finds the
         finished results again.
 
         Results are named by the function, what a partial binds, the item, and the contents of all files that
-        these name anywhere (any text or path in them that is a file, with its companion files). So
+        these name. Any text or path in them that is a file counts, with its companion files. So
         they outlive whatever doesn't change these: other parameters, new frames. What no run wants any more
-        goes when a run is finished. Give a function what it needs and nothing else: a number that hangs on
+        goes when a run is finished. Give a function what it needs and nothing else. A number that depends on
         all frames together (a place in the work frame, a median) makes every item new when a frame comes.
 
         With `keys`, which distinguish the items, results are named by the stage's own fingerprint, `name` and
-        key; any change to the stage's parameters or inputs redoes them all, and they go when the run is
+        key. Any change to the stage's parameters or inputs redoes them all, and they go when the run is
         finished. Items are then made one after the other, as workers take them.
         """
         return self._items.mapped(name, function, items, keys, StoredResult.load)

@@ -243,7 +243,7 @@ class EncodedFunction(Generic[Item]):
 
 @dataclass(frozen=True)
 class SpoolingFunction(Generic[Item]):
-    """A function whose result is left on the disk by who made it, next to its final place; the name of the
+    """A function whose result is left on the disk by who made it, next to its final place. The name of the
     file comes home, without a shared disk its bytes. A task that is done twice leaves two."""
 
     function: Callable[[Item], Any]

@@ -1,5 +1,5 @@
-"""Poses of frames without tie points, predicted from the corrections of the tied frames around them by
-least-squares collocation (Moritz 1980, Advanced Physical Geodesy): errors of GNSS and IMU are correlated
+"""Poses of frames without tie points, predicted from the corrections of the tied frames around them. Method:
+least-squares collocation (Moritz 1980, Advanced Physical Geodesy). Errors of GNSS and IMU are correlated
 along a flight."""
 
 from __future__ import annotations

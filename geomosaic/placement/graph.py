@@ -42,9 +42,9 @@ def overlapping_pairs(
 ) -> tuple[tuple[int, int], ...]:
     """Pairs of frames that may see the same ground, left < right, by falling overlap.
 
-    Each outline grows by reach_m (how far a frame may be misplaced, plus how a turned frame may
-    stick out); a pair stands if the true outlines share anything, or the grown ones more than `least`
-    of the smaller true one.
+    Each outline grows by reach_m (how far a frame may be misplaced, plus how a turned frame may stick out). A
+    pair stands if the true outlines share anything, or the grown ones more than `least` of the smaller true
+    one.
 
     Args: footprints_m: per frame (k, 2 or 3) outline on the ground. most: how many neighbours a frame
         asks for; a pair stays if either of its frames asks for it.
@@ -78,7 +78,7 @@ def adjacent_frames(
     frames: Collection[int], sequence: Sequence[int], tried: Collection[tuple[int, int]], steps: int = 2
 ) -> list[tuple[int, int]]:
     """Pairs (left < right) of some frames with those up to `steps` before and after them in order of flight,
-    but for those tried already: a frame whose position is far off overlaps none of its neighbours by it."""
+    but for those tried already. A frame whose position is far off overlaps none of its neighbours by it."""
     at = {frame: k for k, frame in enumerate(sequence)}
     adjacent = {
         (min(i, j), max(i, j))

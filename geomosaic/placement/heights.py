@@ -54,7 +54,7 @@ def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floa
 def with_missing_heights(heights: FrameHeights, ground_heights_m: Floats) -> FrameHeights:
     """Heights in order of capture, those that are NaN taken from their neighbours.
 
-    A missing height goes evenly from the known one before to the one after; its deviation is what known
+    A missing height goes evenly from the known one before to the one after. Its deviation is what known
     heights spread about their middle, and at least a tenth of how high it comes to lie above the ground.
     All stay NaN where none is known.
     """
@@ -72,7 +72,7 @@ def possible_heights(heights: FrameHeights, ground_heights_m: Floats) -> tuple[F
     """Heights that can be true, and which (n,) were replaced: those would put the frame on the ground or
     below.
 
-    Where one does, all that are far from the usual height above the ground are in doubt; they are taken to
+    Where one does, all that are far from the usual height above the ground are in doubt. They are taken to
     have that, to half of it, and the images say what it is. Where most frames lie below the ground nothing
     is changed: then it is the ground that is wrong.
     """
@@ -112,8 +112,8 @@ def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
 
 
 def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float]]:
-    """Up to `most` pairs of frames next to each other in time, spread over the flight: indices and
-    horizontal distance in metres; pairs closer than a tenth of the median are left out."""
+    """Up to `most` pairs of frames next to each other in time, spread over the flight: indices and horizontal
+    distance in metres. Pairs closer than a tenth of the median are left out."""
     known = [i for i, f in enumerate(frames) if f.position.known]
     if len(known) < 2:
         return []
@@ -129,8 +129,8 @@ def with_any_height(survey: Survey) -> tuple[Survey, float]:
     """A survey none of whose frames has a position, at some height over flat ground, and the ground's height.
 
     Where frames see two control points or more, the height at which these are as far apart as surveyed, and
-    the ground at the points' height; else the usual of the heights above the ground that frames report; else
-    120 m, so that velocities in units a second are near those in m/s. Images and control set it right.
+    the ground at the points' height. Otherwise the usual height above the ground that frames report. Without
+    any 120 m, so that velocities in units a second are near those in m/s. Images and control set it right.
     """
     used = [c for c in survey.control if not c.check]
     reported = [f.position.height_above_ground_m for f in survey.frames]

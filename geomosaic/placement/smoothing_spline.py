@@ -16,8 +16,9 @@ _STIFFNESS = tuned(10.0 ** np.linspace(-4.0, 6.0, 41), "steps^3", "from interpol
 
 @dataclass(frozen=True)
 class _Course:
-    """Values (n, a) at rising times (n,), n > 2, and what they leave of straight lines: second divided
-    differences (n - 2, a), with the bands (3, n - 2) of R and of Q'Q (Green and Silverman 1994, 2.1.2)."""
+    """Values (n, a) at rising times (n,), n > 2, and their departures from straight lines. These are second
+    divided differences (n - 2, a), with the bands (3, n - 2) of R and of Q'Q (Green and Silverman 1994,
+    2.1.2)."""
 
     times: Floats
     values: Floats
@@ -38,8 +39,8 @@ class _Course:
         return cls(times, values, bends, curved, noisy)
 
     def likelihood(self, stiffness: float) -> tuple[float, float]:
-        """What minus twice the logarithm of the restricted likelihood is made of: the sum of squares in units
-        of the curve's variance, and the logarithm of the determinant, times the axes."""
+        """Parts of minus twice the logarithm of the restricted likelihood: the sum of squares in units of the
+        curve's variance, and the determinant's logarithm, times the axes."""
         factor = cholesky_of_band(self.curved + stiffness * self.noisy, lower=False)
         squares = float((self.bends * solve_band(factor, self.bends, lower=False)).sum())
         return squares, 2.0 * float(np.log(factor[2]).sum()) * self.values.shape[1]
@@ -57,7 +58,7 @@ class _Course:
 
 def slopes(times: Sequence[Floats], values: Sequence[Floats]) -> list[Floats]:
     """Slopes (n, a) of courses by their values (n, a) at rising times (n,), n > 1, all as stiff as makes
-    their bends likeliest together: what they share with their neighbours is curve, what they don't is noise.
+    their bends likeliest together. What they share with their neighbours is curve, what they don't is noise.
 
     Restricted likelihood of the integrated Wiener process with white noise, its variance profiled out (Wahba
     1985, A comparison of GCV and GML, section 2). Two values have their straight line's.

@@ -20,8 +20,8 @@ _FASTEST = tuned(150.0, "m/s", "of a step: less loses survey aircraft; more join
 
 @dataclass(frozen=True)
 class _Way:
-    """Frames `at` by their times, (n,); from each to the next the time that passed and the move, (n - 1,) and
-    (n - 1, 3); whether that is a step, no pause."""
+    """Frames `at` by their times, (n,). Of each step to the next frame its time (n - 1,), its move (n - 1,
+    3), and whether it is no pause."""
 
     at: Ints
     passed_s: Floats
@@ -77,9 +77,9 @@ def _way(positions_m: Floats, times_s: Floats) -> _Way:
 def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocity of each frame, (n, 3).
 
-    The median, axis by axis, of the steps from frame to frame up to three before and three behind, so that
-    neither whole seconds of a clock nor a position far off count much; where these differ, as at the end of a
-    line, of the side that agrees with itself. Nothing is known across pauses, and across
+    The median, axis by axis, of the steps from frame to frame up to three before and three behind. Neither
+    whole seconds of a clock nor a position far off count much. Where these differ, as at the end of a line,
+    of the side that agrees with itself. Nothing is known across pauses, and across
     steps faster than aircraft fly. 0 where times are missing.
 
     Args: positions_m (n, 3), times_s (n,) or NaN.
@@ -103,10 +103,10 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocities (n, 3) by positions that are sure to a small part of a step.
 
-    The slopes of smoothing splines through the ways between pauses and corners: how much of what leaves a
-    straight line is flown, and how much jitter, is asked of all ways together, level and upright each by
-    itself. A frame at a corner flies as the longer way does. Clocks that report whole seconds are off by a
-    third of a step: by them, times go by the way.
+    The slopes of smoothing splines through the ways between pauses and corners. How much of the departure
+    from a straight line is flown, and how much is jitter, follows from all ways together. Level and upright
+    count separately. A frame at a corner flies as the longer way does. Clocks that report whole seconds are
+    off by a third of a step: by them, times go by the way.
     """
     out, way = velocities_m_per_s(positions_m, times_s), _way(positions_m, times_s)
     if not out.any():
@@ -121,9 +121,9 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 
 
 def unsteady_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
-    """By how much the velocity of each frame may differ from `flown_m_per_s`, (n,): half of what the steps
-    before and behind it differ by, where that is more than three times the median; at the ends of a way,
-    which may curve, half of what those of the frame next to it do; 0 elsewhere."""
+    """By how much the velocity of each frame may differ from `flown_m_per_s`, (n,). Half of the difference of
+    the steps before and behind it, where that is more than three times the median. At the ends of a way,
+    which may curve, half of that of the adjacent frame. 0 elsewhere."""
     out, way = np.zeros(len(times_s)), _way(positions_m, times_s)
     if len(way.at) < 3:
         return out

@@ -21,7 +21,7 @@ def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Fl
     them, in m: not above 0 where it sees them.
 
     Along each line from below the camera outwards, what has been seen under the least angle from level is
-    what hides; lines are as dense as nodes at the farthest place. Heights count less a deviation, and
+    what hides. Lines are as dense as nodes at the farthest place. Heights count less a deviation, and
     nothing narrower than a metre.
     """
     camera = np.asarray(camera_m, dtype=np.float64)

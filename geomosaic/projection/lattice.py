@@ -1,7 +1,7 @@
 """The warp of whole windows: exact on a lattice of every eighth pixel, bilinear between where that will do.
 
-What bends an image (perspective, lens, a smooth ground) does so over hundreds of pixels; what breaks it
-(the edges of a DEM's cells, the knots of a table of turns) runs along lines. So each cell decides by what it
+What bends an image (perspective, lens, a smooth ground) does so over hundreds of pixels. What breaks it (the
+edges of a DEM's cells, the knots of a table of turns) runs along lines. So each cell decides by what it
 is off in its middle, and where that is too much its pixels go through the equations themselves.
 """
 
@@ -30,8 +30,8 @@ MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks
 
 @dataclass(frozen=True)
 class WindowInFrame:
-    """Where a frame saw part of a window: col and row (h, w) of its pixels, NaN where not seen; and at the
-    nodes, (h / 8 + 2, w / 8 + 2), one beyond on every side."""
+    """Where a frame saw part of a window: col and row (h, w) of its pixels, NaN where not seen. At the nodes,
+    (h / 8 + 2, w / 8 + 2), one beyond on every side."""
 
     cols: Floats32
     rows: Floats32

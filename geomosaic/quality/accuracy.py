@@ -40,7 +40,7 @@ class AbsoluteAccuracy:
     def ce90_m(self) -> float:
         """Radius of the circle about a mapped place that holds the true one in 90 of 100 cases.
 
-        A shift in common that check points measured is no error that scatters: with it a length has Rice's
+        A shift in common that check points measured is no error that scatters. With it a length has Rice's
         distribution, without it Rayleigh's, of which the factor of the RMSE is.
         """
         shift_m = float(np.hypot(*self.shift_m[:2]))
@@ -147,8 +147,8 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float, *, placed: b
 def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float) -> Requirement:
     """What a map's inputs can give, where the user asks for nothing else.
 
-    Control points and RTK positions give three pixels, positions by GNSS 3 m in each coordinate and 3 per
-    mille, or what their stated deviations say where that is less; control points by code GNSS what they
+    Control points and RTK positions give three pixels. Positions by GNSS give 3 m in each coordinate and 3
+    per mille, or their stated deviations where these are less. Control points by code GNSS give what they
     state, and distances as such positions. Without any nothing is asked.
 
     Args: position_sd_m (f,): stated horizontal deviations of the frames' positions.

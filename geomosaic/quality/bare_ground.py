@@ -25,7 +25,7 @@ _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: lan
 @dataclass(frozen=True)
 class BareGround:
     """Of tied frames, by number: which of their cells (k, cells) two other tied frames see, too; which have
-    tie points; and the cells' corners on the ground, (k, cells, 4, 2), east and north."""
+    tie points. The cells' corners on the ground, (k, cells, 4, 2), east and north."""
 
     frames: tuple[int, ...]
     seen: Bools

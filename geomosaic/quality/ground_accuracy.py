@@ -1,7 +1,8 @@
 """Standard deviations of a mosaic's pixels on the ground, propagated from poses and heights.
 
-A pixel shows what its frame's ray meets. With r the ray from the projection centre to the place, n the normal
-(-slope east, -slope north, 1) of the ground, a shift dC, a turn t and a height error dh move that place by
+A pixel shows what its frame's ray meets. Let r be the ray from the projection centre to the place, n the
+normal (-slope east, -slope north, 1) of the ground. A shift dC, a turn t and a height error dh move that
+place by
 
     dX = (I - r n' / n'r) (dC + t x r) + r dh / n'r
 
@@ -172,7 +173,7 @@ class GroundPropagation:
         return GroundDeviations(np.sqrt(horizontal), np.sqrt(risen + height_sd_m**2))
 
     def _height_sd_m(self, east: Floats, north: Floats) -> Floats:
-        """Deviations (n,) of heights; on ground that shows walls root mean squares over a span, since a few
+        """Deviations (n,) of heights. On ground that shows walls root mean squares over a span, since a few
         cells at the walls are off by as much as those are high."""
         if not self.ground.has_walls:
             return height_deviations(self.ground, self.adjusted.ground, east, north)

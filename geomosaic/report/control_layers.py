@@ -47,8 +47,8 @@ class ArrowScale:
 
 
 def arrow_scale(kinds: Sequence[MappedPoints], side_m: float) -> ArrowScale:
-    """One scale for both kinds on a map of this longer side, by the points that are no blunders: 1, 2 or 5
-    times a power of ten, at least 1."""
+    """One scale for both kinds on a map of this longer side, by the points that are no blunders. It is 1, 2
+    or 5 times a power of ten, at least 1."""
     lengths = [np.linalg.norm(k.residual_m, axis=1)[~k.blunders] for k in kinds]
     length = np.concatenate([*lengths, np.zeros(0)])
     usual_m = float(np.quantile(length, 0.9)) if length.size else 0.0

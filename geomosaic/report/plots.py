@@ -1,7 +1,7 @@
 """Plots as SVG text: lines, histograms. For the report and for images in the documentation.
 
-Every function returns one self-contained `<svg>`; axes carry their unit, series differ by colour and by
-dash or marker, colours are kept apart by colour-blind eyes, and it reads on white and on black.
+Every function returns one self-contained `<svg>`. Axes carry their unit, series differ by colour and by dash
+or marker, colours are kept apart by colour-blind eyes, and it reads on white and on black.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ Row = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Profile:
-    """Heights as a page holds them: a grid of cols x rows, pixel_m apart, north up; each in 16 bits, little
+    """Heights as a page holds them: a grid of cols x rows, pixel_m apart, north up. Each in 16 bits, little
     end first, in base64: low_m + step_m times the number, the highest number where it is unknown."""
 
     cols: int

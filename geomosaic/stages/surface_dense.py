@@ -140,7 +140,7 @@ def _matched(
     sighted: Sequence[Sequence[SweepView]],
     pictures: Sequence[StoredResult[Pictures]],
 ) -> tuple[DenseSurface, MatchCounts]:
-    """Tiles of the coarse level, of the fine one, and what is kept of those with what lies around: each is
+    """Tiles of the coarse level, of the fine one, and what is kept of those with what lies around. Each is
     made once, whoever makes it, and lies on the disk until the surface is whole."""
     coarse, fine = levels
     of_coarse, of_fine = sighted

@@ -52,8 +52,9 @@ class Pairing:
     _planes: SeenPlanes = field(default_factory=SeenPlanes)
 
     def match(self, pairs: Iterable[Pair]) -> TiePairs:
-        """The pairs that hold together: about where they are expected to match; then, where their neighbours
-        show that they should; last, all keypoints of frames that hang together with no one else's."""
+        """The pairs that hold together: first about where they are expected to match, then where their
+        neighbours show that they should. Last, all keypoints of frames that hang together with no one
+        else's."""
         pairs = list(pairs)
         self._round("pairs", self.how, [(p, self.expected(*p)) for p in pairs])
         self._by_neighbours()

@@ -1,7 +1,7 @@
 """Which of the frames that see a place show the same there: some lie a few pixels off the others.
 
-Where an adjustment leaves frames in groups, each right within itself, one of a small group is like hardly
-any other at any height; if all are compared with it, level land becomes noise.
+Where an adjustment leaves frames in groups, each right within itself, one of a small group is like hardly any
+other at any height. If all are compared with it, level land becomes noise.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def agreeing(
     sweep: PlaneSweep, seen: Sequence[Bits], heights: SweepHeights, asked: Asked, most: int
 ) -> list[tuple[Block, tuple[int, ...]]]:
     """Of the frames that are asked in each block, the first that agrees with others, then those that agree
-    with it, then the rest; otherwise in their order, so many at most.
+    with it, then the rest. Where none agrees, in their order, so many at most.
 
     Args: seen: censuses of the sweep's frames. heights: among which the right one is.
     """

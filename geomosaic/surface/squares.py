@@ -103,8 +103,8 @@ class Squares:
     def shown(
         self, height_m: Floats32, hidden_below_m: Mapping[int, Floats32], by: int = 1
     ) -> list[SquareView]:
-        """What each asked frame shows at heights over the base (n, heights, rows, cols), by times as dense
-        each way as the cells: grey levels, and where it sees the point; None where it sees all of them.
+        """What each asked frame shows at heights over the base (n, heights, rows, cols), `times` as dense
+        each way as the cells. Grey levels, and where it sees the point. None where it sees all of them.
 
         hidden_below_m (rows, cols of the tile), by frame: see `hidden_below`.
         """

@@ -23,7 +23,7 @@ def cameras_from_file(
 ) -> CameraChoice:
     """The file's camera for each frame, scaled where the frame is a resized whole image.
 
-    With several cameras in the file: the one that the POS file names (`wanted`), else those whose name
+    With several cameras in the file the one that the POS file names (`wanted`). Otherwise those whose name
     holds the frame's make and model, else those of the frame's size, else of its shape. Of the shutter, where
     the file says nothing, the frame's tags and model count.
 

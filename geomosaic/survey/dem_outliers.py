@@ -22,8 +22,8 @@ _SPIKE_SPREADS = tuned(10.0, "95 % differences", "of a lone wrong pixel: less lo
 def outliers(height_m: Floats, mixed: bool = False) -> Bools:
     """Where heights (rows, cols), NaN where unknown, can't be the ground's.
 
-    Outside the land's range; one and the same value, the lowest or highest of all, that ends everywhere in a
-    step as there is none elsewhere; pixels far off nearly all of those around them. mixed: the neighbours
+    Outside the land's range. One and the same value, the lowest or highest of all, that ends everywhere in a
+    step as there is none elsewhere. Pixels far off nearly all of those around them. mixed: the neighbours
     of fills are mixtures of both, and go too.
     """
     with np.errstate(invalid="ignore", over="ignore"):

@@ -36,9 +36,9 @@ _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 
 def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
-    """The frames of a folder, in the natural order of their paths, and what each is called: its JPEG and TIFF
-    files, or its PNG files where there are none of these (else they are previews and masks), else its DNG or
-    its HEIC files.
+    """The frames of a folder, in the natural order of their paths, and what each is called. They are its JPEG
+    and TIFF files, else its PNG files, else its DNG or its HEIC files. Next to JPEG and TIFF, PNG files are
+    previews and masks.
 
     If the folder itself holds none, those of its folder `images` or `DCIM`, else of all folders in it, four
     deep. A frame is called by its file's name; where several folders have it, with its folders' before it
@@ -93,7 +93,7 @@ def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]
 
 
 def project_files(folder: Path) -> dict[str, Path]:
-    """The POS and the control file of an OpenDroneMap project, as far as its folder holds them; without such
+    """The POS and the control file of an OpenDroneMap project, as far as its folder holds them. Without such
     a POS file the drone's own Timestamp.MRK, where there is one that matches the frames."""
     named = {kind: folder / name for kind, name in _PROJECT_FILES.items()}
     found = {kind: path for kind, path in named.items() if path.is_file()}
@@ -169,8 +169,8 @@ def _called(frames: Collection[Path], top: Path) -> dict[Path, str]:
 
 
 def masks(headers: list[FrameHeader]) -> tuple[dict[str, str], dict[str, InputError]]:
-    """Frame name -> path of its mask, for the frames that have one; and frame name -> what is
-    wrong with it, where it can't be read, is damaged or isn't of its frame's size."""
+    """Frame name -> path of its mask, for the frames that have one. Frame name -> what is wrong with it,
+    where it can't be read, is damaged or isn't of its frame's size."""
     folders = {header.path.parent for header in headers}
     by_name = {(f, p.name.casefold()): p for f in folders for p in f.iterdir()}
     found: dict[str, str] = {}

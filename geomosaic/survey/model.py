@@ -207,7 +207,7 @@ class Survey:
     @property
     def clock_times_s(self) -> Floats:
         """Capture times (n,) in s, NaN where unknown, with a day between the frames of one platform and those
-        of the next: two drones that fly at once are no neighbours in time."""
+        of the next. Two drones that fly at once are no neighbours in time."""
         times_s = np.array([f.time_s for f in self.frames], dtype=np.float64)
         platform = np.array([f.platform for f in self.frames])
         end_s = 0.0

@@ -76,7 +76,7 @@ def read_survey(
 
     Frames are those of `frame_files`, in order of capture (time, then name; by name alone
     where a frame has no time). The work frame lies at the median position, at the median height of the
-    ground as far as it is known (DEM, else absolute less relative heights, else control), else at height 0.
+    ground. That is known by DEM, else by absolute less relative heights, else by control, else at height 0.
     Where no frame has a position it lies amid the control points; without those it is nowhere, and the map's
     CRS is `LOCAL_CRS`.
 

@@ -50,7 +50,7 @@ _BANDS_AT_ONCE = sourced(
 class Shutter:
     """readout_s, sd_s: from the first row to the last, 0 for a global shutter, and its deviation, 0 where it
     is known; source: `tag`, `model`, `global`, `unreported`, `absurd` for a tag that can't be, `turned` for
-    an upright frame: its columns were read one after the other, from an end that nothing reports."""
+    an upright frame. Its columns were read one after the other, from an end that nothing reports."""
 
     readout_s: float
     sd_s: float

@@ -95,8 +95,8 @@ def check_rpc(
 ) -> Rpc:
     """The RPC of a scene of size_px (columns, lines); `InputError` if it is another scene's.
 
-    Its own image must have about that size, and its middle must lie within a scene's size of where the
-    model looks, or, without a model, on the DEM: another scene of the same size is known only by these.
+    Its own image must have about that size. Its middle must lie within a scene's size of where the model
+    looks, or, without a model, on the DEM. Another scene of the same size is known only by these.
     """
     rpc = read_rpc(path)
     wanted = np.array(size_px[::-1], dtype=np.float64)

@@ -54,7 +54,7 @@ class ViewGrid:
 
     def window(self, reduction: int, across: int, down: int, margin: int = 0) -> Window | None:
         """The pixels of a tile of TILE_PX pixels a side, each of so many of the map's, grown by a margin of
-        such as far as the map goes; None beyond it."""
+        such as far as the map goes. None beyond it."""
         side, more = TILE_PX * reduction, margin * reduction
         left, top = across * side, down * side
         if min(across, down) < 0 or left >= self.width or top >= self.height:

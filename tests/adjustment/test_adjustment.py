@@ -52,8 +52,8 @@ def test_fullest_bin_finds_the_offset_among_wrong_matches(east: int, north: int)
 
 
 def test_error_sharing_moves_by_half_the_difference() -> None:
-    """Equation 6 for three frames: right minus left is +2 m and then -4 m in east, so that the first
-    moves by 2/2, the middle by (-4 - 2)/2, the last by -(-4)/2; all at once."""
+    """Equation 6 for three frames. Right minus left is +2 m and then -4 m in east. So the first moves by 2/2,
+    the middle by (-4 - 2)/2, the last by -(-4)/2, all at once."""
     errors = np.array([[0.0, 0.0], [2.0, 0.0], [-2.0, 0.0]])
     _, rounds = offsets.error_sharing(net_of(errors, line(3)), 0.01, 1)
     assert rounds[0].misalignments_m[:, 0] == pytest.approx([2.0, -4.0])
@@ -121,8 +121,8 @@ def test_chain_follows_the_first_frame() -> None:
 
 
 def test_least_squares_by_hand() -> None:
-    """Two frames 6 m apart, priors of 1 m, pair of 1 m (Huber beyond 1.5): minimising
-    x1² + x2² + w (x2 - x1 + 6)² with the pair's weight w gives x1 = -x2 = 6 w / (1 + 2 w)."""
+    """Two frames 6 m apart, priors of 1 m, pair of 1 m (Huber beyond 1.5). Minimising x1² + x2² + w (x2 - x1
+    + 6)² with the pair's weight w gives x1 = -x2 = 6 w / (1 + 2 w)."""
     net = net_of(np.array([[0.0, 0.0], [1.2, 0.0]]), line(2))
     moves, sd = least_squares(net, np.ones(2), np.ones(1))
     assert moves[:, 0] == pytest.approx([0.4, -0.4], abs=1e-9)
@@ -179,8 +179,8 @@ def _centre_errors_m(adjusted: Adjusted, truth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.proof
 def test_chain_accumulates_and_the_others_do_not() -> None:
-    """Over 20 lines of 40 frames with POS of 2 m and 1 degree: the end of a chain is far off, while the
-    methods that hold each frame to its own position stay at the noise."""
+    """Over 20 lines of 40 frames with POS of 2 m and 1 degree the end of a chain is far off. The methods that
+    tie each frame to its own position stay at the noise."""
     last = {m: [] for m in METHODS if m != "bundle"}
     for seed in range(20):
         block, truth = _survey_line(40, seed)

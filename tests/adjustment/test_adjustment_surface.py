@@ -51,7 +51,7 @@ def off_m(surface: GroundSurface, beyond_m: float) -> float:
 
 
 def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
-    """The edge kept level would be off by 2 m at 10 m and by 5 m at 25 m; the true slope straight on by 0.2
+    """The edge kept level would be off by 2 m at 10 m and by 5 m at 25 m. The true slope straight on by 0.2
     and 1.2 m, and slopes of noisy points by more."""
     surface = tie_surface(Heights(*points(1), LOW, HIGH, 100.0))
     assert surface.kind == "tie_surface"
@@ -63,7 +63,7 @@ def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
 
 
 def test_mountains_are_followed_where_points_show_them() -> None:
-    """Summits of 60 m every 75 m, seen from 100 m, by a point on 13 m²: a surface of a third derivative of at
+    """Summits of 60 m every 75 m, seen from 100 m, by a point on 13 m². A surface of a third derivative of at
     most 32 per squared flying height lay 10 m off them."""
     rng = np.random.default_rng(3)
 
@@ -249,8 +249,9 @@ def bowl(east: np.ndarray, north: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("relief", "flat"), [(bowl, False), (level, True)])
 def test_land_that_stays_bent_when_it_is_bound_to_level_ground_is_not_flat(relief, flat: bool) -> None:  # type: ignore[no-untyped-def]
-    """A block without height control may bend so, but then it straightens at no cost: here the bound one is the
-    free one, as where many images a point refuse (dirty surveys 1711 and 1239: 2.9 and 1.7 px in the map)."""
+    """A block without height control may bend so, but then it straightens at no cost. Here the bound one is
+    the free one, as where many images a point refuse (dirty surveys 1711 and 1239: 2.9 and 1.7 px in the
+    map)."""
     block = fly(1, 3, 6, points=1500, noise_px=0.1, crossed=True, relief=relief).block
     tracks = join_tracks(block.ties)
     points, kept = points_on_ground(block.poses, block.cameras, block.ground, tracks)
@@ -292,8 +293,8 @@ def test_the_surface_reaches_as_far_as_the_frames() -> None:
 
 @pytest.mark.proof
 def test_beyond_a_wood_lies_the_ground_it_stands_on() -> None:
-    """Level meadows and woods of 9 m in every fifth square of 40 m, seen from 90 m; the last 25 m in the east, behind a
-    wood, have no points. And hills there go on as hills."""
+    """Level meadows and woods of 9 m in every fifth square of 40 m, seen from 90 m. The last 25 m in the
+    east, behind a wood, have no points. And hills there go on as hills."""
     rng = np.random.default_rng(3)
     at = rng.uniform(0.0, 275.0, (9000, 2))
     wood = ((at[:, 0] // 40 + at[:, 1] // 40) % 5 == 0) | (at[:, 0] > 240.0)

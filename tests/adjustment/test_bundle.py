@@ -234,8 +234,9 @@ def _scale(adjusted: Adjusted, truth: Poses) -> float:
 
 
 def test_a_known_readout_leaves_steps_whole() -> None:
-    """A readout that is solved for follows the block's scale. One that is known does not, by a billionth of it
-    either: compared to its prior, that would cost more than the step gains, and the step be cut in half."""
+    """A readout that is solved for follows the block's scale. One that is known does not, by a billionth of
+    it either. Compared to its prior, that would cost more than the step gains, and the step be cut in
+    half."""
     flown = fly(3, readout_s=0.1)
     block, centre = flown.block, flown.truth.positions_m.mean(axis=0)
     wider = centre + 1.04 * (flown.truth.positions_m - centre)
@@ -348,9 +349,9 @@ def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> N
 
 
 def test_ground_at_another_level_than_reported_leaves_the_scale_alone() -> None:
-    """Heights and level of the ground are reported to 15 m: positions alone know how large the block is. The solve
-    by all tie points began with the level as reported, went a long way (17 steps here), and could grow a block by a
-    fifth instead of moving it."""
+    """Heights and level of the ground are reported to 15 m: positions alone know how large the block is. The
+    solve by all tie points began with the level as reported and went a long way (17 steps here). It could
+    grow a block by a fifth instead of moving it."""
     flown = fly(2, points=2500)
     reported = flown.block.poses
     block = replace(

@@ -337,7 +337,7 @@ def test_velocities_that_are_off_are_found() -> None:
 
 def test_tracks_of_one_place_are_one_witness() -> None:
     """A richer model that leaves a tenth less in 13 of 20 places and a tenth more in the others may do so by
-    chance, however many tracks each has; in 19 of 20 it doesn't."""
+    chance, however many tracks each has. In 19 of 20 it doesn't."""
     solved = fly(1).block.poses  # that there is a solution counts, not which
     place = np.repeat(np.arange(20), 100)
     other = ModelScore(solved, np.ones(2000), place)  # type: ignore[arg-type]

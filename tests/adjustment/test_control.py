@@ -85,8 +85,8 @@ def test_points_known_in_plan_alone_have_no_say_in_height() -> None:
 
 
 def test_residual_is_surveyed_minus_found() -> None:
-    """True poses, exact pixels: a point surveyed 0.3 m too far east, 0.2 m too far south and 0.5 m too
-    high says just that; seen once, it is found on the ground."""
+    """True poses, exact pixels. A point surveyed 0.3 m too far east, 0.2 m too far south and 0.5 m too high
+    says just that. Seen once, it is found on the ground."""
     flown = fly(0)
     at = np.array([33.0, 40.0, 0.0])
     wrong = at + [0.3, -0.2, 0.5]
@@ -110,7 +110,7 @@ def test_residual_is_surveyed_minus_found() -> None:
 @pytest.mark.proof
 @pytest.mark.parametrize(("relief", "seed", "blocks"), [(level, 0, 4), (hills, 10, 2)])
 def test_five_points_of_two_centimetres(relief: Relief, seed: int, blocks: int) -> None:
-    """From POS alone to control: check points fall from decimetres to below 0.05 m, and on level ground, where
+    """From POS alone to control, check points fall from decimetres to below 0.05 m. On level ground, where
     four blocks say enough (points share the errors of their block), their errors are as large as stated."""
     off: dict[int, list[np.ndarray]] = {0: [], 2: [], 5: []}
     share: dict[int, list[np.ndarray]] = {n: [] for n in off}

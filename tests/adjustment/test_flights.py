@@ -31,7 +31,7 @@ def test_a_long_pause_parts_two_flights() -> None:
 
 
 def test_frames_that_are_not_at_hand_are_no_pause() -> None:
-    """An excerpt of a flight with a frame each 6 s: 76 frames lie between the second and the third, by the
+    """An excerpt of a flight with a frame each 6 s. 76 frames lie between the second and the third, by the
     counter in the names and not by the time there."""
     times_s = np.array([0.0, 6.0, 468.0, 474.0, 480.0])
     names = ["IMG_161122_1633{}_{:04d}_RGB.JPG".format(*at) for at in ((40, 12), (46, 13))]

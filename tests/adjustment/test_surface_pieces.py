@@ -70,8 +70,8 @@ def test_a_piece_without_points_is_the_trend(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_single_summit_is_not_cut_off() -> None:
-    """A cone of 60 m on hills of 20 m: a plane or paraboloid that holds the land to 1.25 m would cost it
-    50 m, step by step, since heights that are missed count less and less. Hills are not as even as that."""
+    """A cone of 60 m on hills of 20 m. A plane or paraboloid that fits the land to 1.25 m would cost it 50 m,
+    step by step, since heights that are missed count less and less. Hills are not as even as that."""
     rng = np.random.default_rng(7)
     at = rng.uniform([-400.0, -180.0], [400.0, 180.0], (9000, 2))
     cone = 60.0 * np.exp(-((at[:, 0] - 120.0) ** 2 + (at[:, 1] - 40.0) ** 2) / (2.0 * 25.0**2))

@@ -71,8 +71,8 @@ def test_only_the_last_functions_go() -> None:
 
 
 def test_what_the_images_show_stays() -> None:
-    """The fourth function of frames that shake has a hundredth of the first deviation, but seven times that of the
-    images: without it the rest would bend to take it up, and the images seem half as good."""
+    """The fourth function of frames that shake has a hundredth of the first deviation, but seven times that
+    of the images. Without it the rest would bend to take it up, and the images seem half as good."""
     flown = fly(*(3, 2, 6), points=900, noise_px=0.03, readout_s=0.12, rate_sd_rad_per_s=0.04, shaking_hz=6.6)
     task = BlockTask(flown.block, TURNING, join_tracks(flown.block.ties))
     shaken = block_solution(task, flown.block.poses)

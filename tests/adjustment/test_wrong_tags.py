@@ -115,9 +115,9 @@ def test_an_image_on_its_head_whose_heading_fits_its_line_was_turned() -> None:
 
 @pytest.mark.parametrize("relief", [pytest.param(level, marks=pytest.mark.proof), hills])
 def test_attitudes_of_the_platform_given_for_the_cameras_do_no_harm(relief) -> None:  # type: ignore[no-untyped-def]
-    """The camera is mounted 3 degrees aside and 4 aslant, and nobody says so: tilts that all frames miss in
-    common, at 0.3 stated, are no reason to lean the block. Counted against it, a survey flown there and back came
-    out 8 m aside, bent by 2.9 px and called good."""
+    """The camera is mounted 3 degrees aside and 4 aslant, and nobody says so. Tilts that all frames miss in
+    common, at 0.3 stated, are no reason to lean the block. Counted against it, a survey flown there and back
+    came out 8 m aside, bent by 2.9 px and called good."""
     flown = fly(5, lines=3, per_line=5, relief=relief, there_and_back=True)
     aside = exp_turn(np.radians([[3.0, -4.0, 0.0]]))[0]
     given = replace(flown.block.poses, rotations=flown.block.poses.rotations @ aside)

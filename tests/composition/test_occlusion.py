@@ -134,7 +134,7 @@ def composed(folder: Path, shade: bool) -> tuple[np.ndarray, np.ndarray, float]:
 
 @pytest.mark.proof
 def test_frames_give_no_ground_that_a_house_hides_from_them(tmp_path: Path) -> None:
-    """Every frame is what the ground's image is where its rays first meet the ground: a place that a frame
+    """Every frame is what the ground's image is where its rays first meet the ground. A place that a frame
     sees is true, one that it doesn't shows the roof's or the wall's image."""
     without, valid, _ = composed(tmp_path / "without", shade=False)
     with_it, also, unseen = composed(tmp_path / "with", shade=True)

@@ -13,8 +13,8 @@ N = 240
 
 
 def town_and_woods() -> GroundSurface:
-    """A level place of 60 m x 60 m with a house of 10 m x 8 m, 6 m high, whose edges aren't sure over a metre,
-    and in the north a wood, 20 m deep, of crowns that were matched anywhere between 2 m and 14 m."""
+    """A level place of 60 m x 60 m with a house of 10 m x 8 m, 6 m high, whose edges aren't sure over a
+    metre. In the north is a wood, 20 m deep, of crowns that were matched anywhere between 2 m and 14 m."""
     rng = np.random.default_rng(3)
     up, sd = np.zeros((N, N)), np.full((N, N), 0.05)
     up[40:72, 60:100] = 6.0

@@ -31,8 +31,8 @@ def clear(flown: SimulatedSurvey, tmp_path_factory: pytest.TempPathFactory) -> d
 
 
 def thermal(grey: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What a thermal camera makes of an image: a tenth of the contrast, another gain and level in each frame, a dark
-    rim, noise, and a few hot places that hold the range open."""
+    """What a thermal camera makes of an image: a tenth of the contrast, another gain and level in each frame,
+    a dark rim and noise. A few hot places widen the range."""
     rows, cols = grey.shape
     row, col = np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : cols * 1j]
     rim, share = (row**2 + col**2) / 2.0, grey.astype(np.float64) / 255.0

@@ -40,8 +40,8 @@ def nearest(left: Features, right: Features) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_half_turn_does_not_move_places() -> None:
-    """A place at (c, r) lies at (width - c, height - r) in the turned image: of hundreds of keypoints
-    the mean differs by less than a hundredth of a pixel. OpenCV's plain SIFT is off by 0.25 px."""
+    """A place at (c, r) lies at (width - c, height - r) in the turned image. Of hundreds of keypoints the
+    mean differs by less than a hundredth of a pixel. OpenCV's plain SIFT is off by 0.25 px."""
     image = country(1)[:601, :803]
     a, b = nearest(features(image), features(np.ascontiguousarray(image[::-1, ::-1])))
     off = np.array([803.0, 601.0]) - b - a

@@ -214,8 +214,8 @@ def test_a_guess_beyond_the_horizon_is_none() -> None:
 
 
 def test_poses_say_where_pairs_match_and_another_origin_changes_nothing() -> None:
-    """Two frames 100 m above flat ground, 30 m apart to the east, tops to the north: what the left one shows in
-    its middle lies 300 px to the left in the right one. A work frame moved by 3 m says the same."""
+    """Two frames 100 m above flat ground, 30 m apart to the east, tops to the north. What the left one shows
+    in its middle lies 300 px to the left in the right one. A work frame moved by 3 m says the same."""
     camera = Camera("c", 1000, 800, 1000.0, 500.0, 400.0)
     ground = GroundSurface("flat", -1000.0, -1000.0, 2000.0, np.zeros((2, 2)))
     said = []

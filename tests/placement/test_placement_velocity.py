@@ -76,8 +76,8 @@ def test_a_platform_thrown_about_its_line_flies_at_its_speed() -> None:
 
 
 def test_where_a_flight_ends_its_velocity_is_unsure() -> None:
-    """A line east at 10 m/s with steps of 2 s and a little wander, then down at 4 m/s: the last frame of the
-    line and those of the descent next to it may fly either way; clocks of whole seconds show no change."""
+    """A line east at 10 m/s with steps of 2 s and a little wander, then down at 4 m/s. The last frame of the
+    line and those of the descent next to it may fly either way. Clocks of whole seconds show no change."""
     rng = np.random.default_rng(7)
     line = np.arange(9)[:, None] * [20.0, 0.0, 0.0]
     down = line[-1] + np.arange(1, 4)[:, None] * [0.0, 0.0, -8.0]

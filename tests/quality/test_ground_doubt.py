@@ -66,7 +66,7 @@ def test_unknown_land_amid_known_land_is_no_rim() -> None:
 
 
 def test_what_stands_unsurely_is_distinguished_from_the_ground() -> None:
-    """30 m off the point below a frame 50 m up, 1 m of height is 0.6 m, 6 px: of such places 62 % lie off by
+    """30 m off the point below a frame 50 m up, 1 m of height is 0.6 m, 6 px. Of such places 62 % lie off by
     more than 3 px; the ground through tie points is known to 0.4 m."""
     owner = np.zeros((61, 61))
     owner[30, 60] = 1
@@ -101,8 +101,8 @@ def test_a_surface_that_strays_about_the_ground_is_off_by_as_much() -> None:
 
 
 def test_what_a_surface_raises_without_being_sure_may_be_ground() -> None:
-    """1 m, seen 49 m below: 6.12 px, over a ground known to 0.31 px, by a matching that knows it to 0.5 m: one
-    time in 22 nothing stands there; to 0.25 m: one in 16,000."""
+    """1 m, seen 49 m below: 6.12 px, over a ground known to 0.31 px, by a matching. Where that knows it to
+    0.5 m, one time in 22 nothing stands there. Where it knows it to 0.25 m, one in 16,000."""
     owner = np.zeros((61, 61))
     owner[30, 60] = 1
     known = replace(SURE, sd_m=np.full((5, 5), 0.05))

@@ -175,8 +175,8 @@ def test_a_building_leans_away_from_the_nadir_by_its_height() -> None:
 
 
 def plan_frame(buildings: tuple[Building, ...], middle: np.ndarray) -> tuple[np.ndarray, World, Pose]:
-    """A frame from 100 m above the work frame's origin of land whose red says how far east of a place it lies
-    and whose green how far north, 4 levels a metre about 128."""
+    """A frame from 100 m above the work frame's origin. The land's red says how far east of a place it lies
+    and its green how far north, 4 levels a metre about 128."""
     world = World(WORK, MAP, Relief(1, 520.0), buildings)
     pose = Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
     sight = sight_of(CAMERA, pose, world)

@@ -139,8 +139,8 @@ TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.05
 
 
 def write_dng(path: Path, rgb: np.ndarray, exif: dict[str, object], xmp: bytes = b"", **dng: object) -> Path:
-    """A raw image (RGGB in 16 bits, black 256, white 16256) of linear colours from 0 to 1, shot under light in
-    which grey has the camera values 0.5, 1, 0.8."""
+    """A raw image (RGGB in 16 bits, black 256, white 16256) of linear colours from 0 to 1. It is shot under
+    light in which grey has the camera values 0.5, 1, 0.8."""
     neutral = (Fraction(1, 2), Fraction(1), Fraction(4, 5))
     rows, cols = rgb.shape[:2]
     raw = 256.0 + 16000.0 * rgb * np.array([float(n) for n in neutral])

@@ -116,8 +116,8 @@ def write_degrees(path: Path, values: np.ndarray) -> None:
 
 
 def flight(tmp_path: Path) -> tuple[Path, Path]:
-    """Folder and POS of a simulated flight with a second, thermal camera: a homography of the first
-    one's images, which it sees the middle of, in degrees, with noise and blur."""
+    """Folder and POS of a simulated flight with a second, thermal camera. Its images are a homography of the
+    middle of the first one's, in degrees, with noise and blur."""
     made = small_survey(
         tmp_path / "survey", lines=1, frames_per_line=4, width_px=WIDE_PX[0], height_px=WIDE_PX[1],
         ground_pixel_m=50.0 / WIDE_FOCAL_PX, forward_overlap=0.75, side_overlap=0.7, k1=0.0,

@@ -30,8 +30,8 @@ def written(rates: np.ndarray, step_us: int = 1000, begin_us: int = 345_856_829)
 
 
 def test_a_constant_rate_about_each_axis_by_hand() -> None:
-    """Forward, right, down of the unit are top, right and view of the image: rolling to the right by 0.1 rad/s
-    turns about y, pitching up by 0.2 about x, and heading to the right by 0.3 about -z."""
+    """Forward, right, down of the unit are top, right and view of the image. Rolling to the right by 0.1
+    rad/s turns about y, pitching up by 0.2 about x, and heading to the right by 0.3 about -z."""
     turns = turns_of(tagged(written(np.tile([0.1, 0.2, 0.3], (SAMPLES, 1)))))
     assert turns is not None
     assert turns.span_s == pytest.approx(0.184)

@@ -406,7 +406,7 @@ def test_two_frames(survey: Survey) -> None:
 
 
 def test_frames_that_do_not_overlap(survey: Survey) -> None:
-    """The first and the last frame of a line, 200 m put between them, and the last mirrored: a tenth of its
+    """The first and the last frame of a line, 200 m put between them, and the last mirrored. A tenth of its
     ground is the first's, which is found again in spite of the 200 m."""
     for number in (3, 2):
         survey.frame(number).unlink()

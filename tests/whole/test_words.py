@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import io
 import re
 import tokenize
@@ -112,9 +113,14 @@ def with_private_words(source: str) -> list[str]:
 
 
 def sentences(docstring: str) -> Iterator[str]:
-    """Sentences of a docstring without examples. Entries of lists of arguments count one by one."""
-    prose = re.sub(r"^\s*(>>>|\.\.\. ).*(\n(?!\s*\n).*)*", "", docstring, flags=re.M)
-    for block in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.) ", prose):
+    """Sentences of a docstring without examples, formulas and commands, which are indented.
+
+    Entries of lists of arguments count one by one.
+    """
+    prose = re.sub(r"^ *(>>>|\.\.\. ).*(\n(?! *\n).*)*", "", inspect.cleandoc(docstring), flags=re.M)
+    for block in re.split(r"\n *\n|\n *(?:[-*]|\d+\.) ", prose):
+        if all(line.startswith("    ") for line in block.splitlines()):
+            continue
         text = " ".join(re.sub(r"``[^`]*``|`[^`]*`", "CODE", block).split())
         yield from re.split(r"(?<=[.!?])[)*\"]*\s+|;\s+(?=\w+(?: \([^)]*\))?:)", text)
 
@@ -188,6 +194,11 @@ def test_a_class_name_stands_for_one_thing() -> None:
     for path, name in top_classes("tools", "tests"):
         found[path.rpartition("/")[0], name].append(path)
     assert not {name: paths for name, paths in found.items() if len(paths) > 1}
+
+
+@pytest.mark.parametrize("place", (*PACKAGES, "tools", "tests"))
+def test_sentences_of_docstrings_are_short(place: str) -> None:
+    assert not [f"{path}: {s}" for path, source in modules(place) for s in long_sentences(source)]
 
 
 @pytest.mark.parametrize("name", FORMER.values())

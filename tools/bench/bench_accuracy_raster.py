@@ -8,13 +8,14 @@ sources.tif names; its image coordinates come from the run's pose, lens and grou
 pose and lens. The horizontal error is true minus mapped place, the vertical one that of the ground's height.
 Figures are root mean squares of error over stated deviation, 1 where the raster is true, by class (band 3).
 
-A mosaic on a surface that shows what stands is judged everywhere; one on the ground below, where roofs and
+A mosaic on a surface that shows what stands is judged everywhere. One on the ground below, where roofs and
 crowns lean, at places of open ground that show open ground.
 
-One survey says little. With GNSS positions nearly all of its error is one shift, turn and scale of the block:
-four numbers, so that the figure of a true raster scatters by a third. Half of the seeds have RTK positions,
-which leave the errors of the heights to be seen. Surveys of all seeds are pooled, each counted alike. ± is
-one deviation: of one survey what the covariance of its places leads one to expect, of several what they show.
+One survey says little. With GNSS positions nearly all of its error is one shift, turn and scale of the block.
+These are four numbers, so that the figure of a true raster scatters by a third. Half of the seeds have RTK
+positions, which leave the errors of the heights to be seen. Surveys of all seeds are pooled, each counted
+alike. ± is one deviation: of one survey what the covariance of its places leads one to expect, of several
+what they show.
 
 Results go to standard output as Markdown, and to RESULTS.json and .md if asked for; exit code 1 if a class of
 all surveys together misses 0.8 to 1.25.

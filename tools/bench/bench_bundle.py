@@ -2,7 +2,7 @@
 
     python -m tools.bench.bench_bundle [--lines 20] [--per-line 50] [--observations 300000] [--relief]
 
-Prints seconds by part, iterations, and the peak memory of the process; exit code 1 if the whole method takes
+Prints seconds by part, iterations, and the peak memory of the process. Exit code 1 if the whole method takes
 more than 60 s or the process more than 2 GB.
 """
 

@@ -3,7 +3,7 @@
     python -m tools.bench.bench_cluster [--frames 24] [--seed 1] [--s3-server moto_server]
                                         [--out out/bench-cluster] [--results docs/results/cluster]
 
-A simulated flight is mosaicked on this machine, then by Dask workers that each have a file system of their
+A simulated flight is mosaicked on this machine, then by Dask workers. Each worker has a file system of its
 own, in which the frames and the run folder are empty (needs root). Cases: four workers; one of them killed
 and one stopped for half of each second; the scheduler killed, then the same command with a new one. With a
 server of S3 (`pip install 'moto[server]'` in any environment) the frames come from it by `fetch`, and the

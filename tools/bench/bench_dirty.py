@@ -9,7 +9,7 @@ stated deviations, and nine tenths of the land shown. Of a survey that nothing p
 alone is judged. What the run says of itself (`verdict` in run.json) is listed with it. --plain: surveys
 without faults, by EXIF's default accuracy: 0.2 px. Options after `--` go to the simulation, instead of draws,
 such as `-- --without vibration`. --again mosaics surveys whose row is there already. Tables go to standard
-output, OUT/dirty.md and OUT/dirty.json; exit code 1 if one survey has no mosaic, one is wrong without its
+output, OUT/dirty.md and OUT/dirty.json. Exit code 1 if one survey has no mosaic, one is wrong without its
 verdict saying so, or fewer than 95 % are right.
 """
 

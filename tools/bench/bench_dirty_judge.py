@@ -1,6 +1,6 @@
 """The judge of dirty surveys: what came of one, against its truth, whatever the run itself says.
 
-The map is judged on open ground: roofs and crowns lean in every frame and stand upright in the true ortho, so
+The map is judged on open ground. Roofs and crowns lean in every frame and stand upright in the true ortho. So
 the ortho is masked where one of them may hide the ground. Crowns that wind moves are nowhere else in the true
 ortho than at rest, and no frame shows them so: they are masked too.
 """
@@ -40,7 +40,7 @@ LEAST_PATCHES = 12
 LEAST_SHARE = 0.3
 """Of the patches, that must be found: else the mosaic is first aligned with the ortho by its own features."""
 OTHER_SCALE = 0.01
-"""A patch of 64 px whose scale is off by more doesn't match from edge to edge: the mosaic is aligned with the
+"""A patch of 64 px whose scale is off by more doesn't match from edge to edge. The mosaic is aligned with the
 ortho first, since scale is judged by the positions and shape without it."""
 ALIKE = 0.9
 """Of the patches found once the mosaic is aligned, what must be found before it to be judged as it is."""
@@ -104,7 +104,7 @@ def of_distances(vectors_m: Floats) -> dict[str, Any]:
 
 def _better(again: Figures, found: Figures, little: bool) -> bool:
     """Whether the mosaic aligned with the ortho is judged, which has the same shape: where more places can be
-    measured in it; where both can be, a few wild matches (water, crowns) make one of them worse."""
+    measured in it. Where both can be, a few wild matches (water, crowns) make one of them worse."""
     if little:
         return again.share_measured > found.share_measured
     alike = found.share_measured > ALIKE * again.share_measured
@@ -238,8 +238,9 @@ def _upright(path: Path) -> Path:
 
 
 def of_positions(folder: Path, run: Path) -> dict[str, Any]:
-    """Adjusted positions against the true ones, root mean squares over tied frames: horizontal error and what
-    is stated of it, the same of heights, and which frames are in the map or left out that should not be."""
+    """Adjusted positions against the true ones, root mean squares over tied frames. Horizontal error and what
+    is stated of it, and the same of heights. Also which frames are in the map or left out that should not
+    be."""
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     frame = LocalFrame(**truth["work_frame"])
     true, reported = (_rows(p) for p in (folder / "truth" / "positions.csv", run / "positions.csv"))

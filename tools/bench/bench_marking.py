@@ -5,13 +5,13 @@
 
 `geomosaic control` serves a simulated survey with painted targets, by the positions of the frames' tags. The
 script visits each frame that is listed for each point, with refinement on: it looks, points, clicks, and
-presses N; where the target lies outside the frame it only presses N. It waits as a person does, so that the
+presses N. Where the target lies outside the frame it only presses N. It waits as a person does, so that the
 page loads what it loads meanwhile:
 
-- 1.35 s to look at each frame and decide, and 0.28 s for a key (the operators M and K, of a person who is no
-  trained typist, of the keystroke-level model; Card, Moran and Newell 1980);
+- 1.35 s to look at each frame and decide, and 0.28 s for a key. These are the operators M and K of no trained
+  typist (Card, Moran and Newell 1980, the keystroke-level model);
 - pointing from the last click by Fitts' law, -0.107 + 0.223 log2(D / W + 1) s for a mouse (MacKenzie, Sellen
-  and Buxton 1991), to a place of W = 10 px, within which a click is refined;
+  and Buxton 1991). W is 10 px, within which a click is refined;
 - 0.2 s to press and release the button of the mouse (0.1 s each, operator B; Kieras 1993).
 
 Clicks scatter by 1.5 px. The left hand stays on the keys and the right one on the mouse. What is slower than

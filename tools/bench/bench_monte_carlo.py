@@ -6,12 +6,13 @@ Geometry alone: flights, tie points and their noise are drawn from seeds 1 to N 
 method; no image is made. Three figures a survey:
 
 - NEES, normalised squared error: e' P^-1 e / 6 with e a frame's pose error and P its stated covariance, mean
-  over frames and seeds, expectation 1; by groups from the marginal deviations.
+  over frames and seeds, expectation 1. By groups from the marginal deviations.
 - RMSE of a grid of ground points, each seen by the frame whose nadir is nearest, absolute and after the best
-  similarity, against the Cramér-Rao bound: the inverse of the Fisher information at the truth (priors of
-  POS, and of the lens where it is drawn, included), from central differences of `Pose.image_from_ground`
-  and the true deviations. Points are known to lie on the ground's shape, at an unknown common level;
-  `3D` is the bound of tie points with three unknowns each. Nothing of the solver's own is used.
+  similarity, against the Cramér-Rao bound. The bound is the inverse of the Fisher information at the truth,
+  with priors of POS, and of the lens where it is drawn. It comes from central differences of
+  `Pose.image_from_ground` and the true deviations. Points are known to lie on the ground's shape, at an
+  unknown common level; `3D` is the bound of tie points with three unknowns each. Nothing of the solver's own
+  is used.
 - Slope of the error against frame number, mean over the seeds (Student's t, 99 %).
 
 The oracle is the bound's own estimate of the same draws: linear least squares about the truth with the true

@@ -4,7 +4,7 @@ data.
     python -m tools.bench.bench_real [--shared ../shared] [--out out/bench-real]
 
 Needs the data folders `brighton_beach`, `ngi` and `odm_oblique` below SHARED/data, and takes `garfield` and
-`seneca` if they are there; without the first it says so and ends with exit code 0. Prints a Markdown table
+`seneca` if they are there. Without the first it says so and ends with exit code 0. Prints a Markdown table
 for docs/results.md; exit code 1 if a bound is missed.
 """
 

@@ -7,8 +7,8 @@ from tools.bench.result_rows import ResultRow, RowKind
 from tools.docs.results_page import BLOCK, FLIGHTS
 
 TIME_S, HALVES_PX, OFF_TAG, PRINCIPAL, BANDS_PX = 120.0, 3.0, 0.1, 0.01, 0.5
-"""At most: time of brighton, median of garfield's halves, share of the readout time by which its estimate is
-off the tag, share of the side by which the principal point is, and shift of a band."""
+"""At most: time of brighton, median of garfield's halves, and shift of a band. Also the share of the readout
+time by which its estimate is off the tag, and the share of the side by which the principal point is."""
 ROWS = {
     "brighton": RowKind(
         FLIGHTS,

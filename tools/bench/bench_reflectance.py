@@ -3,8 +3,8 @@
     python -m tools.bench.bench_reflectance [--seed N] [--out out/bench-reflectance]
                                             [--results docs/results/reflectance]
 
-A flight has vignetting, a row gradient, black level, noise of 30 digital numbers, exposure and gain of each
-frame drawn, and light that falls by 40 % in the middle of the flight, or evenly where there is no sun sensor.
+A flight has vignetting, a row gradient, black level, noise of 30 digital numbers, and exposure and gain of
+each frame drawn. Light falls by 40 % in the middle of the flight, or evenly where there is no sun sensor.
 A case is right if 99 % of the values lie within 0.02 of the true reflectance. Exit code 1 if one is not.
 """
 

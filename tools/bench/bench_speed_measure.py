@@ -18,8 +18,8 @@ MOST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Taken:
-    """wall_s, processor_s (user and system, of all processes that were waited for), peak_mb: the largest sum
-    over the process tree of what each holds, shared pages by shares (PSS), sampled every 0.1 s or more.
+    """processor_s: user and system, of all processes that were waited for. peak_mb: the largest sum over the
+    process tree of the memory of each, shared pages by shares (PSS), sampled every 0.1 s or more.
 
     code: its exit code. stopped: why it was ended before its time, empty where it wasn't. said: its words.
     """

@@ -2,7 +2,7 @@
 
     python -m tools.bench.bench_start [--out DIR] [--only NAME ...] [--first N] [--seeds N]
 
-Each survey is simulated and matched once (kept in OUT); then the solve alone runs and is judged by where it
+Each survey is simulated and matched once (kept in OUT). Then the solve alone runs and is judged by where it
 puts a grid of every frame's own ground, against the true poses, lens and ground. Right: within 0.2 px after
 the best similarity, and an absolute error within three stated deviations. The table goes to standard output
 as Markdown and to OUT/start.json; exit code 1 if a seed is wrong.

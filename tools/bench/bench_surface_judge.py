@@ -48,7 +48,7 @@ roof."""
 @dataclass(frozen=True)
 class SurfaceErrors:
     """A class's cells: how many, NMAD (m), shares off by more than 1 m, within 1 and 2 stated deviations, and
-    filled; how many of them two frames see and three, and the shares of those that are off by more than 1
+    filled. How many of them two frames see and three, and the shares of those that are off by more than 1
     m."""
 
     cells: int
@@ -69,8 +69,8 @@ def judged(
     """By class, and the side of a cell (m); of another surface if given.
 
     Heights are compared in each cell's middle with the land there, roofs and crowns as they stand. What all
-    frames miss in common (place, turn, scale) is taken off by the projection centres, the median height of
-    the ground that three frames see as well: it is the positions' error, not the surface's.
+    frames miss in common (place, turn, scale) is taken off by the projection centres, as is the median height
+    of the ground that three frames see. It is the positions' error, not the surface's.
     """
     summary = read_summary(run)
     survey: Survey = load_artefact(run, summary, "survey", Survey)

@@ -57,8 +57,8 @@ def stereo_sgbm(run: Path) -> tuple[DenseSurface, float]:
 
 
 def _points(adjusted: Adjusted, greys: list[Bytes], i: int, j: int) -> Floats:
-    """Points (n, 3) that a pair shows: both frames seen anew along rays of one frame of axes, x along the
-    base and z as near to straight down as it allows, so that a point lies in both on one row."""
+    """Points (n, 3) that a pair shows. Both frames are rectified: x along the base and z as near to straight
+    down as it allows. So a point lies in both on one row."""
     ground: GroundSurface = adjusted.ground
     origins = adjusted.poses.positions_m[[i, j]]
     base_m = float(np.linalg.norm(origins[1] - origins[0]))

@@ -3,11 +3,11 @@
     python -m tools.bench.bench_ties_on_surface RUN ... [--folds 5] [--truth positions.csv]
 
 RUN: folders of finished runs with `--surface dense`. Of each square of ground, 32 across a frame, the sure
-cell of most texture is sought in every frame that sees it: a window of the frame that looks at it most from
-above, warped by the surface's slope, by least squares, and back again. Then the block is solved by its own
-tie points and by these besides, with the model of lens and shutter that the run had chosen; a fifth of the
-places (a quarter of the flying height wide) left out in turn, both solutions are judged by the tie points of
-either kind there. With --truth (of `geomosaic simulate`) by the true positions, too.
+cell of most texture is sought in every frame that sees it. A window of the frame that looks at it most from
+above, warped by the surface's slope, is matched by least squares, and back again. Then the block is solved by
+its own tie points and by these besides, with the model of lens and shutter that the run had chosen. A fifth
+of the places (a quarter of the flying height wide) is left out in turn. Both solutions are judged by the tie
+points of either kind there. With --truth (of `geomosaic simulate`) by the true positions, too.
 
 Besides: how far tie points of three views and more, which agree to two deviations, lie off the surface. Where
 they do, it is the surface that is wrong, and not the poses.

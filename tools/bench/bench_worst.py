@@ -3,11 +3,11 @@
     python -m tools.bench.bench_worst [--out DIR] [--seed FIRST] [--seeds N] [--dry N] [--kinds a,b]
         [--results NAME]
 
-Three kinds of surveys, with frames of 600 x 450 px. plain: 4 x 5 frames over hills of 25 m, 30 % of it water,
-two positions 60 m off, a tenth of the headings wrong, and one image turned by 180 degrees. varied: size,
-relief, overlap, course, water and faults are drawn by the seed. many: 3 x 4 frames, two positions 100 m off,
-40 % of the headings wrong, and two images turned. --dry: how many besides have no faults. A run ends with the
-adjustment.
+Three kinds of surveys, with frames of 600 x 450 px. plain: 4 x 5 frames over hills of 25 m, 30 % of it water.
+Two positions are 60 m off, a tenth of the headings are wrong, and one image is turned by 180 degrees. varied:
+size, relief, overlap, course, water and faults are drawn by the seed. many: 3 x 4 frames, two positions 100 m
+off, 40 % of the headings wrong, and two images turned. --dry: how many besides have no faults. A run ends
+with the adjustment.
 
 Each fault of a frame is right, missed, or named as another one; a named fault of a frame that has none is
 false. Ground without tie points has to be named where a tenth of what three frames see is water, and mustn't

@@ -1,8 +1,8 @@
 """Strips of another sampling than the simulator's: overlaps made of one ground, resampled in three ways.
 
 The simulator's ground is a cubic spline, which the matching resamples well. Here the pixels are means of a
-finer ground (`box`), points of it without any blur (`points`), or straight lines between pixels (`linear`);
-texture, jitter, noise and bit depth are drawn by the seed. Faint lines are faint in all pairs at once.
+finer ground (`box`), points of it without any blur (`points`), or straight lines between pixels (`linear`).
+Texture, jitter, noise and bit depth are drawn by the seed. Faint lines are faint in all pairs at once.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Makes a small run of frames and one of strips, and has a real QGIS open all that is written for it, and run
+"""Makes a small run of frames and one of strips. A real QGIS opens all that is written for it, and must run
 and cancel the algorithms of its toolbox.
 
 What QGIS must be able to do stands in `qgis_window.py`, which QGIS' own Python runs.

@@ -39,7 +39,7 @@ def _offset_per_height(block: Block) -> float:
 
 def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: Ints) -> float:
     """Deviation in m of the points from the ground: the robust spread of the best determined quarter, without
-    their own deviations; over flat ground without each part's bend, and at most the relief of flat land.
+    their own deviations. Over flat ground without each part's bend, and at most the relief of flat land.
     Args: part (p,): see `chosen_ground`."""
     flat, least_m = ground.kind == "flat", _FLAT_PX * block.ground_pixel_m / _offset_per_height(block)
     off = _above(ground, bundle)

@@ -80,7 +80,7 @@ def base_frame(net: OffsetNet, sequence: Sequence[int]) -> Moves:
 
 def layered(net: OffsetNet, sequence: Sequence[int]) -> Moves:
     """The sequence aligned in halves, the drift of the whole spread evenly, after Wu et al. 2016 (the paper's
-    reference 13). Upwards from single frames, two halves each take half of the misalignment between them; at
+    reference 13). Upwards from single frames, two halves each take half of the misalignment between them. At
     the top the drift from the first to the last frame is removed in equal parts."""
     moves = np.zeros((net.n, 2))
 
@@ -130,7 +130,7 @@ def least_squares(
     net: OffsetNet, prior_sd_m: Floats, pair_sd_m: Floats, rounds: int = 8
 ) -> tuple[Floats, Floats]:
     """Moves (n, 2) and their standard deviations (n,) per axis, in metres, that minimise sum (move /
-    prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho; a pair observes the difference of two moves as
+    prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho. A pair observes the difference of two moves as
     the median over its tie points. Args: prior_sd_m (n,): of the ground of a frame by GNSS and IMU; pair_sd_m
     (m,): of a pair's mean difference about a pure offset."""
     m, still = len(net.pairs), np.zeros((net.n, 2))

@@ -90,8 +90,8 @@ def as_filed(adjusted: Adjusted, block: Block) -> Adjusted:
 
 def usable(block: Block) -> tuple[Block, tuple[Warn, ...]]:
     """The block with finite poses, deviations, tie points and control points, and warnings of what was
-    removed. A position or attitude that is not finite counts as unknown, as does a deviation that is NaN;
-    deviations of zero or less become the least that a survey can have."""
+    removed. A position or attitude that is not finite counts as unknown, as does a deviation that is NaN.
+    Deviations of zero or less become the least that a survey can have."""
     poses, warnings = _usable_poses(block)
     ties, lost = _usable_ties(block.ties)
     if lost:

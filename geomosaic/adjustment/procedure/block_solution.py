@@ -169,8 +169,8 @@ def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], gro
 
 
 def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, Bools]:
-    """Median of control minus its place by the poses, (3,); and along which axes that shows another datum:
-    three points or more agree on more than the positions' deviations and the points' scatter explain."""
+    """Median of control minus its place by the poses, (3,). Along which axes that shows another datum: three
+    points or more agree on more than the positions' deviations and the points' scatter explain."""
     used = replace(block, control=tuple(c for c in block.control if not c.check), cameras=cameras)
     off = np.array([c.residual_m for c in control_residuals(used, poses)])
     if not len(off):
@@ -187,8 +187,8 @@ def _with_control(
 ) -> tuple[BlockProblem, Solution, Bools]:
     """The solution with control points, begun from the free one shifted onto them, so that each point is
     compared with the others. Positions have an offset in common, with the deviation of their common error, or
-    unbounded where they are of another datum: else their common error would outweigh control and bend the
-    block."""
+    unbounded where they are of another datum. Otherwise their common error would outweigh control and bend
+    the block."""
     lenses, begun = (free.cameras, free.poses) if free else (problem.cameras, poses)
     shift, datum = _shift_to_control(block, begun, tuple(lenses[k] for k in block.lens_of))
     begun = replace(begun, positions_m=begun.positions_m + shift)
@@ -210,7 +210,7 @@ def _with_flights(
     block: Block, problem: BlockProblem, free: Solution, options: SolveOptions
 ) -> tuple[BlockProblem, Solution]:
     """The solution in which the positions of each of several flights are off in plan in common, since a
-    receiver's error lasts for a flight: else two such errors would turn and stretch the block. What all
+    receiver's error lasts for a flight. Otherwise two such errors would turn and stretch the block. What all
     flights are off by stays unknown, see `common_error`."""
     if flights_sd_m(problem).any() or not block.flight_of.any():
         return problem, free

@@ -129,8 +129,8 @@ def moved_m(one: Adjusted, other: tuple[Poses, Ints], frames: Ints) -> Floats:
 
 
 def whole_block_shift_m(block: Block, poses: Poses, was: Ints) -> float:
-    """By how much, in m, the positions of new frames would move the frames of before: as a similarity in
-    plan, whose turn headings hold, and as a level and a slope in height, which attitudes hold. What all
+    """By how much, in m, the positions of new frames would move the earlier frames. In plan as a similarity,
+    whose turn headings bind, in height as a level and a slope, which attitudes bind. What all
     reported positions ask for is compared with what those of the earlier frames do, at the earlier frames.
 
     Args: poses: all as found. was: see `ChangedPart`.

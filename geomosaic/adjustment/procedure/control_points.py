@@ -113,7 +113,7 @@ def _place(
     poses: Poses, block: Block, control: GroundControl
 ) -> tuple[Floats, Floats, Floats, Floats] | None:
     """A ground point (3,) from its k image coordinates, by least squares; its covariance (3, 3) for poses and
-    cameras without error; its derivatives by the frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it
+    cameras without error. Its derivatives by the frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it
     cannot be placed. In a single image the ground's height is as good as the surveyed point says."""
     frames = np.array([frame for frame, _, _ in control.observations], dtype=np.intp)
     image_px = np.array([at[1:] for at in control.observations])
@@ -178,7 +178,7 @@ def rays_meet_m(
 
 def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[Warn, ...]]:
     """The block with enlarged image marks, where all lie near the first corner and rays of one point meet at
-    one enlargement alone: some programs write marks of reduced images, which no file states."""
+    one enlargement alone. Some programs write marks of reduced images, which no file states."""
     marks, several = (
         [mark for c in block.control for mark in c.observations],
         in_several_images(block.control),
@@ -220,9 +220,9 @@ def _miss_px(poses: Poses, cameras: Sequence[Camera], control: GroundControl, sc
 
 def placed_by_control(block: Block, free: Free) -> Poses | None:
     """The free block's poses after the similarity of space onto the control points. None where a frame has a
-    position, with fewer than three control points in two images each or on a line, or where frames would be
-    tilted by more than stated while the points leave the turn about their line open; then similarities of the
-    plane georeference the block."""
+    position, or with fewer than three control points in two images each or on a line. None too where frames
+    would be tilted by more than stated while the points leave the turn about their line open. Then
+    similarities of the plane georeference the block."""
     used = [c for c in in_several_images(block.control) if not c.check]
     if len(used) < 3 or not position_assumed(block.poses).all():
         return None

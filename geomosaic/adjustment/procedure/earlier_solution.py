@@ -70,7 +70,7 @@ def begun_from_earlier(
 
 
 def still_fits(work: BlockState, earlier: SolvedBlock) -> bool:
-    """Whether the earlier model explains an image observation as well as it did then, but for chance: the
+    """Whether the earlier model explains an image observation as well as it did then, but for chance. The
     deviation of a variance by r numbers is the root of 2 / r, and an observation has two."""
     now, before = work.found.solution.components[IMAGE], Components(earlier.components)[IMAGE]
     chance = np.sqrt(1.0 / len(work.found.problem.tracks.frame) + 1.0 / earlier.observations)

@@ -21,7 +21,7 @@ Solve = Callable[[Block, Settings], Adjusted]
 
 def with_fallbacks(block: Block, settings: Settings, solve: Solve) -> Adjusted:
     """The block adjusted by the richest model that can be solved: the model as asked; the lens, shutter and
-    mounting as given; the same with all rows read at once; similarities of the plane; position and attitude
+    mounting as given. The same with all rows read at once; similarities of the plane; position and attitude
     alone. Each level that fails, or is not finite, adds one warning."""
     warnings: tuple[Warn, ...] = ()
     why = ""

@@ -34,8 +34,8 @@ class Fixes:
 
 @dataclass(frozen=True)
 class PlanPriors:
-    """Priors of frames by GNSS and IMU (n,): nadir points, east + i north in m, and standard deviations: of
-    these in m, of headings in rad, of the scale by height and focal length as a share."""
+    """Priors of frames by GNSS and IMU (n,): nadir points, east + i north in m. Standard deviations: of these
+    in m, of headings in rad, of the scale by height and focal length as a share."""
 
     nadir: Complexes
     position_sd_m: Floats

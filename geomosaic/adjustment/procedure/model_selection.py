@@ -184,7 +184,7 @@ def turns_shown(solved: Solution, block: Block) -> bool:
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     """A line if something other than the given was needed, and one if rotations while rows are read are known
-    by the images alone or not determined; not where a gyroscope's record leaves only its last rows to
+    by the images alone or not determined. Not where a gyroscope's record leaves only its last rows to
     them."""
     out: list[Warn] = []
     read = [abs(c.readout_s) / c.height_px for c in block.cameras if c.readout_s]

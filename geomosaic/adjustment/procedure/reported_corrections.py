@@ -62,7 +62,7 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
 
 def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
     """The block with the headings of each connected part corrected by their common error, and a warning for
-    each such part: headings of n frames that share an error would outweigh positions. The median turn from
+    each such part. Headings of n frames that share an error would outweigh positions. The median turn from
     given to initial headings is common where it is beyond each frame's limit and the frames' own scatter."""
     observed = ~heading_assumed(block.poses)
     known = observed & ~position_assumed(block.poses)

@@ -28,7 +28,7 @@ _INFORMATIVE = tuned(600, "image observations a frame", "more show nothing new o
 def undetermined(problem: BlockProblem, at: Estimate, components: Components) -> Bools:
     """Which optional shared unknowns the block does not determine, (s,): the worst first, until all others
     are; all where their covariance is singular. A number is determined if with image errors _ERRORS_ALIKE
-    times as large its deviation is still below _DETERMINED of its prior deviation: keypoints err alike along
+    times as large its deviation is still below _DETERMINED of its prior deviation. Keypoints err alike along
     a track and among neighbours, so that the redundancy of many tracks is smaller than it looks."""
     layout = at.layout
     many = len(problem.tracks.frame) / (_INFORMATIVE * len(at.positions_m))
@@ -135,8 +135,9 @@ def deviations(variance: Floats, before: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Start:
-    """What another solve goes on from: poses and cameras, the estimate, the variance components, fixed shared
-    unknowns (s,), and the factor of the image deviation about each point (p,), None where unknown."""
+    """What another solve goes on from: poses and cameras, the estimate, and the variance components. Also the
+    fixed shared unknowns (s,), and the factor of the image deviation about each point (p,), None where
+    unknown."""
 
     poses: Poses
     cameras: tuple[Camera, ...]

@@ -25,9 +25,10 @@ from geomosaic.estimation.robust import share_down_weighted
 
 @dataclass(frozen=True)
 class _Stop:
-    """A step is the last if it moves no frame by more than `move` of its position's deviation, and gains no
-    more than `gain` of the cost or leaves no more than `left` deviations (`_left`): the gain alone hides a
-    scale that is still off in a large block. Points are brought within `point` of their deviations."""
+    """A step is the last if it moves no frame by more than `move` of its position's deviation. It must also
+    gain no more than `gain` of the cost, or leave no more than `left` deviations (`_left`). The gain alone
+    hides a scale that is still off in a large block. Points are brought within `point` of their
+    deviations."""
 
     gain: float
     move: float

@@ -32,10 +32,10 @@ _TIMES = tuned((0.5, 4.0), "times its own change", "beyond: chance where unknown
 def local_factors(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -> Floats:
     """Factor of the image deviation about each point, (p,), 1 at the median place.
 
-    The logarithm of each point's variance, weighted by its redundancy (Bartlett and Kendall 1946, The
-    statistical analysis of variance-heterogeneity and the logarithmic transformation), is averaged over
-    neighbours and shrunk to the median by how much more it scatters than chance explains (Efron and Morris
-    1975, Data analysis using Stein's estimator, section 2). Args: points_m (p, 3); length_px, counts (m,): of
+    The logarithm of each point's variance, weighted by its redundancy, is averaged over neighbours (Bartlett
+    and Kendall 1946, The statistical analysis of variance-heterogeneity and the logarithmic transformation).
+    It is shrunk to the median by how much more it scatters than chance explains (Efron and Morris 1975, Data
+    analysis using Stein's estimator, section 2). Args: points_m (p, 3); length_px, counts (m,): of
     each observation, its residual and whether it counts.
     """
     out = np.ones(len(points_m))
@@ -92,7 +92,7 @@ def variance_components(
 def _ahead(found: list[Component], before: Components, followed: Floats) -> tuple[dict[str, float], float]:
     """Where the components will converge to, and the largest relative change on the way there. A component
     estimated again and again goes a part of its way each time, since residuals are smaller the smaller they
-    are assumed to be; how far one follows the other is known, so it goes the whole way at once (Newton's
+    are assumed to be. How far one follows the other is known, so it goes the whole way at once (Newton's
     step)."""
     old = np.log([before[c.name] for c in found])
     change = np.log([c.factor for c in found]) - old

@@ -105,7 +105,7 @@ class GnssPositions(FrameTerm):
 
     def own_miss(self, at: Estimate, components: Components) -> tuple[Floats, int]:
         """Residuals (f, 3) without what the frames of each part have in common (a similarity of the plane, a
-        height that may slope), 0 of assumed positions; and in how many parts the height slopes."""
+        height that may slope), 0 of assumed positions. In how many parts the height slopes."""
         miss, sd = self.miss(at), self.sd(components)
         out, slopes = miss.copy(), 0
         for part in self.parts:

@@ -76,8 +76,8 @@ class ImageObservations:
     @cached_property
     def shown(self) -> Floats:
         """The share of an error's square that residuals show along the directions in which they do, (m,). A
-        point takes three of the two numbers that each of its k images gives (Baarda 1968, section 4);
-        residuals of a point in two images have one direction, with half of the square in it."""
+        point takes three of the two numbers that each of its k images gives (Baarda 1968, section 4).
+        Residuals of a point in two images have one direction, with half of the square in it."""
         views = self.tracks.lengths[self.tracks.point]
         return np.where(self.by_hand, 1.0, 1.0 - 1.5 / np.maximum(views, 3))
 

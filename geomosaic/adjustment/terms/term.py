@@ -115,7 +115,7 @@ class FrameTerm(Term):
     @abstractmethod
     def derivatives(self, at: Estimate) -> tuple[Floats | None, list[tuple[str, Floats]]]:
         """Of the computed numbers by the first six unknowns of a pose (f, k, 6), None where they are the
-        unknowns themselves; and by shared unknowns, (f, k, q) with the name of their part."""
+        unknowns themselves. Those by shared unknowns, (f, k, q), with the name of their part."""
 
     @abstractmethod
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:

@@ -27,7 +27,7 @@ def level_unknown(sd_m: float) -> Unknowns:
 @dataclass(frozen=True)
 class Terrain(Term):
     """Tie points lie on a surface, up to one common level. sd_share: deviation of a point from the surface by
-    the frames' mean height above it (in metres it would be smaller for a shrinking block); trees and roofs
+    the frames' mean height above it (in metres it would be smaller for a shrinking block). Trees and roofs
     are outweighed by Cauchy's function. level_sd_m: of the surface as a whole. bound (p,): which points lie
     on it. frame_share (f,): each frame's share of all observations, its weight in the mean height."""
 
@@ -58,7 +58,7 @@ class Terrain(Term):
 
     def add_to(self, normals: Normals, at: Estimate, components: Components) -> Normals:
         """Adds each point's equation: up minus slope times place minus level, observed as the surface. The
-        deviation grows with the flying height, so the cost has a slope along it, which lifts the frames and
+        deviation grows with the flying height, so the cost has a slope along it. That lifts the frames and
         lowers the level by what the residuals would gain if the block shrank; see `solved`."""
         height = self.height_m(at)
         weight, miss, normal = self.rows(at.points_m, self.bound, self.sd_share * height, at.level_m)
@@ -120,7 +120,7 @@ class Terrain(Term):
 
 def surface_share(normals: Normals, points_inverse: Floats) -> float:
     """How many of the points' unknowns the surface determines rather than the images: the trace of its part
-    in each point's covariance, with poses and cameras fixed; 0 for a surface that hardly binds, 1 a point for
+    in each point's covariance, with poses and cameras fixed. 0 for a surface that hardly binds, 1 a point for
     a hard one."""
     weight = np.maximum(-normals.level_point[:, 2], 1e-300)
     along = np.einsum("pi,pij,pj->p", normals.level_point, points_inverse, normals.level_point)

@@ -113,7 +113,7 @@ def pose(
     """Where a frame's camera is in `map` at the time of its exposure, and how it images.
 
     position_m: (3,) east, north, up. rotation: (3, 3) those axes from the camera's, as `Rotation` has it. The
-    frame of reference that bears the frame's name is the camera's with x right, y down and z forward; pixels
+    frame of reference that bears the frame's name is the camera's with x right, y down and z forward. Pixels
     have the origin in the first one's middle, as OpenCV.
     """
     from scipy.spatial.transform import Rotation as Turn  # half a second that most commands needn't wait

@@ -25,7 +25,7 @@ class Beat:
 
 
 class Heartbeat:
-    """Says every second how far the stage is, from a thread of its own: a stage that computes for minutes
+    """Says every second how far the stage is, from a thread of its own. A stage that computes for minutes
     without a word of progress still shows that it was on.
 
     write: is given the beat; what can't be written is said by the run's own next message.

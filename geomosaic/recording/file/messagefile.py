@@ -91,7 +91,7 @@ class MessageFile:
             self._sequence += 1
 
     def flush(self, sync: bool = True) -> None:
-        """End the chunk and give everything to the system, which keeps it if this process is killed; with
+        """End the chunk and give everything to the system, which keeps it if this process is killed. With
         `sync` also put it on the disk, which keeps it if the machine is."""
         with self._lock, self._writing():
             self._writer.flush()

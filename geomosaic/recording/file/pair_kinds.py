@@ -126,8 +126,8 @@ def tie_points(
     residual_m: ArrayLike | None = None,
     weight: ArrayLike | None = None,
 ) -> Topics:
-    """The tie points of a pair, the left frame first: (k, 2) cols and rows in both frames, (k, 2) residuals
-    on the ground, and the solve's weights (k,), 1 for a good one, NaN where one took no part.
+    """The tie points of a pair, the left frame first: (k, 2) cols and rows in both frames and (k, 2)
+    residuals on the ground. Also the solve's weights (k,), 1 for a good one, NaN where one took no part.
 
     The artefacts hold them too; here in single precision (0.001 px at col 8000).
     """

@@ -22,7 +22,7 @@ _CRS = re.compile(r"\b(EPSG|ESRI|IGNF|OGC):\w+")
 
 
 class Privacy:
-    """Takes out of texts the folders of absolute paths, so that names of files stay; with `places` also moves
+    """Takes out of texts the folders of absolute paths, so that names of files stay. With `places` also moves
     all places to a secret one, and takes out the names of map systems.
 
     folders: those that are known to be named, whatever is in their names.

@@ -1,7 +1,7 @@
 """Writes the recording of a run: an MCAP file of protobuf messages.
 
-The file grows under its final name, unlike every other result: a run that is killed leaves a file
-that is whole up to its last second, and `reader.read_recording` reads it.
+The file grows under its final name, unlike every other result. A run that is killed leaves a file that is
+whole up to its last second, and `reader.read_recording` reads it.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class Recorder:
         self._heartbeat.progress(done, total, text)
 
     def left_out(self, schema: str) -> None:
-        """A stage made no messages of a call or a schema, since they weren't recorded; where they are now, as
+        """A stage made no messages of a call or a schema, since they weren't recorded. Where they are now, as
         when its result comes from the cache, the log says so."""
         kind = kind_of(schema)
         if kind is not None and self.wants(schema):

@@ -58,8 +58,8 @@ def _differing(
     names: Sequence[str],
     change: Callable[[OfPair, OfPair, tuple[Ints, Ints]], dict[str, Any]],
 ) -> list[dict[str, Any]]:
-    """Pairs of one recording alone, and those of which an array differs with the change from a to b, which is
-    given where the lines that both have stand in each."""
+    """Pairs of one recording alone, and those of which an array differs, with the change from a to b. The
+    change is of the lines that both have."""
     out: list[dict[str, Any]] = []
     for stage, pair in dict.fromkeys([*of_a, *of_b]):
         row = {"stage": stage, "pair": pair}

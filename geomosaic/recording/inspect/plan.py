@@ -92,7 +92,7 @@ def plan_layers(recording: Recording) -> list[PlanLayer]:
 
 def names_apart(at: Floats, span_m: Floats, labels: list[str], far_sd: Floats) -> tuple[list[int], Floats]:
     """Rows of those labels at (n, 2) that don't lie on one another where all of the plan, span_m (2,), is
-    seen, and their places: odd ones first, and of these the ones that moved farthest (n, in deviations).
+    seen. Also their places. Odd ones first, and of these the ones that moved farthest (n, in deviations).
     For an odd one there may be room below or above."""
     points_per_m = min(_ROOM / np.maximum(span_m, 1e-9))
     at_pt = np.nan_to_num(at) * points_per_m

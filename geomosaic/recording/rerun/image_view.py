@@ -64,7 +64,7 @@ def draw_chips(recording: Recording, stream: Any) -> None:
 
 
 def draw_thumbnails(recording: Recording, stream: Any) -> None:
-    """Frames' images at their places of the timeline `pick`, one after the other out of the recording: those
+    """Frames' images at their places of the timeline `pick`, one after the other out of the recording. Those
     of the worst as they are, others small, those of a very large survey's best ones not at all."""
     import rerun
 
