@@ -11,6 +11,7 @@ import numpy as np
 from geomosaic.composition.model import OutputGrid
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
+from geomosaic.matching.tracks import MOST_TIED
 
 Range = tuple[float, float]
 
@@ -68,6 +69,8 @@ _WINDOW_BYTES = tuned(100e6, "bytes", "of a composing process's window: less sta
 _HALVES = sourced(1.0 / 4.0, "share", "kept halved: less states the space too low", "1 of 2 x 2 pixels")
 
 
+_SOLVED_BYTES = sourced(600.0, "bytes/tied keypoint", "matched and adjusted", "2.4 million: 1.5 GB")
+_TIED = sourced(2500, "keypoints/frame", "tied, at most", "1,000 frames of 6,000 keypoints each: 2,400")
 _TIES_BYTES = sourced(2.5e6, "bytes/frame", "of keypoints and tie points", "1,000 frames of 0.3 MP: 2.6 GB")
 _FRAMES_BYTES = sourced(0.16, "bytes/px", "of reduced frames", "18 frames of 9 MP: 3.9 MB each, with ties")
 _SURFACE_BYTES = sourced(128.0, "bytes/cell", "of a surface on disk", "18 frames: 360 MB for 2.9 million")
@@ -205,9 +208,10 @@ def before_composing(
     ]  # fmt: skip
     matching = (workers if workers > 1 else 0) * _PROGRAM_BYTES
     matching += workers * _SIFT_BYTES_PER_PX * float(matched.max(initial=0.0))
+    solving = _SOLVED_BYTES * min(_TIED * len(sizes_px), MOST_TIED)
     return Before(
         (s[0], s[1]),
-        _PROGRAM_BYTES + matching + memory_bytes + workers * _WINDOW_BYTES,
+        _PROGRAM_BYTES + matching + solving + memory_bytes + workers * _WINDOW_BYTES,
         _TIES_BYTES * len(sizes_px) + _FRAMES_BYTES * float(whole.sum()),
     )
 

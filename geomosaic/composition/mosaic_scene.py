@@ -141,11 +141,9 @@ class MosaicScene:
         used = {i for i, use in enumerate(frames.used) if use}
         if self.edges is None:
             for i in sorted(used - {view.frame for view in frames.views()}):
-                text = (
-                    "its middle does not see the ground: left out of the mosaic; nothing to do if it shows "
-                )
-                text += "the horizon, else correct its attitude with --pos"
-                yield Warn("looks-past-ground", names[i], text)
+                text = "its middle does not see the ground: left out of the mosaic"
+                fix = "nothing to do if it shows the horizon, else correct its attitude with --pos"
+                yield Warn("looks-past-ground", names[i], f"{text}; {fix}")
             return
         left = used - self.flung - {view.frame for view in self.scene.views}
         for code, text, some in (

@@ -54,7 +54,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "surface.dense", "Match the surface", group="Surface", version=18, outputs=("ground", "surface"),
+    "surface.dense", "Match the surface", group="Surface", version=19, outputs=("ground", "surface"),
     wants_frames=True, conclusions=_conclusions,
 )  # fmt: skip
 def surface_dense(

@@ -18,11 +18,11 @@ def match_warnings(counted: MatchCounts, level: PyramidLevel, known: str) -> Ite
     ground about which they were searched.
     """
     if counted.share < _LEAST_MATCHED:
+        fix = "fly more overlap" if known == "dem" else "fly more overlap, or give --dem"
         yield (
             "surface-not-matched",
             f"frames agree on {100.0 * counted.share:.0f} % of the surface alone (water, blank or moving "
-            "ground, too little overlap, or ground far off the tie points'); the rest is interpolated: fly "
-            "more overlap, or give --dem",
+            f"ground, too little overlap, or ground far off what is known); the rest is interpolated: {fix}",
         )
     elif 2 * counted.by_two > counted.alike:
         yield (
