@@ -136,8 +136,8 @@ class _PageHandler(BaseHTTPRequestHandler):
             return
         try:
             answer = self.server.pages.get(path)
-        except GeomosaicError as error:
-            self._fail(str(error), HTTPStatus.INTERNAL_SERVER_ERROR)
+        except Exception as error:  # the connection would be closed without a word
+            self._fail(error)
             return
         if answer is None:
             self._send(HTTPStatus.NOT_FOUND, Answer("text/plain", b"not found"))
@@ -155,11 +155,8 @@ class _PageHandler(BaseHTTPRequestHandler):
         asked = self._body()
         try:
             answer = self.server.pages.post(path, asked)
-        except (LookupError, TypeError, ValueError) as error:
-            text = str(error) if isinstance(error, GeomosaicError) else "the request is not understood"
-            self._fail(text, HTTPStatus.BAD_REQUEST)
-        except GeomosaicError as error:
-            self._fail(str(error), HTTPStatus.INTERNAL_SERVER_ERROR)
+        except Exception as error:  # as above
+            self._fail(error)
         else:
             self._send(HTTPStatus.OK, answer)
 
@@ -177,7 +174,13 @@ class _PageHandler(BaseHTTPRequestHandler):
         text = f"open the address that {self.server.pages.command} printed"
         self._send(HTTPStatus.FORBIDDEN, Answer("text/plain", text.encode()))
 
-    def _fail(self, text: str, status: HTTPStatus) -> None:
+    def _fail(self, error: Exception) -> None:
+        """Says what went wrong: 400 where the request was at fault, else 500."""
+        at_fault = self.command == "POST" and isinstance(error, (LookupError, TypeError, ValueError))
+        status = HTTPStatus.BAD_REQUEST if at_fault else HTTPStatus.INTERNAL_SERVER_ERROR
+        text = str(error) if isinstance(error, GeomosaicError) else ""
+        if not text:
+            text = "the request is not understood" if at_fault else f"failed: {type(error).__name__}: {error}"
         self._send(status, Answer.json({"error": text}))
 
     def _body(self) -> Any:
@@ -197,5 +200,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         for name, value in (*_HEADERS, ("Content-Type", answer.kind), ("Cache-Control", cache)):
             self.send_header(name, value)
         self.send_header("Content-Length", str(len(answer.body)))
+        if self.close_connection:
+            self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(answer.body)

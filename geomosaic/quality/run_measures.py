@@ -11,8 +11,6 @@ import numpy as np
 import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
-from rasterio import Affine
-from rasterio.features import geometry_mask
 from rasterio.windows import Window
 
 from geomosaic.arrays import Floats
@@ -136,18 +134,18 @@ def _volume(rasters: RunRasters, polygon: Any) -> Volume | None:
         if not (window.width and window.height):
             return None
         of = surface.transform
-        transform = Affine(of.a, 0.0, of.c + of.a * window.col_off, 0.0, of.e, of.f + of.e * window.row_off)
-        shape = int(window.height), int(window.width)
-        rows, cols = np.nonzero(geometry_mask([polygon], shape, transform, invert=True))
-        east, north = transform.a * (cols + 0.5) + transform.c, transform.e * (rows + 0.5) + transform.f
-        inside = np.column_stack([east, north])
-        rings = [shapely.segmentize(shapely.LinearRing(r), transform.a) for r in rings_of_polygon(polygon)]
+        east = of.c + of.a * (window.col_off + np.arange(int(window.width)) + 0.5)
+        north = of.f + of.e * (window.row_off + np.arange(int(window.height)) + 0.5)
+        middles = np.stack(np.meshgrid(east, north), axis=-1)
+        shapely.prepare(polygon)
+        inside = middles[shapely.contains_xy(polygon, middles[..., 0], middles[..., 1])]
+        rings = [shapely.segmentize(shapely.LinearRing(r), of.a) for r in rings_of_polygon(polygon)]
         rim = np.concatenate([shapely.get_coordinates(ring)[:-1] for ring in rings])
         heights = [np.column_stack([at, sampled(surface, 1, at)]) for at in (inside, rim)]
         sds = [sampled(confidence, 1, at) for at in (inside, rim)]
     if not len(inside) or not all(np.isfinite(height).all() for height in heights):
         return None
-    return volume_of(heights[0], heights[1], sds[0], sds[1], abs(transform.a * transform.e))
+    return volume_of(heights[0], heights[1], sds[0], sds[1], abs(of.a * of.e))
 
 
 def _window(raster: Raster, at_m: Floats) -> Window:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import threading
+import urllib.error
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ from osgeo import gdal, osr
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.export.index import Index, write_index
+from geomosaic.pages.loopback_server import Answer, LoopbackServer
 from geomosaic.viewer.run_view import run_views
 from geomosaic.viewer.viewer_pages import ViewerPages
 
@@ -152,3 +156,31 @@ def test_what_is_no_run_is_named(tmp_path: Path) -> None:
     (run / "mosaic.tif").unlink()
     with pytest.raises(FileError, match=r"no mosaic\.tif"):
         run_views(run)
+
+
+class Broken(ViewerPages):
+    """Pages with a fault that nobody thought of."""
+
+    def get(self, path: list[str]) -> Answer | None:
+        raise RuntimeError("no memory")
+
+
+def test_a_page_is_answered_even_where_a_measure_fails(tmp_path: Path) -> None:
+    run = finished(tmp_path / "run")
+    with LoopbackServer(ViewerPages(run_views(run))) as server:
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        (run / "accuracy.tif").unlink()
+        asked = json.dumps({"run": 0, "kind": "place", "points": SQUARE[:1]}).encode()
+        headers = {"Content-Type": "application/json"}
+        for body, status, text in ((asked, 400, "accuracy.tif"), (b"{}", 400, "not understood")):
+            with pytest.raises(urllib.error.HTTPError) as failed:
+                urllib.request.urlopen(urllib.request.Request(server.url + "measure", body, headers))
+            with failed.value as answer:
+                assert answer.status == status and answer.headers["Connection"] == "close"
+                assert text in json.load(answer)["error"]
+        server.pages = Broken([])
+        with pytest.raises(urllib.error.HTTPError) as failed:
+            urllib.request.urlopen(server.url + "runs")
+        with failed.value as answer:
+            assert answer.status == 500 and json.load(answer)["error"] == "failed: RuntimeError: no memory"
+        server.shutdown()

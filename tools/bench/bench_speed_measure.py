@@ -13,7 +13,7 @@ import psutil
 
 SAMPLE_S = 0.1
 MOST_SHARE = 0.05
-"""Of the time, that sampling takes: the shares of large processes' pages take tenths of a second to count."""
+"""Of one processor, for sampling: the shares of large processes' pages take tenths of a second to count."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,10 @@ def measured(
             with suppress(subprocess.TimeoutExpired):
                 process.wait(pause_s)
                 break
-            began = time.perf_counter()
+            began = time.thread_time()
             peak_mb = max(peak_mb, used_mb(process.pid))
             used_s |= processors_s(process.pid)
-            pause_s = max(SAMPLE_S, (time.perf_counter() - began) / MOST_SHARE)
+            pause_s = max(SAMPLE_S, (time.thread_time() - began) / MOST_SHARE)
             if time.perf_counter() - start > most_s:
                 stopped = f"stopped after {most_s:.0f} s"
             elif peak_mb > most_mb:
