@@ -61,9 +61,9 @@ def _least_squares(block: Block, settings: Settings, spread: Spread | None = Non
 
 
 def _deviations_m(block: Block, net: OffsetNet) -> tuple[Floats, Floats]:
-    """Standard deviations of the offset model in metres: of each frame's ground (n,), by its position and by
-    height times tilt. Of each pair (m,), by yaw and height errors half a base away from either nadir point,
-    at least half a ground pixel."""
+    """Standard deviations of the offset model in metres: of each frame's ground (n,) and of each pair (m,). A
+    frame's follows from its position and from height times tilt. A pair's follows from yaw and height errors
+    half a base away from either nadir point, and is at least half a ground pixel."""
     poses = block.poses
     height = poses.positions_m[:, 2] - block.ground.up_at(poses.positions_m[:, 0], poses.positions_m[:, 1])
     tilt = np.minimum(poses.rotations_sd_rad[:, :2].mean(axis=1), 0.5)

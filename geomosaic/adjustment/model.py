@@ -47,11 +47,13 @@ class ControlResidual:
 
 @dataclass(frozen=True)
 class SolvedBlock:
-    """A solution that the adjustment of a later run begins from, of the frames that it is certain of. (n,):
-    theirs. positions_m (n, 3) and rotations (n, 3, 3) in the work frame, rotation_terms_rad (n, t, 3) and
-    drift (n, 3) while rows are read. settings, lenses: of its model, as assumed; cameras: as found. shared,
-    fixed: values of the shared unknowns by the name of their part, and which were kept as given. components:
-    variance components by name. observations: number of image observations. choice: how the model was chosen.
+    """A solution that the adjustment of a later run begins from, with the frames that it is certain of.
+
+    names (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame.
+    rotation_terms_rad (n, t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as
+    assumed; cameras: as found. shared, fixed: values of the shared unknowns by the name of their part, and
+    which were kept as given. components: variance components by name. observations: number of image
+    observations. choice: how the model was chosen.
     """
 
     FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad"}
@@ -286,9 +288,11 @@ class Adjusted:
 
     residuals_m: per pair of `Block.ties.pairs` (k, 2), tie points on the ground, right minus left, east and
     north. ground: the block's own unless the method estimates it. control: of all measured control and check
-    points. Of methods that solve for them: pose_covariance (f, 6, 6) of east, north, up (m) and turns about
-    them (rad), that of the POS for frames that took no part. places, shared, image_residuals; model, where
-    more than the given one was tried; solved, which a later run may begin from.
+    points.
+
+    The rest comes from methods that solve for it. pose_covariance (f, 6, 6): of east, north, up (m) and turns
+    about them (rad), that of the POS for frames that took no part. places, shared, image_residuals: None from
+    other methods. model: where more than the given one was tried. solved: what a later run may begin from.
     """
 
     poses: Poses

@@ -39,8 +39,8 @@ def _offset_per_height(block: Block) -> float:
 
 def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: Ints) -> float:
     """Deviation in m of the points from the ground: the robust spread of the best determined quarter, without
-    their own deviations. Over flat ground without each part's bend, and at most the relief of flat land.
-    Args: part (p,): see `chosen_ground`."""
+    their own deviations. Over flat ground, each part's bend is removed first, and the result is at most the
+    relief of flat land. Args: part (p,): see `chosen_ground`."""
     flat, least_m = ground.kind == "flat", _FLAT_PX * block.ground_pixel_m / _offset_per_height(block)
     off = _above(ground, bundle)
     off = off - _bends(bundle.points_m, off, part) if flat else off

@@ -49,11 +49,11 @@ def tie_surface(heights: Heights, *, rough: bool = False, spread: Spread | None 
     """Robust smoothing surface through tie points, a spline with tension (Mitášová and Mitáš 1993).
 
     Minimises sum rho((up - surface) / sd) over the points, with Cauchy's rho, plus squared slopes and third
-    derivatives over their usual sizes; lengths count in flying heights. Cross-validation finds the usual
-    third derivative at left-out squares. It finds whether a plane or paraboloid holds the surface from below,
-    at low points of left-out corners. It finds how deviations grow with the distance from the points: between
-    them at the squares, beyond them at left-out sides. Args: rough: with the usual third derivative about a
-    free plane, without deviations; a twentieth of the work. spread: runs trials.
+    derivatives over their usual sizes; lengths count in flying heights. Cross-validation chooses the usual
+    third derivative at left-out squares. At low points of left-out corners, it chooses whether a plane or
+    paraboloid supports the surface from below. It also finds how deviations grow with the distance from the
+    points: between them at the squares, beyond them at left-out sides. Args: rough: with the usual third
+    derivative about a free plane, without deviations; a twentieth of the work. spread: runs trials.
     """
     points_m = heights.points_m
     inside = np.ptp(points_m[:, :2], axis=0)

@@ -166,8 +166,9 @@ def image_from_ground(of: Projections) -> Floats:
 
 def project(of: Projections) -> tuple[Floats, Floats, Floats, Floats]:
     """Image coordinates (m, 2) and their derivatives by_pose (m, 2, d: position, turn in rad, rotation terms
-    and drift), by_interior (m, 2, 9) and by_point (m, 2, 3). NaN behind the camera. A rotation's update is a
-    small turn about the work frame's axes from the left, R = exp([t]) R0; see `Camera` and `Rotation`."""
+    and drift), by_interior (m, 2, 9) and by_point (m, 2, 3). All are NaN behind the camera. A rotation's
+    update is a small turn about the work frame's axes from the left, R = exp([t]) R0; see `Camera` and
+    `Rotation`."""
     image, levers, by_interior, by_point = project_by_levers(of)
     return (
         _by_number(image), _by_number(levers.by_pose(by_point)), _by_number(by_interior), _by_number(by_point)
@@ -210,8 +211,9 @@ def project_by_levers(of: Projections) -> tuple[Floats, Levers, Floats, Floats]:
 
 
 class _Directions(NamedTuple):
-    """Point minus projection centre d (3, m). To the right and down in the image over the distance along the
-    view, without distortion, u and v (m,). The camera's own z (m,), NaN behind the camera."""
+    """d (3, m): point minus projection centre. u, v (m,): its offsets to the right and down in the image over
+    its distance along the view, without distortion. z (m,): its coordinate along the camera's own z, NaN
+    behind the camera."""
 
     d: Floats
     u: Floats

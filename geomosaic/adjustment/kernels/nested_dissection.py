@@ -80,8 +80,9 @@ class Dissection:
 
 
 def matrix_of_pairs(f: int, left: Ints, right: Ints) -> tuple[Ints, Ints, Ints]:
-    """Columns and row starts of a matrix of f frames that has a block for each frame and, on both sides of
-    its diagonal, for each pair. The blocks' places, frames before pairs before pairs turned over."""
+    """Columns and row starts of a matrix of f frames, and the order of its blocks. It has a block for each
+    frame and, on both sides of its diagonal, for each pair. The order counts frames first, then pairs, then
+    pairs turned over."""
     row = np.concatenate([np.arange(f), left, right])
     column = np.concatenate([np.arange(f), right, left])
     order = np.lexsort((column, row))

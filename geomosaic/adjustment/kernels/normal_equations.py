@@ -25,8 +25,8 @@ SQUARE: Ints = sourced(
 
 @dataclass(frozen=True)
 class Normals:
-    """Blocks of A'PA and A'Pl: f frames of d unknowns (poses first), c cameras of k, p points of 3. The
-    shared ground level and q unknowns of the mounting meet the poses alone.
+    """Blocks of A'PA and A'Pl. There are f frames of d unknowns (poses first), c cameras of k, p points of 3,
+    one shared ground level, and q unknowns of the mounting. The mounting meets the poses alone.
 
     pose (f, d, d), interior (c, k, k), points (p, 3, 3), mounting (q, q); sides alike. pose_interior (f, d,
     k): each frame with its own camera; pose_mounting (f, d, q); interior_point (c, p, k, 3); level_point (p,

@@ -25,8 +25,8 @@ _LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at 
 @dataclass(frozen=True)
 class Reduced:
     """The reduced system: poses (sparse), bordered by what frames share, border (d f, s) and shared (s, s).
-    The shared unknowns are, in this order, the numbers of each camera (c of k), the ground's level (1), the
-    mounting (q). s = c k + 1 + q in all."""
+    The shared unknowns are, in this order, the numbers of each camera (c of k), the ground's level (1) and
+    the mounting (q). Their number is s = c k + 1 + q."""
 
     poses: bsr_matrix
     border: Floats
@@ -121,8 +121,9 @@ class Reduced:
         return y.reshape(f, d, r)
 
     def moved(self, by_pose: Floats, by_shared: Floats) -> tuple[Floats, Floats]:
-        """The columns (f, d, r) and (s, r) of the inverse, of r quantities that depend on poses and shared
-        unknowns. They are multiplied by their derivatives by_pose (f, 6, r) and by_shared (s, r)."""
+        """The inverse times derivatives of r quantities: the rows of the poses (f, d, r) and of the shared
+        unknowns (s, r). Args: by_pose (f, 6, r), by_shared (s, r): derivatives of the quantities by poses and
+        shared unknowns."""
         (f, d), r = self.normals.pose_side.shape, by_shared.shape[1]
         by_pose = np.pad(by_pose, ((0, 0), (0, d - by_pose.shape[1]), (0, 0))).reshape(d * f, r)
         alone = self._factors.solve(by_pose)
@@ -141,7 +142,7 @@ class Reduced:
 def reduce_normals(n: Normals, damping: float = 0.0) -> Reduced:
     """Eliminates the points (Triggs et al. 2000, section 6.1); damping is Levenberg-Marquardt's, relative to
     the diagonal. With V = L L' of a point and W its rows in the poses' columns, W' V^-1 W is the square of
-    L^-1 W. That leaves no direction of the poses negative."""
+    L^-1 W. Computed as a square, it leaves no direction of the poses negative."""
     (f, d), (c, k) = n.pose_side.shape, n.interior_side.shape
     s, interior, less_border = n.sightings, _damped(n.interior, damping), np.zeros((f, d, c * k + 2))
     less_shared, points_inverse = np.zeros((c * k + 2, c * k + 2)), np.empty((s.points, 3, 3))

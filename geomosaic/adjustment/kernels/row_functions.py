@@ -27,8 +27,8 @@ def with_drift(poses: Poses, drift_m: Floats, readouts_s: Floats) -> Poses:
 
 
 def recorded_share(turns: Turns | None, frame: Ints, readouts_s: Floats) -> Floats:
-    """Up to which share of the image's height, from the middle row on in the order of reading, turns are
-    recorded, (m,), of frames (m,) with readouts_s (m,). NaN where next to none of it is."""
+    """Up to which share of the image's height turns are recorded, (m,), from the middle row on in the order
+    of reading. NaN where next to none of it is. Args: frame, readouts_s (m,)."""
     if turns is None:
         return np.full(readouts_s.shape, np.nan)
     until_s = np.broadcast_to(turns.recorded_until_s, len(turns.rad))[frame]
@@ -37,11 +37,11 @@ def recorded_share(turns: Turns | None, frame: Ints, readouts_s: Floats) -> Floa
 
 
 def terms_at(share: Floats, terms: int, recorded: Floats, backwards: Bools) -> tuple[Floats, Floats]:
-    """The functions (..., terms) at rows by their share of the image's height, from the middle row on, and
-    their slopes over a whole height: Legendre's polynomials. Where rotations are recorded up to a share of
-    the height (`recorded`, NaN where not; in the order of reading, upwards where `backwards`), rates were
-    guessed beyond it. The first function is for the record's zero, the others are powers from two on of the
-    rows since."""
+    """The functions (..., terms) at rows, and their slopes over a whole height: Legendre's polynomials. Where
+    rotations are recorded, the first function is for the record's zero. The others are powers from two on of
+    the rows after the record's end, along which rates were guessed. Args: share: of the image's height, from
+    the middle row on. recorded: share up to which rotations are recorded, in the order of reading, NaN where
+    they are not. backwards: where rows are read upwards."""
     whole = legendre.legvander(2.0 * share, terms)
     slopes = 2.0 * whole[..., :terms] @ legendre.legder(np.eye(terms + 1))[:, 1:]
     whole = (whole - legendre.legvander(np.zeros(1), terms))[..., 1:]

@@ -129,10 +129,10 @@ def chain(net: OffsetNet, sequence: Sequence[int]) -> tuple[Complexes, Complexes
 def least_squares(
     net: OffsetNet, prior_sd_m: Floats, pair_sd_m: Floats, rounds: int = 8
 ) -> tuple[Floats, Floats]:
-    """Moves (n, 2) and their standard deviations (n,) per axis, in metres, that minimise sum (move /
-    prior_sd)² + sum rho(misalignment / pair_sd), Huber's rho. A pair observes the difference of two moves as
-    the median over its tie points. Args: prior_sd_m (n,): of the ground of a frame by GNSS and IMU; pair_sd_m
-    (m,): of a pair's mean difference about a pure offset."""
+    """Moves (n, 2) and their standard deviations (n,) per axis, in metres. The moves minimise sum (move /
+    prior_sd)² + sum rho(misalignment / pair_sd), with Huber's rho. A pair observes the difference of two
+    moves as the median over its tie points. Args: prior_sd_m (n,): of the ground of a frame by GNSS and IMU;
+    pair_sd_m (m,): of a pair's mean difference about a pure offset."""
     m, still = len(net.pairs), np.zeros((net.n, 2))
     observed = -np.array([np.median(net.differences_m(p, still), axis=0) for p in range(m)]).reshape(-1, 2)
     entries = np.concatenate([-np.ones(m), np.ones(m)])

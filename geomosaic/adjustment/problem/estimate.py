@@ -155,8 +155,8 @@ class Estimate:
 
     def stepped(self, step: Step, share: float = 1.0) -> Estimate:
         """The estimate after a share of a step. The turn and scale that all movements have in common are
-        applied last, as a similarity. Images do not change by it, however large, but would change by products
-        of added corrections."""
+        applied last, as a similarity. A similarity leaves the images unchanged however large it is; the
+        products of added corrections would change them."""
         pose, point, shared = (share * part for part in step)
         frames = len(self.positions_m)
         if not len(point):

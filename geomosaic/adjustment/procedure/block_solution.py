@@ -169,8 +169,9 @@ def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], gro
 
 
 def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, Bools]:
-    """Median of control minus its place by the poses, (3,). Along which axes that shows another datum: three
-    points or more agree on more than the positions' deviations and the points' scatter explain."""
+    """Median of control minus its place by the poses, (3,), and along which axes (3,) it shows another datum.
+    It does where three points or more agree on more than the positions' deviations and the points' scatter
+    explain."""
     used = replace(block, control=tuple(c for c in block.control if not c.check), cameras=cameras)
     off = np.array([c.residual_m for c in control_residuals(used, poses)])
     if not len(off):

@@ -95,9 +95,9 @@ def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, F
 
 
 def contradicted_frames(block: Block, poses: Poses, shares: Floats) -> dict[int, Warn]:
-    """Frames to leave out, by number. Over flat ground views may converge to a second, oblique pose. Left out
-    are frames far from their positions that are either oblique among nadir views or with most tie points
-    down-weighted. Args: shares (n,): `counted_shares`."""
+    """Frames to leave out, by number. They are far from their positions, and either oblique among nadir views
+    or with most tie points down-weighted. Over flat ground, views may converge to a second, oblique pose.
+    Args: shares (n,): `counted_shares`."""
     far, limit = _off_m(block, poses)
     tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
     usual = float(np.median(tilt))

@@ -129,9 +129,10 @@ def moved_m(one: Adjusted, other: tuple[Poses, Ints], frames: Ints) -> Floats:
 
 
 def whole_block_shift_m(block: Block, poses: Poses, was: Ints) -> float:
-    """By how much, in m, the positions of new frames would move the earlier frames. In plan as a similarity,
-    whose turn headings bind, in height as a level and a slope, which attitudes bind. What all
-    reported positions ask for is compared with what those of the earlier frames do, at the earlier frames.
+    """By how much, in m, the positions of new frames would move the earlier frames. In plan they move as a
+    similarity, whose turn is bound by headings. In height they move by a level and a slope, which is bound by
+    attitudes. The fit to all reported positions is compared with the fit to those of the earlier frames, at
+    the earlier frames.
 
     Args: poses: all as found. was: see `ChangedPart`.
     """

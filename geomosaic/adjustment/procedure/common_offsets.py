@@ -37,9 +37,9 @@ def common_error(
 
 
 def _in_plan(given: Poses, horizontal: float) -> Floats:
-    """Of a common shift in plan, (2,). Positions of one receiver on one flight scatter less than stated. The
-    shift takes the rest of the stated variance, up to what a receiver's errors have in common over a
-    flight."""
+    """Variance (2,) of a common shift in plan. Positions of one receiver on one flight scatter less than
+    stated; the shift takes the rest of the stated variance. It is at most what a receiver's errors have in
+    common over a flight."""
     known = ~position_assumed(given)
     if not known.any():
         return np.zeros(2)
@@ -49,9 +49,9 @@ def _in_plan(given: Poses, horizontal: float) -> Floats:
 
 
 def _in_height(block: Block, poses: Poses, ground: GroundSurface) -> float:
-    """Of heights whose datum is not stated: their receiver's deviation, which frames share, the drift of the
-    heights, and the deviation of their datum. That is the ellipsoid, the sea or, where the ground comes out
-    about height 0, the take-off."""
+    """Variance of a common shift in height, by the datum and the drift of the heights. A datum that is not
+    stated adds the receiver's deviation, which frames share, and that of the zero height. Zero is the
+    ellipsoid, the sea or, where the ground comes out about height 0, the take-off."""
     reference = block.heights
     if reference is None:
         return 0.0

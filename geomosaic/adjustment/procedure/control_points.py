@@ -112,9 +112,9 @@ def spread_of_poses(poses: Poses) -> Spread:
 def _place(
     poses: Poses, block: Block, control: GroundControl
 ) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """A ground point (3,) from its k image coordinates, by least squares; its covariance (3, 3) for poses and
-    cameras without error. Its derivatives by the frames' poses (k, 3, 6) and cameras (k, 3, 9). None where it
-    cannot be placed. In a single image the ground's height is as good as the surveyed point says."""
+    """A ground point (3,) from its k image coordinates, by least squares, and its covariance (3, 3) for poses
+    and cameras without error. Also its derivatives by the frames' poses (k, 3, 6) and cameras (k, 3, 9). None
+    where it cannot be placed. In a single image the ground's height is as good as the surveyed point says."""
     frames = np.array([frame for frame, _, _ in control.observations], dtype=np.intp)
     image_px = np.array([at[1:] for at in control.observations])
     cameras, single = block.cameras, len(np.unique(frames)) == 1
@@ -220,7 +220,7 @@ def _miss_px(poses: Poses, cameras: Sequence[Camera], control: GroundControl, sc
 
 def placed_by_control(block: Block, free: Free) -> Poses | None:
     """The free block's poses after the similarity of space onto the control points. None where a frame has a
-    position, or with fewer than three control points in two images each or on a line. None too where frames
+    position, or with fewer than three control points in two images each or on a line. Also None where frames
     would be tilted by more than stated while the points leave the turn about their line open. Then
     similarities of the plane georeference the block."""
     used = [c for c in in_several_images(block.control) if not c.check]

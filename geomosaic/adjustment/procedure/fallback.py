@@ -20,9 +20,10 @@ Solve = Callable[[Block, Settings], Adjusted]
 
 
 def with_fallbacks(block: Block, settings: Settings, solve: Solve) -> Adjusted:
-    """The block adjusted by the richest model that can be solved: the model as asked; the lens, shutter and
-    mounting as given. The same with all rows read at once; similarities of the plane; position and attitude
-    alone. Each level that fails, or is not finite, adds one warning."""
+    """The block adjusted by the richest model that can be solved. The first model is the one asked for, the
+    next keeps the lens, shutter and mounting as given, the third also reads all rows at once. Then come
+    similarities of the plane, and last position and attitude alone. Each level that fails, or is not finite,
+    adds one warning."""
     warnings: tuple[Warn, ...] = ()
     why = ""
     for solve_level, code, text in _levels(solve):

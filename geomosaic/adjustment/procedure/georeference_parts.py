@@ -34,8 +34,9 @@ class Fixes:
 
 @dataclass(frozen=True)
 class PlanPriors:
-    """Priors of frames by GNSS and IMU (n,): nadir points, east + i north in m. Standard deviations: of these
-    in m, of headings in rad, of the scale by height and focal length as a share."""
+    """Priors of frames by GNSS and IMU, each (n,). nadir: nadir points, east + i north in m. Standard
+    deviations: position_sd_m of the nadir points, yaw_sd_rad of headings, scale_sd of the scale by height and
+    focal length, as a share."""
 
     nadir: Complexes
     position_sd_m: Floats

@@ -46,9 +46,9 @@ CHANGED: Final = "the changed part"
 
 def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
     """The block with the earlier poses, but for frames whose tie points changed and as many about them as
-    move by more than the bound. None where a whole adjustment is needed. The new positions would move the
-    earlier frames by more than the bound, or new images fit the earlier lenses badly. Or something ties all
-    frames together: control points, rolling shutters, unknowns of the platform."""
+    move by more than the bound. None where a whole adjustment is needed. It is needed where the new positions
+    would move the earlier frames by more than the bound, or new images fit the earlier lenses badly. It is
+    also needed where control points, rolling shutters or unknowns of the platform tie all frames together."""
     if earlier.solved is None or earlier.moved is not None or _ties_all(block, earlier):
         return None
     was, changed = changed_frames(block, earlier)

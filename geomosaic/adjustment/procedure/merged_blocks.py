@@ -185,8 +185,8 @@ def _order(block: Block, names: tuple[str, ...]) -> Ints:
 
 
 def merged_surface(earlier: GroundSurface, local: GroundSurface) -> GroundSurface:
-    """An earlier surface of tie points, extended to cover a local one, on its nodes. It is itself where it is
-    at least as certain, and the local one where that is far more certain."""
+    """An earlier surface of tie points, extended to cover a local one, on its nodes. It stays exactly itself
+    where it is at least as certain, and becomes the local one where that is far more certain."""
     side, corner = earlier.spacing_m, np.array([earlier.east_0_m, earlier.north_0_m])
     size = np.array(local.up_m.shape[::-1])
     low = np.array([local.east_0_m, local.north_0_m])

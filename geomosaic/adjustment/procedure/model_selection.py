@@ -183,9 +183,9 @@ def turns_shown(solved: Solution, block: Block) -> bool:
 
 
 def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
-    """A line if something other than the given was needed, and one if rotations while rows are read are known
-    by the images alone or not determined. Not where a gyroscope's record leaves only its last rows to
-    them."""
+    """A line if something other than the given was needed, and one if rotations while rows are read are not
+    determined or known by the images alone. The second is left out where a gyroscope's record leaves only its
+    last rows to the images."""
     out: list[Warn] = []
     read = [abs(c.readout_s) / c.height_px for c in block.cameras if c.readout_s]
     anchored = bool(block.control) or not position_assumed(block.poses).all()

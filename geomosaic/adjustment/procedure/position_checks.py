@@ -28,10 +28,11 @@ _MIRRORED = (
 
 
 def shift_and_scale(block: Block, poses: Poses, frames: Ints) -> list[Warn]:
-    """Warnings of positions that have another shape than the block, or its mirror image. Otherwise of a
-    common shift of all beyond five stated deviations (another datum of control). Also of a wrong scale of the
-    block, by the similarity from adjusted to given positions. Its deviation is a position's over the root of
-    the squared extent; a position's is the residual of the similarity, and at least the stated one or 1 m."""
+    """Warning of positions that have another shape than the block, or its mirror image. Otherwise warnings of
+    a common shift of all beyond five stated deviations (another datum of control), and of a wrong scale of
+    the block. The scale is that of the similarity from adjusted to given positions. Its deviation is a
+    position's over the root of the squared extent. A position's deviation is the residual of the similarity,
+    and at least the stated one or 1 m."""
     frames = frames[~position_assumed(block.poses)[frames]]
     if not len(frames):
         return []

@@ -33,8 +33,8 @@ _MOST_BACKWARDS = tuned(0.6, "share of the frames", "more fly backwards: cameras
 
 def read_backwards(work: BlockState) -> tuple[int, ...]:
     """Quarters by which to turn each frame's image: 2 for those that fly backwards by their images while
-    others fly forwards, or the reverse where cameras look back. Empty where there are none, or where the
-    order of reading hardly matters."""
+    others fly forwards, or the reverse where cameras look back. Empty where no image is to be turned, or
+    where the order of reading hardly matters."""
     block, solution = work.block, work.found.solution
     velocities, reported = block.poses.velocities_m_per_s, block.poses.turns is not None
     rolling = any(t.name == RollingShutterRotation.name for t in solution.problem.frames)

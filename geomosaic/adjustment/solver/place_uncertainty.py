@@ -21,8 +21,9 @@ _WELL_KNOWN = tuned(3.0, "times the median deviation of a point", "more: rays th
 
 @dataclass(frozen=True)
 class PlaceDerivatives:
-    """Of tie points (k, 3) far from each other, by poses (f, d, 3 k) and shared unknowns (s, 3 k), by place,
-    then axis. Without the noise of the points' own image coordinates, which a map does not have."""
+    """Derivatives of tie points (k, 3) far from each other, by poses (f, d, 3 k) and shared unknowns (s, 3
+    k), by place, then axis. The noise of the points' own image coordinates is left out, since a map does not
+    have it."""
 
     places_m: Floats
     by_pose: Floats
@@ -84,9 +85,9 @@ class DesignEffect:
     by_frame: float
 
     def among(self, tracks: Tracks) -> float:
-        """The design effect to expect of other observations of the same images: 1 + (m - 1) r of m in a
-        frame. r is the correlation of two of them (Kish 1965, section 5.4), less one deviation, since chance
-        grows with m too."""
+        """The design effect to expect of other observations of the same images: 1 + (m - 1) r, with m
+        observations in a frame. Here r is the correlation of two of them (Kish 1965, section 5.4), less one
+        deviation, since chance grows with m too."""
         shared = max(self.value - self.sd - 1.0, 0.0) / max(self.by_frame - 1.0, 1.0)
         return 1.0 + max(_in_a_frame(tracks.frame) - 1.0, 0.0) * shared
 
@@ -107,12 +108,13 @@ def design_effect(solution: Solution, ties: int) -> DesignEffect:
     """How many times the variance of the map's shape is what it would be if image errors were independent; 1
     where too little is known.
 
-    An unmodelled lens, wind or shutter shifts many image points of a frame alike. The design effect of a
-    sample in clusters (Kish 1965, Survey Sampling, section 8.2) with frames as clusters. It divides squares
-    of the sums of their observations' scores by the sum of the scores' squares, as in the robust covariance
-    of Liang and Zeger (1986, theorem 2). Counted is what shifts, tilts, stretches and bends the map, each by
-    its variance. Corrected for n frames and p numbers of lenses by n / (n - p) (MacKinnon and White 1985,
-    HC1). Args: ties: see `place_derivatives`. Raises: NotSolvableError where the equations have no solution.
+    An unmodelled lens, wind or shutter shifts many image points of a frame alike. This is the design effect
+    of a sample in clusters (Kish 1965, Survey Sampling, section 8.2), with frames as clusters. Scores are
+    summed by frame; the sums' squares are divided by the sum of the scores' squares, as in the robust
+    covariance of Liang and Zeger (1986, theorem 2). The scores are those of what shifts, tilts, stretches and
+    bends the map, each divided by its standard deviation. The factor n / (n - p) corrects for n frames and p
+    numbers of lenses (MacKinnon and White 1985, HC1). Args: ties: see `place_derivatives`. Raises:
+    NotSolvableError where the equations have no solution.
     """
     its, reduced = place_derivatives(solution, ties), solution.stated.solved
     if its is None:

@@ -135,8 +135,8 @@ def deviations(variance: Floats, before: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Start:
-    """What another solve goes on from: poses and cameras, the estimate, and the variance components. Also the
-    fixed shared unknowns (s,), and the factor of the image deviation about each point (p,), None where
+    """What another solve goes on from: poses and cameras, the estimate, the variance components, and the
+    fixed shared unknowns (s,). local (p,): factor of the image deviation about each point, None where
     unknown."""
 
     poses: Poses

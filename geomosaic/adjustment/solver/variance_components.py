@@ -32,11 +32,11 @@ _TIMES = tuned((0.5, 4.0), "times its own change", "beyond: chance where unknown
 def local_factors(tracks: Tracks, points_m: Floats, length_px: Floats, counts: Bools) -> Floats:
     """Factor of the image deviation about each point, (p,), 1 at the median place.
 
-    The logarithm of each point's variance, weighted by its redundancy, is averaged over neighbours (Bartlett
-    and Kendall 1946, The statistical analysis of variance-heterogeneity and the logarithmic transformation).
+    The logarithm of each point's variance is averaged over neighbours, weighted by its redundancy. (Bartlett
+    and Kendall 1946, The statistical analysis of variance-heterogeneity and the logarithmic transformation.)
     It is shrunk to the median by how much more it scatters than chance explains (Efron and Morris 1975, Data
-    analysis using Stein's estimator, section 2). Args: points_m (p, 3); length_px, counts (m,): of
-    each observation, its residual and whether it counts.
+    analysis using Stein's estimator, section 2). Args: points_m (p, 3); length_px, counts (m,): of each
+    observation, its residual and whether it counts.
     """
     out = np.ones(len(points_m))
     use = counts & np.isfinite(length_px)

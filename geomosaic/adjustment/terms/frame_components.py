@@ -43,9 +43,9 @@ def common_similarity(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats:
 
 
 def common_slope(at_m: Floats, miss_m: Floats, sd_m: Floats, may_rad: float) -> Floats:
-    """The part of residuals in height (k,) that a plane explains. Their common height alone where the slope
-    may be chance (Schwarz 1978) or is steeper than may_rad: then heights drift or jump, and the block has not
-    tilted."""
+    """The part of residuals in height (k,) that a plane explains. It is their common height alone where the
+    slope may be chance (Schwarz 1978) or is steeper than may_rad. In the latter case heights drift or jump,
+    and the block has not tilted."""
     level = np.full(len(at_m), common_mean(miss_m, sd_m))
     if len(at_m) < 4 or not np.isfinite(sd_m).all():
         return level

@@ -104,8 +104,9 @@ class GnssPositions(FrameTerm):
         return by_pose, shared
 
     def own_miss(self, at: Estimate, components: Components) -> tuple[Floats, int]:
-        """Residuals (f, 3) without what the frames of each part have in common (a similarity of the plane, a
-        height that may slope), 0 of assumed positions. In how many parts the height slopes."""
+        """Residuals (f, 3) without what the frames of each part have in common, and the number of parts whose
+        height slopes. In common are a similarity of the plane and a height that may slope. Residuals of
+        assumed positions are 0."""
         miss, sd = self.miss(at), self.sd(components)
         out, slopes = miss.copy(), 0
         for part in self.parts:

@@ -202,8 +202,8 @@ def _without_common(
 
 def _bend(at_m: Floats, miss_m: Floats, sd_m: Floats) -> Floats | None:
     """The polynomial of the second degree that residuals in height (k,) have in common, as a bent block
-    leaves at precise points. None with fewer than two points more than its numbers, or where it may be chance
-    (Schwarz 1978)."""
+    leaves at precise points. None with fewer than two points more than its numbers, or where the bend may be
+    chance (Schwarz 1978)."""
     design = paraboloid_design(at_m)
     if len(design) < design.shape[1] + 2:
         return None

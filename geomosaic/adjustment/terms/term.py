@@ -114,8 +114,9 @@ class FrameTerm(Term):
 
     @abstractmethod
     def derivatives(self, at: Estimate) -> tuple[Floats | None, list[tuple[str, Floats]]]:
-        """Of the computed numbers by the first six unknowns of a pose (f, k, 6), None where they are the
-        unknowns themselves. Those by shared unknowns, (f, k, q), with the name of their part."""
+        """Derivatives of the computed numbers by the first six unknowns of a pose (f, k, 6), None where they
+        are the unknowns themselves. Then those by shared unknowns, (f, k, q), each with the name of their
+        part."""
 
     @abstractmethod
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:

@@ -26,10 +26,10 @@ def level_unknown(sd_m: float) -> Unknowns:
 
 @dataclass(frozen=True)
 class Terrain(Term):
-    """Tie points lie on a surface, up to one common level. sd_share: deviation of a point from the surface by
-    the frames' mean height above it (in metres it would be smaller for a shrinking block). Trees and roofs
-    are outweighed by Cauchy's function. level_sd_m: of the surface as a whole. bound (p,): which points lie
-    on it. frame_share (f,): each frame's share of all observations, its weight in the mean height."""
+    """Tie points lie on a surface, up to one common level. Cauchy's function outweighs trees and roofs.
+    sd_share: deviation of a point from the surface by the frames' mean height above it (in metres it would be
+    smaller for a shrinking block). level_sd_m: of the surface as a whole. bound (p,): which points lie on it.
+    frame_share (f,): each frame's share of all observations, its weight in the mean height."""
 
     ground: GroundSurface
     sd_share: float
@@ -58,8 +58,8 @@ class Terrain(Term):
 
     def add_to(self, normals: Normals, at: Estimate, components: Components) -> Normals:
         """Adds each point's equation: up minus slope times place minus level, observed as the surface. The
-        deviation grows with the flying height, so the cost has a slope along it. That lifts the frames and
-        lowers the level by what the residuals would gain if the block shrank; see `solved`."""
+        deviation grows with the flying height, so the cost has a slope along it. This slope lifts the frames
+        and lowers the level by what the residuals would gain if the block shrank; see `solved`."""
         height = self.height_m(at)
         weight, miss, normal = self.rows(at.points_m, self.bound, self.sd_share * height, at.level_m)
         normals.points[:] += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
@@ -119,9 +119,9 @@ class Terrain(Term):
 
 
 def surface_share(normals: Normals, points_inverse: Floats) -> float:
-    """How many of the points' unknowns the surface determines rather than the images: the trace of its part
-    in each point's covariance, with poses and cameras fixed. 0 for a surface that hardly binds, 1 a point for
-    a hard one."""
+    """How many of the points' unknowns the surface determines rather than the images. It is the trace of the
+    surface's part in each point's covariance, with poses and cameras fixed. A surface that hardly binds gives
+    0, a hard one 1 a point."""
     weight = np.maximum(-normals.level_point[:, 2], 1e-300)
     along = np.einsum("pi,pij,pj->p", normals.level_point, points_inverse, normals.level_point)
     return float((along / weight).sum())
