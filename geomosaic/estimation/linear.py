@@ -147,9 +147,9 @@ def is_parallel(normal: Floats, most: float) -> bool:
 
 
 def cholesky(matrix: Floats, *, overwrite: bool = False) -> tuple[Floats, int]:
-    """Lower Cholesky factor of one symmetric matrix (n, n). Also the number of the unknown at which it shows
-    that the matrix is not finite or not positive definite to double precision, else -1. The upper triangle is
-    not read. Args: overwrite: a matrix in the order of columns becomes the factor."""
+    """Lower Cholesky factor of one symmetric matrix (n, n), and the number of the unknown at which it fails,
+    else -1. It fails where the matrix is not finite or not positive definite to double precision. The upper
+    triangle is not read. Args: overwrite: a matrix in the order of columns becomes the factor."""
     diagonal = np.diag(matrix).copy()
     factor, broken = dpotrf(matrix, lower=1, clean=1, overwrite_a=overwrite)
     pivots = np.diag(factor)
@@ -168,7 +168,7 @@ def square_of_factor(factor: Floats) -> Floats:
 
 
 def inverse_roots(blocks: Floats) -> Floats:
-    """L^-1 (p, 3, 3) of symmetric positive definite blocks L L' (p, 3, 3). Zero for a block that is not
+    """L^-1 (p, 3, 3) of symmetric positive definite blocks L L' (p, 3, 3). It is zero for a block that is not
     positive definite or not finite: its unknowns take no part."""
     v = np.ascontiguousarray(np.moveaxis(blocks, 0, -1))
     out = np.zeros_like(v)

@@ -111,10 +111,10 @@ def median_of_known(values: Floats) -> float:
 def blunders(values: Floats, sd: Floats) -> Bools:
     """Which of n observations (n,) are blunders; none among fewer than five.
 
-    A blunder differs from the median by more than two of its deviations (n,) and by more than the scatter of
-    the others explains (Rosner 1983: generalised extreme studentised deviates). Or it differs by more than
-    five deviations, stated and by the MAD. The deviations may include an error that all share. Args: values,
-    sd: in one unit, finite, sd > 0.
+    A blunder differs from the median by more than two of its deviations (n,), and by more than the scatter of
+    the others explains. (Rosner 1983: generalised extreme studentised deviates.) An observation that differs
+    by more than five deviations, stated and by the MAD, is one too. The deviations may include an error that
+    all share. Args: values, sd: in one unit, finite, sd > 0.
     """
     n = len(values)
     if n < LEAST_OBSERVATIONS:
