@@ -112,8 +112,8 @@ def _find_some(windows: Bytes, smooth: Floats32, near_px: Floats, shapes: Floats
 
 
 def _derivatives(windows: Floats32) -> tuple[Floats32, Floats32, Floats32]:
-    """Of each window (n, 7, pixels) by place, shape and gain, less their means, which an offset takes; the
-    same times the weights of pixels. The inverse normal matrices (n, 7, 7)."""
+    """Derivatives of each window (n, 7, pixels) by place, shape and gain, less their means, which an offset
+    takes. Then the same times the weights of pixels, and the inverse normal matrices (n, 7, 7)."""
     n, inner = len(windows), slice(1, -1)
     out = np.empty((n, 7, _SIDE * _SIDE), np.float32)
     across = (windows[:, inner, 2:] - windows[:, inner, :-2]).reshape(n, -1) * np.float32(0.5)

@@ -65,11 +65,11 @@ def measure_displacements(
     """Displacement of each patch of the reference in the image.
 
     Both are of one shape and on one grid. Normalised correlation finds each patch within search_px on a
-    pyramid. At each finer level the neighbours' coarse displacements are tried and the best is kept. So a
-    jump (a seam) doesn't stop it. Least-squares matching (shift, gain and offset; Gruen 1985) makes it
-    sub-pixel: errors stay below 0.02 px on natural texture. Rejected are patches without texture (stated
-    deviation above max_sd_px), with a weak peak (correlation below min_correlation), and those that run away
-    from their peak.
+    pyramid. At each finer level the neighbours' coarse displacements are tried and the best is kept, so that
+    a jump (a seam) doesn't stop it. Least-squares matching (shift, gain and offset; Gruen 1985) makes it
+    sub-pixel: errors stay below 0.02 px on natural texture. Patches without texture (stated deviation above
+    max_sd_px) are rejected. So are those with a weak peak (correlation below min_correlation), and those that
+    run away from their peak.
 
     Args: corners (n, 2) first row and col of the patches in the reference (`patch_corners`).
     """

@@ -1,8 +1,9 @@
 """Causes of a heading that does not fit: the heading tag is wrong, the image was turned, or both.
 
-Three directions of a frame are compared: its heading tag y, the heading h of its image relative to its
-neighbours' images, and the expected heading e of its flight. An image that was turned by q
-quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h fits e, and y fits neither.
+Three directions of a frame are compared: its heading tag y, the heading h of its image, and the expected
+heading e of its flight. h is that in which the image lies relative to its neighbours' images. An image that
+was turned by q quarters after the flight lies at h = y - 90 q, and y fits e. With a wrong tag h fits e, and y
+fits neither.
 
     p(y, h | tag right, q) = N(y - h - 90 q; s) f(y)
     p(y, h | tag wrong, q) = g(y) f(h + 90 q)

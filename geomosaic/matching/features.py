@@ -48,8 +48,8 @@ def stretched(
     how many grey levels one of the pixels' own 8 bits has become; None where they have more bits.
 
     The stretch (0.5 to 99.5 % of the valid pixels onto 0 to 255) is always applied to more than 8 bits. It is
-    applied to 8 bits where that range is less than a third of the scale: the logical adaptive enhancement of
-    Cheng et al. 2018, which never touches the output.
+    applied to 8 bits only where that range is less than a third of the scale. This is the logical adaptive
+    enhancement of Cheng et al. 2018, which never touches the output.
 
     Args: pixels (rows, cols, bands). band counts from 1.
     """

@@ -21,9 +21,9 @@ def flying_height_m(
 ) -> float:
     """Height above the ground at which two frames were taken base_m apart; NaN if they don't match.
 
-    On flat ground seen from straight above, two images differ by a similarity. Where the one's middle lies in
-    the other, counted in focal lengths, is the base over the height. A tilt of 1 degree is
-    taken for 1.7 % of the height as base, so the median of several pairs is good to some per cent.
+    On flat ground seen from straight above, two images differ by a similarity. The place of one's middle in
+    the other, counted in focal lengths, is the base over the height. A tilt of 1 degree is taken for 1.7 % of
+    the height as base, so the median of several pairs is good to some per cent.
 
     Args: base_m: horizontal distance of the projection centres; tolerance_px: of the match, in full
         pixels.

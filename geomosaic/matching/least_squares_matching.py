@@ -45,8 +45,9 @@ class Match:
 
 @dataclass(frozen=True)
 class _Basis:
-    """What patches are cut from: the image's spline coefficients, padded; the reference's two gradients and
-    itself. 1 where all pixels nearby are valid in the image and in the reference, else 0."""
+    """What patches are cut from: the image's spline coefficients, padded, and the reference's two gradients
+    and itself. image_safe, reference_safe: 1 where all pixels nearby are valid in the image and in the
+    reference, else 0."""
 
     coefficients: Floats32
     bases: tuple[Floats32, Floats32, Floats32]
@@ -73,8 +74,8 @@ def refine(
     """Sub-pixel shifts from whole-pixel ones.
 
     With T the reference and I the image, `I(x + d) = a T(x) + b`. About a shift d0 the image is regressed on
-    T's two gradients, T and 1 (Gruen 1985, without the affine terms), the gradient's coefficients over T's
-    being d0 - d. The image is read between its pixels by a cubic B-spline, which for one shift a patch is
+    T's two gradients, T and 1 (Gruen 1985, without the affine terms). The gradient's coefficients over T's
+    are d0 - d. The image is read between its pixels by a cubic B-spline, which for one shift a patch is
     separable. The normal matrix is the patch's own and stays.
 
     The stated deviation is the sandwich `N^-1 (G' C G) N^-1`, G the gradients and C the covariance of the

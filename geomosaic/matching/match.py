@@ -25,9 +25,9 @@ class Matching:
     """How pairs are matched.
 
     ratio: Lowe's. check: one of CHECKS, with its tolerance in pixels of the images that keypoints are of.
-    least: fewest tie points of a pair. search: `coarse`, the coarsest keypoints first, about the guess, then
-    everywhere, and all about what they say. `near`: all about the guess. `all`: that and all everywhere, a
-    quarter of a second a pair.
+    least: fewest tie points of a pair. search: where keypoints are compared. `coarse`: the coarsest first,
+    about the guess, then everywhere, and all about what they show. `near`: all about the guess. `all`: all
+    about the guess, then all everywhere, a quarter of a second a pair.
     """
 
     ratio: float

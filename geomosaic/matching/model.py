@@ -34,7 +34,7 @@ class TiePair:
 
 @dataclass(frozen=True, eq=False)
 class TiePairs(Sequence[TiePair]):
-    """Pairs of frames as pairs of keypoints, each with one place, however many pairs it stands in. That takes
+    """Pairs of frames as pairs of keypoints, each with one place, however many pairs it stands in. They take
     a third of the memory of all `TiePair`, which are made when they are asked for.
 
     frame (n,), image_px (n, 2): the keypoints of all frames, in their order. frames (p, 2): left and right of

@@ -116,8 +116,9 @@ def expected_on_map(of_map: Features, guess: Guess) -> ExpectedOnMap:
 
 @dataclass(frozen=True)
 class FoundOnMap:
-    """Places (k, 2) of a frame that the map shows too, and the numbers (k,) of the map's keypoints. Also how
-    far the frame lies from where it was expected, in the frame's pixels; NaN where nothing was expected."""
+    """Places (k, 2) of a frame that the map shows too, and the numbers (k,) of the map's keypoints. off_px:
+    how far the frame lies from where it was expected, in the frame's pixels; NaN where nothing was
+    expected."""
 
     image_px: Floats
     number: Ints

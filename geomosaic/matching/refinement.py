@@ -19,8 +19,8 @@ from geomosaic.matching.tracks import Joined, join, references
 
 @dataclass(frozen=True)
 class SoughtIn:
-    """What of one frame is sought in another: rows (n,) of that frame's windows and the keypoints (n,) to be
-    moved. Also how the plane between both frames turns and stretches windows about them (n, 2, 2)."""
+    """What of one frame is sought in another. rows (n,): of that frame's windows. keypoints (n,): to be
+    moved. shapes (n, 2, 2): how the plane between both frames turns and stretches windows about them."""
 
     of: int
     rows: Ints

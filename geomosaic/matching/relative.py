@@ -81,10 +81,10 @@ def averaged(n: int, joints: Joints) -> Complexes:
     """Turn and scale of every frame, (n,), as all pairs together have it: left = turn_right / turn_left *
     right.
 
-    Along the tree of the pairs with most tie points first, then as most neighbours have each. Then by
-    re-weighted least squares on the turns and on the logarithms of the scales, which outvotes wrong pairs
-    (Govindu 2004; Chatterjee and Govindu 2013). Each connected part turns and scales by what is the
-    median of its frames: nothing says what it is in truth.
+    Values are first chained along the tree of the pairs with most tie points, then set to what most
+    neighbours agree on. Re-weighted least squares on the turns and on the logarithms of the scales follow
+    (Govindu 2004; Chatterjee and Govindu 2013). So wrong pairs are outvoted. Each connected part turns and
+    scales by what is the median of its frames: nothing shows the true value.
     """
     if not len(joints.left):
         return np.ones(n, np.complex128)
@@ -127,7 +127,7 @@ def _along_tree(n: int, joints: Joints, step: Complexes) -> Complexes:
 
 def _voted(n: int, joints: Joints, step: Complexes, value: Complexes) -> Complexes:
     """Each frame in turn takes what most of its pairs agree on, given its neighbours' present values, until
-    none changes. A wrong pair in the tree is corrected so, with all that depends on it."""
+    none changes. This corrects a wrong pair in the tree, with all that depends on it."""
     mine: list[list[tuple[int, complex]]] = [[] for _ in range(n)]
     for a, b, s in zip(joints.left.tolist(), joints.right.tolist(), step, strict=True):
         mine[a].append((b, -s))

@@ -67,8 +67,9 @@ def join(pairs: Sequence[TiePair]) -> Joined:
 
 
 def references(joined: Joined, sizes_px: Floats) -> Ints:
-    """For each keypoint the one of its track that stands for the place on the ground, (n,). It has most tie
-    points; of several it is the nearest to its frame's middle, where the ground is seen most from above.
+    """For each keypoint the one of its track that stands for the place on the ground, (n,). It is the one
+    with most tie points; of several, the nearest to its frame's middle, where the ground is seen most from
+    above.
 
     Args: sizes_px (frames, 2): width and height of each frame.
     """

@@ -71,9 +71,9 @@ def found_turned(
     sizes_px: Sequence[tuple[int, int]],
     cap_m: float,
 ) -> tuple[dict[int, int], dict[int, float]]:
-    """Quarter turns of the images turned after the flight, and headings (rad) by their neighbours' images of
-    those of a wrong heading that looks like a turn. Taken is the likelier explanation, see `explained`. A
-    heading that nobody observed is never found wrong, nor its image turned.
+    """Quarter turns of the images turned after the flight, and headings (rad) of frames whose wrong heading
+    looks like a turn. The headings are those by the neighbours' images. The likelier explanation is taken,
+    see `explained`. A heading that nobody observed is never found wrong, nor its image turned.
 
     Args: sizes_px: width and height of each frame; cap_m: see `turned_frames`.
     """
@@ -100,9 +100,9 @@ def found_turned(
 
 
 def lying(n: int, seen: Sequence[PairOnMap], nadir_m: Floats, turns: dict[int, int]) -> Complexes:
-    """The turn of each frame's image (n,) about its nadir point, from its tag to its neighbours' images, as a
-    number of length 1. Most frames of a connected part lie as their tags say, once those of `turns` are
-    turned by so many quarters.
+    """Turns (n,) of the frames' images about their nadir points, each a number of length 1. Each takes an
+    image from where its tag places it to how its neighbours' images lie. Most frames of a connected part lie
+    as their tags say, once those of `turns` are turned by so many quarters.
 
     The turns between frames are averaged (`relative.averaged`): as sure as all their pairs together.
     """
@@ -131,8 +131,8 @@ def _costs_m(seen: Sequence[PairOnMap], nadir_m: Floats) -> list[tuple[int, int,
 def flown_courses_rad(
     nadir_m: Floats, costs_m: Sequence[tuple[int, int, Floats]], seen: Sequence[PairOnMap] = ()
 ) -> Floats:
-    """Courses over ground (n,) by positions that go with the images. Frames whose positions contradict their
-    neighbours' images have no course (NaN) where no good neighbour sees them.
+    """Courses over ground (n,) by positions that agree with the images. A frame whose position contradicts
+    its neighbours' images gets its place from theirs. Its course is NaN where no good neighbour sees it.
 
     A wrong position bends the courses of the frames before and after, and cuts their line in two. Its pairs
     are all as far apart as it is off.
@@ -208,10 +208,10 @@ def turned_frames(
 ) -> dict[int, int]:
     """Quarter turns (1 to 3, counter-clockwise on the ground) of frames that need them.
 
-    Minimises the sum over pairs of the misalignment, each capped, plus a quarter of it for every turned
-    frame, by coordinate descent from the pairs' own votes. Then groups of neighbours that gain less by their
-    turns than those cost go back together. So where the evidence is level, a frame counts as
-    it was tagged.
+    Minimises the sum over pairs of the misalignment, each capped, plus a quarter of the cap for every turned
+    frame. Coordinate descent starts from the pairs' own votes. Then groups of neighbours that gain less by
+    their turns than those cost go back together. So where the evidence is level, a frame counts as it was
+    tagged.
 
     Args: costs_m: (left, right, (4, 4) costs) per pair. cap_m: beyond this a pair says no more. possible (n,
         4): see `possible_quarters`; all if it isn't given.
