@@ -17,15 +17,16 @@ from geomosaic.survey.strips import StripGeometry
 class Nature:
     """What holds for every camera; what is of one is in its `StripGeometry`.
 
-    cloud_height_m, cloud_height_sd_m: low, middle and high clouds lie up to 2, 7 and 13 km at middle
-    latitudes (WMO, International Cloud Atlas, 2017). Most that hide the ground are low or middle ones.
-    wind_sd_m_per_s: of each component, at their height; jet streams reach 50.
-    slope: root mean square of the ground's along the track over some 100 m; steep: in mountains;
-    steepest: what ground doesn't exceed over some 100 m.
+    cloud_height_m, cloud_height_sd_m: clouds lie from the ground to some 13 km. Low, middle and high ones
+    reach up to 2, 7 and 13 km at middle latitudes (WMO, International Cloud Atlas, 2017). Most that hide the
+    ground are low or middle ones. wind_sd_m_per_s: of each component, at their height; jet streams reach 50.
+    slope: root mean square of the ground's along the track over some 100 m; steep: in mountains; steepest:
+    what ground doesn't exceed over some 100 m.
     ground_sd_m: of heights about those that the nominal row separation holds for.
-    pointing_rad_per_s: change of the pointing within hundredths of a second, with jitter. That of TH-1 is 1.2
-    px at 1.1 Hz to 0.06 px at 22 Hz, and a pixel is 3.7 microradians. drift_rad_per_s: of
-    its mean between the rows, as platforms that are stabilised on three axes hold it (1e-3 degrees a second).
+    pointing_rad_per_s: change of the pointing within hundredths of a second, including jitter such as TH-1's.
+    That is 1.2 px at 1.1 Hz to 0.06 px at 22 Hz, where a pixel is 3.7 microradians.
+    drift_rad_per_s: of its mean between the rows, as platforms that are stabilised on three axes hold it
+    (1e-3 degrees a second).
     knot_s: jitter of up to 100 Hz, as reaction wheels make it, needs a knot every 5 ms (Nyquist).
     """
 

@@ -1,9 +1,10 @@
 """Sub-pixel offsets of small cells by least squares, and how reliable each is.
 
-Ackermann 1984 (high precision digital image correlation), with shifts alone. The curve that is refined bends
-along the lines, so that within a cell of some lines nothing else is left. Both images' fine detail is taken
-over the ground that both show: a blur over different ground shifts what it leaves. A cell's residuals are
-compared to what noise and resampling explain: a cloud, a misread ground or a lost line does not fit.
+The method is Ackermann's (1984, high precision digital image correlation), with shifts alone. The curve that
+is refined bends along the lines, so within a cell of some lines nothing but a shift is left. Both images'
+fine detail is taken over the ground that both show: a blur over different ground shifts what it leaves. A
+cell's residuals are compared to what noise and resampling explain: a cloud, a misread ground or a lost line
+does not fit.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Nouns of the strips' offsets: the overlap of a pair, its offsets line by line, what a method may be given.
 
-Convention: a ground point at (col, line) of the left strip lies in the right strip at `col - (width -
-overlap) + dcol` and `line + side * row_separation + dline`. side is +1 when the left strip is in the leading
-row and the right one in the trailing row, and -1 the other way round.
+Convention: a ground point at (col, line) of the left strip lies in the right strip at
+`col - (width - overlap) + dcol` and `line + side * row_separation + dline`. The side is +1 when the left
+strip is in the leading row and the right one in the trailing row, and -1 the other way round.
 """
 
 from __future__ import annotations

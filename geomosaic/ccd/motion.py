@@ -1,10 +1,10 @@
 """The motion shared by all pairs and each pair's own part, from what was measured at knots: a smoother.
 
-Unknowns at every knot: the motion b and one own part p per pair, columns and lines each; a pair measures
-b + p. What can be expected of a curve between measurements is learned from the scene itself, by an
-autoregression. Its order is higher for the motion, whose jitter is a few nearly pure tones, and low for the
-own parts (drift angle, mounting, relief). It holds forwards and backwards. The normal equations are
-a band along the strip and solved by Cholesky.
+Unknowns at every knot: the motion b and one own part p per pair, columns and lines each; a pair measures b +
+p. Autoregressions learned from the scene itself describe what can be expected of a curve between
+measurements. That of the motion, whose jitter is a few nearly pure tones, has a higher order. Those of the
+own parts (drift angle, mounting, relief) have a low one. An autoregression holds forwards and backwards. The
+normal equations are a band along the strip and solved by Cholesky.
 """
 
 from __future__ import annotations

@@ -39,10 +39,10 @@ class Coarse:
 def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected) -> Coarse:
     """Offsets of all pairs at once, to about a bin: the shared motion, and a slow part of each pair.
 
-    By turns: the evidence of all pairs is summed, each moved by its own slow part, and the best path taken
-    for the motion. Then each pair's evidence is summed over windows of 256 lines along the motion, and the
-    best slow path taken for its own part. Where a part of the scene stands out by its brightness, the
-    darker or the brighter part alone counts, whichever is rather the ground's.
+    Two steps alternate. The evidence of all pairs is summed, each moved by its own slow part, and the best
+    path is taken for the motion. Then each pair's evidence is summed over windows of 256 lines along the
+    motion, and the best slow path is taken for its own part. Where a part of the scene stands out by its
+    brightness, the darker or the brighter part alone counts, whichever is rather the ground's.
 
     Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """

@@ -149,8 +149,8 @@ def _counts(side: NDArray[Any], valid: Bools, bit_depth: int) -> tuple[Floats32,
 
 
 def straight_line(parts: Sequence[Blocks], full: float) -> tuple[float, float] | None:
-    """(g, o) with right = g * left + o; None where there is too little to compare, or where one side varies
-    and the other does not follow. Such a side is of one grey to the last digit, or of noise alone.
+    """(g, o) with right = g * left + o. None where there is too little to compare, or where one side varies
+    and the other does not follow. The other is then of one grey to the last digit, or of noise alone.
 
     The slope is of total least squares, both sides being equally noisy, over the blocks' differences from
     their own column's mean: column patterns don't enter. Robust: Cauchy weights at three times a deviation

@@ -1,8 +1,8 @@
 """A pair as its leading and its trailing strip: the view in which all pairs see one and the same motion.
 
-With the pointing error a(t), in lines and columns at time t, the leading row sees ground at line u. It comes
-to the trailing row at u + S + a(u) - a(u + S). Every pair sees b(u) = a(u) - a(u + S), whatever its side. In
-the words of the left strip the same is +b(t) for side +1 and about -b(t - S) for side -1. Hence the
+Let a(t) be the pointing error, in lines and columns at time t. Ground that the leading row sees at line u
+comes to the trailing row at u + S + a(u) - a(u + S). So every pair sees b(u) = a(u) - a(u + S), whatever its
+side. In the words of the left strip the same is +b(t) for side +1 and about -b(t - S) for side -1. Hence the
 alternating sign and the lag of S = row_separation lines. Relief and clouds too move all pairs alike here.
 """
 

@@ -71,8 +71,8 @@ def pieces(strips: Strips, length: int) -> Iterator[tuple[int, int, int, int]]:
     """Every pair's lines piece by piece: pair, first line, stop, and the number of pieces there are.
 
     The pieces of all pairs at one time come one after the other, so that both edges of a strip are read at
-    once. They reach over what both strips have by the nominal geometry, and are of about that length. What is
-    left over at the end makes the last one longer or shorter by up to half.
+    once. They reach over what both strips have by the nominal geometry, and are about `length` lines long.
+    The remainder at the end makes the last one longer or shorter by up to half.
     """
     g = strips.geometry
     lag = round(g.row_separation_lines)
@@ -225,8 +225,8 @@ def steady(at: Floats, values: Floats, given: Bools) -> Bools:
 def piecewise_linear(strips: Strips, settings: CcdSettings, progress: Progress) -> tuple[PairOffsets, ...]:
     """Offsets linear between the centres of the segments kept: the new chain.
 
-    The standard deviation has the points' own part and what the segments' departures from their neighbours
-    show of the way in between. It grows with the distance to the next segment kept.
+    The standard deviation has two parts: the points' own, and that of the way in between, which the segments'
+    departures from their neighbours show. It grows with the distance to the next segment kept.
     """
     return tuple(_polyline(strips.lines(found.pair), found) for found in segments(strips, settings, progress))
 
@@ -251,10 +251,10 @@ def _polyline(lines: int, found: Segments) -> PairOffsets:
 def bridging_sd(t: Floats, at: Floats, values: Floats, own_sd: Floats, reach: float) -> Floats:
     """Standard deviation at t of a polyline through values (k,) at `at`, whose own are own_sd (at t).
 
-    Two parts follow from how far evenly spaced values are from their neighbours: from a cubic through four of
-    them, their noise. From the line between two, beyond that noise, the bend of the curve, which between
-    values leaves about a fifth of it. Beyond `reach` lines of any value the curve may have gone at its usual
-    rate, at most as far as its whole spread.
+    Two parts follow from how far evenly spaced values are from their neighbours. Departures from a cubic
+    through four of them give the noise. Those from the line between two, beyond that noise, give the bend of
+    the curve; between values about a fifth of it is left. Beyond `reach` lines of any value the curve may
+    have gone at its usual rate, at most as far as its whole spread.
     """
     step = np.diff(at)
     even = np.flatnonzero([(step[i : i + 4] < 1.5 * np.median(step)).all() for i in range(len(at) - 4)]) + 2

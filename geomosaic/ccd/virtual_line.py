@@ -31,11 +31,11 @@ def virtual_line(strips: Strips, settings: CcdSettings, progress: Progress) -> t
     """Offsets that the rigorous model and the DEM predict; no image is looked at.
 
     For the middle of each line of a left strip: the ground under column width - overlap / 2, and where the
-    right CCD sees it. The standard deviations are what is taken for granted about such models (0.1 px), the
-    heights' (`ObjectSpace.height_sd_m`) times the parallax, and noise. That is the noise that the table of
-    attitudes shows by its third differences. What else is wrong with the model can't be distinguished from
-    it. Lines whose right line is beyond the model's attitudes, or isn't found, are unreliable. No line is
-    labelled measured.
+    right CCD sees it. The standard deviations combine three parts: what is taken for granted about such
+    models (0.1 px), heights and attitudes. Heights count by `ObjectSpace.height_sd_m` times the parallax,
+    attitudes by the noise that the third differences of their table show. Other errors of the model can't be
+    distinguished from it. Lines whose right line is beyond the model's attitudes, or isn't found, are
+    unreliable. No line is labelled measured.
     Raises: `InputError` without a model.
     """
     space, g = strips.object_space, strips.geometry

@@ -23,9 +23,9 @@ def halved(image: Floats32) -> Floats32:
 def volume(pair: RowPair, blocks: int, settings: CcdSettings) -> Floats:
     """Evidence for every shift, block by block of 32 lines (Lewis 1995 for the normalised correlation).
 
-    Half the images' resolution, band-passed. The evidence is the log likelihood ratio -n/2 log(1 - r^2) of a
-    correlation r over n independent facts against none (Kay 1998, section 7). Correlations count as 0.99 at
-    most.
+    Computed at half the images' resolution, band-passed. The evidence is the log likelihood ratio -n/2 log(1
+    - r^2) of a correlation r over n independent facts against none at all (Kay 1998, section 7). Correlations
+    count as 0.99 at most.
 
     The pair's nominal column and known lines are shift 0 here.
 
