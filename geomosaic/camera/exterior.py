@@ -28,10 +28,10 @@ def row_moved_px(camera: Camera, before_px: NDArray[Any], row_px: NDArray[Any]) 
 class Turns:
     """How a frame (or many) turns while a rolling shutter reads its rows, against its middle row.
 
-    rad (k, 3) or (n, k, 3): rotation vectors in camera axes, `R(row) = R exp(turn)`. They are given at k >= 2
-    even times over span_s about the time of the middle row, linear between and beyond. recorded_until_s, ()
-    or (n,): how long after the middle row a gyroscope's record ends, beyond which turns are guessed; NaN
-    where there is no record.
+    rad (k, 3) or (n, k, 3): rotation vectors in camera axes, `R(row) = R exp(turn)`, at k >= 2 even times
+    over span_s about the time of the middle row. They are linear between and beyond these times.
+    recorded_until_s, () or (n,): how long after the middle row a gyroscope's record ends, beyond which turns
+    are guessed. It is NaN where there is no record.
     """
 
     span_s: float

@@ -61,8 +61,8 @@ class Camera:
     def turned(self, quarters: int) -> Camera:
         """The camera of an image that was turned clockwise by quarter turns after it was taken.
 
-        The principal point, the decentring terms and the order of the rows turn with the pixels. Of a quarter
-        turn, whose columns would be read one after the other, the readout is left out.
+        The principal point, the decentring terms and the order of the rows turn with the pixels. After an odd
+        number of quarter turns the readout is left out, since columns would be read one after the other.
         """
         if quarters % 2 and (self.readout_s or self.readout_sd_s):
             return replace(self, readout_s=0.0, readout_sd_s=0.0).turned(quarters)

@@ -229,8 +229,8 @@ def fisheye_terms(coefficients: dict[int, float], widest_rad: float) -> tuple[fl
 
 
 def opencv_terms(kind: str, terms: Floats, widest: float) -> Floats:
-    """As OpenCV writes the terms: k1, k2, p1, p2, k3 of Brown's, k1 to k4 of a fisheye's. The even power of a
-    fisheye is fitted by odd ones up to an ideal radius."""
+    """As OpenCV writes the terms: k1, k2, p1, p2, k3 of Brown's, k1 to k4 of a fisheye's. A fisheye's even
+    power, which OpenCV lacks, is fitted by odd ones up to an ideal radius of `widest`."""
     if kind == "brown":
         return terms[[0, 1, 3, 4, 2]]
     if not terms[4]:

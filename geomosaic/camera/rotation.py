@@ -99,7 +99,7 @@ class Rotation:
       into kappa, which with Y west needs the minus sign.
     - yaw, pitch, roll of a body that carries a camera looking down, the image's top forward:
       north-east-down from forward-right-down is `Rz(yaw) Ry(pitch) Rx(roll)`. yaw is the true heading of the
-      image's top; pitch > 0 lifts the nose, so that the camera looks forward. roll > 0 lowers the right side,
+      image's top. pitch > 0 lifts the nose, so that the camera looks forward; roll > 0 lowers the right side,
       so that it looks left.
     - gimbal yaw, pitch, roll: the same product for axes along view, right, image bottom; pitch is -90
       degrees at the nadir. Body pitch p without roll is gimbal pitch p - 90 degrees. A gimbal roll of

@@ -226,8 +226,8 @@ def node_spacing_m(
 def flat_ground(work_frame: LocalFrame, height_ellipsoidal_m: float, reach_m: float) -> GroundSurface:
     """The surface of one ellipsoidal height around the work frame's origin, out to reach_m.
 
-    It bends with the Earth. The chord between nodes is off by 0.2 mm at 100 m, their distance out to 25 km,
-    and by 7 mm where the survey reaches 150 km.
+    It bends with the Earth. Nodes are 100 m apart out to 25 km, where the chord between them is off by 0.2
+    mm. Where the survey reaches 150 km it is off by 7 mm.
     """
     spacing_m = node_spacing_m([-reach_m] * 2, [reach_m] * 2, _FLAT_SPACING_M, _MOST_FLAT_NODES)
     n = int(np.ceil(reach_m / spacing_m)) + 1

@@ -21,8 +21,8 @@ def hidden_m(ground: GroundSurface, camera_m: ArrayLike, places_m: Floats) -> Fl
     them, in m: not above 0 where it sees them.
 
     Along each line from below the camera outwards, what has been seen under the least angle from level is
-    what hides. Lines are as dense as nodes at the farthest place. Heights count less a deviation, and
-    nothing narrower than a metre.
+    what hides. Lines are as dense as nodes at the farthest place. Heights are lowered by a deviation, and
+    nothing narrower than a metre counts.
     """
     camera = np.asarray(camera_m, dtype=np.float64)
     off = (places_m[..., :2] - camera[:2]).astype(np.float32)

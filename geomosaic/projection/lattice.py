@@ -1,8 +1,8 @@
 """The warp of whole windows: exact on a lattice of every eighth pixel, bilinear between where that will do.
 
-What bends an image (perspective, lens, a smooth ground) does so over hundreds of pixels. What breaks it (the
-edges of a DEM's cells, the knots of a table of turns) runs along lines. So each cell decides by what it
-is off in its middle, and where that is too much its pixels go through the equations themselves.
+Perspective, lens and a smooth ground bend an image over hundreds of pixels. The edges of a DEM's cells and
+the knots of a table of turns break it along lines. So each cell is checked by its error in the middle; where
+that is too large its pixels go through the equations themselves.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks
 
 @dataclass(frozen=True)
 class WindowInFrame:
-    """Where a frame saw part of a window: col and row (h, w) of its pixels, NaN where not seen. At the nodes,
-    (h / 8 + 2, w / 8 + 2), one beyond on every side."""
+    """Where a frame saw part of a window. cols, rows (h, w): of its pixels, NaN where not seen. node_cols,
+    node_rows (h / 8 + 2, w / 8 + 2): the same at the nodes, one beyond on every side."""
 
     cols: Floats32
     rows: Floats32

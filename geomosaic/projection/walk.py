@@ -1,9 +1,9 @@
 """Where rays first meet a grid of heights, walked cell by cell: no wall is stepped over, whatever its width.
 
-The highest of every 2 x 2, 4 x 4, ... cells are kept (Tevs, Ihrke and Seidel 2008, Maximum mipmaps for fast,
-accurate, and scalable dynamic height field rendering). A ray that passes above a square leaps over it, and
-asks a larger one next. Otherwise it asks a smaller one, down to a cell between four nodes, in which heights
-along it are a parabola.
+The highest of every 2 x 2, 4 x 4, ... cells are kept as maximum mipmaps. (Tevs, Ihrke and Seidel 2008,
+Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering.) A ray that passes above a
+square as a whole leaps over it, and asks a larger one next. Otherwise it asks a smaller one, down to a cell
+between four nodes, in which heights along it are a parabola.
 """
 
 from __future__ import annotations

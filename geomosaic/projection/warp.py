@@ -1,8 +1,9 @@
 """The warp: for every pixel of a map window, where a frame saw it.
 
-Between the map and the ground lies nothing but the map projection and the Earth's bend, smooth enough for a
-polynomial over a window. pyproj is asked at 25 nodes only. From there on every pixel goes through the relief
-and the collinearity equations itself, so neither tilt, distortion nor a rough DEM costs accuracy.
+Between the map and the ground lies nothing but the map projection and the Earth's bend. They are smooth
+enough for a polynomial over a window, so pyproj is asked at 25 nodes only. From there on every pixel goes
+through the relief and the collinearity equations itself, so neither tilt, distortion nor a rough DEM costs
+accuracy.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ _CONVERGED_PX = tuned(0.004, "px", "row step that ends it: more shows at breaks;
 class GroundWindow:
     """The ground points, in the work frame, under the pixel centres of a north-up map window.
 
-    `polynomial` (6, 3) gives east, north, up in metres from 1, u, v, u², uv, v². u and v run from -1 to 1
-    over the window's cols and rows. On it stands `relief_m` (rows, cols), the height over the
-    polynomial along `vertical` (3,), or None where the polynomial is the ground.
+    `polynomial` (6, 3) gives east, north, up in metres from 1, u, v, u², uv, v². Here u and v run from -1 to
+    1 over the window's cols and rows. On it stands `relief_m` (rows, cols), the height over the polynomial
+    along `vertical` (3,), or None where the polynomial is the ground.
     """
 
     width_px: int
