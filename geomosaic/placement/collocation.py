@@ -1,6 +1,6 @@
-"""Poses of frames without tie points, predicted from the corrections of the tied frames around them. Method:
-least-squares collocation (Moritz 1980, Advanced Physical Geodesy). Errors of GNSS and IMU are correlated
-along a flight."""
+"""Poses of frames without tie points, predicted from the corrections of the tied frames around them. The
+prediction is least-squares collocation (Moritz 1980, Advanced Physical Geodesy), since errors of GNSS and IMU
+are correlated along a flight."""
 
 from __future__ import annotations
 

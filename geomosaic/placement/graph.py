@@ -78,7 +78,8 @@ def adjacent_frames(
     frames: Collection[int], sequence: Sequence[int], tried: Collection[tuple[int, int]], steps: int = 2
 ) -> list[tuple[int, int]]:
     """Pairs (left < right) of some frames with those up to `steps` before and after them in order of flight,
-    but for those tried already. A frame whose position is far off overlaps none of its neighbours by it."""
+    but for those tried already. They serve frames whose position is so far off that by it they overlap none
+    of their neighbours."""
     at = {frame: k for k, frame in enumerate(sequence)}
     adjacent = {
         (min(i, j), max(i, j))

@@ -72,9 +72,9 @@ def possible_heights(heights: FrameHeights, ground_heights_m: Floats) -> tuple[F
     """Heights that can be true, and which (n,) were replaced: those would put the frame on the ground or
     below.
 
-    Where one does, all that are far from the usual height above the ground are in doubt. They are taken to
-    have that, to half of it, and the images say what it is. Where most frames lie below the ground nothing
-    is changed: then it is the ground that is wrong.
+    Where one does, all that are far from the usual height above the ground are in doubt. They are set to the
+    usual height, with half of it as deviation, and the images determine the rest. Where most frames lie below
+    the ground nothing is changed: then it is the ground that is wrong.
     """
     above = heights.m - ground_heights_m
     usual = float(np.nanmedian(above)) if np.isfinite(above).any() else 0.0
@@ -113,7 +113,7 @@ def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
 
 def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float]]:
     """Up to `most` pairs of frames next to each other in time, spread over the flight: indices and horizontal
-    distance in metres. Pairs closer than a tenth of the median are left out."""
+    distance in metres. Pairs closer than a tenth of the median distance are left out."""
     known = [i for i, f in enumerate(frames) if f.position.known]
     if len(known) < 2:
         return []
@@ -128,9 +128,10 @@ def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float
 def with_any_height(survey: Survey) -> tuple[Survey, float]:
     """A survey none of whose frames has a position, at some height over flat ground, and the ground's height.
 
-    Where frames see two control points or more, the height at which these are as far apart as surveyed, and
-    the ground at the points' height. Otherwise the usual height above the ground that frames report. Without
-    any 120 m, so that velocities in units a second are near those in m/s. Images and control set it right.
+    Where frames see two control points or more, the height is that at which these are as far apart as
+    surveyed. The ground is then at the points' height. Otherwise the height is the usual one above the ground
+    that frames report. Without any report it is 120 m, so that velocities in units a second are near those in
+    m/s. Images and control correct it.
     """
     used = [c for c in survey.control if not c.check]
     reported = [f.position.height_above_ground_m for f in survey.frames]

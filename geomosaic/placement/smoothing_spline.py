@@ -16,8 +16,8 @@ _STIFFNESS = tuned(10.0 ** np.linspace(-4.0, 6.0, 41), "steps^3", "from interpol
 
 @dataclass(frozen=True)
 class _Course:
-    """Values (n, a) at rising times (n,), n > 2, and their departures from straight lines. These are second
-    divided differences (n - 2, a), with the bands (3, n - 2) of R and of Q'Q (Green and Silverman 1994,
+    """Values (n, a) at rising times (n,), n > 2, and their departures from straight lines. bends (n - 2, a):
+    second divided differences. curved, noisy (3, n - 2): the bands of R and of Q'Q (Green and Silverman 1994,
     2.1.2)."""
 
     times: Floats

@@ -20,8 +20,8 @@ _FASTEST = tuned(150.0, "m/s", "of a step: less loses survey aircraft; more join
 
 @dataclass(frozen=True)
 class _Way:
-    """Frames `at` by their times, (n,). Of each step to the next frame its time (n - 1,), its move (n - 1,
-    3), and whether it is no pause."""
+    """Frames `at` in the order of their times, (n,), and the steps from each to the next. A step has the time
+    that passed (n - 1,), the move (n - 1, 3), and whether it is a step rather than a pause."""
 
     at: Ints
     passed_s: Floats
@@ -77,10 +77,10 @@ def _way(positions_m: Floats, times_s: Floats) -> _Way:
 def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocity of each frame, (n, 3).
 
-    The median, axis by axis, of the steps from frame to frame up to three before and three behind. Neither
-    whole seconds of a clock nor a position far off count much. Where these differ, as at the end of a line,
-    of the side that agrees with itself. Nothing is known across pauses, and across
-    steps faster than aircraft fly. 0 where times are missing.
+    The median, axis by axis, of the steps from frame to frame up to three before and three behind. So neither
+    whole seconds of a clock nor a position far off count much. Where the steps before and behind differ, as
+    at the end of a line, it is the median of the side that agrees with itself. Nothing is known across
+    pauses, and across steps faster than aircraft fly. 0 where times are missing.
 
     Args: positions_m (n, 3), times_s (n,) or NaN.
     """
@@ -103,10 +103,10 @@ def velocities_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     """Velocities (n, 3) by positions that are sure to a small part of a step.
 
-    The slopes of smoothing splines through the ways between pauses and corners. How much of the departure
-    from a straight line is flown, and how much is jitter, follows from all ways together. Level and upright
-    count separately. A frame at a corner flies as the longer way does. Clocks that report whole seconds are
-    off by a third of a step: by them, times go by the way.
+    The slopes of smoothing splines through the ways between pauses and corners. All ways together determine
+    how much of the departure from a straight line is flown, and how much is jitter. Level and upright
+    components are treated separately. A frame at a corner flies as the longer way does. Clocks that report
+    whole seconds are off by a third of a step; times then follow from the lengths of the steps.
     """
     out, way = velocities_m_per_s(positions_m, times_s), _way(positions_m, times_s)
     if not out.any():
@@ -121,9 +121,10 @@ def flown_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
 
 
 def unsteady_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
-    """By how much the velocity of each frame may differ from `flown_m_per_s`, (n,). Half of the difference of
-    the steps before and behind it, where that is more than three times the median. At the ends of a way,
-    which may curve, half of that of the adjacent frame. 0 elsewhere."""
+    """By how much the velocity of each frame may differ from `flown_m_per_s`, (n,). It is half of the
+    difference of the steps before and behind the frame, where that is more than three times the median. At
+    the ends of a way, which may curve, it is half of the difference at the adjacent frame. It is 0
+    elsewhere."""
     out, way = np.zeros(len(times_s)), _way(positions_m, times_s)
     if len(way.at) < 3:
         return out

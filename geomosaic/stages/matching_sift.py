@@ -175,8 +175,8 @@ def _without_positions(
 
 
 def _of_reversed_file(survey: Survey, tied: Collection[int], turns: Mapping[int, int]) -> list[int]:
-    """Tied frames with headings of a POS file, if all are off by 180 degrees. Such images were not turned one
-    by one, but the file is wrong, or the camera was mounted so."""
+    """Tied frames with headings of a POS file, if all are off by 180 degrees. Then their images were not
+    turned one by one: the file is wrong, or the camera was mounted so."""
     frames = survey.frames
     given = [i for i in tied if frames[i].attitude.source.startswith("pos-")]
     given = [i for i in given if frames[i].attitude.yaw_deg is not None]

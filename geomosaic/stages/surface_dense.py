@@ -140,8 +140,9 @@ def _matched(
     sighted: Sequence[Sequence[SweepView]],
     pictures: Sequence[StoredResult[Pictures]],
 ) -> tuple[DenseSurface, MatchCounts]:
-    """Tiles of the coarse level, of the fine one, and what is kept of those with what lies around. Each is
-    made once, whoever makes it, and lies on the disk until the surface is whole."""
+    """The surface by tiles of the coarse level, then of the fine one, then by what is kept of each fine tile
+    given those around it. Each tile is made once, whichever process makes it, and lies on the disk until the
+    surface is whole."""
     coarse, fine = levels
     of_coarse, of_fine = sighted
 

@@ -52,9 +52,9 @@ class Pairing:
     _planes: SeenPlanes = field(default_factory=SeenPlanes)
 
     def match(self, pairs: Iterable[Pair]) -> TiePairs:
-        """The pairs that hold together: first about where they are expected to match, then where their
-        neighbours show that they should. Last, all keypoints of frames that hang together with no one
-        else's."""
+        """The pairs that tie points connect. Each is matched about where it is expected to match, then where
+        its neighbours show that it should. Last, frames that are still connected to no others are matched by
+        all keypoints."""
         pairs = list(pairs)
         self._round("pairs", self.how, [(p, self.expected(*p)) for p in pairs])
         self._by_neighbours()
