@@ -97,9 +97,9 @@ def _planned(plan: SurveyPlan) -> Flight:
 
 
 def _wander(plan: SurveyPlan, time_s: Floats) -> tuple[Floats, Floats]:
-    """How far the flight strays from its course, (n, 3), and how fast. A smooth stationary Gaussian process
-    whose correlation falls to exp(-1/2) in `wander_s`, by random frequencies (Rahimi and Recht 2007, section
-    3). So places and velocities are of one path."""
+    """How far the flight strays from its course, (n, 3), and how fast, (n, 3). The path is a smooth
+    stationary Gaussian process by random frequencies (Rahimi and Recht 2007, section 3). Its correlation
+    falls to exp(-1/2) in `wander_s`. Places and velocities are of this one path."""
     rng = plan.rng("wander")
     rate = rng.standard_normal((_WAVES, 3)) / plan.wander_s
     phase = rate * time_s[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, (_WAVES, 3))

@@ -17,9 +17,9 @@ from geomosaic_simulate.flight import Flight
 from geomosaic_simulate.plan import SurveyPlan
 
 GYROSCOPE_FROM_CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Angular rates in the tag's axes from those about camera axes (`camera.rotation.Rotation`: x to the image's
-right, y to its top, z against the view; right-handed). They are forward, right and down, as a Sequoia writes
-them."""
+"""Angular rates in the tag's axes from those about camera axes. The tag's axes are forward, right and down,
+as a Sequoia writes them. Camera axes (`camera.rotation.Rotation`) are x to the image's right, y to its top, z
+against the view; right-handed."""
 GYROSCOPE_DELAY_S = 0.0425
 """By how much the rates that are written lag, a Sequoia's."""
 GYROSCOPE_HZ = 1000

@@ -64,12 +64,12 @@ class Light:
 class StripWorld:
     """All that a plan makes: cameras, ground, clouds, on the scene's map.
 
-    Signs, for a left strip in the leading row (side +1; the offsets turn round with the side). Ground h
-    higher than the plan's mean is seen by the leading row later and by the trailing row earlier, so that
-    dline falls by h / parallax_m_per_line. The camera looks a(t) lines ahead and b(t) columns to the image's
-    right of where it should. Then dline is a(t) - a(t + T) and dcol is b(t) - b(t + T). T is the time between
-    the rows (with side -1: a(t) - a(t - T)). Yaw turns ahead to the flight's right, which is
-    the image's left: dcol falls by yaw times the rows' separation.
+    Signs are for a left strip in the leading row (side +1); the offsets turn round with the side. Ground h
+    higher than the plan's mean is seen by the leading row later and by the trailing row earlier. So dline
+    falls by h / parallax_m_per_line. Let the camera look a(t) lines ahead and b(t) columns to the image's
+    right of where it should, and T be the time between the rows. Then dline is a(t) - a(t + T) and dcol is
+    b(t) - b(t + T); with side -1 it is a(t) - a(t - T). Yaw turns ahead to the flight's right, which is the
+    image's left: dcol falls by yaw times the rows' separation.
     """
 
     def __init__(self, plan: StripPlan) -> None:

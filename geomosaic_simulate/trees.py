@@ -37,9 +37,9 @@ def raise_trees(
 ) -> Iterator[tuple[tuple[slice, slice], Bools]]:
     """Move east and north to where rays meet a crown first (in place); yields each window and what it hit.
 
-    A ray meets the ground in g at height h and passes g + rise (Z - h) at height Z. With Z = base + z and a =
-    g - centre + rise (base - h) a crown is met at the larger root of `|rise|² z² + 2 (a rise + r² / 2H) z +
-    |a|² - r² = 0`.
+    A ray meets the ground in g at height h and passes g + rise (Z - h) at height Z. Let Z = base + z and a =
+    g - centre + rise (base - h). A crown is then met at the larger root of
+    `|rise|² z² + 2 (a rise + r² / 2H) z + |a|² - r² = 0`.
 
     Args: rays: east, north, height of the ground, east and north per metre of height at the samples; rows,
     cols: where the samples lie; top_m: heights that rays have met already, at the samples or (1, 1).

@@ -45,8 +45,8 @@ def raise_buildings(
     """Stand the buildings up in a strip of samples: each ray is cut with each body in its box.
 
     Where a ray meets a roof first, east and north are moved there in place. Where it meets a wall, a patch of
-    wall colour is returned, and one of shade where it meets the ground beneath a deck. Later
-    buildings hide earlier ones. top_m gets the heights where rays end on them, if it has the samples' shape.
+    wall colour is returned; where it meets the ground beneath a deck, a patch of shade. Later buildings hide
+    earlier ones. top_m gets the heights where rays end on them, if it has the samples' shape.
     """
     walls: list[Wall] = []
     for s in standing:
@@ -86,8 +86,8 @@ def raise_buildings(
 
 
 def _cut(b: Building, from_top: Floats, step: Floats, drop: Floats) -> tuple[Floats, Floats]:
-    """Where rays enter each face of a building, as shares of their ways from its top to the ground, (n, h,
-    w), -inf where they never do. Where they leave it, (h, w)."""
+    """Where rays enter each face of a building, (n, h, w), -inf where they never do, and where they leave it,
+    (h, w). Both are shares of the rays' ways from the building's top to the ground."""
     enters, leave = [], np.full(drop.shape, np.inf)
     for along, across, up, limit in b.faces():
         # f < 0 inside
