@@ -74,7 +74,7 @@ def side_px_of(scene: Scene) -> int:
 
 
 def occlusion_depth(scene: Scene, side_px: int, view: FrameView) -> OcclusionDepth:
-    """What stands before what a frame shows. Of the scene no views are asked for."""
+    """What stands before what a frame shows. The scene's views are not used."""
     window = bounds_window(scene.grid, view.widened(), CELL_PX)
     ground = ground_of(scene, window, side_px)
     below_m = hidden_m(scene.ground, view.pose.position_m, ground.points_m())

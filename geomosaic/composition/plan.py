@@ -112,8 +112,8 @@ class Planning:
     def _giving(self, window: Window) -> _Giving:
         """The frames that may give pixels of a window.
 
-        A frame gives what it owns and sees. Of what an owner doesn't see, the nearest frame that does. Works
-        with what is certain of each cell, so that it never leaves out a pixel.
+        A frame gives what it owns and sees. What an owner doesn't see is given by the nearest frame that
+        does. This works with what is certain of each cell, so that it never leaves out a pixel.
         """
         numbers, own = owned_cells(self.ownership, window)
         somewhere, everywhere = self._seen(numbers, window)

@@ -32,8 +32,8 @@ class _Gathered:
 class RasterLevel:
     """A raster or an overview of it.
 
-    width, height: its size. places (down, across, 3): where each tile lies in the file of tiles, as its first
-    byte, the bytes of its pixels and those of its mask. A tile without a valid pixel has 0 bytes.
+    width, height: its size. places (down, across, 3): where each tile lies in the file of tiles. It is its
+    first byte, the bytes of its pixels and those of its mask. A tile without a valid pixel has 0 bytes.
     """
 
     width: int

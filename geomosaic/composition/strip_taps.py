@@ -46,8 +46,8 @@ _KERNELS: Final[dict[str, Callable[[Floats], Floats]]] = {
 def between(pixels: Floats32, down: Floats, across: Floats, stretch: int, resampling: str) -> Floats32:
     """Pixels (rows, stretches * stretch) between an image's; beyond its edges these go on.
 
-    Args: down, across (rows, stretches): how far below and right of pixel (r, c) the content of pixel (r, c)
-    of the result lies in the image, in px. The values are the same for `stretch` columns of a row.
+    Args: down, across (rows, stretches): shifts in px. The image shows what pixel (r, c) of the result shows
+    so far below and right of its own pixel (r, c). The values are the same for `stretch` columns of a row.
     """
     rows, many = down.shape
     top, by_row = _weights(down, resampling)

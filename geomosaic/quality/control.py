@@ -28,8 +28,8 @@ _SHIFT: Final = {"control": "control-shifted", "check": "check-shifted"}
 class ControlFigures:
     """Of n points. rmse_horizontal_m is of the length in the plane. ce90_m and le90_m: nine tenths of the
     points are nearer in the plane and in height. They are quantiles of what was found (linear between two
-    points; no normal distribution assumed), so with few points little less than the largest. Of heights: the
-    n_height points whose height was surveyed, None of none.
+    points; no normal distribution assumed), so with few points little less than the largest. Figures of
+    heights are of the n_height points whose height was surveyed, None without any.
     """
 
     n: int

@@ -1,7 +1,7 @@
 """The heights of neighbours go together: costs summed along paths through the tile.
 
-Hirschmueller 2008, Stereo processing by semiglobal matching and mutual information (PAMI 30), over the
-cells of the ground instead of the pixels of an image. Each cell may have heights of its own. `steps`
+The method is Hirschmueller 2008, Stereo processing by semiglobal matching and mutual information (PAMI 30),
+over the cells of the ground instead of the pixels of an image. Each cell may have heights of its own. `steps`
 (heights, rows, cols) has them in a ring, height k at place k mod heights. So cells that share a height have
 it at the same place.
 """

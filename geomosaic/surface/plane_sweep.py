@@ -116,9 +116,8 @@ class PlaneSweep:
         return found[0], found[1]
 
     def towards(self, frame: int, at: Block = WHOLE) -> tuple[Floats32, Floats32, Floats32]:
-        """The direction from each cell of a block to the point below the camera, and the rise of a line of
-        sight with each cell (m). The direction is in cells east and north, of length 1. All are (rows,
-        cols)."""
+        """The direction from each cell of a block to below the camera, and the rise of a line of sight with
+        each cell (m). The direction is in cells east and north, of length 1. All are (rows, cols)."""
         east, north = self.cells.axes_m()
         place = self.frames[frame].pose.position_m
         off = np.broadcast_arrays(place[0] - east[at[1]], (place[1] - north[at[0]])[:, None])

@@ -2,8 +2,8 @@
 
 A slip of a decimal point or a damaged tag can put a frame far too high, or make its image far too wide.
 Ground and mosaic would reach as far, and take as much memory. Such a value is taken as not given, and named.
-Errors that a survey can have (barometers that drift, a datum that isn't stated, a position far off) are none
-of this module's: they are for the adjustment to find.
+Errors that a survey can have (barometers that drift, a datum that isn't stated, a position far off) are left
+to the adjustment.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ class StripGeometry:
 
     @property
     def height_m_per_line(self) -> float:
-        """What is so much higher is seen one line apart by the two rows (0 where they are one).
+        """The height (m) that shifts a place by one line between the two rows, 0 where they are one.
 
         Their rays meet at an angle of separation * pixel * (1 / altitude + 1 / R). The second part is the
         turn of the vertical between the two places from which they look.

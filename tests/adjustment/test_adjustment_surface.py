@@ -64,7 +64,7 @@ def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
 
 def test_mountains_are_followed_where_points_show_them() -> None:
     """Summits of 60 m every 75 m, seen from 100 m, by a point on 13 m². A surface of a third derivative of at
-    most 32 per squared flying height lay 10 m off them."""
+    most 32 per squared flying height would lie 10 m off them."""
     rng = np.random.default_rng(3)
 
     def mountains(at: np.ndarray) -> np.ndarray:

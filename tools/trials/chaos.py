@@ -144,7 +144,7 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
 
 
 def where_it_was(trial: Trial, run: Path, done: int, killed_ns: int) -> str:
-    """What `inspect` says of where a killed run was, and how old the last word in its recording is. What
+    """What `inspect` says of where a killed run was, and how old the last message in its recording is. What
     `--repair` makes of it must be whole and say the same. done: how many stages its progress names."""
     reported = geomosaic("inspect", run, "--json")
     if reported.returncode:
