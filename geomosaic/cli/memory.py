@@ -1,7 +1,7 @@
 """Memory that arrays gave back stays with its process for the next ones.
 
 The C library returns freed memory to the system at once where it lies at its heap's end. It gets it anew,
-page by page, for the next array: a sixth of the processor's time of matching.
+page by page, for the next array, which takes a sixth of the processor's time of matching.
 """
 
 from __future__ import annotations

@@ -39,9 +39,12 @@ class Blending:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A window, it with its surroundings, and each source that matters there. Of a source: its number, the
-    rows and cols that it is asked for, and all that it gives to the mosaic, or the tile of an earlier
-    mosaic."""
+    """What a window is blended from.
+
+    around: the window with its surroundings. parts: of each source that matters there its number, and the
+    rows and cols asked for. gives: all that each source gives to the mosaic. kept: the tile of an earlier
+    mosaic that is taken instead.
+    """
 
     window: Window
     around: Window

@@ -7,8 +7,8 @@ A blend takes, for a box of h x w pixels,
     reach_px: how wide the transition is;
 
 and gives the mosaic (h, w, bands), float32; anything where no piece has a valid pixel. h and w are multiples
-of `STEP_PX`. A pixel depends on nothing farther away than `halo_px` of the reach. It is its own piece's where
-no other one gives a pixel within that. There a blend need not be asked.
+of `STEP_PX`. A pixel depends on nothing farther away than `halo_px` of the reach. Where no other piece gives
+a pixel within that distance, the result is the pixel's own piece, and a blend need not be called.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _LEAST_WEIGHT = tuned(np.float32(1e-4), "full weight", "of an owner: 0 blackens 
 class Piece:
     """What a source shows of a box, in its rows and cols.
 
-    image (.., .., bands) float32: finite anywhere. inside (.., ..): 0 where it has no valid pixel. Where it
-    has one, above that and rising to 1 over half the reach from its edge and from invalid pixels inwards.
+    image (.., .., bands) float32: finite anywhere. inside (.., ..): 0 where it has no valid pixel, above 0
+    where it has one. It rises to 1 over half the reach, inwards from the edge and from invalid pixels.
     """
 
     rows: slice

@@ -34,8 +34,11 @@ _NOTHING_ALIKE = tuned(0.9, "1 - correlation", "where frames say nothing: woods 
 
 @dataclass(frozen=True)
 class Agreement:
-    """What frames say of the grounds: disagreement of each, the median of 1 - correlation between two frames
-    over squares where the grounds differ. The squares, and the places that they lie in."""
+    """How well frames agree on each of two grounds.
+
+    disagreement: of each ground the median of 1 - correlation between two frames, over squares where the
+    grounds differ. squares: how many. places: how many they lie in.
+    """
 
     disagreement: tuple[float, float]
     squares: int

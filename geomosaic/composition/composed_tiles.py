@@ -246,8 +246,8 @@ def _view_of(source: Any) -> FrameView:
 
 
 def _places(ground: GroundWindow, view: FrameView) -> tuple[Floats32, Floats32]:
-    """Cols and rows of ground points in a frame. Beyond its lens as if it had none, since nothing else shows
-    whether a frame that only touches a tile has moved."""
+    """Cols and rows of ground points in a frame. Points beyond the range of its lens are projected without
+    distortion: nothing else shows whether a frame that only touches a tile has moved."""
     camera = view.camera
     cols, rows = frame_from_map(ground, view.pose, camera)
     beyond = np.isnan(cols)

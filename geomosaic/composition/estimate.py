@@ -78,8 +78,11 @@ _SURFACE_BYTES = sourced(128.0, "bytes/cell", "of a surface on disk", "18 frames
 
 @dataclass(frozen=True)
 class Before:
-    """What comes before a mosaic is composed: s of a core, least and most. Bytes of memory that the whole run
-    takes without the windows at work; bytes on the disk."""
+    """What the stages before composition take.
+
+    core_s: seconds of one core, least and most. memory_bytes: of the whole run, without the windows at work.
+    disk_bytes: on the disk.
+    """
 
     core_s: Range
     memory_bytes: float

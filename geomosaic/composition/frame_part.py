@@ -100,8 +100,11 @@ def _overlap(patch: Patch, window: Window) -> tuple[tuple[slice, slice], tuple[s
 
 @dataclass(frozen=True)
 class Warping:
-    """How frames are brought onto the grid: the scene, whose views don't matter; the type of the mosaic's
-    pixels. How far inside, in pixels of the mosaic, the distance from a frame's edge ceases to matter."""
+    """How frames are warped onto the grid.
+
+    scene: its views don't matter. dtype: of the mosaic's pixels. far_px: how far inside a frame, in pixels of
+    the mosaic, the distance from its edge ceases to matter.
+    """
 
     scene: Scene
     resampling: str

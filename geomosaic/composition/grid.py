@@ -61,7 +61,8 @@ def output_grid(
 
     Args: names: of all the survey's frames, for the message.
     Raises: `InputError` if there is no frame, or if the mosaic would be larger than max_gigapixels or than
-    200 times all the frames' pixels. It names the frame that stretches it or a ground pixel far too fine.
+    200 times all the frames' pixels. The error names the frame that stretches the mosaic, or says that the
+    ground pixel is far too fine.
     """
     if not views:
         raise InputError(

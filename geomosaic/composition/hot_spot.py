@@ -72,9 +72,10 @@ def directions(camera: Camera, image_px: Floats) -> Floats:
 
 
 def hot_spot(rays: Floats, away: Floats, width_rad: float) -> Floats:
-    """How much of the spot rays (..., 3) of unit length see, (...). 1 in its middle, falling off by an
-    exponential of the angle (Chen and Leblanc 1997, A four-scale bidirectional reflectance model, section
-    II-C). 0 where a ray is unknown, past the lens's end. away (..., 3): `SunBehind.away`."""
+    """How much of the spot rays (..., 3) of unit length see, (...). It is 1 in the spot's middle and falls
+    off as an exponential of the angle (Chen and Leblanc 1997, A four-scale bidirectional reflectance model,
+    section II-C). It is 0 where a ray is unknown, past the end of the lens. away (..., 3):
+    `SunBehind.away`."""
     off = np.arccos(np.clip((rays * away).sum(axis=-1), -1.0, 1.0))
     return np.asarray(np.nan_to_num(np.exp(-off / width_rad)))
 

@@ -18,8 +18,11 @@ from geomosaic.doors.raster import OWN, open_raster
 
 @dataclass(frozen=True)
 class KeptTile:
-    """A tile of an earlier mosaic: its files, its first col and row there, and present numbers of its
-    sources. By the number of each source, from 1, the present number, from 0, or -1."""
+    """A tile of an earlier mosaic.
+
+    raster, sources: its files. col, row: its first column and row there. numbers: of each source of the
+    earlier mosaic, from 1, its present number, from 0, or -1.
+    """
 
     raster: Path
     sources: Path

@@ -24,7 +24,7 @@ class OutputGrid(MapGrid):
     """The raster that a mosaic or another product of the run is written to.
 
     The corner lies at whole multiples of the ground pixel, so that mosaics of one CRS and ground pixel share
-    their pixels. Of an aligned mosaic it lies whole ground pixels from the corner of the raster.
+    their pixels. If the grid is aligned to a raster, the corner lies whole ground pixels from that raster's.
     """
 
 

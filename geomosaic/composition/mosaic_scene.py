@@ -125,8 +125,11 @@ class CandidateFrames(PosedFrames):
 
 @dataclass(frozen=True)
 class MosaicScene:
-    """The scene of a mosaic, the extent that was asked for, the area that it is cut to and where it ends. The
-    frames left out for lying too far away, and those that see some of it well."""
+    """The scene of a mosaic, and the frames that it leaves out.
+
+    extent: what was asked for. area: what the mosaic is cut to. edges: where it ends. flung: frames left out
+    for lying too far away. well: frames that see some of it well.
+    """
 
     scene: Scene
     extent: Extent
@@ -168,8 +171,11 @@ class MosaicScene:
 
 @dataclass(frozen=True)
 class SceneChoice:
-    """What a scene is chosen by: the adjusted frames, where they were reported (n, 3), and the pixels. Also
-    the file of the area that the mosaic is cut to, and its largest size."""
+    """What a scene is chosen by.
+
+    reported_m (n, 3): where the frames were reported. aoi: the file of the area that the mosaic is cut to.
+    max_gigapixels: its largest size.
+    """
 
     frames: CandidateFrames
     adjusted: Adjusted

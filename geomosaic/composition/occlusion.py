@@ -30,8 +30,8 @@ _BEYOND: Final = int(np.iinfo(np.uint8).max)
 
 @dataclass(frozen=True)
 class OcclusionDepth:
-    """How far below its lines of sight a frame's part of the mosaic lies, by cells from row and col on. In
-    bytes, packed: 0 where it is seen, 255 where the frame ends or is about to."""
+    """How far below its lines of sight a frame's part of the mosaic lies, by cells from row and col on.
+    packed: compressed bytes, 0 where it is seen, 255 where the frame ends or is about to."""
 
     frame: int
     row: int
@@ -54,8 +54,8 @@ class UnseenGround:
 
 
 def occluded_scene(scene: Scene, spread: Spread) -> tuple[Scene, tuple[Hidden, ...], UnseenGround | None]:
-    """The scene whose views know what they can't see of a ground on which things stand, what that is, and how
-    much none sees. None where nothing stands on the ground."""
+    """The scene whose views exclude what is hidden from them, these hidden parts, and the ground that no
+    frame sees. The last is None where nothing stands on the ground."""
     if not scene.ground.has_walls:
         return scene, (), None
     side_px = side_px_of(scene)
@@ -74,7 +74,7 @@ def side_px_of(scene: Scene) -> int:
 
 
 def occlusion_depth(scene: Scene, side_px: int, view: FrameView) -> OcclusionDepth:
-    """What stands before what a frame shows. Of the scene no views are asked for."""
+    """What stands before what a frame shows. The scene's views are not used."""
     window = bounds_window(scene.grid, view.widened(), CELL_PX)
     ground = ground_of(scene, window, side_px)
     below_m = hidden_m(scene.ground, view.pose.position_m, ground.points_m())
@@ -89,8 +89,9 @@ def occlusion_depth(scene: Scene, side_px: int, view: FrameView) -> OcclusionDep
 
 
 def occluded(below_m: Floats32, cell_m: float) -> Bools:
-    """What is hidden: below a line of sight, somewhere by a step, and no islands in it or of it that are less
-    than a step wide. The cells about it, where edges would be doubled."""
+    """Cells that are hidden: connected ones below a line of sight, somewhere by more than a step. Islands in
+    them or of them that are less than a step wide are removed. Adjacent cells are added, where edges would be
+    doubled."""
     low = (below_m > _EDGE_M).view(np.uint8)
     number, parts = cv2.connectedComponents(low, connectivity=4)
     deep = np.zeros(number, dtype=bool)

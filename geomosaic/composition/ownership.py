@@ -77,9 +77,12 @@ class Ownership:
 
 @dataclass(frozen=True)
 class FrameCells:
-    """What a frame sees, by the mosaic's cells from `row` and `col` on, (h, w) each. Where their middles lie
-    in the frame, how far inside it (margin_px, not above 0 outside), and how far from its nadir point.
-    relief_m (h, w): how high the ground is over a smooth one, None where it is smooth."""
+    """What a frame sees, by the mosaic's cells from `row` and `col` on, (h, w) each.
+
+    cols_px, rows_px: where the middles of the cells lie in the frame. margin_px: how far inside it, not above
+    0 outside. distance_m: how far from its nadir point. relief_m: how high the ground is over a smooth one,
+    None where it is smooth.
+    """
 
     view: FrameView
     row: int
@@ -259,8 +262,8 @@ def within(ownership: Ownership, area: Area) -> Ownership:
 
 
 def owned_cells(ownership: Ownership, window: Window) -> tuple[list[int], Bools]:
-    """The frames that own any of a window or of the adjacent cells, and in which of its planning cells each
-    may own pixels, (k, h, w). Those that meet its own or adjacent cells."""
+    """The frames that own any of a window or of the adjacent cells, and the planning cells in which each may
+    own pixels, (k, h, w). Such a planning cell meets the frame's own cells or adjacent ones."""
     row, col, around = ownership.around(window)
     owners = [n for n in np.flatnonzero(np.bincount(around.ravel())).tolist() if n]
     side = ownership.cell_px

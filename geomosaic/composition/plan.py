@@ -87,9 +87,9 @@ class Planning:
                 yield self._step(window, giving)
 
     def _step(self, window: Window, of_square: _Giving) -> Planned:
-        """What a window takes. Around it as much as a blend looks at, if more than one frame gives pixels
-        within that. Of each frame its own pixels and those that a blend asks for, where others give some as
-        near."""
+        """What a window takes from each frame. If a blend there needs more than one frame, the window is
+        taken with its surroundings, as far as the blend looks. Each frame then gives its own pixels. It also
+        gives those that a blend needs near its own and another frame's."""
         around, cells = window.grown(self.halo_px), self.halo_px // CELL_PX
         giving = of_square.within(around)
         if not giving.numbers:
@@ -112,8 +112,8 @@ class Planning:
     def _giving(self, window: Window) -> _Giving:
         """The frames that may give pixels of a window.
 
-        A frame gives what it owns and sees. Of what an owner doesn't see, the nearest frame that does. Works
-        with what is certain of each cell, so that it never leaves out a pixel.
+        A frame gives what it owns and sees. What an owner doesn't see is given by the nearest frame that
+        does. This works with what is certain of each cell, so that it never leaves out a pixel.
         """
         numbers, own = owned_cells(self.ownership, window)
         somewhere, everywhere = self._seen(numbers, window)
@@ -177,8 +177,8 @@ class _Giving:
         return _Giving(window, list(itertools.compress(self.numbers, some)), sees[some], gives[some])
 
     def blended(self, cells: int) -> Bools | None:
-        """What a blend asks for of each frame that looks so many cells about what it makes, which the window
-        holds as well, (k, h, w). None where it sees one frame's pixels alone."""
+        """What a blend needs of each frame, (k, h, w). The blend looks `cells` cells about what it makes, and
+        the window contains these. None where it sees one frame's pixels alone."""
         if len(self.numbers) == 1:
             return None
         inner, side = _inner(self.gives, cells), np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)

@@ -19,8 +19,9 @@ SEAMS_GROUP: Final = "geomosaic.seams"
 class Named(Mapping[str, T], Generic[T]):
     """The room's own strategies and a group's. A plug-in is loaded when it is first asked for.
 
-    Raises, when a name is asked for: `KeyError` for none. `PluginError`, which names the plug-in and its
-    distribution, where it can't be loaded, isn't what `fits` asks for, or has a name that is taken.
+    Raises, when a name is asked for: `KeyError` for an unknown one, `PluginError` for a plug-in that can't be
+    used. The latter can't be loaded, isn't what `fits` asks for, or has a name that is taken. The error names
+    the plug-in and its distribution.
     """
 
     def __init__(self, own: Mapping[str, T], group: str, fits: Callable[[object], bool]) -> None:

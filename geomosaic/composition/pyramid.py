@@ -1,7 +1,7 @@
 """A raster's tiles as they come: gathered from windows, halved into overviews, packed when they are whole.
 
 A tile is packed once, by the thread that brings its last pixel, and then only lies in a file until the raster
-is put together. What is in hand are tiles that are not whole yet.
+is put together. Memory has only tiles that are not whole yet.
 """
 
 from __future__ import annotations
@@ -30,8 +30,11 @@ class _Gathered:
 
 @dataclass(frozen=True)
 class RasterLevel:
-    """A raster or an overview of it: its size, and where each tile (down, across) lies in the file of tiles.
-    First byte, bytes of its pixels, of its mask. 0 bytes of a tile without a valid pixel."""
+    """A raster or an overview of it.
+
+    width, height: its size. places (down, across, 3): where each tile lies in the file of tiles. It is its
+    first byte, the bytes of its pixels and those of its mask. A tile without a valid pixel has 0 bytes.
+    """
 
     width: int
     height: int

@@ -79,8 +79,8 @@ def index_kind(frames: int) -> TileKind:
 
 @dataclass(frozen=True)
 class MosaicFiles:
-    """Where a mosaic's raster goes, and that of its frame indices, if it is wanted: 0 where there is no
-    frame, else the frame's index + 1. Its tags name the frames."""
+    """Where a mosaic's raster goes, and that of its frame indices, if it is wanted. An index is 0 where there
+    is no frame, else the frame's index + 1. The tags of that raster name the frames."""
 
     raster: Path
     sources: Path | None = None

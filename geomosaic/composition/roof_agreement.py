@@ -31,10 +31,14 @@ _INSIDE = np.ones((_WINDOW, _WINDOW), np.uint8)
 
 @dataclass(frozen=True)
 class RoofAgreement:
-    """Median correlation of a roof between frames, on its heights and on the ground; shares: of the roof that
-    frames do not agree on, and of what lies about it and on it that they agree on less than on the ground. Of
-    the ground about the roof and about what it hides, where seams will lie, that they do not agree on. Of
-    what it hides from the steepest frame, that no other one sees."""
+    """How well frames agree on a roof.
+
+    on_roof, on_ground: median correlation of the roof between frames, on its heights and on the ground.
+    unlike: share of the roof that frames do not agree on. worse: share of the roof and its surroundings that
+    they agree on less than on the ground. seams: of the ground about the roof and about what it hides, where
+    seams will lie, the share that they do not agree on. unseen: of what the roof hides from the steepest
+    frame, the share that no other frame sees.
+    """
 
     on_roof: float
     on_ground: float

@@ -51,8 +51,8 @@ class RoofPlanes:
 
 
 def roof_planes(over_m: Floats32, own: Bools, spacing_m: float) -> RoofPlanes:
-    """One plane after the other through what the ones before left, by heights over_m (rows, cols) of an
-    object's own nodes. Each is the one with most support of samples (Fischler and Bolles 1981)."""
+    """Planes through heights over_m (rows, cols) of an object's own nodes, each through what the ones before
+    left. Each is the one with most support of samples (Fischler and Bolles 1981)."""
     row, col = np.nonzero(_off_edges(own))
     left, height = np.ones(len(row), dtype=bool), over_m[row, col].astype(np.float64)
     at = np.column_stack([col, row, np.ones(len(row))]).astype(np.float64)

@@ -32,8 +32,8 @@ items may be spread."""
 
 @dataclass(frozen=True)
 class Shared:
-    """What two frames may give of some cells: `may` (h, w) and `values` (h, w, 1 or 3) of both. Also where
-    something stands on the ground, if that is known."""
+    """What two frames may give of some cells: `may` (h, w) and `values` (h, w, 1 or 3) of both. standing (h,
+    w): where something stands on the ground, None if that is unknown."""
 
     may: tuple[Bools, Bools]
     values: tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]

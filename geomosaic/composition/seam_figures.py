@@ -14,8 +14,12 @@ from geomosaic.composition.seam_parts import SeamPart, to_8_bits
 
 @dataclass(frozen=True)
 class SeamFigures:
-    """Along seams: their length in m, and the mean and nine tenths of how far both frames differ there, in
-    grey levels of 8 bits. Their share on what stands on the ground, if that is known."""
+    """Figures along seams.
+
+    length_m: their length. difference_mean, difference_90: mean and nine tenths of how far both frames differ
+    there, in grey levels of 8 bits. on_objects: their share on what stands on the ground, None if that is
+    unknown.
+    """
 
     length_m: float
     difference_mean: float

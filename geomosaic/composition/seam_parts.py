@@ -32,8 +32,12 @@ _SOME = tuned(4, "cells", "between samples of brightness: all would take longer 
 
 @dataclass(frozen=True)
 class SeamBand:
-    """The mosaic's cells from `row` and `col` on that a frame may give by where its nadir point is, (h, w).
-    Its own, and adjacent ones that are not much farther from it than from the nearest one."""
+    """The mosaic's cells from `row` and `col` on that a frame may give by where its nadir point is, (h, w)
+    each.
+
+    own: the cells that are nearest to it. near: those that are not much farther from it than from the nearest
+    one.
+    """
 
     view: FrameView
     row: int
@@ -57,9 +61,9 @@ class SeamPart:
     """What one frame may give, by the mosaic's cells from `row` and `col` on.
 
     frame: its index in the survey. nadir_m: easting and northing below it. values (h, w, 1 or 3): its first
-    bands, their tones evened; in half precision where the image has 8 bits. may (h, w): where it may own
-    the cell: it sees it, no mask is in the way, and it looks down steeply enough. standing (h, w): where
-    something stands on the ground, if that is known.
+    bands, their tones evened; in half precision where the image has 8 bits. may (h, w): where it may own the
+    cell: it sees it, no mask is in the way, and it looks down steeply enough. standing (h, w): where
+    something stands on the ground, None if that is unknown.
     """
 
     frame: int
@@ -128,8 +132,8 @@ def glimpses(
 
 
 def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> SeamPart:
-    """Decodes a frame once, reduced, and takes it at the cells that it may give. It sees them, no mask is in
-    the way, and its outermost pixels are its own cells' alone. Of the scene no views are asked for."""
+    """Decodes a frame once, reduced, and samples it at the cells that it may give. It sees these, and no mask
+    is in the way. Its outermost pixels count for its own cells alone. The views of the scene are not used."""
     frame, band, view = job.frame, job.band, job.band.view
     fine = scene.ground.kind != "flat" and scene.ground.spacing_m <= _FINE_M
     cells = frame_cells(scene, view, cell_px, smooth=not fine)
@@ -170,7 +174,7 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> S
 
 
 def standing(heights_m: Floats32, cell_m: float) -> Bools:
-    """Where something stands on the ground, by its heights (h, w): what a square wider than houses doesn't
+    """Where something stands on the ground, by its heights (h, w): where a square wider than houses doesn't
     fit under. This is a top-hat transform (Serra 1982, Image analysis and mathematical morphology, ch.
     XII)."""
     across = 2 * int(_WIDEST_M / cell_m / 2.0) + 1

@@ -1,7 +1,7 @@
 """A strip's pixels between its pixels: down the lines first, then across, by a few taps each.
 
-What the scene shows lies in the strip off its own place by nearly the same for many columns. So weights are
-one set for each row and stretch of columns, not one for each pixel.
+The displacement of a strip against the scene is nearly the same for many columns. So there is one set of
+weights for each row and stretch of columns, not one for each pixel.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _KERNELS: Final[dict[str, Callable[[Floats], Floats]]] = {
 def between(pixels: Floats32, down: Floats, across: Floats, stretch: int, resampling: str) -> Floats32:
     """Pixels (rows, stretches * stretch) between an image's; beyond its edges these go on.
 
-    Args: down, across (rows, stretches): how far below and right of pixel (r, c) of the image the content of
-    pixel (r, c) of the result lies. Alike in a row for `stretch` columns.
+    Args: down, across (rows, stretches): shifts in px. The image shows what pixel (r, c) of the result shows
+    so far below and right of its own pixel (r, c). The values are the same for `stretch` columns of a row.
     """
     rows, many = down.shape
     top, by_row = _weights(down, resampling)

@@ -20,17 +20,17 @@ _EFFORT = tuned(2, "ISA-L level", "1 gains 1 % less; 3 takes a quarter longer fo
 
 @dataclass(frozen=True)
 class TileKind:
-    """What tiles hold: bands of a type, and whether a mask goes with them, as with an image. Without one they
-    are numbers that have no mean: of four, an overview takes the first."""
+    """What tiles hold: bands of a type, and whether a mask goes with them, as with an image. Pixels without a
+    mask are numbers that have no mean. An overview takes the first of four."""
 
     bands: int
     dtype: np.dtype[Any]
     masked: bool = True
 
     def packed(self, pixels: NDArray[Any]) -> bytes:
-        """A tile's pixels (h, w, bands), filled up with zeros to its full size, as TIFF's predictors and
-        deflate have them. Predictor 2 is of whole numbers, 3 of others (TIFF 6.0, section 14; Adobe's
-        Photoshop TIFF Technical Note 3)."""
+        """A tile's pixels (h, w, bands), padded with zeros to its full size, encoded by TIFF's predictor and
+        deflate. Predictor 2 is for whole numbers, 3 for others (TIFF 6.0, section 14; Adobe's Photoshop TIFF
+        Technical Note 3)."""
         return _deflated(_less_neighbours(_full(pixels)))
 
     def tile(self, pixels: NDArray[Any], valid: Bools, *, first: bool = True) -> PackedTile | None:
@@ -95,8 +95,11 @@ def _deflated(values: NDArray[Any]) -> bytes:
 
 @dataclass(frozen=True)
 class PackedTile:
-    """What is left of a tile that shows something: its bytes and its mask's, packed. Of an image's its
-    figures, where it is none of an overview, and its part of the next overview: pixels and valid ones."""
+    """What is left of a tile that shows something.
+
+    packed, mask: its compressed bytes and its mask's. figures: of an image's tile that is none of an
+    overview, see `_figures`. half, half_valid: its part of the next overview, pixels and valid ones.
+    """
 
     packed: bytes
     mask: bytes

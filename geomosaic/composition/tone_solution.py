@@ -194,9 +194,9 @@ def with_one_level(tones: Tones, places: ToneSightings) -> Tones:
 
 
 def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
-    """Tones with which the map is as bright as the frames that show a place are in the mean. What a camera's
-    exposure follows stays, and only differences between frames go. The mean is taken over about half a frame,
-    and followed by each frame to the second degree."""
+    """Tones with which the map is as bright as the frames that show a place are in the mean. Changes of
+    brightness that a camera's exposure follows stay, and only differences between frames go. The mean is
+    taken over about half a frame. Each frame follows it to the second degree."""
     if not len(places.frame):
         return tones
     n, b = tones.gain.shape

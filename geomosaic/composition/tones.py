@@ -1,8 +1,8 @@
 """How brightly each frame shows the ground: gains, slopes and vignettes, found where frames overlap.
 
-A camera that writes what its sensor counted shows twice the light as twice the value. One that draws pictures
-bends values towards white, so that none is ever beyond it. Which of both a flight's frames do, they say
-themselves: by which they can be made alike.
+A camera that writes what its sensor counted shows twice the light as twice the value. A camera that renders
+pictures bends values towards white, so that none exceeds it. Which of the two a flight's camera does is found
+from its frames: the one by which they can be made alike.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may
 
 @dataclass(frozen=True)
 class Tones:
-    """Natural logarithms of how much brighter frames show the ground than all do in the mean. Of values v,
-    or, where these bend towards white, of their odds v / (white - v).
+    """Natural logarithms of how much brighter frames show the ground than all do in the mean. They are of
+    values v or, where these bend towards white, of their odds v / (white - v).
 
     The logistic curve over the logarithm of light is the middle of a film's characteristic curve (Hurter and
-    Driffield 1890), which cameras draw by. More light moves odds by a factor.
+    Driffield 1890), which cameras draw by. More light multiplies odds by a factor.
 
     gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
     middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its

@@ -88,9 +88,12 @@ class Edges:
 
 @dataclass(frozen=True)
 class ViewingGeometry:
-    """How a survey's frames look at the ground: poses, which of them have tie points, and views of all they
-    see up to `HORIZON`. Also the limits of what they see well. known: the ground before a surface was
-    matched, the same without one. area: what the mosaic is cut to."""
+    """How a survey's frames look at the ground.
+
+    tied: which of them have tie points. views: of all they see up to `HORIZON`. limits: of what they see
+    well. known: the ground before a surface was matched, the same without one. area: what the mosaic is cut
+    to.
+    """
 
     poses: Poses
     tied: Sequence[bool]
@@ -101,12 +104,12 @@ class ViewingGeometry:
 
 
 def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
-    """What of all that frames see is left out: what no frame sees within the limits. Beyond the land that was
-    flown over also what lies on ground whose deviation moves it by more than `OFF_PX`, as far as it reaches
-    the mosaic's outside.
+    """What of all that frames see is left out. That is what no frame sees within the limits, and ground whose
+    deviation moves it by more than `OFF_PX`. The latter is left out only beyond the land that was flown over,
+    and only as far as it reaches the mosaic's outside.
 
-    Of a matched surface and the ground known before it the surer counts. Scene: its views are of what is seen
-    well.
+    Of a matched surface and the ground known before it, the surer counts. scene: its views are of what is
+    seen well.
     """
     n, cell_px = len(looks.poses), cell_px_of(scene)
     grid, whole = scene.grid, replace(scene, views=looks.views)
@@ -157,8 +160,8 @@ def filled(nearest: Ownership, nearest_m: Floats32, scene: Scene, filling: froze
 def looked_at(
     ownership: Ownership, poses: Poses, work_frame: LocalFrame, ground: GroundSurface, step: int = 1
 ) -> tuple[Floats, Floats]:
-    """Of every step-th cell its place (h, w, 3) in the work frame, m. Also the tangent (h, w) of the angle at
-    which its frame looks at it, NaN where none does."""
+    """The place (h, w, 3) of every step-th cell in the work frame, m, and a tangent (h, w). The tangent is of
+    the angle at which its frame looks at it, NaN where none does."""
     grid, owner = ownership.grid, ownership.owner[::step, ::step]
     side_m = step * ownership.cell_px * grid.gsd_m
     cells = MapGrid(grid.crs, grid.west_m, grid.north_m, side_m, owner.shape[1], owner.shape[0])

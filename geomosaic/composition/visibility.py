@@ -92,8 +92,8 @@ def _smooth(scene: Scene) -> bool:
 
 
 def _by_blocks(scene: Scene, view: FrameView, window: Window) -> tuple[Bools, Bools]:
-    """In which of a window's cells a frame may show something, and which it fills. This goes block by block,
-    and cell by cell where a block isn't all one or the other."""
+    """In which of a window's cells a frame may show something, and which it fills. This is found block by
+    block, and cell by cell where a block isn't all one or the other."""
     down, across = window.height // CELL_PX, window.width // CELL_PX
     side, grid = _BLOCK * CELL_PX, scene.grid
     whole = replace(window, height=-(-window.height // side) * side, width=-(-window.width // side) * side)

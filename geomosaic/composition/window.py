@@ -49,7 +49,7 @@ class SourcePixels:
     """Part of a window as one source shows it.
 
     pixels (h, w, bands): finite anywhere. margin_px (h, w): how far inside the source's valid pixels each one
-    lies, in pixels of the mosaic; not above 0 where it isn't valid. None where all are, far inside.
+    lies, in pixels of the mosaic; not above 0 where it isn't valid. None where all are valid and far inside.
     """
 
     pixels: NDArray[Any]
@@ -128,9 +128,12 @@ def scaled(pixels: NDArray[Any], by: Floats32, dtype: str) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class Composed:
-    """A finished window: pixels (h, w, bands), 0 where not valid (h, w). label (h, w): the place in `numbers`
-    of the source that gives a pixel, -1 where none does. numbers: of the sources that gave pixels. wanted (h,
-    w): what of the window was asked for, None for all of it."""
+    """A finished window.
+
+    pixels (h, w, bands): 0 where not valid (h, w). label (h, w): the place in `numbers` of the source that
+    gives a pixel, -1 where none does. gave: the numbers of the sources that gave pixels. wanted (h, w): what
+    of the window was asked for, None for all of it.
+    """
 
     window: Window
     pixels: NDArray[Any]

@@ -40,8 +40,8 @@ def check_name(path: Path) -> None:
 
 
 def mode_of(path: Path) -> int:
-    """The mode of what lies under a name that may be anybody's. 0 where nothing does, where it may not be
-    looked at, and where no file can have such a name."""
+    """The mode of what lies under a name that may be anybody's. It is 0 where nothing does, where access is
+    denied, and where no file can have such a name."""
     try:
         return path.stat().st_mode
     except (OSError, ValueError):
@@ -80,8 +80,8 @@ def read_bytes(path: Path, most_bytes: int, kind: str, fix: str) -> bytes:
     """A regular file's content, read once and without waiting.
 
     Args: kind: what it is to be, as in `is too large for a camera file`.
-    Raises: `FileError` where it is missing, empty, larger than most_bytes, or can't be read. Also for files
-    that the system makes up (/proc), which don't hold what their size says.
+    Raises: `FileError` where it is missing, empty, larger than most_bytes, or can't be read. The same for
+    files that the system makes up (/proc), whose size is not that of their content.
     """
     path = Path(path)
     check_regular(path, fix)

@@ -33,9 +33,9 @@ _HTTP: Final = {
     "GDAL_HTTP_MAX_RETRY": "3",
     "GDAL_HTTP_RETRY_DELAY": "1",
 }
-"""Unless the environment says otherwise. Seconds, bytes a second: 10 s to connect, 30 s below 1 kB/s, and 900
-s for a request of 8 MB are an end. Errors that pass (HTTP 429, 502 to 504) are tried 3 times again, first
-after about 1 s, then later and later."""
+"""Limits unless the environment says otherwise, in seconds and bytes a second. A request ends after 10 s
+without a connection, 30 s below 1 kB/s, or 900 s for 8 MB. Errors that pass (HTTP 429, 502 to 504) are tried
+3 times again, first after about 1 s, then later and later."""
 _PAGE: Final = re.compile(rb"(\xef\xbb\xbf)?\s*(<|\{)")
 _WEB_PAGE: Final = re.compile(rb"(\xef\xbb\xbf)?\s*<(!doctype\s+html|html)\b", re.IGNORECASE)
 _IMAGES: Final = {".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF", ".png": "PNG"}

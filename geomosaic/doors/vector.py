@@ -66,8 +66,8 @@ class Shapes:
 def read_shapes(path: Path, kind: GeometryKind = POLYGON) -> Shapes:
     """All polygons, or lines, of a file, those within collections too; other geometries are ignored.
 
-    Raises: `FileError` for what is no regular local file or of none of `DRIVERS`. Also where it has none of
-    that kind or several layers with some, no CRS, more than 2 million vertices, or can't be read.
+    Raises: `FileError` for what is no regular local file or of none of `DRIVERS`. The same for a file that
+    has none of that kind or several layers with some, no CRS, more than 2 million vertices, or can't be read.
     """
     if str(path).startswith("/vsi"):
         raise FileError("is no file on this machine", file=path, fix=kind.wanted)

@@ -67,8 +67,8 @@ def write_cog(
     """Writes a raster, with its mask, as a COG with overviews and blocks of 512 px.
 
     One that composition wrote is a COG already: its bytes are copied, unless it is to be kept otherwise; then
-    GDAL makes another one of it. The software and the ground pixel (`GSD_M`) stand in its metadata, with an
-    RPC where the raster has one. So do each band's statistics: the raster's own, or of a sample of its
+    GDAL makes another one of it. Its metadata have the software, the ground pixel (`GSD_M`) and an RPC where
+    the raster has one. They also have each band's statistics: the raster's own, or those of a sample of its
     blocks.
     Returns whether its bytes were copied. Raises: `InputError` if the compression can't hold these pixels;
     `OSError` if `out` can't be written.

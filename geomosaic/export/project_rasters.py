@@ -116,8 +116,9 @@ def accuracy_layers(folder: Path) -> list[ProjectLayer]:
 
 
 def surface_layers(folder: Path) -> list[ProjectLayer]:
-    """Those of a run's surface, if it has one, the shading on top, the file's where it was written, else made
-    by QGIS of the heights themselves. None is seen at first, as they would hide the mosaic."""
+    """The layers of a run's surface, if it has one, with the shading on top. The shading is the file's where
+    it was written, else QGIS makes it of the heights. No layer is seen at first, as they would hide the
+    mosaic."""
     surface, terrain, confidence = (
         folder / f"{name}.tif" for name in ("surface", "terrain", "surface_confidence")
     )

@@ -20,8 +20,8 @@ from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
 MOST_POINTS, MOST_A_FRAME = 200_000, 2_000
-"""Of more, in all or in the mean of a frame, the layers show an even share. A map can't show them all, and a
-GIS opens the file slowly (190 bytes a feature)."""
+"""Where there are more, in all or in the mean of a frame, the layers show an even share. A map can't show
+them all, and a GIS opens the file slowly (190 bytes a feature)."""
 _SHARE_OF_SPACING = 0.03
 """How long the typical residual is drawn, of the way to the next frame: thousands of arrows stay apart."""
 
@@ -73,8 +73,8 @@ class ResidualLayers:
         return points, MapFeatures("residuals", text, "LineString", lines, fields, style)
 
     def image_residuals(self) -> MapFeatures:
-        """At the place on the ground where the frame of each observation puts it. Their vectors lie along the
-        image's axes and not the map's, so that they are drawn as dots."""
+        """The layer of observations, each at the place on the ground where its frame puts it. Their vectors
+        lie along the image's axes and not the map's, so that they are drawn as dots."""
         r = self.adjusted.image_residuals
         frame = np.zeros(0, dtype=np.intp) if r is None else r.frame
         image_px, residual_px = (np.zeros((0, 2)),) * 2 if r is None else (r.image_px, r.residual_px)

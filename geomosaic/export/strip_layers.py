@@ -33,8 +33,8 @@ def write_strip_layers(path: Path, geometry: StripGeometry, scene: SceneOnMap, q
     """Writes the GeoPackage, in longitude and latitude. Without a model or an RPC its layers are empty.
 
     scene: the raster's outline. ccd_strips: what each CCD saw. seam_segments: 512 lines each of a seam, at
-    the RPC's middle height, with the root mean square misplacement of the lines that were checked (NULL where
-    none was). Also whether it is above 1 px.
+    the RPC's middle height. Each has the root mean square misplacement of the lines that were checked (NULL
+    where none was), and whether it is above 1 px.
     Raises: `OSError` if the file can't be written.
     """
     mosaic, rings, rpc = scene.mosaic, scene.rings, scene.rpc

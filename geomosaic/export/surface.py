@@ -35,8 +35,8 @@ _GRAIN: Final = np.float32(1024.0)
 
 
 def surface_grid(mosaic: OutputGrid, cell_m: float) -> tuple[OutputGrid, int]:
-    """The grid of a surface over a mosaic's, from the same corner, and how many of its pixels one is along a
-    side. As many as come nearest to a cell."""
+    """The grid of a surface over a mosaic's, from the same corner, and how many of the mosaic's pixels one of
+    its pixels is along a side. The number is the one that comes nearest to a cell of cell_m."""
     by = max(1, round(cell_m / mosaic.gsd_m))
     size = -(-mosaic.width_px // by), -(-mosaic.height_px // by)
     return OutputGrid(mosaic.crs, mosaic.west_m, mosaic.north_m, mosaic.gsd_m * by, *size), by

@@ -44,7 +44,7 @@ class FrameMarks:
 
     def linearised(self, pose: Pose, sd: Floats) -> tuple[Floats, Floats]:
         """Marks minus predicted places (m, 2) in px, and derivatives of the places (m, 2, 6) by a correction
-        in units of sd (6,), those of the middle row. 0 where a point is not seen."""
+        in units of sd (6,), those of the middle row. Both are 0 where a point is not seen."""
         off = self.image_px - pose.image_from_ground(self.camera, self.places_m)
         steps = np.concatenate([np.diag(STEP * sd), np.diag(-STEP * sd)])
         in_camera = (self.places_m - pose.position_m - steps[:, None, :3]) @ pose.rotation.matrix

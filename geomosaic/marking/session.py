@@ -64,9 +64,9 @@ class MarkingSession:
         }
 
     def state(self) -> dict[str, Any]:
-        """Of each point its kind and, by falling nearness to the frame's middle, the frames that show it. Of
-        a frame: predicted place, mark, and how far the mark is from where the others predict it. All frames
-        where nothing can be predicted."""
+        """The kind of each point and the frames that show it, first those where it is nearest to the middle.
+        Each frame has the predicted place, the mark, and how far the mark is from where the others predict
+        it. Where nothing can be predicted, all frames are listed."""
         points, frames = self._points, self.frames.frames
         places = predicted_places(self.frames, points)
         sizes = np.array([(f.width_px, f.height_px) for f in frames], dtype=np.float64)

@@ -39,8 +39,8 @@ _MISSING = object()
 class ArtefactHandle:
     """An artefact of a run: its file, and its value, decoded on first use.
 
-    fingerprint: of the bytes, of the files the stage wrote with them, and of the lineage. So whoever takes
-    the artefact is redone if any file changes that it goes back to, through all stages.
+    fingerprint: of the bytes, of the files the stage wrote with them, and of the lineage. So a stage that
+    takes the artefact is redone if any file changes that it goes back to, through all stages.
     """
 
     type: Any

@@ -257,10 +257,10 @@ class Context:
         finished results again.
 
         Results are named by the function, what a partial binds, the item, and the contents of all files that
-        these name. Any text or path in them that is a file counts, with its companion files. So
-        they outlive whatever doesn't change these: other parameters, new frames. What no run wants any more
-        goes when a run is finished. Give a function what it needs and nothing else. A number that depends on
-        all frames together (a place in the work frame, a median) makes every item new when a frame comes.
+        these name. Any text or path in them that is a file counts, with its companion files. So results
+        outlive whatever doesn't change these: other parameters, new frames. What no run wants any more goes
+        when a run is finished. Give a function what it needs and nothing else. A number that depends on all
+        frames together (a place in the work frame, a median) makes every item new when a frame comes.
 
         With `keys`, which distinguish the items, results are named by the stage's own fingerprint, `name` and
         key. Any change to the stage's parameters or inputs redoes them all, and they go when the run is

@@ -36,9 +36,10 @@ def _mark(status: os.stat_result) -> Mark:
 class FileHashes:
     """BLAKE2b of files' contents.
 
-    A hash is taken from memory only if size, both times, inode and device are unchanged. The file had to be
-    unchanged for 2 s when it was hashed. What this can't see: an edit on a file system without a time of
-    inode change (FAT, some network mounts) that keeps size and time. Deleting RUN/work asks all files anew.
+    A hash is taken from memory only if size, both times, inode and device are unchanged. The file must also
+    have been unchanged for 2 s when it was hashed. What this can't see: an edit on a file system without a
+    time of inode change (FAT, some network mounts) that keeps size and time. After RUN/work is deleted, all
+    files are hashed anew.
     """
 
     def __init__(self, memory: Path | None = None) -> None:
@@ -126,7 +127,7 @@ class FileHashes:
         """Names and hashes of what a file parameter stands for.
 
         A file stands for itself, the files that are read with it (`companions_of`), and the sources of a VRT
-        by their full paths. A folder for the files directly inside that aren't hidden.
+        by their full paths. A folder stands for the files directly inside that aren't hidden.
         """
         if path.is_dir():
             found = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))

@@ -12,9 +12,9 @@ A stage is a function that adapts between the rooms and the runner and holds no 
 `geomosaic.pipeline.function_stage` makes a subclass of `Stage` of it; one with more to say may be written as
 such a subclass. It enters by the entry-point group `geomosaic.stages`.
 
-Its outputs are kept under a fingerprint. It is of id, version, parameters that affect the output, the seed,
-its inputs' fingerprints, and the contents of all files read so far. Whoever changes what a stage computes
-raises its `version`.
+Its outputs are kept under a fingerprint. This covers id, version, parameters that affect the output, the
+seed, its inputs' fingerprints, and the contents of all files that it or an earlier stage read. Whoever
+changes what a stage computes raises its `version`.
 """
 
 from __future__ import annotations

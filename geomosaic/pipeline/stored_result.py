@@ -243,8 +243,8 @@ class EncodedFunction(Generic[Item]):
 
 @dataclass(frozen=True)
 class SpoolingFunction(Generic[Item]):
-    """A function whose result is left on the disk by who made it, next to its final place. The name of the
-    file comes home, without a shared disk its bytes. A task that is done twice leaves two."""
+    """A function whose result the worker leaves on the disk, next to its final place. It returns the name of
+    the file or, without a shared disk, its bytes. A task that is done twice leaves two files."""
 
     function: Callable[[Item], Any]
 

@@ -45,7 +45,7 @@ TASKS = _Tasks()
 
 def start_worker(environment: dict[str, str]) -> None:
     """Gives a new worker its parent's present environment, since what it is forked from may be older. The
-    worker ends with its parent, and gives back its memory whenever it is at rest."""
+    worker ends with its parent, however that ends, and gives back its memory whenever it is at rest."""
     os.environ.update(environment)
     for name in os.environ.keys() - environment.keys():
         del os.environ[name]
@@ -74,7 +74,7 @@ _FORKS: Final = "forkserver" in multiprocessing.get_all_start_methods()
 
 def prepare_workers(modules: Iterable[str]) -> None:
     """Starts the process that workers are forked from, where the system can. It imports what they need while
-    this one goes on, and they have it from there, in the same memory. Later calls do nothing."""
+    this process goes on, and they share its memory. Later calls do nothing."""
     if _FORKS:
         multiprocessing.get_context("forkserver").set_forkserver_preload([_FIRST, *modules])
         with safe_and_single():
@@ -135,8 +135,9 @@ def safe_and_single() -> Iterator[None]:
     """A process started in here has one thread, whatever it imports before its first task, and imports
     nothing from the current folder, where strangers' files may lie.
 
-    It is handed its environment. This process's own stays as it is. C libraries read it in other threads at
-    any time, and a variable that is set or deleted meanwhile ends the process (getenv(3), setenv(3)).
+    It is handed its environment, and this process's own stays as it is. C libraries read that in other
+    threads at any time, and a variable that is set or deleted meanwhile ends the process (getenv(3),
+    setenv(3)).
     """
     before = multiprocessing.util.spawnv_passfds
     multiprocessing.util.spawnv_passfds = _started

@@ -40,8 +40,8 @@ class AbsoluteAccuracy:
     def ce90_m(self) -> float:
         """Radius of the circle about a mapped place that holds the true one in 90 of 100 cases.
 
-        A shift in common that check points measured is no error that scatters. With it a length has Rice's
-        distribution, without it Rayleigh's, of which the factor of the RMSE is.
+        A common shift that check points measured does not scatter. With it a length has Rice's distribution,
+        without it Rayleigh's, from which the factor of the RMSE is.
         """
         shift_m = float(np.hypot(*self.shift_m[:2]))
         if not shift_m > 0.0:
@@ -148,8 +148,8 @@ def usual_requirement(adjusted: Adjusted, position_sd_m: Floats, pixel_m: float)
     """What a map's inputs can give, where the user asks for nothing else.
 
     Control points and RTK positions give three pixels. Positions by GNSS give 3 m in each coordinate and 3
-    per mille, or their stated deviations where these are less. Control points by code GNSS give what they
-    state, and distances as such positions. Without any nothing is asked.
+    per mille, or their stated deviations where these are larger. Control points by code GNSS give what they
+    state, and distances the same as positions by GNSS. Without any of these nothing is asked.
 
     Args: position_sd_m (f,): stated horizontal deviations of the frames' positions.
     """

@@ -24,8 +24,12 @@ _BARE = sourced(0.05, "share", "without tie points", "ten simulated surveys: lan
 
 @dataclass(frozen=True)
 class BareGround:
-    """Of tied frames, by number: which of their cells (k, cells) two other tied frames see, too; which have
-    tie points. The cells' corners on the ground, (k, cells, 4, 2), east and north."""
+    """Cells of tied frames, and which have tie points.
+
+    frames: numbers of the frames. seen (k, cells): which of their cells two other tied frames see, too. tied
+    (k, cells): which have tie points. corners_m (k, cells, 4, 2): their corners on the ground, east and
+    north.
+    """
 
     frames: tuple[int, ...]
     seen: Bools

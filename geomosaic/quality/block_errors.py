@@ -16,7 +16,7 @@ class BlockErrors:
     """Errors of a block's ground, interpolated between `GroundPlaces` by thin-plate splines.
 
     The splines (Duchon 1977) pass through the places' errors, bend least between them and go on linearly
-    beyond. A shift, turn, scale or tilt of the block comes out exactly, everywhere.
+    beyond. So a shift, turn, scale or tilt of the block comes out exactly, everywhere.
     """
 
     places: GroundPlaces

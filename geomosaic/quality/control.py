@@ -27,9 +27,9 @@ _SHIFT: Final = {"control": "control-shifted", "check": "check-shifted"}
 @dataclass(frozen=True)
 class ControlFigures:
     """Of n points. rmse_horizontal_m is of the length in the plane. ce90_m and le90_m: nine tenths of the
-    points are nearer in the plane and in height. They are the quantiles of what was found (linear between two
-    points; no normal distribution assumed), with few points little less than the largest. Of heights: the
-    n_height points whose height was surveyed, None of none.
+    points are nearer in the plane and in height. They are quantiles of what was found (linear between two
+    points; no normal distribution assumed), so with few points little less than the largest. Figures of
+    heights are of the n_height points whose height was surveyed, None without any.
     """
 
     n: int
@@ -105,8 +105,8 @@ def precision_warnings(control: Sequence[GroundControl], figures: Mapping[str, f
 
 
 def control_warnings(residuals: Sequence[ControlResidual]) -> list[Warn]:
-    """One line for each blunder. Of the others one line for a common shift beyond three stated deviations,
-    and one for all points that disagree by more than five of theirs."""
+    """One line for each blunder. For the others there is one line for a common shift beyond three stated
+    deviations. Another one is for all points that disagree by more than five of theirs."""
     out = []
     for kind, check in (("control", False), ("check", True)):
         points = [r for r in residuals if r.check == check]

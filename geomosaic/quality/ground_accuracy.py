@@ -1,6 +1,6 @@
 """Standard deviations of a mosaic's pixels on the ground, propagated from poses and heights.
 
-A pixel shows what its frame's ray meets. Let r be the ray from the projection centre to the place, n the
+A pixel shows what its frame's ray meets. Let r be the ray from the projection centre to the place, and n the
 normal (-slope east, -slope north, 1) of the ground. A shift dC, a turn t and a height error dh move that
 place by
 
@@ -173,8 +173,8 @@ class GroundPropagation:
         return GroundDeviations(np.sqrt(horizontal), np.sqrt(risen + height_sd_m**2))
 
     def _height_sd_m(self, east: Floats, north: Floats) -> Floats:
-        """Deviations (n,) of heights. On ground that shows walls root mean squares over a span, since a few
-        cells at the walls are off by as much as those are high."""
+        """Deviations (n,) of heights, in m. On ground that shows walls they are root mean squares over a
+        span, since a few cells there are off by a wall's height."""
         if not self.ground.has_walls:
             return height_deviations(self.ground, self.adjusted.ground, east, north)
         total = np.zeros(len(east))

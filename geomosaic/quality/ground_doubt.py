@@ -51,12 +51,12 @@ class Land:
 def land_doubt(land: Land, within_px: float) -> LandDoubt:
     """How far the land of a mosaic may lie off, and how much of it by more than is asked, in its pixels.
 
-    Where a matched surface lies on the ground known before, the surer of both says how far it may be off. It
-    is off by its own deviation, or by how far it lies from the other, whose deviation is added. Elsewhere
-    something stands on the ground (or none knows it), of which the surface is surely as far off as it may be.
-    Rims of roofs and woods say nothing against the ground around, and what they leave open is the surface's
-    share. Or nothing stands there, and the surface has strayed by all that lies between, as likely as its
-    deviation reaches so far.
+    Where a matched surface lies on the ground known before, the surer of both counts. The surface counts by
+    its own deviation, the known ground by its deviation and the distance between both. Elsewhere there are
+    two cases. If something stands on the ground (or the ground is unknown), the surer of both deviations
+    counts. Rims of roofs and woods say nothing against the ground around, and what they leave open is the
+    surface's share. If nothing stands there, the surface has strayed by all that lies between. This is as
+    likely as its deviation reaches so far.
     """
     ground, known = land.ground, land.known
     at_m, tangent, given = places_of(land)
@@ -79,9 +79,9 @@ def land_doubt(land: Land, within_px: float) -> LandDoubt:
 
 
 def places_of(land: Land) -> tuple[Floats, Floats, Bools]:
-    """Places (k, 3) of the work frame, m, all over what frames give. The tangents (k,) of the angles at which
-    their frames look at them: a place moves by its height's error times that. Which cells of an even choice
-    they are (rows, cols)."""
+    """Places (k, 3) of the work frame, m, all over what frames give. Also the tangents (k,) of the angles at
+    which their frames look at them, and which cells of an even choice they are (rows, cols). A place moves by
+    its height's error times its tangent."""
     its = land.ownership
     step = int(np.ceil(np.sqrt(its.owner.size / MOST_POINTS)))
     at_m, tangent = looked_at(its, land.poses, land.work_frame, land.ground, step)

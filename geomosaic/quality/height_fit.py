@@ -1,8 +1,8 @@
 """How a reference has to be shifted and tilted to lie on a surface best: what two georeferences differ by.
 
-Least Z-difference matching (Rosenholm and Torlegard 1988, Three-dimensional absolute orientation of stereo
-models using digital elevation models, PE&RS 54), without scale and turn. Slopes of the surface show a shift
-in plan, as in Nuth and Kaeaeb 2011 (The Cryosphere 5).
+The method is least Z-difference matching (Rosenholm and Torlegard 1988, Three-dimensional absolute
+orientation of stereo models using digital elevation models, PE&RS 54), without scale and turn. Slopes of the
+surface show a shift in plan, as in Nuth and Kaeaeb 2011 (The Cryosphere 5).
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ class Spectrum:
 def jitter_spectrum(offsets: StripOffsets, line_rate_hz: float) -> Spectrum:
     """What moves the offsets, up to 100 Hz.
 
-    An offset is the difference of the pointing at two times T apart. Jitter of frequency f shows with 2
-    |sin(pi f T)| of its amplitude, and not at all where f T is whole.
+    An offset is the difference of the pointing at two times T apart. Jitter of frequency f shows with
+    `2 |sin(pi f T)|` of its amplitude, and not at all where f T is whole.
     """
     return _spectrum([np.stack([p.dcol_px, p.dline_px]) for p in offsets.pairs], line_rate_hz)
 

@@ -74,8 +74,8 @@ def volume_of(
 ) -> Volume:
     """The volume of heights above and below the plane that fits a rim best.
 
-    Its deviation is the area's times that of the mean height above the plane, as if heights inside had one
-    error in common, and those of the rim another one. This is the safe side.
+    Its deviation is the area times that of the mean height above the plane. Heights inside are taken to have
+    one error in common, and those of the rim another one. This errs on the safe side.
 
     Args: inside_m, rim_m (n, 3): easting, northing and height of cells and of places on the rim; inside_sd_m,
         rim_sd_m (n,): deviations of the heights; cell_m2: area of a cell.

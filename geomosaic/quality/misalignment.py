@@ -92,9 +92,9 @@ class Trend:
 def trend(number: ArrayLike, error: ArrayLike) -> Trend:
     """Least-squares line with the slope's standard deviation; NaN pairs are left out, 4 must be left.
 
-    Errors of neighbouring frames are alike, which makes the usual deviation too small. The number of values
-    is reduced to `n (1 - r) / (1 + r)`, r the residuals' correlation at lag 1, not below 3 (Santer et al.
-    2000, J. Geophys. Res. 105, equations 4 to 6).
+    Errors of neighbouring frames are alike, which makes the usual deviation too small. So the number of
+    values is reduced to `n (1 - r) / (1 + r)`, r the residuals' correlation at lag 1, not below 3 (Santer et
+    al. 2000, J. Geophys. Res. 105, equations 4 to 6).
     """
     x, y = np.asarray(number, dtype=np.float64), np.asarray(error, dtype=np.float64)
     good = np.isfinite(x) & np.isfinite(y)

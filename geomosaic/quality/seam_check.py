@@ -42,9 +42,12 @@ LEAST_PATCHES = tuned(4, "patches", "of 49 found: fewer are chance; more leave w
 
 @dataclass(frozen=True)
 class SeamCheck:
-    """One row a place: left, right (k,) frames; at_m (k, 2) easting and northing; patches (k,) found again.
-    displacement_px (k, 2) where the right frame shows the ground minus where the left one does, in the
-    mosaic's cols and rows, median of the patches. NaN where too few were found."""
+    """How frames agree at seams, one row a place.
+
+    left, right (k,): the frames. at_m (k, 2): easting and northing. patches (k,): how many were found again.
+    displacement_px (k, 2): where the right frame shows the ground minus where the left one does, in the
+    mosaic's cols and rows. It is the median of the patches, NaN where too few were found.
+    """
 
     left: Ints64
     right: Ints64

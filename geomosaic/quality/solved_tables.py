@@ -101,8 +101,9 @@ def pair_columns(
 def sampled_ties(
     ties: TiePoints, adjusted: Adjusted, most: int = SAMPLED_TIES
 ) -> tuple[Ints, Ints, Floats, dict[str, Floats]]:
-    """Left and right frame (k,) of about `most` tie points, spread evenly over all, and the points (k, 3)
-    where their two rays meet. As columns where the left frame has them on the ground and their residuals."""
+    """Left and right frame (k,) of about `most` tie points, spread evenly over all, the points (k, 3) where
+    their two rays meet, and columns. The columns are where the left frame has them on the ground, and their
+    residuals."""
     count = [len(t) for t in ties.pairs]
     taken = np.arange(0, sum(count), max(1, sum(count) // most))
     pair = np.searchsorted(np.cumsum(count), taken, side="right")

@@ -1,7 +1,7 @@
 """What the offsets of strips are judged by: figures of errors line by line; the paper's limit is 1 px.
 
-Cheng et al. 2018 (Spacecraft Recovery & Remote Sensing 39(2), 84-92). A scene with a misplacement above 1 px
-is unusable, and the share of such scenes is the misplacement rate (table 1).
+A scene with a misplacement above 1 px is unusable, and the share of such scenes is the misplacement rate
+(Cheng et al. 2018, Spacecraft Recovery & Remote Sensing 39(2), 84-92, table 1).
 """
 
 from __future__ import annotations

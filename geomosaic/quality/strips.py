@@ -50,9 +50,9 @@ class PairQuality:
     """What is left between the two strips of a pair, block of 64 lines by block.
 
     residual_px: (blocks, 2) dcol, dline: where the right strip has the ground minus where the offsets say, so
-    that offsets + residual would be right. NaN where it can't be measured. sd_px: (blocks,) one standard
-    deviation of it. counts: (blocks,) lines of the block that are labelled measured and whose ground both
-    strips have; the others don't count. other_px: (blocks, 2) the residual of lines that aren't labelled
+    that offsets + residual would be right. It is NaN where it can't be measured. sd_px: (blocks,) one
+    standard deviation of it. counts: (blocks,) lines of the block that are labelled measured and whose ground
+    both strips have; the others don't count. other_px: (blocks, 2) the residual of lines that aren't labelled
     measured, which may be the clouds' own motion. segments_px: root mean square of each segment's lines that
     count, NaN where there are none. share_of_labels: of the lines whose ground both strips have, in the order
     of `ccd.model.LABELS`.
@@ -102,10 +102,10 @@ def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> S
 
     The right strip is resampled onto the left one along the offsets; patches of 28 px are matched by
     correlation within 14 px and then by least squares (`quality.displacement`). A block's residual is the
-    mean of its patches, if three quarters agree within half a pixel: where they don't, clouds and ground
-    are adjacent. Clouds alone do agree, upon their own motion. So only lines labelled measured count (bridged
-    ones, where no line of the scene is measured). A residual above 1 px must be seen by three quarters of all
-    the block's patches, not of the measurable ones alone.
+    mean of its patches, if three quarters agree within half a pixel: where they don't, clouds and ground are
+    adjacent. Patches of clouds alone do agree, on the clouds' own motion. So only lines labelled measured
+    count (bridged ones, where no line of the scene is measured). A residual above 1 px must be seen by three
+    quarters of all the block's patches, not of the measurable ones alone.
     """
     pairs, errors, other_errors = [], [], []
     seen_lines = unmeasured = other = 0

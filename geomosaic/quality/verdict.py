@@ -235,9 +235,9 @@ def _principal_point_off(adjusted: Adjusted) -> float:
 
 
 def _seams(seams: SeamCheck) -> dict[str, float]:
-    """The median mismatch and the worst tenth. A map is not called bad by a median that so few places do not
-    surely show. Decisive is its lower limit of 95 % (David and Nagaraja 2003, Order Statistics, section
-    7.1)."""
+    """The median mismatch and the worst tenth. A map is not called bad by a median that so few places may
+    show by chance. Its lower limit of 95 % must be bad, too (David and Nagaraja 2003, Order Statistics,
+    section 7.1)."""
     length = np.sort(seams.length_px[np.isfinite(seams.length_px)])
     if not length.size:
         return {}

@@ -37,8 +37,11 @@ Row = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Profile:
-    """Heights as a page holds them: a grid of cols x rows, pixel_m apart, north up. Each in 16 bits, little
-    end first, in base64: low_m + step_m times the number, the highest number where it is unknown."""
+    """Heights as a page has them: a grid of cols x rows, pixel_m apart, north up.
+
+    surface, terrain: a number for each height in 16 bits, little end first, in base64. The height is low_m +
+    step_m times the number, unknown where that is the highest number.
+    """
 
     cols: int
     rows: int

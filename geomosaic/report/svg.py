@@ -81,8 +81,8 @@ def nice_ticks(low: float, high: float, about: int = 6, least_step: float = 0.0)
 
 
 def power_ticks(low: float, high: float) -> list[float]:
-    """1, 2 and 5 times powers of ten from at or below low to at or above high. The powers alone beyond two
-    decades and a half, at most four decades of them below high."""
+    """1, 2 and 5 times powers of ten from at or below low to at or above high. Beyond some two decades and a
+    half they are the powers alone, at most four decades of them below high."""
     if not 0.0 < high < math.inf:
         low, high = 0.1, 1.0
     low = min(max(low, high * 1e-4), 0.5 * high)

@@ -1,7 +1,7 @@
 """The heights of neighbours go together: costs summed along paths through the tile.
 
-Hirschmueller 2008, Stereo processing by semiglobal matching and mutual information (PAMI 30), over the
-cells of the ground instead of the pixels of an image. Each cell may have heights of its own. `steps`
+The method is Hirschmueller 2008, Stereo processing by semiglobal matching and mutual information (PAMI 30),
+over the cells of the ground instead of the pixels of an image. Each cell may have heights of its own. `steps`
 (heights, rows, cols) has them in a ring, height k at place k mod heights. So cells that share a height have
 it at the same place.
 """
@@ -129,8 +129,8 @@ def cheapest(total: Costs, steps: Steps) -> Floats32:
 
 
 def distinctness(costs: Bytes, total: Costs) -> Floats32:
-    """By how many bits the heights of a cell and those around cost less than the mean of all heights. Those
-    that cost as much as what no two frames see are no evidence."""
+    """By how many bits the heights of a cell and those around cost less than the mean of all heights. A
+    height that costs as much as what no two frames see counts as 0."""
     chosen = np.take_along_axis(costs, total.argmin(axis=0)[None], axis=0)[0]
     less = (costs.mean(axis=0, dtype=np.float32) - chosen) / np.float32(PER_BIT)
     less[chosen >= UNSEEN_COST] = 0.0

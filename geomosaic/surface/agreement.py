@@ -1,7 +1,7 @@
 """Which of the frames that see a place show the same there: some lie a few pixels off the others.
 
-Where an adjustment leaves frames in groups, each right within itself, one of a small group is like hardly any
-other at any height. If all are compared with it, level land becomes noise.
+Where an adjustment leaves frames in groups, each right within itself, a frame of a small group is like hardly
+any other at any height. If all frames are compared with it, level land becomes noise.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _LEAST_SHARE = tuned(0.5, "share", "of the best likeness, to be asked early: les
 def agreeing(
     sweep: PlaneSweep, seen: Sequence[Bits], heights: SweepHeights, asked: Asked, most: int
 ) -> list[tuple[Block, tuple[int, ...]]]:
-    """Of the frames that are asked in each block, the first that agrees with others, then those that agree
-    with it, then the rest. Where none agrees, in their order, so many at most.
+    """The frames that are asked in each block, at most `most`, reordered. The first is the first one that
+    agrees with others. Those that agree with it follow, then the rest, each group in its given order.
 
     Args: seen: censuses of the sweep's frames. heights: among which the right one is.
     """

@@ -36,8 +36,11 @@ RIM_CELLS: Final = 12
 
 @dataclass(frozen=True)
 class MatchCounts:
-    """Cells: looked_at, that two frames see; matched, with a view; beyond, of these at an end of what was
-    searched, or past it. alike, where frames are alike; by_two, of these where only two are."""
+    """Numbers of cells.
+
+    looked_at: that two frames see. matched: with a view. beyond: of these, at an end of what was searched, or
+    past it. alike: where frames are alike. by_two: of these, where only two are.
+    """
 
     looked_at: int = 0
     matched: int = 0

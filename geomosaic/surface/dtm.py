@@ -1,11 +1,11 @@
 """The land under houses and trees: a ground model of a surface that shows their tops.
 
-The progressive morphological filter (Zhang et al. 2003, A progressive morphological filter for removing
-nonground measurements from airborne lidar data, IEEE TGRS 41, 4). The surface is opened by ever larger
-windows, and what falls by more than a slope allows from one to the next stands on the ground. As in the
-simple morphological filter (Pingel, Clarke and McBride 2013, ISPRS Journal 77) it works on low squares of a
-metre. Cells are judged by the ground between those. Twice: first with what the steepest land allows, then
-strictly, with the hills of the first time taken off.
+This is the progressive morphological filter (Zhang et al. 2003, A progressive morphological filter for
+removing nonground measurements from airborne lidar data, IEEE TGRS 41, 4). The surface is opened by ever
+larger windows, and what falls by more than a slope allows from one to the next stands on the ground. As in
+the simple morphological filter (Pingel, Clarke and McBride 2013, ISPRS Journal 77) it works on low squares of
+a metre. Cells are judged by the ground between those. The filter runs twice: first with what the steepest
+land allows, then strictly, with the hills of the first time taken off.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Where heights leap: which side of a step a cell is on, and how crowns are rounded.
 
 Windows that tell places apart reach over a step, so that roofs grow and crowns are cut. Here small windows
-choose between few heights. They are a cell's own, the lowest and highest of sure neighbours, then some a
-little up or down, along the surface as it leans.
+choose between few heights. These are a cell's own height, and the lowest and highest of the sure cells
+around. Then come some a little up or down, along the surface as it leans.
 """
 
 from __future__ import annotations

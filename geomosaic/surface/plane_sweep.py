@@ -1,9 +1,9 @@
 """Where frames see the points of verticals: image places by the height over a smooth base.
 
 The vertical line locus (Bethel 1986; Linder 2016, Digital Photogrammetry, 4.6): a height is right where all
-frames show the same there. A camera sees a point that rises towards it move by height over distance. Let u =
-h / (1 - h / H), H the camera's height over the base. The move is all but linear in u for every camera that
-flies about as high. What a tilt, a lens or a rolling shutter bends is left to a square.
+frames show the same there. A camera sees a point that rises towards it move by height over distance. Let
+`u = h / (1 - h / H)`, with H the camera's height over the base. The move is all but linear in u for every
+camera that flies about as high. What a tilt, a lens or a rolling shutter bends is left to a square.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ class PlaneSweep:
         return found[0], found[1]
 
     def towards(self, frame: int, at: Block = WHOLE) -> tuple[Floats32, Floats32, Floats32]:
-        """From each cell of a block to below the camera, (rows, cols) each. Cells east and north, of length
-        1, and the rise of a line of sight with each cell (m)."""
+        """The direction from each cell of a block to below the camera, and the rise of a line of sight with
+        each cell (m). The direction is in cells east and north, of length 1. All are (rows, cols)."""
         east, north = self.cells.axes_m()
         place = self.frames[frame].pose.position_m
         off = np.broadcast_arrays(place[0] - east[at[1]], (place[1] - north[at[0]])[:, None])
@@ -142,8 +142,8 @@ class PlaneSweep:
 
 
 def _extrapolated(terms: Floats) -> Floats:
-    """Terms (3, rows, cols, 2) with straight continuations one node past the last known ones. So cells
-    between the last node that a lens sees and the next have a place."""
+    """Terms (3, rows, cols, 2), continued straight by one node past the last known ones. So cells between the
+    last node that a lens sees and the next have a place."""
     found = terms.copy()
     for axis in (1, 2):
         for way in (slice(None), slice(None, None, -1)):

@@ -95,8 +95,9 @@ def _mean_of(correlations: Floats32, which: Bools) -> Floats32:
 
 
 def _correlations(squares: Squares, height_m: Floats32, hidden_below_m: Mapping[int, Floats32]) -> Floats32:
-    """At heights (n, heights, rows, cols) of each frame with the first one that sees a point, (frames, n,
-    heights, rows, cols). -inf where one of both doesn't see it, and for the first one itself."""
+    """Correlations of each frame with the first one that sees a point, at heights (n, heights, rows, cols),
+    as (frames, n, heights, rows, cols). They are -inf where one of both doesn't see it, and for the first one
+    itself."""
     first, others = by_first(squares.shown(height_m, hidden_below_m))
     picture = first.astype(np.float32)
     mean, spread = _mean_and_spread(picture)

@@ -103,8 +103,9 @@ class Squares:
     def shown(
         self, height_m: Floats32, hidden_below_m: Mapping[int, Floats32], by: int = 1
     ) -> list[SquareView]:
-        """What each asked frame shows at heights over the base (n, heights, rows, cols), `times` as dense
-        each way as the cells. Grey levels, and where it sees the point. None where it sees all of them.
+        """Grey levels of each asked frame at heights over the base (n, heights, rows, cols), and where it
+        sees the points. These are `by` times as dense each way as the cells. Where it sees is None if it sees
+        all of them.
 
         hidden_below_m (rows, cols of the tile), by frame: see `hidden_below`.
         """

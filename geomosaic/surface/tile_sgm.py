@@ -72,9 +72,12 @@ class HeightSearch:
 
 @dataclass(frozen=True)
 class TileHeights:
-    """Of cells (rows, cols): up_m in the work frame; alike, how alike the frames are there, from -1 to 1;
-    views, how many agree. seeing, how many see a cell; distinct, by how many bits heights in and around a
-    cell cost less than others."""
+    """Heights of a tile's cells, (rows, cols) each.
+
+    up_m: in the work frame. alike: how alike the frames are there, from -1 to 1. views: how many agree.
+    seeing: how many see a cell. distinct: by how many bits heights in and around a cell cost less than
+    others.
+    """
 
     up_m: Floats32
     alike: Floats32
@@ -146,8 +149,9 @@ def _all_steps(search: HeightSearch, shape: tuple[int, ...]) -> Steps:
 
 
 def search_steps(about: Floats32) -> Steps:
-    """(heights, rows, cols) that are looked at, from the lowest to the highest (in steps over the base) of
-    the level above around a cell, and past them. Where that is too much, about the cell's own."""
+    """The heights (heights, rows, cols) that are looked at, in steps over the base. They go from the lowest
+    to the highest of the level above around a cell, and past them. Where these are too many, they lie about
+    the cell's own."""
     window = np.ones((NEAR_CELLS, NEAR_CELLS), dtype=np.uint8)
     highest, lowest = cv2.dilate(about, window), cv2.erode(about, window)
     middle, to_end = (highest + lowest) / 2.0, np.float32(_HEIGHTS - PAST_HEIGHTS) / 2.0

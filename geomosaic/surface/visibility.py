@@ -50,9 +50,9 @@ def _parts(count: int, side: int, rim: int) -> Iterator[slice]:
 def hidden_below(
     sweep: PlaneSweep, frame: int, height_m: Floats32, cell_m: float, at: Block = WHOLE
 ) -> Floats32:
-    """The height over the base from which on a frame sees a cell of a block, if the land (rows, cols of the
-    tile) is height_m high. It is the highest shadow that anything on the way to the camera throws, less a
-    cell's side for errors of heights."""
+    """The height over the base above which a frame sees a cell of a block, if the land is height_m (rows,
+    cols of the tile) high. It is the highest shadow that anything on the way to the camera throws there, less
+    a cell's side for errors of heights."""
     east, north, rise = sweep.towards(frame, at)
     rows, cols = (np.arange(n, dtype=np.float32)[s] for n, s in zip(height_m.shape, at, strict=True))
     col, row = np.meshgrid(cols, rows)
@@ -70,8 +70,8 @@ def hidden_below(
 
 
 def hidden_from(sweep: PlaneSweep, asked: Asked, height_m: Floats32, cell_m: float) -> dict[int, Floats32]:
-    """For each frame that is asked anywhere `hidden_below`, -inf where it isn't. Nothing is hidden in blocks
-    where many cells of the land itself would be seen by less than two frames: it is too rough to be a surface
+    """`hidden_below` of each frame that is asked anywhere, -inf where it isn't. Nothing is hidden in blocks
+    where less than two frames would see many cells of the land itself. Such land is too rough to be a surface
     that hides."""
     found: dict[int, Floats32] = {}
     for frame in sorted({k for _, chosen in asked for k in chosen}):

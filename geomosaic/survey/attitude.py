@@ -30,8 +30,8 @@ def read_angles(
 ) -> tuple[Floats, str, list[Warn]]:
     """Body angles (n, 3) from true north of a table's rows, where they come from, and what was assumed.
 
-    NaN where unknown. Yaw is from true north in a file of yaw, pitch and roll, whatever its positions' CRS.
-    omega, phi and kappa refer to the axes of the file's positions, so that a grid's convergence is added.
+    NaN where unknown. In a file of yaw, pitch and roll, yaw is from true north, whatever its positions' CRS.
+    Omega, phi and kappa refer to the axes of the file's positions, so that a grid's convergence is added.
 
     Args: projection of the file's x and y, None for geographic positions; lonlat (n, 2) degrees.
     """

@@ -48,8 +48,8 @@ def sensor_model(header: FrameHeader) -> SensorModel | None:
 
 
 def temperature(header: FrameHeader) -> Quantity | None:
-    """How values are temperatures: those of MicaSense's thermal band, and floats of a thermal camera, of a
-    band that is called LWIR or of a JPEG. None where they are not."""
+    """The quantity of values that are temperatures, None for other values. Temperatures are those of
+    MicaSense's thermal band, and floats of a thermal camera, of a band that is called LWIR or of a JPEG."""
     band = (header.xmp or {}).get("Camera:BandName", "").upper() == "LWIR"
     if header.dtype != "float32":
         return CENTIKELVIN if band else None
@@ -58,7 +58,7 @@ def temperature(header: FrameHeader) -> Quantity | None:
 
 
 def _micasense(header: FrameHeader) -> SensorModel | None:
-    """L = V a1 / g * (p - pBL) / (t_e + a2 y - a3 t_e y). Here p are shares of 16 bits, and g = 1 at ISO 100.
+    """`L = V a1 / g * (p - pBL) / (t_e + a2 y - a3 t_e y)`, with p as shares of 16 bits and g = 1 at ISO 100.
 
     Reference: MicaSense, RedEdge Camera Radiometric Calibration Model.
     """

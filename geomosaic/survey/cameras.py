@@ -66,7 +66,7 @@ def cameras_from_headers(headers: Sequence[FrameHeader]) -> CameraChoice:
     """A camera for each make, model, size and focal length, from EXIF and XMP.
 
     A frame whose focal length can't be, or not among the others of its make, model and size, takes the one
-    that most of those have. Where none has one it is assumed.
+    that most of those have. If none has one, it is assumed.
     """
     reported = [reported_camera(header) for header in headers]
     known, wrong = _among_others(headers, reported)

@@ -23,9 +23,9 @@ def cameras_from_file(
 ) -> CameraChoice:
     """The file's camera for each frame, scaled where the frame is a resized whole image.
 
-    With several cameras in the file the one that the POS file names (`wanted`). Otherwise those whose name
-    holds the frame's make and model, else those of the frame's size, else of its shape. Of the shutter, where
-    the file says nothing, the frame's tags and model count.
+    With several cameras in the file, the one that the POS file names (`wanted`) is taken. Otherwise those
+    count whose name has the frame's make and model, else those of the frame's size, else of its shape. Where
+    the file says nothing of the shutter, the frame's tags and model count.
 
     Raises: `InputError` when none fits a frame or several do.
     """

@@ -22,9 +22,9 @@ _SPIKE_SPREADS = tuned(10.0, "95 % differences", "of a lone wrong pixel: less lo
 def outliers(height_m: Floats, mixed: bool = False) -> Bools:
     """Where heights (rows, cols), NaN where unknown, can't be the ground's.
 
-    Outside the land's range. One and the same value, the lowest or highest of all, that ends everywhere in a
-    step as there is none elsewhere. Pixels far off nearly all of those around them. mixed: the neighbours
-    of fills are mixtures of both, and go too.
+    These are heights outside the land's range, fills, and pixels far off nearly all of those around them. A
+    fill is one and the same value, the lowest or highest of all, that ends everywhere in a step as there is
+    none elsewhere. mixed: the neighbours of fills are mixtures of both, and go too.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         bad = (height_m < _LAND_M[0]) | (height_m > _LAND_M[1])

@@ -30,10 +30,10 @@ def read_elevation(
 ) -> tuple[ElevationModel, Floats, list[Warn]]:
     """The elevation model of a DEM, its ellipsoidal heights under the frames, and what was assumed.
 
-    What must be added to the DEM's values is offset_m if given. With a vertical part of the DEM's CRS, or a
-    given datum, it is the geoid's undulation at the survey's middle, by PROJ. The undulation changes by
-    centimetres within a few kilometres. Otherwise it is 0, with a warning: the values are taken to share the
-    datum of the POS heights.
+    What must be added to the DEM's values is offset_m if given. Otherwise it is the geoid's undulation at the
+    survey's middle, by PROJ, if the DEM's CRS has a vertical part or a datum is given. The undulation changes
+    by centimetres within a few kilometres. In all other cases 0 is added, with a warning: the values are
+    taken to share the datum of the POS heights.
 
     Args: lonlat (n, 2) degrees of the frames' nadir points; datum: of heights whose CRS has no vertical part.
     Raises: `FileError` for what is no raster, `InputError` without a CRS, without the geoid's

@@ -87,11 +87,11 @@ class Reported:
 def reported_focal_lengths(header: FrameHeader) -> Reported:
     """What the tables and EXIF say of a frame's focal length.
 
-    `sensor-pitch`: the lens in mm on a sensor of known pitch, before all others, since what EXIF adds there
-    is of another camera of the same drone. `focal-plane`: the lens in mm with EXIF's resolution;
-    `sensor-table`: with the sensor's width. `exif-35mm`: the 35 mm equivalent, which compares diagonals (CIPA
-    DCG-001): for frames wider than 3:2 that of a 4:3 sensor they are cut from. The longer side is the
-    sensor's width: an upright frame is one whose pixels were turned.
+    `sensor-pitch`: the lens in mm on a sensor of known pitch. It goes before all others, since what EXIF adds
+    there is of another camera of the same drone. `focal-plane`: the lens in mm with EXIF's resolution.
+    `sensor-table`: the lens in mm with the sensor's width. `exif-35mm`: the 35 mm equivalent, which compares
+    diagonals (CIPA DCG-001). For frames wider than 3:2 the diagonal is that of the 4:3 sensor they are cut
+    from. The longer side is the sensor's width: an upright frame is one whose pixels were turned.
     """
     exif, height, width = header.exif, *sorted((header.width_px, header.height_px))
     if exif.model.lower().strip() in _ONE_LENGTH:

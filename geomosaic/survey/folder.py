@@ -37,12 +37,12 @@ _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
 
 def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
     """The frames of a folder, in the natural order of their paths, and what each is called. They are its JPEG
-    and TIFF files, else its PNG files, else its DNG or its HEIC files. Next to JPEG and TIFF, PNG files are
-    previews and masks.
+    and TIFF files, else its PNG files, else its DNG or its HEIC files. Next to JPEG and TIFF files, PNG files
+    are previews and masks.
 
-    If the folder itself holds none, those of its folder `images` or `DCIM`, else of all folders in it, four
-    deep. A frame is called by its file's name; where several folders have it, with its folders' before it
-    (`100MEDIA_DJI_0001.JPG`). Hidden files and folders, links to folders, folders of runs, masks
+    If the folder itself has none, they are those of its folder `images` or `DCIM`, else of all folders in it,
+    four deep. A frame is called by its file's name; where several folders have it, with its folders' before
+    it (`100MEDIA_DJI_0001.JPG`). Hidden files and folders, links to folders, folders of runs, masks
     (`NAME_mask.png`, `NAME.mask.tif`) and other inputs of the survey (its DEM) are no frames.
     Raises: `FileError` for what is no folder, `InputError` if there are no frames or their reader is missing.
     """
@@ -94,7 +94,7 @@ def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]
 
 def project_files(folder: Path) -> dict[str, Path]:
     """The POS and the control file of an OpenDroneMap project, as far as its folder holds them. Without such
-    a POS file the drone's own Timestamp.MRK, where there is one that matches the frames."""
+    a POS file it is the drone's own Timestamp.MRK, where there is one that matches the frames."""
     named = {kind: folder / name for kind, name in _PROJECT_FILES.items()}
     found = {kind: path for kind, path in named.items() if path.is_file()}
     by_drone = sorted(path for path in folder.glob("*.[mM][rR][kK]") if path.is_file())
@@ -169,8 +169,8 @@ def _called(frames: Collection[Path], top: Path) -> dict[Path, str]:
 
 
 def masks(headers: list[FrameHeader]) -> tuple[dict[str, str], dict[str, InputError]]:
-    """Frame name -> path of its mask, for the frames that have one. Frame name -> what is wrong with it,
-    where it can't be read, is damaged or isn't of its frame's size."""
+    """Two mappings by frame name, of the frames that have a mask: the path of the mask, and what is wrong
+    with it. The latter is of masks that can't be read, are damaged or aren't of their frame's size."""
     folders = {header.path.parent for header in headers}
     by_name = {(f, p.name.casefold()): p for f in folders for p in f.iterdir()}
     found: dict[str, str] = {}

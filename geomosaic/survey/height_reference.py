@@ -27,7 +27,7 @@ class HeightReference:
 
 def height_reference(survey: Survey) -> HeightReference | None:
     """What the survey's heights count from; None with a DEM or in a local frame. A source that doesn't state
-    its vertical datum (EXIF, most POS files) may count from the ellipsoid or from the sea. The deviation is
+    its vertical datum (EXIF, most POS files) may count from the ellipsoid or from the sea. Their deviation is
     then the geoid's undulation at the survey."""
     if survey.elevation is not None or is_local(survey.map_crs):
         return None

@@ -57,9 +57,9 @@ def read_structure(path: Path, whole: bool = True) -> JpegStructure:
 def parse_structure(data: bytes | mmap.mmap, path: Path, whole: bool = True) -> JpegStructure:
     """As `read_structure`, of a file's bytes; path is for the message only.
 
-    Image data hold no end marker (0xFF is followed by a stuffed 0 in them). They stand behind all thumbnails
-    in the header, and previews appended to the file (MPF, as DJI's) stand behind the primary image's own end
-    marker. So an image ends when an end marker comes after the start of its data; MPF's own lengths are wrong
+    Image data contain no end marker (0xFF is followed by a stuffed 0 in them), and come after all thumbnails
+    in the header. Previews appended to the file (MPF, as DJI's) come after the primary image's own end
+    marker. So an image ends at the first end marker after the start of its data. MPF's own lengths are wrong
     in files whose header was enlarged afterwards.
     """
     if bytes(data[:2]) != b"\xff\xd8":

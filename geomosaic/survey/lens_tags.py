@@ -80,10 +80,10 @@ def xmp_perspective(header: FrameHeader, blank: Camera, pixels_per_mm: float | N
 def xmp_fisheye(header: FrameHeader, blank: Camera, pixels_per_mm: float | None) -> Camera | None:
     """`Camera:FisheyePolynomial`, `FisheyeAffineMatrix` and `PrincipalPoint`.
 
-    Pix4D's fisheye (support.pix4d.com, "How are the internal and external camera parameters defined", 2.2).
-    Let θ = 2/π of the angle from the axis and ρ = p0 + p1 θ + p2 θ² + p3 θ³ (+ p4 θ⁴). An image's point is
-    the affine matrix (c, d, e, f; in pixels) times ρ along the direction, from the principal point. None
-    where p0 isn't 0 or the pixels aren't square, which is none of our lenses.
+    This is Pix4D's fisheye (support.pix4d.com, "How are the internal and external camera parameters defined",
+    2.2). Let θ be 2/π of the angle from the axis, and ρ = p0 + p1 θ + p2 θ² + p3 θ³ (+ p4 θ⁴). An image's
+    point is the affine matrix (c, d, e, f; in pixels) times ρ along the direction, from the principal point.
+    None where p0 isn't 0 or the pixels aren't square, which is none of our lenses.
     """
     xmp = header.xmp or {}
     polynomial = numbers(xmp, "Camera:FisheyePolynomial", 4) or numbers(xmp, "Camera:FisheyePolynomial", 5)

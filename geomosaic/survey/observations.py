@@ -47,10 +47,9 @@ def observe(
     """Put EXIF, XMP and the POS file together.
 
     The POS file's position counts; a height or an attitude it doesn't have is the frame's own. Rows without a
-    frame (or an image that is left out) and frames without a row, of which what they say themselves counts,
-    are warned of; strict: neither may be. A frame that has no position is taken to be between those before
-    and after it, or `anywhere` (longitude, latitude) where none has one. Its deviation says how little that
-    is worth.
+    frame (or an image that is left out) are warned of, and so are frames without a row, whose own tags count.
+    strict: neither may be. A frame that has no position is taken to be between those before and after it, or
+    `anywhere` (longitude, latitude) where none has one. Its deviation says how little that is worth.
 
     Heights and attitudes that can't be are taken as not given, see `survey.plausible`.
 

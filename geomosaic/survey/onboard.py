@@ -98,12 +98,11 @@ def _position_accuracy(exif: Exif, xmp: Xmp) -> tuple[float, float, float, str]:
 def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
     """How the camera was turned, as body angles (`Attitude`).
 
-    The gimbal's angles are the camera's own and are never mixed with the aircraft's. Where there are
-    only the aircraft's, they are taken with wide sigmas (source `dji-flight`). Three gimbal angles of
-    exactly 0 are a field that was never filled (DJI's Mini). Makers' conventions: DJI and Parrot write gimbal
-    angles (pitch -90 at the nadir). Pix4D's `Camera:` angles are a body's (pitch 0 at the nadir), but a pitch
-    nearer to -90 than to 0 is a gimbal's there too. senseFly's `Camera:Roll` has the opposite sign (as
-    OpenDroneMap found).
+    The gimbal's angles are the camera's own and are never mixed with the aircraft's. Where there are only the
+    aircraft's, they are taken with wide sigmas (source `dji-flight`). Three gimbal angles of exactly 0 are a
+    field that was never filled (DJI's Mini). Makers differ. DJI and Parrot write gimbal angles (pitch -90 at
+    the nadir). Pix4D's `Camera:` angles are a body's (pitch 0 at the nadir), but a pitch nearer to -90 than
+    to 0 is a gimbal's there too. senseFly's `Camera:Roll` has the opposite sign (as OpenDroneMap found).
     """
     for source, prefix in (("dji-gimbal", "drone-dji:Gimbal"), ("parrot-camera", "drone-parrot:Camera")):
         yaw, pitch, roll = (number(xmp, f"{prefix}{axis}Degree") for axis in ("Yaw", "Pitch", "Roll"))

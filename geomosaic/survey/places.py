@@ -98,7 +98,7 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     """Where the items of a table lie, by longitude and latitude, or by x and y in the CRS that is stated.
 
     Of several systems that a name may mean, and of both orders of x and y, the first that puts the items near
-    the frames is taken. Where these have no position, the first in whose area of use the items lie.
+    the frames is taken. Where these have no position, it is the first in whose area of use the items lie.
 
     Args: near: longitudes and latitudes (k, 2) of the frames; fix: how a CRS is given, for errors.
     Raises: `AmbiguousCrsError` where systems are left that put the items at different places; `InputError`

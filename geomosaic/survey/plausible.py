@@ -1,9 +1,9 @@
 """What can't be: heights, attitudes and lenses that no frame has, or not among these others.
 
-A slip of a decimal point or a damaged tag puts a frame very high, or makes its image very wide. Ground,
-mosaic and memory would have to reach for it. Such a value is taken as not given, and named. Errors that
-a survey can have (barometers that drift, a datum that isn't stated, a position far off) are none of this
-module's: they are for the adjustment to find.
+A slip of a decimal point or a damaged tag can put a frame far too high, or make its image far too wide.
+Ground and mosaic would reach as far, and take as much memory. Such a value is taken as not given, and named.
+Errors that a survey can have (barometers that drift, a datum that isn't stated, a position far off) are left
+to the adjustment.
 """
 
 from __future__ import annotations

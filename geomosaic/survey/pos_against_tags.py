@@ -70,8 +70,8 @@ def _mistaken(given: Floats) -> Iterator[tuple[str, str, Floats]]:
 
 
 def _in_other_order(given: Floats, known: Floats, sd_m: float) -> list[tuple[str, str, str]]:
-    """Positions that fit those in the tags only in reverse order or as those of neighbouring frames. Also
-    those that lie no nearer to their frames' tags than to the middle of all tags."""
+    """Positions that fit those in the tags only in reverse order or as those of neighbouring frames.
+    Positions that lie no nearer to their frames' tags than to the middle of all tags are found as well."""
     if len(given) < 3:  # of two, one wrong position looks like an order
         return []
     as_given_m = float(np.median(distances_m(given, known)))

@@ -74,11 +74,10 @@ def read_survey(
 ) -> Survey:
     """Read everything a survey is made of; nothing is written. Every frame is decoded once, small.
 
-    Frames are those of `frame_files`, in order of capture (time, then name; by name alone
-    where a frame has no time). The work frame lies at the median position, at the median height of the
-    ground. That is known by DEM, else by absolute less relative heights, else by control, else at height 0.
-    Where no frame has a position it lies amid the control points; without those it is nowhere, and the map's
-    CRS is `LOCAL_CRS`.
+    Frames are those of `frame_files`, in order of capture (time, then name; by name alone where a frame has
+    no time). The work frame lies at the median position, at the median height of the ground. That height is
+    the DEM's, else it is by absolute less relative heights, else by control, else 0. Where no frame has a
+    position it lies amid the control points; without those it is nowhere, and the map's CRS is `LOCAL_CRS`.
 
     Args: inspect: `damage.wholeness` of many frames; progress: called with frames done, frames in all, and
     what is being done.

@@ -48,9 +48,13 @@ _BANDS_AT_ONCE = sourced(
 
 @dataclass(frozen=True)
 class Shutter:
-    """readout_s, sd_s: from the first row to the last, 0 for a global shutter, and its deviation, 0 where it
-    is known; source: `tag`, `model`, `global`, `unreported`, `absurd` for a tag that can't be, `turned` for
-    an upright frame. Its columns were read one after the other, from an end that nothing reports."""
+    """How a frame's rows are read.
+
+    readout_s, sd_s: time from the first row to the last, 0 for a global shutter, and its deviation, 0 where
+    it is known. source: `tag`, `model`, `global`, `unreported`, `absurd` for a tag that can't be, `turned`
+    for an upright frame. The columns of such a frame were read one after the other, from an end that nothing
+    reports.
+    """
 
     readout_s: float
     sd_s: float

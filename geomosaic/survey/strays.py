@@ -83,8 +83,8 @@ def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:
 
 
 def other_kinds(headers: Sequence[FrameHeader], camera: str | None = None) -> list[Stray]:
-    """Frames of other bands or pixels, or of another of the aircraft's cameras, than the kind that is asked
-    for. Without a request the kind with most pixels in all counts.
+    """Frames of other bands or pixels, or of another of the aircraft's cameras, than the kind that counts.
+    That is the kind with most pixels in all, among those of the camera asked for.
 
     Args: camera: one of `camera_kind`.
     Raises: `InputError` where no frame is of that camera.
@@ -124,8 +124,8 @@ def camera_kind(header: FrameHeader) -> str:
 
 
 def copies(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | None]) -> list[Stray]:
-    """Files of equal bytes. The same capture under another name or in another size, of which the largest is
-    kept: by camera, time and place, and by what they look like."""
+    """Files of equal bytes, and the same capture under another name or in another size, of which the largest
+    is kept. Captures are the same by camera, time and place, and by what they look like."""
     same: dict[object, list[int]] = {}
     for i, header in enumerate(headers):
         same.setdefault(header.path.stat().st_size, []).append(i)

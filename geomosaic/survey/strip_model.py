@@ -25,9 +25,10 @@ _FIX: Final = "give YAML with line_rate_hz, looks, and the CSV files orbit and a
 def read_model(path: Path) -> Pushbroom:
     """The model of a YAML file; its tables' paths count from its folder.
 
-    `line_rate_hz`; `orbit`: a CSV of time_s, x_m, y_m, z_m (WGS 84, fixed to the Earth); `attitude`: a CSV of
-    time_s, roll_deg, pitch_deg, yaw_deg. `looks`: for each CCD, left to right, `forward_tan` and `right_tan`,
-    each [constant, per column, per second]. What they mean stands in `camera.pushbroom.Pushbroom`.
+    Its keys: `line_rate_hz`. `orbit`: a CSV of time_s, x_m, y_m, z_m (WGS 84, fixed to the Earth).
+    `attitude`: a CSV of time_s, roll_deg, pitch_deg, yaw_deg. `looks`: for each CCD, left to right,
+    `forward_tan` and `right_tan`, each [constant, per column, per second]. What they mean stands in
+    `camera.pushbroom.Pushbroom`.
 
     Raises: `FileError` or `InputError` naming the file and what is wrong.
     """

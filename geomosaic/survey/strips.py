@@ -46,9 +46,9 @@ class Ccd:
 class StripGeometry:
     """A focal plane of CCDs in two staggered rows, left to right, and the strips they took.
 
-    Convention: a ground point at (col, line) of a pair's left strip lies in the right strip at `col -
-    (width_px - overlap_px) + dcol` and `line + side(pair) * row_separation_lines + dline`. dcol and dline are
-    the pair's offsets. Lines count each strip's own lines, columns the CCD's pixels, corner origin.
+    Convention: a ground point at (col, line) of a pair's left strip lies in the right strip at
+    `col - (width_px - overlap_px) + dcol` and `line + side(pair) * row_separation_lines + dline`, with dcol
+    and dline the pair's offsets. Lines count each strip's own lines, columns the CCD's pixels, corner origin.
 
     width_px: of every strip. lines: of each file, 0 where the CCD is missing. overlap_px: what neighbours
     share by design; read_px: what is read of each side. altitude_m: of the flight above the ground.
@@ -83,7 +83,7 @@ class StripGeometry:
 
     @property
     def height_m_per_line(self) -> float:
-        """What is so much higher is seen one line apart by the two rows (0 where they are one).
+        """The height (m) that shifts a place by one line between the two rows, 0 where they are one.
 
         Their rays meet at an angle of separation * pixel * (1 / altitude + 1 / R). The second part is the
         turn of the vertical between the two places from which they look.

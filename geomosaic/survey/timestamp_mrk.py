@@ -1,8 +1,9 @@
 """DJI's `*_Timestamp.MRK`: where the camera was at each exposure, by RTK or to be replaced by PPK.
 
 A line is an exposure: its number, the GPS second and week, and the offsets of the camera from the antenna in
-mm (already applied). Latitude, longitude and ellipsoidal height of the camera, their standard deviations
-north, east and up in m, and the quality of the fix (DJI, Phantom 4 RTK User Manual, appendix).
+mm (already applied). Then come latitude, longitude and ellipsoidal height of the camera, and their standard
+deviations north, east and up in m. Last comes the quality of the fix (DJI, Phantom 4 RTK User Manual,
+appendix).
 """
 
 from __future__ import annotations

@@ -53,8 +53,8 @@ class ViewGrid:
         return np.column_stack([(map_m[:, 0] - of.c) / of.a, (map_m[:, 1] - of.f) / of.e])
 
     def window(self, reduction: int, across: int, down: int, margin: int = 0) -> Window | None:
-        """The pixels of a tile of TILE_PX pixels a side, each of so many of the map's, grown by a margin of
-        such as far as the map goes. None beyond it."""
+        """The map's pixels in a tile of TILE_PX pixels a side, each of `reduction` of the map's a side. The
+        tile is grown by a margin of its pixels, as far as the map goes. None beyond the map."""
         side, more = TILE_PX * reduction, margin * reduction
         left, top = across * side, down * side
         if min(across, down) < 0 or left >= self.width or top >= self.height:

@@ -121,8 +121,8 @@ def test_chain_follows_the_first_frame() -> None:
 
 
 def test_least_squares_by_hand() -> None:
-    """Two frames 6 m apart, priors of 1 m, pair of 1 m (Huber beyond 1.5). Minimising x1² + x2² + w (x2 - x1
-    + 6)² with the pair's weight w gives x1 = -x2 = 6 w / (1 + 2 w)."""
+    """Two frames 6 m apart, priors of 1 m, pair of 1 m (Huber beyond 1.5). Minimising
+    `x1² + x2² + w (x2 - x1 + 6)²` with the pair's weight w gives `x1 = -x2 = 6 w / (1 + 2 w)`."""
     net = net_of(np.array([[0.0, 0.0], [1.2, 0.0]]), line(2))
     moves, sd = least_squares(net, np.ones(2), np.ones(1))
     assert moves[:, 0] == pytest.approx([0.4, -0.4], abs=1e-9)

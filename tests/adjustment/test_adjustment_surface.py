@@ -51,8 +51,8 @@ def off_m(surface: GroundSurface, beyond_m: float) -> float:
 
 
 def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
-    """The edge kept level would be off by 2 m at 10 m and by 5 m at 25 m. The true slope straight on by 0.2
-    and 1.2 m, and slopes of noisy points by more."""
+    """The edge kept level would be off by 2 m at 10 m and by 5 m at 25 m. The true slope straight on would be
+    off by 0.2 and 1.2 m, and slopes of noisy points by more."""
     surface = tie_surface(Heights(*points(1), LOW, HIGH, 100.0))
     assert surface.kind == "tie_surface"
     assert (surface.east_0_m, surface.north_0_m) == (-130.0, -110.0)
@@ -64,7 +64,7 @@ def test_hills_go_on_beyond_the_last_points_as_they_curve_there() -> None:
 
 def test_mountains_are_followed_where_points_show_them() -> None:
     """Summits of 60 m every 75 m, seen from 100 m, by a point on 13 m². A surface of a third derivative of at
-    most 32 per squared flying height lay 10 m off them."""
+    most 32 per squared flying height would lie 10 m off them."""
     rng = np.random.default_rng(3)
 
     def mountains(at: np.ndarray) -> np.ndarray:
@@ -249,7 +249,7 @@ def bowl(east: np.ndarray, north: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("relief", "flat"), [(bowl, False), (level, True)])
 def test_land_that_stays_bent_when_it_is_bound_to_level_ground_is_not_flat(relief, flat: bool) -> None:  # type: ignore[no-untyped-def]
-    """A block without height control may bend so, but then it straightens at no cost. Here the bound one is
+    """A block without height control may bend so, but then it straightens at no cost. Here the bound block is
     the free one, as where many images a point refuse (dirty surveys 1711 and 1239: 2.9 and 1.7 px in the
     map)."""
     block = fly(1, 3, 6, points=1500, noise_px=0.1, crossed=True, relief=relief).block

@@ -234,9 +234,9 @@ def _scale(adjusted: Adjusted, truth: Poses) -> float:
 
 
 def test_a_known_readout_leaves_steps_whole() -> None:
-    """A readout that is solved for follows the block's scale. One that is known does not, by a billionth of
-    it either. Compared to its prior, that would cost more than the step gains, and the step be cut in
-    half."""
+    """A readout that is solved for follows the block's scale. One that is known does not, not even by a
+    billionth of it. Compared to its prior, that would cost more than the step gains, and the step would be
+    cut in half."""
     flown = fly(3, readout_s=0.1)
     block, centre = flown.block, flown.truth.positions_m.mean(axis=0)
     wider = centre + 1.04 * (flown.truth.positions_m - centre)

@@ -1,8 +1,8 @@
 """The bundle against an oracle: the same cost written down apart from it, minimised by scipy's least squares.
 
 The oracle takes nothing from the solver but the deviations it estimated and which numbers it fixed. It has
-own residuals by `Pose.image_from_ground`, derivatives by differences, all unknowns in one dense system, begun
-from what was reported.
+its own residuals by `Pose.image_from_ground`, derivatives by differences, and all unknowns in one dense
+system. It starts from what was reported.
 """
 
 from dataclasses import dataclass, replace

@@ -41,8 +41,8 @@ def test_a_survey_that_looks_aside_keeps_its_frames() -> None:
 
 
 def test_a_position_is_judged_by_how_positions_were_found_to_scatter() -> None:
-    """25 m off where 5 m is the default of the source, and the others agree to 1 m. It is wrong, if its own
-    place is known. By what is stated it might be right."""
+    """A position is 25 m off where 5 m is the default of the source, and the others agree to 1 m. It is wrong
+    if its own place is known. By what is stated it might be right."""
     block = fly(1).block
     given = replace(block.poses, positions_sd_m=np.full((len(block.poses), 3), 5.0))
     for scatter, own_m, named in ((1.0, 0.2, []), (0.3, 0.2, [block.names[4]]), (0.3, 4.5, [])):

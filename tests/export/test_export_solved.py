@@ -132,8 +132,8 @@ def test_an_untied_frame_has_the_deviations_of_its_prediction(solved, tmp_path):
 
 
 def test_error_ellipses_lie_in_the_maps_grid(solved, tmp_path):
-    """Twice as sure across the work frame's north. 2.5 degrees east of the zone's middle, at 48.1 north, the
-    grid's north lies 2.5 * sin(48.1) = 1.861 degrees east of true north."""
+    """Positions are twice as sure across the work frame's north. At 2.5 degrees east of the zone's middle and
+    48.1 north, the grid's north lies 2.5 * sin(48.1) = 1.861 degrees east of true north."""
     covariance = np.tile(np.diag([0.04, 0.16, 0.09, 1e-8, 1e-8, 1e-8]), (8, 1, 1))
     adjusted = replace(solved.adjusted, pose_covariance=covariance)
     write_layers(

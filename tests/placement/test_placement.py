@@ -150,7 +150,7 @@ def test_the_flat_ground_lies_at_the_median_of_absolute_minus_relative() -> None
 
 def test_the_papers_map_is_a_plane_at_the_ellipsoid() -> None:
     """A kilometre at 2000 m of height is 0.31 m longer than below it on the ellipsoid, where equation 4
-    measures. 1 km away the Earth has sunk by 78 mm, which the plane doesn't know."""
+    measures. At 1 km the Earth has sunk by 78 mm, which the plane doesn't follow."""
     high = LocalFrame(11.3, 48.1, 2000.0)
     llh = high.geodetic_from_enu(np.array([[1000.0, 0.0, 0.0], [0.0, 1000.0, 0.0]]))
     plane, turn = FORMULAS["mid_latitude"](high, llh)
@@ -220,8 +220,8 @@ def test_connected_parts() -> None:
 
 
 def test_misplacement_by_hand() -> None:
-    """At 100 m: 1.5 m of position, 100 m * 0.3 degrees = 0.524 m of tilt, half of 50 m * 1 degree = 0.436 m
-    of yaw. Together 1.648 m, three times that 4.943 m."""
+    """At 100 m, position gives 1.5 m and tilt 100 m * 0.3 degrees = 0.524 m. Yaw gives half of the 50 m to a
+    corner * 1 degree = 0.436 m. Together these are 1.648 m, and three times that is 4.943 m."""
     assert half_extent_m(CAMERA, 100.0) == pytest.approx(50.0)
     poses = Poses(
         np.array([[5.0, -3.0, 100.0]] * 2),

@@ -145,8 +145,8 @@ def test_far_from_the_origin_hills_stand_along_their_own_vertical():
 
 
 def test_a_rolling_shutter_is_followed_row_by_row():
-    """100 m over the ground, 0.1 m a pixel. 6 m to the east within a readout move row 150 (a quarter before
-    the middle) by 1.5 m to the west. Its ground lies 15 px further to the right."""
+    """The frame is 100 m over the ground, 0.1 m a pixel. Flying 6 m to the east within a readout moves row
+    150 (a quarter before the middle) by 1.5 m to the west. Its ground lies 15 px further to the right."""
     home = LocalFrame(9.0, 47.0, 0.0)
     ground = flat_ground(home, 0.0, 300.0)
     centre = MapProjection(CRS).map_from_geodetic(9.0, 47.0)

@@ -163,8 +163,8 @@ def test_the_standards_sentence_says_how_many_points_there_were() -> None:
 
 
 def test_a_shift_that_check_points_measured_does_not_widen_ce90() -> None:
-    """2 m east, 0.5 m south and 3 m up in common, 5 cm of scatter. 90 % of 100,000 drawn errors are shorter
-    than 2.126 m, and of heights than 3.064 m."""
+    """Errors are 2 m east, 0.5 m south and 3 m up in common, with 5 cm of scatter. 90 % of 100,000 drawn
+    errors are shorter than 2.126 m, and of heights than 3.064 m."""
     spread = 0.05 * np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, -1.0], [-1.0, -1.0, 1.0]])
     points = tuple(check((-2.0 + e, 0.5 + n, -3.0 + u)) for e, n, u in spread)
     absolute = accuracy_of(adjusted(None, *points), float("nan"), 0.02).absolute

@@ -101,8 +101,9 @@ def test_a_surface_that_strays_about_the_ground_is_off_by_as_much() -> None:
 
 
 def test_what_a_surface_raises_without_being_sure_may_be_ground() -> None:
-    """1 m, seen 49 m below: 6.12 px, over a ground known to 0.31 px, by a matching. Where that knows it to
-    0.5 m, one time in 22 nothing stands there. Where it knows it to 0.25 m, one in 16,000."""
+    """A matching raises land by 1 m, seen 49 m below: 6.12 px, over a ground known to 0.31 px. If it knows
+    the height to 0.5 m, nothing stands there one time in 22. If it knows it to 0.25 m, that is one time in
+    16,000."""
     owner = np.zeros((61, 61))
     owner[30, 60] = 1
     known = replace(SURE, sd_m=np.full((5, 5), 0.05))

@@ -206,7 +206,7 @@ def test_turned_frames_are_counted_from_one() -> None:
 
 def test_places_and_velocities_are_of_one_path() -> None:
     """A flight that strays from its lines by 2 m within 3 s. Steps of half a second agree with the velocities
-    at both ends, of 0.3 m/s and more that no line tells, and upright too."""
+    at both ends, which are 0.3 m/s and more off the lines, and upright too."""
     plan = SurveyPlan(seed=4, kind="line", lines=1, frames_per_line=400, forward_overlap=0.955,
                       ground_pixel_m=0.1, speed_m_per_s=9.0, wander_m=2.0, wander_s=3.0)  # fmt: skip
     flight = fly(plan)

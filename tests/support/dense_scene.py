@@ -77,8 +77,8 @@ class Scene:
         return mosaic_tiles(cells, base, parts), counted, both[-1]
 
     def truth(self, surface: DenseSurface) -> tuple[NDArray[np.floating], NDArray[np.uint8]]:
-        """Errors (m) of each cell, and what is there: 0 ground, 1 a roof, 2 a crown. 3 within 1 m of a wall,
-        4 within 1 m of a crown."""
+        """Errors (m) of each cell, and what is there: 0 ground, 1 roof, 2 crown, 3 within 1 m of a wall, 4 of
+        a crown."""
         world = world_of(self.plan, fly(self.plan))
         land = landscape_of(self.plan)
         east, north = surface.cells.axes_m()

@@ -9,10 +9,10 @@ pose and lens. The horizontal error is true minus mapped place, the vertical one
 Figures are root mean squares of error over stated deviation, 1 where the raster is true, by class (band 3).
 
 A mosaic on a surface that shows what stands is judged everywhere. One on the ground below, where roofs and
-crowns lean, at places of open ground that show open ground.
+crowns lean, is judged at places of open ground that show open ground.
 
 One survey says little. With GNSS positions nearly all of its error is one shift, turn and scale of the block.
-These are four numbers, so that the figure of a true raster scatters by a third. Half of the seeds have RTK
+Since these are four numbers, the figure of a true raster scatters by a third. Half of the seeds have RTK
 positions, which leave the errors of the heights to be seen. Surveys of all seeds are pooled, each counted
 alike. ± is one deviation: of one survey what the covariance of its places leads one to expect, of several
 what they show.

@@ -2,12 +2,12 @@
 
     python -m tools.bench.bench_composition [--out DIR] [--seed FIRST] [--seeds N]
 
-24 frames of 1336 x 1002 px with exposures that scatter by 6 % and 15 % of the light lost in the corners,
-through the whole command. Then composed again from the same adjustment without seams, blends or tones. SSIM
-after the best similarity of both rasters, grey levels by which frames differ where they overlap and along the
-seams, and the composition's seconds. The first line is what one frame can reach: its JPEG against the same
-frame before noise and compression. The last line is the mosaic of these clean frames. Tables go to standard
-output and OUT/composition.json.
+24 frames of 1336 x 1002 px go through the whole command. Their exposures scatter by 6 %, and 15 % of the
+light is lost in the corners. Then they are composed again from the same adjustment without seams, blends or
+tones. Figures are SSIM after the best similarity of both rasters, grey levels by which frames differ where
+they overlap and along the seams, and the composition's seconds. The first line is what one frame can reach:
+its JPEG against the same frame before noise and compression. The last line is the mosaic of these clean
+frames. Tables go to standard output and OUT/composition.json.
 """
 
 from __future__ import annotations

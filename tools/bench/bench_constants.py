@@ -5,8 +5,8 @@
 
 Each scene (tools/bench/bench_constants_scenes.py) runs once, stage by stage, and its functions are noted. A
 constant is then halved and doubled (`geomosaic.constants.varied`) for each stage that called a function which
-names it, the fastest first. It ends when an outcome moves: by 1 % of a stated deviation or a figure, 0.01 px,
-0.1 grey levels, a warning or a verdict. Numbers without fractions are rounded and stay at least 1; shares
+names it, the fastest first. This ends when an outcome moves: by 1 % of a stated deviation or a figure, 0.01
+px, 0.1 grey levels, a warning or a verdict. Numbers without fractions are rounded and stay at least 1; shares
 below 1 stay below it. A constant that is used while a module loads, or as a default, is named and not varied.
 
 --only: constants whose name ends so. --longest: processor seconds for one constant; what then has not moved

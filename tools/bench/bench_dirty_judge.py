@@ -40,8 +40,8 @@ LEAST_PATCHES = 12
 LEAST_SHARE = 0.3
 """Of the patches, that must be found: else the mosaic is first aligned with the ortho by its own features."""
 OTHER_SCALE = 0.01
-"""A patch of 64 px whose scale is off by more doesn't match from edge to edge. The mosaic is aligned with the
-ortho first, since scale is judged by the positions and shape without it."""
+"""A patch of 64 px whose scale is off by more doesn't match from edge to edge. Then the mosaic is aligned
+with the ortho first: scale is judged by the positions, and shape without it."""
 ALIKE = 0.9
 """Of the patches found once the mosaic is aligned, what must be found before it to be judged as it is."""
 FARTHEST_PX = 1600
@@ -103,8 +103,9 @@ def of_distances(vectors_m: Floats) -> dict[str, Any]:
 
 
 def _better(again: Figures, found: Figures, little: bool) -> bool:
-    """Whether the mosaic aligned with the ortho is judged, which has the same shape: where more places can be
-    measured in it. Where both can be, a few wild matches (water, crowns) make one of them worse."""
+    """Whether the mosaic aligned with the ortho is judged, which has the same shape. It is where more places
+    can be measured in it. Where as many can be measured in both, the better one is judged: a few wild matches
+    (water, crowns) make the other worse."""
     if little:
         return again.share_measured > found.share_measured
     alike = found.share_measured > ALIKE * again.share_measured
@@ -238,9 +239,9 @@ def _upright(path: Path) -> Path:
 
 
 def of_positions(folder: Path, run: Path) -> dict[str, Any]:
-    """Adjusted positions against the true ones, root mean squares over tied frames. Horizontal error and what
-    is stated of it, and the same of heights. Also which frames are in the map or left out that should not
-    be."""
+    """Adjusted positions against the true ones, as root mean squares over tied frames: horizontal error and
+    what is stated of it, and the same of heights. Frames that should not be in the map, or not be left out,
+    are named as well."""
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     frame = LocalFrame(**truth["work_frame"])
     true, reported = (_rows(p) for p in (folder / "truth" / "positions.csv", run / "positions.csv"))

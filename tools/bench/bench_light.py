@@ -3,10 +3,10 @@
     python -m tools.bench.bench_light [--seed FIRST] [--seeds N] [--out out/bench-light]
                                       [--results docs/results/light]
 
-15 frames of a wide lens with the sun behind the camera. A hot spot is half brighter than the ground about it,
-and a quarter of the light is lost in the corners. An automatic evens out each frame's brightness and reports
-its exposure time, and exposures scatter by 1 % besides. A second kind has clouds that shade 30 % of the
-ground. The positions are given to 2 cm, so that what remains is light.
+A flight has 15 frames of a wide lens with the sun behind the camera. A hot spot is half brighter than the
+ground about it, and a quarter of the light is lost in the corners. An automatic evens out each frame's
+brightness and reports its exposure time, and exposures scatter by 1 % besides. A second kind has clouds that
+shade 30 % of the ground. The positions are given to 2 cm, so that what remains is light.
 
 Radiance: logarithm of the mosaic over the true ortho, means of squares of 4 m, less their median. Hot spot:
 how much brighter the ground about the places is at which frames look with the sun behind, than farther away.

@@ -8,8 +8,8 @@ script visits each frame that is listed for each point, with refinement on: it l
 presses N. Where the target lies outside the frame it only presses N. It waits as a person does, so that the
 page loads what it loads meanwhile:
 
-- 1.35 s to look at each frame and decide, and 0.28 s for a key. These are the operators M and K of no trained
-  typist (Card, Moran and Newell 1980, the keystroke-level model);
+- 1.35 s to look at each frame and decide, and 0.28 s for a key. These are the operators M and K of the
+  keystroke-level model, for a person who is no trained typist (Card, Moran and Newell 1980);
 - pointing from the last click by Fitts' law, -0.107 + 0.223 log2(D / W + 1) s for a mouse (MacKenzie, Sellen
   and Buxton 1991). W is 10 px, within which a click is refined;
 - 0.2 s to press and release the button of the mouse (0.1 s each, operator B; Kieras 1993).

@@ -6,7 +6,7 @@ Geometry alone: flights, tie points and their noise are drawn from seeds 1 to N 
 method; no image is made. Three figures a survey:
 
 - NEES, normalised squared error: e' P^-1 e / 6 with e a frame's pose error and P its stated covariance, mean
-  over frames and seeds, expectation 1. By groups from the marginal deviations.
+  over frames and seeds, expectation 1. By groups it comes from the marginal deviations.
 - RMSE of a grid of ground points, each seen by the frame whose nadir is nearest, absolute and after the best
   similarity, against the Cramér-Rao bound. The bound is the inverse of the Fisher information at the truth,
   with priors of POS, and of the lens where it is drawn. It comes from central differences of
@@ -18,7 +18,7 @@ method; no image is made. Three figures a survey:
 The oracle is the bound's own estimate of the same draws: linear least squares about the truth with the true
 deviations, which no solver knows. Frames of a block share their errors, so that 30 seeds leave NEES uncertain
 by a tenth; what the oracle has of this luck, the solver has too. Where the lens is reported exactly, the
-stated covariance, which believes it less, must be too large; there NEES isn't judged.
+stated covariance, which trusts it less, must be too large; there NEES isn't judged.
 
 The table goes to standard output as Markdown and to OUT/monte_carlo.json; exit code 1 if a bound is missed.
 """

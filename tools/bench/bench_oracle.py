@@ -18,9 +18,10 @@ k1 = -0.05 that is reported as straight. Solvers:
 - COLMAP without positions: the same, gauge fixed by two frames.
 
 Reprojection: root mean square of the residuals' lengths. Block: the tie points' true image coordinates, taken
-back to the ground by intersecting the found poses' and lenses' rays, against the true points. Plan and height
-after the best similarity in space (mm), plan as it is (m). So what is left is the block's error, not that of
-single points. Seconds of processor time, all solves of the project's with covariances, COLMAP's without.
+back to the ground by intersecting the found poses' and lenses' rays, against the true points. It is given as
+plan and height after the best similarity in space (mm), and as plan without it (m). So what is left is the
+block's error, not that of single points. Seconds of processor time, all solves of the project's with
+covariances, COLMAP's without.
 """
 
 from __future__ import annotations
@@ -133,8 +134,8 @@ def by_default(p: Problem) -> Found:
 
 
 def by_positions(p: Problem) -> tuple[Found, Solution, Floats]:
-    """The project's bundle with tie points and positions alone. The deviations (f, 3) with which each
-    position counted in the end: its component, and more for a position beyond three deviations."""
+    """The project's bundle with tie points and positions alone, its solution, and deviations (f, 3). With
+    these each position counted in the end: its component, and more for a position beyond three deviations."""
     unknown = np.array([_UNKNOWN_SD.get(name, 0.0) for name in INTERIOR])
     alone = replace(p.pos, rotations_sd_rad=np.full((len(p.pos), 3), np.inf))
     problem = block_problem(p.draw.block, Settings(), p.tracks, p.start_m)

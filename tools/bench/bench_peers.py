@@ -5,9 +5,10 @@
 
 Flights: simulated ones of so many frames with positions in their tags, and 18 real frames of 9 MP
 (SHARED/data/brighton_beach, left out where it is not there). Programs: geomosaic's whole run; pycolmap with
-matching by position and then its incremental or its global mapper (the time of matching counts in each). Also
-pyOrthomosaic in two and three dimensions; OpenCV's Stitcher for scans and the package `stitching`. Each has
-an environment of its own, made from the package index; one that cannot be had is left out with the reason.
+matching by position and then its incremental or its global mapper (the time of matching counts in each). The
+others are pyOrthomosaic in two and three dimensions, OpenCV's Stitcher for scans and the package `stitching`.
+Each has an environment of its own, made from the package index; one that cannot be had is left out with the
+reason.
 
 Time and memory are those of all processes of a program. Processor time is what two programs compare by on a
 machine that others use. Errors of projection centres are against the simulated truth: root mean square of

@@ -7,8 +7,9 @@ from tools.bench.result_rows import ResultRow, RowKind
 from tools.docs.results_page import BLOCK, FLIGHTS
 
 TIME_S, HALVES_PX, OFF_TAG, PRINCIPAL, BANDS_PX = 120.0, 3.0, 0.1, 0.01, 0.5
-"""At most: time of brighton, median of garfield's halves, and shift of a band. Also the share of the readout
-time by which its estimate is off the tag, and the share of the side by which the principal point is."""
+"""Upper bounds. TIME_S: of brighton. HALVES_PX: median of garfield's halves. OFF_TAG: share of the readout
+time by which its estimate is off the tag. PRINCIPAL: share of the side by which the principal point is off.
+BANDS_PX: shift of a band."""
 ROWS = {
     "brighton": RowKind(
         FLIGHTS,

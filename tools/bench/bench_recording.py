@@ -2,9 +2,10 @@
 
     make bench-recording
 
-Single-threaded processor time of whole runs, as others may be at work on the machine. The limits are 5 % of
-the time and 1 MB a frame at the level `normal`. Two runs of the same differ by that much where others are at
-work. So a last run at `normal` counts what its threads spend within the recorder's calls and cutting chips.
+It counts single-threaded processor time of whole runs, as others may be at work on the machine. The limits
+are 5 % of the time and 1 MB a frame at the level `normal`. Two runs of the same differ by that much where
+others are at work. So a last run at `normal` counts what its threads spend within the recorder's calls and
+cutting chips.
 """
 
 from __future__ import annotations

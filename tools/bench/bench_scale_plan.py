@@ -2,9 +2,9 @@
 
     python -m tools.bench.bench_scale_plan [--windows 50000]
 
-Nadir frames of 4000 x 3000 px at their own ground pixel over flat land, 70 % forward and 50 % side overlap.
-There are as many as the mosaic has room for (some 7,000), at their true poses. Prints JSON: frames, windows,
-steps with more than one frame, seconds of processor of each part.
+Frames are nadir ones of 4000 x 3000 px at their own ground pixel over flat land, with 70 % forward and 50 %
+side overlap. There are as many as the mosaic has room for (some 7,000), at their true poses. Prints JSON:
+frames, windows, steps with more than one frame, seconds of processor of each part.
 """
 
 from __future__ import annotations

@@ -2,17 +2,17 @@
 
     python -m tools.bench.bench_speed [--shared ../shared] [--out DIR] [--frames 100] [--no-peers]
 
-Two flights: 18 real frames of 9 MP (SHARED/data/brighton_beach, left out where it isn't there), and simulated
-ones. These are 100 frames of 12 MP, made once and kept in OUT, with nothing given but their tags. On each the
-whole command, then the floor (`bench_speed_floor`: every frame decoded and warped once, one COG written).
-Then the peers (tools/peers), each in an environment of its own, made from PyPI. What can't be had is left out
-and said. Time is of the whole process; memory of all its processes together, sampled; frames are read once
-before, so that all find them in memory. Simulated mosaics are judged against the true ortho, on squares of
-ground that most programs show (`bench_speed_parts`). The seed draws the squares; few squares count all. Of
-the real ones the colour steps are measured (`bench_speed_judge`). Tables go to
-standard output, figures to OUT/speed.json. Exit code 1 if an aim is missed. The aims: the whole at most 2.5
-times the floor, the mosaic with its COG (seams, composition, writing) 1.3 times, 1.5 GB, and no figure of any
-peer better.
+Two flights: 18 real frames of 9 MP (SHARED/data/brighton_beach, left out where it isn't there), and 100
+simulated ones of 12 MP, made once and kept in OUT. Nothing is given but their tags. On each flight the whole
+command runs, then the floor (`bench_speed_floor`: every frame decoded and warped once, one COG written). Then
+the peers run (tools/peers), each in an environment of its own, made from PyPI. What can't be had is left out
+and reported. Time is of the whole process; memory of all its processes together, sampled; frames are read
+once before, so that all find them in memory. Simulated mosaics are judged against the true ortho, on squares
+of ground that most programs show, drawn by the seed (`bench_speed_parts`). Where there are no more squares
+than asked for, the whole is judged. Of the real ones the colour steps are measured (`bench_speed_judge`).
+Tables go to standard output, figures to OUT/speed.json. Exit code 1 if an aim is missed. The aims: the whole
+at most 2.5 times the floor, the mosaic with its COG (seams, composition, writing) 1.3 times, 1.5 GB, and no
+figure of any peer better.
 """
 
 from __future__ import annotations

@@ -5,11 +5,11 @@
 RUN is a finished run of the same frames: poses, cameras, ground and grid come from it, so that neither
 matching, adjustment, tones, seams nor blending is in the floor. Every frame is read and decoded once, at full
 size. All of its pixels are warped once onto the mosaic's grid, cubic, by the plane transform that fits its
-pose best (cv2.warpPerspective). Distortion and relief, which take longer, are left out. The pixels are put
-over those before it, in memory. Then GDAL writes one COG from there with the product's options: mask, blocks
-of 512 px, DEFLATE of level 3 with predictor, overviews by averages. Frames are worked on by as many threads
-as there are cores, GDAL compresses by as many. Prints JSON: seconds of both parts, and in all, from the first
-byte read.
+pose best (cv2.warpPerspective). Distortion and relief, which take longer, are left out. The result is put
+over the frames before it, in memory. Then GDAL writes one COG from there with the product's options: mask,
+blocks of 512 px, DEFLATE of level 3 with predictor, overviews by averages. Frames are worked on by as many
+threads as there are cores, GDAL compresses by as many. Prints JSON: seconds of both parts, and in all, from
+the first byte read.
 """
 
 from __future__ import annotations

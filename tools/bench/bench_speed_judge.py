@@ -3,10 +3,10 @@
 Steps: a seam is where a mosaic is brighter or of another colour on one side than on the other though no frame
 shows it so. Mosaic and frames are averaged over cells of 64 px of the ground pixel, frames by the poses,
 cameras and ground of one solved run, the same for all. From one cell to its neighbour the mosaic and a frame
-differ by so many grey levels (root mean square of the colours). The frame is changed before by one offset,
-one gain, or one factor of its odds v / (255 - v). Programs even tones in one of these ways, and none is a
-seam. The step is the least of the three and over all frames that see both cells: where a mosaic goes on as
-some frame does there is none. Seams cross a few cells in a hundred, so the figure is the quantile of 99 %.
+differ by so many grey levels (root mean square of the colours). Before that the frame is changed by one
+offset, one gain, or one factor of its odds v / (255 - v). Programs even tones in one of these ways, and none
+is a seam. The step is the least of the three and over all frames that see both cells: where a mosaic goes on
+as some frame does there is none. Seams cross a few cells in a hundred, so the figure is the quantile of 99 %.
 What blends hide over many cells is no step.
 """
 

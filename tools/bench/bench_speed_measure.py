@@ -18,7 +18,9 @@ MOST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Taken:
-    """processor_s: user and system, of all processes that were waited for. peak_mb: the largest sum over the
+    """What a command took.
+
+    processor_s: user and system, of all processes that were waited for. peak_mb: the largest sum over the
     process tree of the memory of each, shared pages by shares (PSS), sampled every 0.1 s or more.
 
     code: its exit code. stopped: why it was ended before its time, empty where it wasn't. said: its words.

@@ -4,11 +4,11 @@
 
 Scenes of 8 CCDs of 4096 columns over 300 m of relief; no images are needed, since `virtual_line` looks at
 none. RMS, 95 % and worst of the vector (dcol, dline) against truth over all lines whose ground both strips
-have. First the true model and heights, with exit code 1 if off by more than 0.1 px RMS. Then heights off by
-20 m, then attitudes off: an error that changes within 2 s (sd, each axis), noise of each sample of 400 Hz, a
-constant. `--level` is what image space reaches on such scenes (RMS in px); where a row's error
-reaches it, the two cross over, by straight lines between the rows' logarithms. `table` takes a number or a
-function of the plan, for a level measured scene by scene.
+have. First come the true model and heights; the exit code is 1 if the vector is off by more than 0.1 px RMS.
+Then come heights off by 20 m, then attitudes. These are off by an error that changes within 2 s (sd, each
+axis), noise of each sample of 400 Hz, or a constant. `--level` is what image space reaches on such scenes
+(RMS in px); where a row's error reaches it, the two cross over, by straight lines between the rows'
+logarithms. `table` takes a number or a function of the plan, for a level measured scene by scene.
 """
 
 from __future__ import annotations

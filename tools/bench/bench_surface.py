@@ -3,15 +3,17 @@
     python -m tools.bench.bench_surface [--out DIR] [--seeds 5,7,11] [--small] [--roofs] [--rival]
                                             [--scale] [--large] [--real DIR | --no-real]
 
-Towns of 18 frames of 2000 x 1500 px from 100 m, 70 % and 60 % overlap, go through the whole command with
-cells of 4 ground pixels. They have hills of 10 m, houses with walls of 3.5 to 10 m and hipped or level roofs,
-bridges and trees. Judged are the surface against the true heights, and how far the mosaic's land lies off
-against what the verdict says of it. With --roofs three mosaics against the true ortho: on the surface, on the
-ground through tie points, and with roofs in place on that (--surface auto). With --rival StereoSGBM on
-rectified pairs. With --scale what 20, 60 and 200 small frames take, and whether one process and two give the
-same bytes. With --large what 160 frames of 10 MP take. Of real data, skipped where they aren't. 18 frames of
-9 MP (seconds of the stage, memory of the run, mosaics of odd and even frames compared), and four over 600 m
-of relief against their DEM. Tables go to standard output and OUT/surface.json.
+Towns go through the whole command with cells of 4 ground pixels, by 18 frames of 2000 x 1500 px. These are
+from 100 m, with 70 % and 60 % overlap. The towns have hills of 10 m, houses with walls of 3.5 to 10 m and
+hipped or level roofs, bridges and trees. The surface is judged against the true heights, and how far the
+mosaic's land lies off against what the verdict says of it. --roofs judges three mosaics against the true
+ortho: on the surface, on the ground through tie points, and with roofs in place on that (--surface auto).
+--rival adds StereoSGBM on rectified pairs. --scale measures what 20, 60 and 200 small frames take, and
+whether one process and two give the same bytes. --large measures what 160 frames of 10 MP take.
+
+Real data are skipped where they aren't there. 18 frames of 9 MP give the seconds of the stage, the memory of
+the run, and a comparison of mosaics of odd and even frames. Four frames over 600 m of relief are compared to
+their DEM. Tables go to standard output and OUT/surface.json.
 """
 
 from __future__ import annotations

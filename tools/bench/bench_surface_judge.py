@@ -47,9 +47,12 @@ roof."""
 
 @dataclass(frozen=True)
 class SurfaceErrors:
-    """A class's cells: how many, NMAD (m), shares off by more than 1 m, within 1 and 2 stated deviations, and
-    filled. How many of them two frames see and three, and the shares of those that are off by more than 1
-    m."""
+    """Errors of a class's cells.
+
+    cells: how many. nmad_m: their NMAD. off_1_m: share off by more than 1 m. within_1_sd, within_2_sd: shares
+    within 1 and 2 stated deviations. filled: share that is filled. two_see, three_see: how many of them two
+    and three frames see. two_off_1_m, three_off_1_m: shares of those that are off by more than 1 m.
+    """
 
     cells: int
     nmad_m: float
@@ -70,7 +73,7 @@ def judged(
 
     Heights are compared in each cell's middle with the land there, roofs and crowns as they stand. What all
     frames miss in common (place, turn, scale) is taken off by the projection centres, as is the median height
-    of the ground that three frames see. It is the positions' error, not the surface's.
+    of the ground that three frames see. Both are the positions' error, not the surface's.
     """
     summary = read_summary(run)
     survey: Survey = load_artefact(run, summary, "survey", Survey)

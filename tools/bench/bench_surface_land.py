@@ -22,9 +22,13 @@ _OPEN = 0
 
 @dataclass(frozen=True)
 class Land:
-    """Places of the mosaic: how many. Shares that the verdict expects and that do lie off by more than
-    `OFF_PX` since the surface is wrong, and within 1 and 2 stated deviations. Displacement that 99 % keep
-    below on open ground, stated (`ground unknown`, NaN if it isn't reported) and true, px."""
+    """How far places of the mosaic lie off.
+
+    places: how many. stated, true: share that the verdict expects to lie off by more than `OFF_PX` since the
+    surface is wrong, and share that does. within_1_sd, within_2_sd: shares within 1 and 2 stated deviations.
+    ground_stated_px, ground_true_px: displacement that 99 % keep below on open ground, stated
+    (`ground unknown`, NaN if it isn't reported) and true.
+    """
 
     places: int
     stated: float
@@ -48,8 +52,9 @@ class Land:
 
 
 def judged_land(run: Path, truth: Path) -> Land:
-    """Of a run on the dense surface. A place lies off by its height's error times the tangent of the angle at
-    which its frame looks at it. What all frames miss in common is taken off, see `bench_surface_judge`."""
+    """The figures of a run on the dense surface. A place lies off by its height's error times the tangent of
+    the angle at which its frame looks at it. What all frames miss in common is taken off; see
+    `bench_surface_judge`."""
     summary = read_summary(run)
     survey: Survey = load_artefact(run, summary, "survey", Survey)
     adjusted: Adjusted = load_artefact(run, summary, "adjusted", Adjusted)

@@ -71,10 +71,13 @@ _MOST_PATCHES = tuned(2000, "patches", "by which the mosaic is fitted to the tru
 
 @dataclass(frozen=True)
 class Roofs:
-    """Corners: how many, how many of them matched both ways, RMSE and 90 % of what they are off (px). Col,
-    row and how far off of those that are off by more than `FAR_PX`. Edges: pieces that the true ortho shows,
-    shares of them that are missing, doubled, and that lie farther off than `_APART_M`. SSIM of all, and about
-    roofs."""
+    """How well roofs lie in a mosaic.
+
+    corners: how many. matched: how many of them matched both ways. rmse_px, p90_px: RMSE and 90 % of what
+    they are off. far: col, row and how far off of those that are off by more than `FAR_PX`. pieces: edges
+    that the true ortho shows. missing, doubled, moved: shares of these that are missing, doubled, and that
+    lie farther off than `_APART_M`. ssim, ssim_roofs: SSIM of all, and about roofs.
+    """
 
     corners: int
     matched: int

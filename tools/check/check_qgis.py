@@ -1,5 +1,5 @@
-"""Makes a small run of frames and one of strips. A real QGIS opens all that is written for it, and must run
-and cancel the algorithms of its toolbox.
+"""Makes a small run of frames and one of strips. A real QGIS then opens all that is written for it, and runs
+and cancels the algorithms of its toolbox.
 
 What QGIS must be able to do stands in `qgis_window.py`, which QGIS' own Python runs.
 """

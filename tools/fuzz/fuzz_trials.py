@@ -61,8 +61,8 @@ class Trials:
         self.templates = self.folder / "templates"
 
     def prepare(self) -> None:
-        """Makes the base inputs and the finished runs in a child. This process stays as it was born, but for
-        caches that reading the unspoiled recording fills. So not every child has to fill them again."""
+        """Makes the base inputs and the finished runs in a child. This process stays as it was started, but
+        for caches that reading the unspoiled recording fills. So not every child has to fill them again."""
         pid = os.fork()
         if pid == 0:
             code = 1

@@ -1,12 +1,12 @@
 """Hits runs at random moments, runs the same command again, and asks for the result of a run left in peace.
 
 Blows: kill -9 at random and amid matching, adjustment and composition, Ctrl-C, TERM, a full disk, a dead
-worker. Also a frame that vanishes and comes back, inputs changed, removed or added, one to four in a row.
-Inputs: two frames, a flight of 13 and strips. With one worker, two, and Dask. After them the command runs
-undisturbed over the inputs as they then are. Its result must be that of a fresh run over these, or a refusal
-in one line. Nothing that was finished of single frames, pairs and tiles may have been made again. Of a killed
-run
-`inspect` has to say where it was, and `inspect --repair` to make its recording whole:
+worker. Others are a frame that vanishes and comes back, and inputs changed, removed or added. There are one
+to four in a row. Inputs are two frames, a flight of 13 or strips; the run has one worker, two, or Dask. After
+the blows the command runs undisturbed over the inputs as they then are. Its result must be that of a fresh
+run over these, or a refusal in one line. Nothing that was finished of single frames, pairs and tiles may have
+been made again. `inspect` has to say where a killed run was, and `inspect --repair` to make its recording
+whole:
 
     python -m tools.trials.chaos --what flight --no-dask --trials 12 \\
         --blow kill --blow "kill in matching" --blow "kill in adjustment" --blow "kill in composition"
@@ -144,7 +144,7 @@ def strike(world: World, trial: Trial, blow: str, rng: Random, done: list[str]) 
 
 
 def where_it_was(trial: Trial, run: Path, done: int, killed_ns: int) -> str:
-    """What `inspect` says of where a killed run was, and how old the last word in its recording is. What
+    """What `inspect` says of where a killed run was, and how old the last message in its recording is. What
     `--repair` makes of it must be whole and say the same. done: how many stages its progress names."""
     reported = geomosaic("inspect", run, "--json")
     if reported.returncode:

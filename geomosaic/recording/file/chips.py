@@ -44,8 +44,11 @@ class Cut:
 
 @dataclass(frozen=True)
 class Chip:
-    """Two halves side by side, and the tie points in both. Places (n, 2) in the whole image, residuals (n, 2)
-    in m, east and north, and the solve's weights (n,), NaN for those that took no part."""
+    """Two halves side by side, and the tie points in both.
+
+    left_xy, right_xy (n, 2): places in the whole image. residual_m (n, 2): east and north. weight (n,): the
+    solve's, NaN for those that took no part.
+    """
 
     jpeg: bytes
     side_px: int
@@ -60,7 +63,7 @@ class Chip:
 
 def cuts(left_px: Floats, right_px: Floats, residual_m: Floats) -> tuple[Cut, Cut]:
     """Where to cut in both frames: about the tie point (n, 2 each) that has most of the worst near it. The
-    right one turned by quarters, as the tie points of both show it."""
+    right cut is turned by quarters, as the tie points of both show it."""
     length = np.nan_to_num(np.hypot(*residual_m.T), nan=np.inf)
     worst = np.argsort(-length, kind="stable")[: max(1, int(np.ceil(_WORST * len(length))))]
     away = np.abs(left_px[worst, None] - left_px[None, worst]).max(axis=2)

@@ -25,8 +25,8 @@ class Beat:
 
 
 class Heartbeat:
-    """Says every second how far the stage is, from a thread of its own. A stage that computes for minutes
-    without a word of progress still shows that it was on.
+    """Records every second how far the stage is, from a thread of its own. So a stage that computes for
+    minutes without reporting progress still shows that it is on.
 
     write: is given the beat; what can't be written is said by the run's own next message.
     """

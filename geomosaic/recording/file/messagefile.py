@@ -92,7 +92,7 @@ class MessageFile:
 
     def flush(self, sync: bool = True) -> None:
         """End the chunk and give everything to the system, which keeps it if this process is killed. With
-        `sync` also put it on the disk, which keeps it if the machine is."""
+        `sync` also put it on the disk, which keeps it if the machine fails."""
         with self._lock, self._writing():
             self._writer.flush()
             self._file.flush()

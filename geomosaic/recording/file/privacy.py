@@ -22,8 +22,8 @@ _CRS = re.compile(r"\b(EPSG|ESRI|IGNF|OGC):\w+")
 
 
 class Privacy:
-    """Takes out of texts the folders of absolute paths, so that names of files stay. With `places` also moves
-    all places to a secret one, and takes out the names of map systems.
+    """Takes out of texts the folders of absolute paths, so that names of files stay. With `places` it also
+    moves all places to a secret one, and takes out the names of map systems.
 
     folders: those that are known to be named, whatever is in their names.
     """

@@ -167,7 +167,7 @@ def table(
     notes: Sequence[str] = (),
 ) -> Topics:
     """A table of frames, or of pairs of frames where `others` has the second ones: numbers by column, whose
-    names end in units, NaN where unknown. A text for each row, or none."""
+    names end in units, NaN where unknown. notes: a text for each row, or none."""
     values = [np.broadcast_to(np.asarray(v, dtype=np.float64), (len(rows),)) for v in columns.values()]
     message = Table(
         row=[as_text(r) for r in rows],

@@ -29,7 +29,7 @@ def strip_offsets(
     pair: tuple[int, str, str], line: ArrayLike, offset_px: ArrayLike, sd_px: ArrayLike, label: ArrayLike
 ) -> Topics:
     """Offsets (2, n) of a pair of strips, its number, left and right, at some lines, every eighth say: across
-    and along, with their standard deviations (2, n). Label 0 to 2 as in `ccd.model.LABELS`.
+    and along, with their standard deviations (2, n). label: 0 to 2 as in `ccd.model.LABELS`.
 
     Recorded in single precision. Each pair has its own topic.
     """

@@ -168,8 +168,8 @@ class Recorder:
         self._heartbeat.progress(done, total, text)
 
     def left_out(self, schema: str) -> None:
-        """A stage made no messages of a call or a schema, since they weren't recorded. Where they are now, as
-        when its result comes from the cache, the log says so."""
+        """Logs that a stage made no messages of a call or a schema, since they weren't recorded then, if they
+        are wanted now. This happens when its result comes from the cache."""
         kind = kind_of(schema)
         if kind is not None and self.wants(schema):
             what = kind.schema.rpartition(".")[2]

@@ -46,7 +46,7 @@ def frames(a: Solved, b: Solved) -> list[dict[str, Any]]:
 
 def pairs(a: Solved, b: Solved) -> list[dict[str, Any]]:
     """Pairs with other residuals, other numbers of tie points, or none, as [of a, of b]. The largest change
-    of the residual first, after those that one of both alone ties."""
+    of the residual comes first, after those pairs that one of both alone ties."""
     of_a, of_b = ({(p["left"], p["right"]): p for p in pair_figures(s) if p["tied"]} for s in (a, b))
     out: list[dict[str, Any]] = []
     for key in dict.fromkeys([*of_a, *of_b]):

@@ -59,7 +59,7 @@ def _differing(
     change: Callable[[OfPair, OfPair, tuple[Ints, Ints]], dict[str, Any]],
 ) -> list[dict[str, Any]]:
     """Pairs of one recording alone, and those of which an array differs, with the change from a to b. The
-    change is of the lines that both have."""
+    change is at the lines that both have."""
     out: list[dict[str, Any]] = []
     for stage, pair in dict.fromkeys([*of_a, *of_b]):
         row = {"stage": stage, "pair": pair}

@@ -91,9 +91,9 @@ def plan_layers(recording: Recording) -> list[PlanLayer]:
 
 
 def names_apart(at: Floats, span_m: Floats, labels: list[str], far_sd: Floats) -> tuple[list[int], Floats]:
-    """Rows of those labels at (n, 2) that don't lie on one another where all of the plan, span_m (2,), is
-    seen. Also their places. Odd ones first, and of these the ones that moved farthest (n, in deviations).
-    For an odd one there may be room below or above."""
+    """Rows and places of those labels at (n, 2) that don't lie on one another where all of the plan, span_m
+    (2,), is seen. Odd ones come first, and of these the ones that moved farthest, by far_sd (n,) in
+    deviations. An odd one may be moved below or above for room."""
     points_per_m = min(_ROOM / np.maximum(span_m, 1e-9))
     at_pt = np.nan_to_num(at) * points_per_m
     wide = np.array([len(label) * _LETTER + _NAME_RIM for label in labels])

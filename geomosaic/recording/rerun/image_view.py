@@ -64,8 +64,9 @@ def draw_chips(recording: Recording, stream: Any) -> None:
 
 
 def draw_thumbnails(recording: Recording, stream: Any) -> None:
-    """Frames' images at their places of the timeline `pick`, one after the other out of the recording. Those
-    of the worst as they are, others small, those of a very large survey's best ones not at all."""
+    """Draws frames' images at their places of the timeline `pick`, one after the other out of the recording.
+    Those of the worst frames are drawn as they are, others small. The best ones of a very large survey are
+    left out."""
     import rerun
 
     names = recording.table("frames.adjusted").row

@@ -2,7 +2,7 @@
 
 A process of its own reads the recording as it grows, a second behind the run, and gives what it says to the
 viewer (`live_run`). So the viewer is shown the same messages as anybody later. Whether it is slow, closed or
-was never there makes no difference to the run, which knows nothing of it.
+was never there makes no difference to the run.
 """
 
 from __future__ import annotations

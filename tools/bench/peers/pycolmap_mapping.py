@@ -4,10 +4,10 @@
 
 `match` extracts keypoints and matches neighbours by position into OUT/database.db. The others map from it and
 write OUT/NAME.json: for each frame lat, lon, height of its projection centre. Options are pycolmap's own,
-apart from these. One camera for all frames, positions in metres east, north and up with the deviations that
-geomosaic assumes of them too, one thread a core, and a fixed seed. `tagged_lens` is the incremental mapper
-with the lens as the tags report it: COLMAP has no prior deviation of a lens, and frees or keeps it. The
-global mapper takes no positions: its result is aligned to them and adjusted once more with them as priors.
+apart from one camera for all frames, one thread a core, and a fixed seed. Positions are in metres east, north
+and up, with the deviations that geomosaic assumes of them too. `tagged_lens` is the incremental mapper with
+the lens as the tags report it: COLMAP has no prior deviation of a lens, and frees or keeps it. The global
+mapper takes no positions: its result is aligned to them and adjusted once more with them as priors.
 
 Runs in an environment of its own with pycolmap, without the project.
 """
