@@ -41,7 +41,8 @@ ALIASES: Final[Aliases] = {
     "y": ("y", "n", "north", "northing", "y_north", "y_northing", "y_latitude", "geo_y"),
     "height_ellipsoidal": (
         "height_ellipsoidal", "ellipsoidal_height", "height_ellipsoid", "ellipsoid_height", "h_ell", "hae",
-        "altitude_ellipsoidal",
+        "altitude_ellipsoidal", "altitude_wgs84", "height_wgs84", "alt_wgs84", "wgs84_height",
+        "wgs84_altitude", "ell_height", "ellip_height", "z_ellipsoidal",
     ),
     "height_orthometric": (
         "height_orthometric", "orthometric_height", "altitude_msl", "height_msl", "alt_msl", "amsl",

@@ -57,6 +57,15 @@ def test_of_two_columns_of_names_one_counts() -> None:
         columns_of(["frame", "alt", "elev"], ALIASES, path)
 
 
+def test_sensefly_geoinfo_counts_from_the_ellipsoid(tmp_path: Path) -> None:
+    """It has heights above the sea too, without their geoid."""
+    names = "fileName latitude longitude altitude_amsl altitude_wgs84 heading pitch roll".replace(" ", "\t")
+    rows = [f"IMG_{k}.JPG 37.54 {139.0 + k} 216.6 255.8 149.4 2.0 4.0".replace(" ", "\t") for k in range(3)]
+    found = pos(tmp_path, "#Rev: sensefly/geoinfo/2\n" + "\n".join([names, *rows]) + "\n")
+    assert [row.height_ellipsoidal_m for row in found.rows] == [255.8] * 3
+    assert not [note for note in found.warnings if note.code in ("geoid-assumed", "pos-columns-ignored")]
+
+
 def test_metashapes_reference_states_its_system(tmp_path: Path) -> None:
     wkt = 'GEOGCS["WGS 84",DATUM["D",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
     wkt += 'UNIT["degree",0.01745329251994328],AUTHORITY["EPSG","4326"]]'
