@@ -58,7 +58,7 @@ class Counted:
 
     def judged(self, left_out, name, models, solve=cross_validation.solved):  # type: ignore[no-untyped-def]
         """`LeftOutTracks.judged`, counted."""
-        (self.tested if name.endswith("tested") else self.solved).extend(models)
+        (self.tested if solve is cross_validation.tested else self.solved).extend(models)
         return JUDGED(left_out, name, models, solve)
 
 

@@ -117,7 +117,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
         if camera.readout_s and position_assumed(part.poses).all():
             return camera  # rows read at unknown velocities stretch images as another focal length does
         free = replace(camera, focal_length_sd_px=_FREED * camera.focal_length_px)
-        as_given, freed = judged(f"lens-{camera.name}", [camera, free])
+        as_given, freed = judged(f"lens of {camera.name}", [camera, free])
         if freed.solved is None or not freed.beats(as_given) or contradicts(freed.solved, as_given.solved):
             return camera
         if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
@@ -129,7 +129,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     )
     others = [replace(blank, kind=kind, focal_length_px=share * longer) for kind, share in STARTS]
     tried = [replace(c, focal_length_sd_px=WIDE_FOCAL * c.focal_length_px) for c in (camera, *others)]
-    given, *rest = judged(f"lens-start-{camera.name}", tried)
+    given, *rest = judged(f"focal lengths of {camera.name}", tried)
     better = [its for its in rest if its.beats(given)]
     if not better:
         return camera

@@ -81,7 +81,7 @@ def chosen_model(
     vibrating = left_by_vibration(image_residuals(tracks, first), block.cameras) < BETTER
     while now_px > _LEAST_PX:
         candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in in_vain}
-        found = _compared(left_out, f"models-{len(taken)}", now.block, candidates, its)
+        found = _compared(left_out, f"models of step {len(taken) + 1}", now.block, candidates, its)
         worse = {n for n, model in found.judged.items() if model.compared_to(its)[0] > 1.0 / _MAY_WIN}
         in_vain |= found.in_vain | (_LENSES & worse)
         left = {
@@ -120,7 +120,7 @@ def _compared(
 ) -> _Compared:
     """Candidates some steps from the solution so far. Solved are the simplest that none is better than by
     these steps, and a simpler one if it may do as well; then others as long as these are rejected."""
-    judged = left_out.judged(f"{name}-tested", candidates, tested) if candidates else {}
+    judged = left_out.judged(f"{name}, a few iterations", candidates, tested) if candidates else {}
     share = {n: test.compared_to(its)[0] for n, test in judged.items()}
     may_win = [n for n in candidates if share[n] < _MAY_WIN]
     out = _Compared(judged, [], [], set())
@@ -130,7 +130,7 @@ def _compared(
         simpler = [n for n in may_win[: may_win.index(first)] if _ALIKE * share[n] < share[best]]
         solved = [*sorted(simpler, key=lambda n: share[n])[:1], first]
         begun = {n: replace(candidates[n], before=judged[n].solved or candidates[n].before) for n in solved}
-        more = left_out.judged(f"{name}-{len(may_win)}", begun)
+        more = left_out.judged(f"{name}, solved, {len(may_win)} left", begun)
         judged.update(more)
         in_vain = {n for n in more if n == "readout" and _in_vain(now, more[n])}
         against = {n for n in more if contradicts(more[n].solved, its.solved)}
