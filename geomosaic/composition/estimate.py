@@ -94,8 +94,8 @@ class SizeEstimate:
     """A mosaic's size, and the least and the most of what it takes.
 
     filled_share: of the grid that frames cover; empty parts take neither room nor time. mosaic_gb: of
-    mosaic.tif, and of its like in RUN/work. parts_gb: there while it is composed, or a scene
-    projected onto the map, next to both; scratch_gb: what else is.
+    mosaic.tif, which RUN/work has too, as the same file where the file system has hard links. parts_gb: there
+    while it is composed, or a scene projected onto the map; scratch_gb: what else is.
     gsd_m: None for a scene without a map.
     """
 
@@ -112,8 +112,8 @@ class SizeEstimate:
     @property
     def disk_gb(self) -> Range:
         """All of it on the disk at once."""
-        least, most = (m + max(m, p) for m, p in zip(self.mosaic_gb, self.parts_gb, strict=True))
-        return self.scratch_gb + least, self.scratch_gb + most
+        (least, most), (part, parts) = self.mosaic_gb, self.parts_gb
+        return self.scratch_gb + least + part, self.scratch_gb + most + max(most, parts)
 
     def text(self) -> str:
         """One line for people."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -66,19 +67,22 @@ def write_cog(
 ) -> bool:
     """Writes a raster, with its mask, as a COG with overviews and blocks of 512 px.
 
-    One that composition wrote is a COG already: its bytes are copied, unless it is to be kept otherwise; then
-    GDAL makes another one of it. Its metadata have the software, the ground pixel (`GSD_M`) and an RPC where
-    the raster has one. They also have each band's statistics: the raster's own, or those of a sample of its
-    blocks.
-    Returns whether its bytes were copied. Raises: `InputError` if the compression can't hold these pixels;
-    `OSError` if `out` can't be written.
+    One that composition wrote is a COG already: it gets a second name, or is copied where the file system has
+    no hard links. Where it is to be kept otherwise, GDAL makes another one of it. Its metadata have the
+    software, the ground pixel (`GSD_M`) and an RPC where the raster has one. They also have each band's
+    statistics: the raster's own, or those of a sample of its blocks.
+    Returns whether its bytes are the raster's. Raises: `InputError` if the compression can't hold these
+    pixels; `OSError` if `out` can't be written.
     """
     callback = GdalProgress(progress)
     with callback.reraise(), gdal_failures(out), block_cache(_CACHE_BYTES):
         source = open_with_osgeo(raster, OWN)
         if (options.compression, options.overviews) == (COMPRESSION, OVERVIEWS_MADE) and _is_composed(source):
             del source
-            _copy(raster, out, callback)
+            try:
+                os.link(raster, out)
+            except OSError:
+                _copy(raster, out, callback)
             return True
         creation = _creation_options(source, options)
         with gdal_options({"GDAL_PAM_ENABLED": "NO"}):

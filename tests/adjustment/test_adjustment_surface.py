@@ -1,5 +1,7 @@
 """The ground from tie points: how it goes on beyond them, what it ignores, when flat ground is enough."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from adjustment_blocks import POSITION_SD_M, TURN_SD_RAD, Flown, fly, hills, level
@@ -7,7 +9,7 @@ from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 
-from geomosaic.adjustment.ground.ground_choice import levelled, lies_flat
+from geomosaic.adjustment.ground.ground_choice import levelled, lies_flat, surface_of
 from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.ground.trial_surface import Heights
 from geomosaic.adjustment.model import Adjusted, Block, Settings
@@ -289,6 +291,22 @@ def test_the_surface_reaches_as_far_as_the_frames() -> None:
     ]
     cols_px = np.array(outlines)[..., 0]
     assert not ((cols_px > 30.0) & (cols_px < 770.0)).any()
+
+
+def test_a_view_of_the_horizon_leaves_the_nodes_fine() -> None:
+    """Two hills 30 km away would stretch the grid over 900 km², and its nodes to 100 m."""
+    block = fly(4, relief=hills).block
+    points, kept = points_on_ground(block.poses, block.cameras, block.ground, join_tracks(block.ties))
+    near = solve(block_problem(block, Settings(), kept, points), block.poses)
+    hill_m = np.array([[30e3, 20e3, 400.0], [-25e3, 10e3, 300.0]])
+    estimate = replace(near.estimate, points_m=np.concatenate([near.points_m, hill_m]))
+    far = replace(near, estimate=estimate, points_sd_m=np.concatenate([near.points_sd_m, [[1e3] * 3] * 2]))
+    fine, ground = (surface_of(block, block.ground, its) for its in (near, far))
+    assert ground.spacing_m == pytest.approx(fine.spacing_m, rel=0.01)
+    assert max(ground.up_m.shape) * ground.spacing_m < 1.2e3
+    east, north = np.meshgrid(np.linspace(0.0, 80.0, 9), np.linspace(0.0, 90.0, 10))
+    off = [np.std(its.up_at(east, north) - hills(east, north)) for its in (fine, ground)]
+    assert off[1] < 1.2 * off[0] < 0.5
 
 
 @pytest.mark.proof

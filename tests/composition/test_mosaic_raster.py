@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -233,11 +234,18 @@ def test_beyond_four_gigabytes_it_is_a_bigtiff(tmp_path: Path, monkeypatch: pyte
         assert (big.tags(), big.tags(2), big.crs) == (classic.tags(), classic.tags(2), classic.crs)
 
 
-def test_the_same_mosaic_is_copied_and_another_one_made_of_it(tmp_path: Path) -> None:
+def test_the_same_mosaic_is_linked_or_copied_and_another_one_made_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pixels, valid = image(3, "uint8")
     path = written(tmp_path / "a.tif", pixels, valid)
     write_cog(path, tmp_path / "same.tif")
-    assert (tmp_path / "same.tif").read_bytes() == path.read_bytes()
+    assert (tmp_path / "same.tif").samefile(path)
+    with monkeypatch.context() as patch:  # as on FAT
+        patch.setattr("os.link", lambda *_: (_ for _ in ()).throw(PermissionError(errno.EPERM, "no links")))
+        write_cog(path, tmp_path / "copy.tif")
+    assert not (tmp_path / "copy.tif").samefile(path)
+    assert (tmp_path / "copy.tif").read_bytes() == path.read_bytes()
     for how in ({"compression": "zstd"}, {"overviews": "cubic"}):
         write_cog(path, tmp_path / "other.tif", CogOptions(**how))
         assert validate(str(tmp_path / "other.tif"), full_check=True)[:2] == ([], [])

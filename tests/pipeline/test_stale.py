@@ -107,6 +107,23 @@ def test_frames_retouched_after_a_kill_are_matched_anew(survey: SimulatedSurvey,
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "fresh" / name).read_bytes()
 
 
+def test_a_mosaic_changed_in_place_is_made_again(survey: SimulatedSurvey, tmp_path: Path) -> None:
+    """RUN/work has the same file by another name, so that a change reaches both."""
+    frames = copied(survey, tmp_path / "frames")
+    made(survey, frames, tmp_path / "run")
+    mosaic, kept = (
+        tmp_path / "run" / "mosaic.tif",
+        tmp_path / "run" / "work" / "mosaic.compose" / "mosaic.tif",
+    )
+    before = mosaic.read_bytes()
+    assert mosaic.samefile(kept)
+    with mosaic.open("r+b") as file:
+        file.seek(len(before) // 2)
+        file.write(b"changed")
+    made(survey, frames, tmp_path / "run")
+    assert mosaic.read_bytes() == before
+
+
 def test_a_replay_over_other_images_is_refused(
     survey: SimulatedSurvey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -24,6 +24,7 @@ DEM_SD_M = tuned(1.0, "m", "of a DEM that states no deviation; national models a
 LEAST_POINTS = tuned(50, "points", "fewer make no surface and judge no lens: a dozen nodes, some to judge by")
 _AS_WELL = tuned(1.1, "of the free image deviation", "less: level land gets a surface that follows noise")
 _FLAT_PX = tuned(0.5, "ground pixels", "offset by the relief of flat land; less does not show")
+_FARTHEST = sourced(5.0, "flying heights", "where a pixel is 26 times as long as below", "1 + tan²")
 _LEVEL = sourced(11.3, "variances", "growth of heights or tilts over level land", "chi-squared, 3 dof, 99 %")
 
 
@@ -120,14 +121,27 @@ def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution
 def surface_of(
     block: Block, flat: GroundSurface, bundle: Solution, *, rough: bool = False, spread: Spread | None = None
 ) -> GroundSurface:
-    """The surface of the points over all points and frames; flat: their level; others: see `tie_surface`."""
+    """The surface of the points over all points and frames, as far as `_FARTHEST` around the frames. flat:
+    their level; others: see `tie_surface`."""
     outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
     at = np.concatenate([bundle.points_m[:, :2], *outlines])
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
     height_m = float(np.median(heights_above_ground_m(bundle.poses, flat)))
-    sd_up_m = bundle.points_sd_m[:, 2]
-    heights = Heights(bundle.points_m, sd_up_m, low_m, high_m, height_m)
-    return tie_surface(heights, rough=rough, spread=spread)
+    heights = Heights(bundle.points_m, bundle.points_sd_m[:, 2], low_m, high_m, height_m)
+    return tie_surface(_around(heights, bundle.poses.positions_m[:, :2]), rough=rough, spread=spread)
+
+
+def _around(heights: Heights, nadirs_m: Floats) -> Heights:
+    """The points in a rectangle that goes `_FARTHEST` beyond nadir points (n, 2), and that as the grid: a
+    view of the horizon would make the nodes coarse everywhere. All, where few points would be left."""
+    reach_m = _FARTHEST * heights.height_m
+    low_m = np.maximum(heights.low_m, nadirs_m.min(axis=0) - reach_m)
+    high_m = np.minimum(heights.high_m, nadirs_m.max(axis=0) + reach_m)
+    at = heights.points_m[:, :2]
+    far = np.any((at < low_m) | (at > high_m), axis=1)
+    if np.count_nonzero(~far) < LEAST_POINTS:
+        return heights
+    return replace(heights.without(far), low_m=low_m, high_m=high_m)
 
 
 def _bends(points: Floats, relief: Floats, part: Ints) -> Floats:
