@@ -115,20 +115,6 @@ class FrameCells:
             return None
         return np.asarray(self.view.hidden.share(self.window(cell_px), cell_px) > 0.5)
 
-    def cropped(self, rows: slice, cols: slice) -> FrameCells:
-        """Some of them."""
-        at = rows, cols
-        return replace(
-            self,
-            row=self.row + rows.start,
-            col=self.col + cols.start,
-            cols_px=self.cols_px[at],
-            rows_px=self.rows_px[at],
-            margin_px=self.margin_px[at],
-            distance_m=self.distance_m[at],
-            relief_m=None if self.relief_m is None else self.relief_m[at],
-        )
-
 
 def cell_px_of(scene: Scene) -> int:
     """The side of a mosaic's cells: a power of two."""
