@@ -24,6 +24,7 @@ from geomosaic.constants import tuned
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.collocation import moved_with_neighbours
+from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
 
 EARLIER: Final = "the earlier solution"
@@ -78,14 +79,30 @@ def still_fits(work: BlockState, earlier: SolvedBlock) -> bool:
 
 
 def with_earlier_poses(begun: Poses, earlier: SolvedBlock, block: Block, known: Bools) -> Poses:
-    """The earlier poses of known frames; of the others the initial ones, moved as their neighbours were."""
+    """The earlier poses of known frames; of the others the initial ones, moved as their neighbours were.
+
+    Positions that the images put farther away than their deviations allow begin where they are reported: with
+    the earlier variance components they would pass for blunders, and stay where they are.
+    """
     at = {name: k for k, name in enumerate(earlier.names)}
     rows = np.array([at[name] for name, its in zip(block.names, known, strict=True) if its], dtype=np.intp)
-    positions_m, rotations = begun.positions_m.copy(), begun.rotations.copy()
-    positions_m[known], rotations[known] = earlier.positions_m[rows], earlier.rotations[rows]
-    found = replace(begun, positions_m=positions_m, rotations=rotations)
-    moved = moved_with_neighbours(begun, found, known, ~known)
-    return replace(moved, positions_sd_m=begun.positions_sd_m, rotations_sd_rad=begun.rotations_sd_rad)
+
+    def moved(poses: Poses) -> Poses:
+        positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
+        positions_m[known], rotations[known] = earlier.positions_m[rows], earlier.rotations[rows]
+        found = replace(poses, positions_m=positions_m, rotations=rotations)
+        return moved_with_neighbours(poses, found, known, ~known)
+
+    by_images, given = moved(begun), block.poses
+    positions_m = moved(given).positions_m
+    near = np.abs(by_images.positions_m - positions_m) <= THREE_SIGMA * given.positions_sd_m
+    by_image = known | position_assumed(given) | near.all(axis=1)
+    return replace(
+        by_images,
+        positions_m=np.where(by_image[:, None], by_images.positions_m, positions_m),
+        positions_sd_m=begun.positions_sd_m,
+        rotations_sd_rad=begun.rotations_sd_rad,
+    )
 
 
 def start_from_earlier(block: Block, settings: Settings, tracks: Tracks, poses: Poses) -> Start:
