@@ -24,6 +24,7 @@ from geomosaic.ccd.sift_chains import (
     steady,
     whole_scene,
 )
+from geomosaic.constants import varied
 from geomosaic.survey.strips import read_geometry
 from geomosaic_simulate.strip_overlaps import SimulatedPair, simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
@@ -232,7 +233,8 @@ def test_methods_hold_no_more_than_a_piece_of_the_strips():
     watched = Watched(strips.geometry, strips._columns)
     for method, most in ((whole_scene, 768), (piecewise_linear, 768), (image_registration, 1700)):
         watched.most = 0
-        method(watched, CcdSettings(), silent)
+        with varied("ccd.overlaps", PIECE_LINES=1024):
+            method(watched, CcdSettings(), silent)
         assert 0 < watched.most <= most
 
 
