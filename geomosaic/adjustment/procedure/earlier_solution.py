@@ -81,8 +81,8 @@ def still_fits(work: BlockState, earlier: SolvedBlock) -> bool:
 def with_earlier_poses(begun: Poses, earlier: SolvedBlock, block: Block, known: Bools) -> Poses:
     """The earlier poses of known frames; of the others the initial ones, moved as their neighbours were.
 
-    Positions that the images put farther away than their deviations allow begin where they are reported: with
-    the earlier variance components they would pass for blunders, and stay where they are.
+    Positions that the images put farther away than their deviations allow begin where they are reported.
+    With the earlier variance components they would pass for blunders, and stay wrong.
     """
     at = {name: k for k, name in enumerate(earlier.names)}
     rows = np.array([at[name] for name, its in zip(block.names, known, strict=True) if its], dtype=np.intp)
