@@ -47,14 +47,11 @@ class ControlResidual:
 
 @dataclass(frozen=True)
 class SolvedBlock:
-    """A solution that the adjustment of a later run begins from, with the frames that it is certain of.
-
-    names (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame.
-    rotation_terms_rad (n, t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as
-    assumed; cameras: as found. shared, fixed: values of the shared unknowns by the name of their part, and
-    which were kept as given. components: variance components by name. observations: number of image
-    observations. choice: how the model was chosen.
-    """
+    """A solution that the adjustment of a later run begins from, of the frames that it is certain of. names
+    (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame. rotation_terms_rad (n,
+    t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as assumed; cameras: as found.
+    shared, fixed: values of the shared unknowns by their part's name, and which were kept as given.
+    components: variance components by name. observations: of images, in all. choice: of the model."""
 
     FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad"}
     names: tuple[str, ...]
@@ -79,14 +76,9 @@ class SolvedBlock:
     def of(self, names: Collection[str]) -> SolvedBlock:
         """Without other frames."""
         kept = np.array([name in names for name in self.names], dtype=bool)
-        return replace(
-            self,
-            names=tuple(name for name in self.names if name in names),
-            positions_m=self.positions_m[kept],
-            rotations=self.rotations[kept],
-            rotation_terms_rad=self.rotation_terms_rad[kept],
-            drift=self.drift[kept],
-        )
+        arrays = ("positions_m", "rotations", "rotation_terms_rad", "drift")
+        rows = {name: getattr(self, name)[kept] for name in arrays}
+        return replace(self, names=tuple(name for name in self.names if name in names), **rows)
 
     def moved(self, turn: Floats, shift_m: Floats) -> SolvedBlock:
         """In another work frame: turn (3, 3) to its axes, shift_m (3,) of the origin in them."""
@@ -138,15 +130,12 @@ class Block:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the methods.
-
-    epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most rounds.
-    ground: of a bundle without a DEM, `auto`, `flat` or `tie_surface`. boresight, lever_arm, gps_lag,
-    rolling_shutter, turning: solved for by a bundle; vibrating: rotations of several periods while a frame is
-    read; rate_sd_rad_per_s: of these rotations, if known. free_lens: a maker's distortion is only the start.
-    model: `auto` adds what the evidence supports, see `chosen_model`. self_calibration: shared unknowns
-    (lens, shutter, mounting) are solved for.
-    """
+    """Settings of the methods. epsilon_px: in ground pixels (the paper's D), where error sharing stops;
+    max_rounds: its most rounds. ground: of a bundle without a DEM, `auto`, `flat` or `tie_surface`.
+    boresight, lever_arm, gps_lag, rolling_shutter, turning: solved for by a bundle; vibrating: rotations of
+    several periods while a frame is read; rate_sd_rad_per_s: of these rotations, if known. free_lens: a
+    maker's distortion is only the start. model: `auto` adds what the evidence supports, see `chosen_model`.
+    self_calibration: shared unknowns (lens, shutter, mounting) are solved for."""
 
     epsilon_px: float = 10.0
     max_rounds: int = 12
@@ -228,10 +217,9 @@ class ModelChoice:
 
     def __post_init__(self) -> None:
         """Models of earlier versions get their present names."""
-        for field_name in ("taken", "names", "contradicted"):
-            names = getattr(self, field_name)
-            present = tuple(n.replace("untold_turns", "without_reported_turns") for n in names)
-            object.__setattr__(self, field_name, present)
+        for its in ("taken", "names", "contradicted"):
+            names = (n.replace("untold_turns", "without_reported_turns") for n in getattr(self, its))
+            object.__setattr__(self, its, tuple(names))
 
 
 @dataclass(frozen=True)
@@ -255,8 +243,7 @@ class GroundPlaces:
 
     def with_common_error(self, common_m2: Floats) -> GroundPlaces:
         """With a variance (3,) that all places share."""
-        count = len(self.places_m)
-        common = np.kron(np.ones((count, count)), np.diag(common_m2))
+        common = np.kron(np.ones((len(self.places_m),) * 2), np.diag(common_m2))
         return replace(self, covariance_m2=self.covariance_m2 + common)
 
     def plan_m2(self, *, after_similarity: bool = False) -> Floats:
@@ -265,14 +252,13 @@ class GroundPlaces:
         covariance = self.covariance_m2[np.ix_(plan, plan)]
         if not after_similarity:
             return covariance
-        basis = orthonormal(self.similar())
-        left = np.eye(len(plan)) - basis @ basis.T
+        left = np.eye(len(plan)) - (basis := orthonormal(self.similar())) @ basis.T
         return left @ covariance @ left
 
     def shape_sd_m(self) -> float:
         """Deviation of a place in plan after the best similarity, root mean square over the block."""
-        left = float(np.trace(self.plan_m2(after_similarity=True)))
-        return float(np.sqrt(max(left, 0.0) / len(self.places_m)))
+        left_m2 = max(float(np.trace(self.plan_m2(after_similarity=True))), 0.0)
+        return float(np.sqrt(left_m2 / len(self.places_m)))
 
     def similar(self) -> Floats:
         """What shifts east and north, scale and turn do to places in plan, (2 k, 4): by place, then axis."""
@@ -284,16 +270,12 @@ class GroundPlaces:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`.
-
-    residuals_m: per pair of `Block.ties.pairs` (k, 2), tie points on the ground, right minus left, east and
-    north. ground: the block's own unless the method estimates it. control: of all measured control and check
-    points.
-
-    The rest comes from methods that solve for it. pose_covariance (f, 6, 6): of east, north, up (m) and turns
-    about them (rad), that of the POS for frames that took no part. places, shared, image_residuals: None from
-    other methods. model: where more than the given one was tried. solved: what a later run may begin from.
-    """
+    """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`. residuals_m: per pair of
+    `Block.ties.pairs` (k, 2), tie points on the ground, right minus left, east and north. ground: the block's
+    own unless the method estimates it. control: of all measured control and check points. The rest comes from
+    methods that solve for it. pose_covariance (f, 6, 6): of east, north, up (m) and turns about them (rad),
+    that of the POS for frames that took no part. places, shared, image_residuals: None from other methods.
+    model: where more than the given one was tried. solved: what a later run may begin from."""
 
     poses: Poses
     cameras: tuple[Camera, ...]
