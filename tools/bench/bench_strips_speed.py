@@ -156,7 +156,7 @@ def main() -> int:
         if not is_made(out, plan):
             make_strips(plan, out)
         for _ in range(args.rounds):
-            command = [sys.executable, __file__, "--floor", "--out", str(out)]
+            command = [sys.executable, "-m", "tools.bench.bench_strips_speed", "--floor", "--out", str(out)]
             before = processors_s()
             done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
             least, memory = (float(v) for v in done.stdout.split())
