@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from geomosaic.adjustment.ground_places import GroundPlaces
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
-from geomosaic.estimation.linear import orthonormal
 from geomosaic.matching.model import TiePoints
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.height_reference import HeightReference
@@ -51,7 +51,8 @@ class SolvedBlock:
     (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame. rotation_terms_rad (n,
     t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as assumed; cameras: as found.
     shared, fixed: values of the shared unknowns by their part's name, and which were kept as given.
-    components: variance components by name. observations: of images, in all. choice: of the model."""
+    components: variance components by name. observations: number of image observations. choice: how the model
+    was chosen."""
 
     FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad"}
     names: tuple[str, ...]
@@ -217,9 +218,9 @@ class ModelChoice:
 
     def __post_init__(self) -> None:
         """Models of earlier versions get their present names."""
-        for its in ("taken", "names", "contradicted"):
-            names = (n.replace("untold_turns", "without_reported_turns") for n in getattr(self, its))
-            object.__setattr__(self, its, tuple(names))
+        for key in ("taken", "names", "contradicted"):
+            names = (n.replace("untold_turns", "without_reported_turns") for n in getattr(self, key))
+            object.__setattr__(self, key, tuple(names))
 
 
 @dataclass(frozen=True)
@@ -231,41 +232,6 @@ class ImageResiduals:
     image_px: Floats
     residual_px: Floats
     weight: Floats
-
-
-@dataclass(frozen=True)
-class GroundPlaces:
-    """Places spread over the mapped ground, places_m (k, 3) east, north, up in the work frame, and their
-    joint covariance_m2 (3 k, 3 k) by place, then axis."""
-
-    places_m: Floats
-    covariance_m2: Floats
-
-    def with_common_error(self, common_m2: Floats) -> GroundPlaces:
-        """With a variance (3,) that all places share."""
-        common = np.kron(np.ones((len(self.places_m),) * 2), np.diag(common_m2))
-        return replace(self, covariance_m2=self.covariance_m2 + common)
-
-    def plan_m2(self, *, after_similarity: bool = False) -> Floats:
-        """The covariance in plan, (2 k, 2 k) by place, then axis; of what the best similarity leaves."""
-        plan = np.delete(np.arange(3 * len(self.places_m)), np.s_[2::3])
-        covariance = self.covariance_m2[np.ix_(plan, plan)]
-        if not after_similarity:
-            return covariance
-        left = np.eye(len(plan)) - (basis := orthonormal(self.similar())) @ basis.T
-        return left @ covariance @ left
-
-    def shape_sd_m(self) -> float:
-        """Deviation of a place in plan after the best similarity, root mean square over the block."""
-        left_m2 = max(float(np.trace(self.plan_m2(after_similarity=True))), 0.0)
-        return float(np.sqrt(left_m2 / len(self.places_m)))
-
-    def similar(self) -> Floats:
-        """What shifts east and north, scale and turn do to places in plan, (2 k, 4): by place, then axis."""
-        east, north = (self.places_m[:, :2] - self.places_m[:, :2].mean(axis=0)).T
-        zero, one = np.zeros(len(east)), np.ones(len(east))
-        to_east, to_north = [one, zero, east, -north], [zero, one, north, east]
-        return np.stack([np.column_stack(to_east), np.column_stack(to_north)], axis=1).reshape(-1, 4)
 
 
 @dataclass(frozen=True)

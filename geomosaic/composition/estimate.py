@@ -72,7 +72,7 @@ _HALVES = sourced(1.0 / 4.0, "share", "kept halved: less states the space too lo
 _SOLVED_BYTES = sourced(600.0, "bytes/tied keypoint", "matched and adjusted", "2.4 million: 1.5 GB")
 _TIED = sourced(2500, "keypoints/frame", "tied, at most", "1,000 frames of 6,000 keypoints each: 2,400")
 _TIES_BYTES = sourced(2.5e6, "bytes/frame", "of keypoints and tie points", "1,000 frames of 0.3 MP: 2.6 GB")
-_TIES_PX = sourced(0.3e6, "px", "of a frame that has so many; smaller ones have fewer", "the same")
+_TIES_PX = sourced(0.3e6, "px", "of a frame that has so many; smaller ones have fewer", "1,000 such frames")
 _FRAMES_BYTES = sourced(0.16, "bytes/px", "of reduced frames", "18 frames of 9 MP: 3.9 MB each, with ties")
 _SURFACE_BYTES = sourced(128.0, "bytes/cell", "of a surface on disk", "18 frames: 360 MB for 2.9 million")
 

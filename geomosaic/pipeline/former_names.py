@@ -8,6 +8,7 @@ from typing import Final
 _ROOMS: Final = {"mosaic": "composition"}
 """Present name of a room by its former name."""
 FORMER: Final = {
+    "geomosaic.adjustment.model:GroundPlaces": "geomosaic.adjustment.ground_places:GroundPlaces",
     "geomosaic.composition.pyramid:PackedTile": "geomosaic.composition.tiles:PackedTile",
     "geomosaic.survey.model:LeftOut": "geomosaic.survey.model:UnusedImage",
     "geomosaic.recording.chips:Chip": "geomosaic.recording.file.chips:Chip",

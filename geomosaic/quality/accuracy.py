@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from geomosaic.adjustment.model import Adjusted, GroundPlaces
+from geomosaic.adjustment.ground_places import GroundPlaces
+from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Floats
 from geomosaic.constants import MEDIAN_LENGTH, SLIGHT, sourced, tuned
 from geomosaic.quality.check_points import CheckPoints, check_points

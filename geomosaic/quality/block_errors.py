@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomosaic.adjustment.model import GroundPlaces
+from geomosaic.adjustment.ground_places import GroundPlaces
 from geomosaic.arrays import Floats
 
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.model import Adjusted, ControlResidual, GroundPlaces
+from geomosaic.adjustment.ground_places import GroundPlaces
+from geomosaic.adjustment.model import Adjusted, ControlResidual
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame

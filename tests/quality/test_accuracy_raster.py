@@ -12,7 +12,8 @@ from mosaic_scenes import CAMERA, HOME
 from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
 from scipy.spatial.transform import Rotation as Turn
 
-from geomosaic.adjustment.model import Adjusted, GroundPlaces, ImageResiduals
+from geomosaic.adjustment.ground_places import GroundPlaces
+from geomosaic.adjustment.model import Adjusted, ImageResiduals
 from geomosaic.camera.exterior import Pose, Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.composition.area import Area

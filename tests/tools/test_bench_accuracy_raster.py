@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomosaic.adjustment.model import GroundPlaces
+from geomosaic.adjustment.ground_places import GroundPlaces
 from tools.bench.bench_accuracy_raster_judge import Errors, freedoms, judged, missed, table, together
 
 AT_M = np.random.default_rng(1).uniform(-50.0, 50.0, (900, 2))

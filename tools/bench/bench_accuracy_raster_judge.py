@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.model import GroundPlaces
+from geomosaic.adjustment.ground_places import GroundPlaces
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]

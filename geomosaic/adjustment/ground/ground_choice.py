@@ -24,7 +24,7 @@ DEM_SD_M = tuned(1.0, "m", "of a DEM that states no deviation; national models a
 LEAST_POINTS = tuned(50, "points", "fewer make no surface and judge no lens: a dozen nodes, some to judge by")
 _AS_WELL = tuned(1.1, "of the free image deviation", "less: level land gets a surface that follows noise")
 _FLAT_PX = tuned(0.5, "ground pixels", "offset by the relief of flat land; less does not show")
-_FARTHEST = sourced(5.0, "flying heights", "where a pixel is 26 times as long as below", "1 + tan²")
+_FARTHEST = sourced(5.0, "flying heights", "a pixel there is 26 times as long as at the nadir", "1 + tan²")
 _LEVEL = sourced(11.3, "variances", "growth of heights or tilts over level land", "chi-squared, 3 dof, 99 %")
 
 

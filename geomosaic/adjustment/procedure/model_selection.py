@@ -130,7 +130,7 @@ def _compared(
         simpler = [n for n in may_win[: may_win.index(first)] if _ALIKE * share[n] < share[best]]
         solved = [*sorted(simpler, key=lambda n: share[n])[:1], first]
         begun = {n: replace(candidates[n], before=judged[n].solved or candidates[n].before) for n in solved}
-        more = left_out.judged(f"{name}, solved, {len(may_win)} left", begun)
+        more = left_out.judged(f"{name}, best of {len(may_win)}", begun)
         judged.update(more)
         in_vain = {n for n in more if n == "readout" and _in_vain(now, more[n])}
         against = {n for n in more if contradicts(more[n].solved, its.solved)}

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
+from geomosaic.adjustment.ground_places import GroundPlaces
 from geomosaic.adjustment.model import (
     Adjusted,
     Block,
-    GroundPlaces,
     ModelChoice,
     Round,
     Settings,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomosaic.adjustment.model import GroundPlaces
+from geomosaic.adjustment.ground_places import GroundPlaces
 from geomosaic.adjustment.solver.solution import Solution, stated_accuracy
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
