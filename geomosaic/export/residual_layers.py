@@ -19,7 +19,7 @@ from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
-MOST_POINTS, MOST_A_FRAME = 200_000, 2_000
+MOST_POINTS, MOST_A_FRAME = 100_000, 300
 """Where there are more, in all or in the mean of a frame, the layers show an even share. A map can't show
 them all, and a GIS opens the file slowly (190 bytes a feature)."""
 _SHARE_OF_SPACING = 0.03

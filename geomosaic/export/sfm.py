@@ -11,7 +11,6 @@ from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import opencv_terms
 from geomosaic.constants import tuned
-from geomosaic.export.residual_layers import MOST_A_FRAME
 from geomosaic.matching.model import TiePoints
 from geomosaic.matching.tracks import (
     Tracks,
@@ -25,6 +24,7 @@ from geomosaic.projection.footprint import ground_from_image
 from geomosaic.survey.model import Survey
 
 _MOST_OFF_PX = tuned(4.0, "px", "RMS of a point's rays: more keeps mismatches; less loses trees in wind")
+_MOST_A_FRAME = tuned(2_000, "points", "of a frame: more swell the file and change no dense cloud")
 _DOWN_AND_FORWARD = np.diag([1.0, -1.0, -1.0])
 """From axes to the right, the image's top and against the view to those to the right, down and forward."""
 
@@ -59,7 +59,7 @@ def sfm_block(survey: Survey, ties: TiePoints, adjusted: Adjusted) -> SfmBlock:
     lenses = {camera.name: camera for camera in adjusted.cameras}
     tracks = _among(join_tracks(ties), kept, len(poses))
     sizes = np.array([(camera.width_px, camera.height_px) for camera in adjusted.cameras], np.float64)
-    tracks = thin_tracks(tracks, sizes.reshape(-1, 2), MOST_A_FRAME)
+    tracks = thin_tracks(tracks, sizes.reshape(-1, 2), _MOST_A_FRAME)
     points_m, off_px = _located(tracks, adjusted)
     good = off_px < _MOST_OFF_PX
     tracks = chosen_tracks(tracks, good)
