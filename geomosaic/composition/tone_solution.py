@@ -111,6 +111,7 @@ def _by_response(
     )
     at = np.arange(len(frame))
     design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
+    design.eliminate_zeros()
     of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.nodes))).tocsr()
     bent = float(np.median(1.0 / below)) if len(at) else 1.0
     deviations = np.concatenate([np.full(count, sd * bent) for _, _, count, sd in terms])
