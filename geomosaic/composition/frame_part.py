@@ -15,6 +15,7 @@ from geomosaic.composition.frames import Decoded, decode
 from geomosaic.composition.hidden import Clear
 from geomosaic.composition.scene import Scene, margin_px
 from geomosaic.composition.tiles import TILE_PX
+from geomosaic.composition.tone_curve import curved
 from geomosaic.composition.tones import Tones, evened
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.visibility import FrameOnMap
@@ -169,13 +170,16 @@ def _margin_px(how: Warping, view: FrameView, decoded: Decoded, seen: WindowInFr
 def _evened(pixels: NDArray[Any], seen: WindowInFrame, view: FrameView, how: Warping) -> NDArray[Any]:
     """As all frames would show it. Tones bend over a tenth of a frame: every eighth pixel shows them."""
     tones = how.tones
-    if tones is None or tones.flat(view.frame):
+    if tones is None:
         return as_type(pixels, how.dtype)
+    if tones.flat(view.frame):
+        return curved(as_type(pixels, how.dtype), tones.curve)
     nodes = seen.node_cols, seen.node_rows
     gone = bool(np.isnan(nodes[0]).any())  # a node past the lens's end says nothing of pixels before it
     where = (seen.cols, seen.rows) if gone else nodes
     darker = np.exp(-tones.brighter(view.frame, view.camera, *where))
-    return evened(pixels, darker if gone else seen.between(darker), tones.white, how.dtype)
+    pixels = evened(pixels, darker if gone else seen.between(darker), tones.white, how.dtype)
+    return curved(pixels, tones.curve)
 
 
 def tile_of(row: int, col: int) -> Window:

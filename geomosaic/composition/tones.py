@@ -49,7 +49,8 @@ class Tones:
     distance from there. level (n, b, 6): of what all frames show together there, by these offsets' `powers`;
     the map keeps it. None where it shows one exposure throughout. spot (b,): times a `hot_spot` of this
     width about the direction away from the sun in each camera's axes, away (n, 3); None where none shows.
-    reported (n, b): the part of the gains that frames' exposures account for.
+    reported (n, b): the part of the gains that frames' exposures account for. curve: of the whole map, see
+    `tone_curve.curve_of`.
     """
 
     gain: Floats
@@ -61,6 +62,7 @@ class Tones:
     away: Floats | None = None
     spot_width_rad: float = 0.0
     reported: Floats | None = None
+    curve: float = 1.0
 
     def flat(self, frame: int) -> bool:
         """Whether a frame shows the ground as bright as all do."""

@@ -143,6 +143,16 @@ class MosaicRequest(SurveyRequest):
             sets="mosaic.seams.edges",
         )
     )
+    brighten: bool = asked(
+        Option(
+            "one curve for the whole mosaic that brings its middle brightness to mid-grey, for dark or pale "
+            "frames of 8 bits",
+            None,
+            OUTPUT,
+            sets="mosaic.tones.brighten",
+        ),
+        False,
+    )
     pdf: bool = asked(
         Option(
             "also print the report to report.pdf (needs Chromium)", None, OUTPUT, sets="export.report.pdf"

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.arrays import Ints64
+from geomosaic.arrays import Floats32, Ints64
 from geomosaic.composition.earlier_tones import with_earlier_tones
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
+from geomosaic.composition.tone_curve import UNCHANGED, curve_of
 from geomosaic.composition.tone_deviations import Exposures
 from geomosaic.composition.tone_solution import (
     MEASURED,
     PICTURE,
+    Evenness,
     reports_tell,
     solve_tones,
     with_one_level,
     with_own_level,
 )
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
+from geomosaic.composition.views import FrameView
 from geomosaic.errors import InputError
 from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.pipeline.function_stage import stage
@@ -51,9 +55,12 @@ class TonesParams(StageParams):
         "exposures in the frames' tags account for their brightness, frames elsewhere",
         choices=_LEVELS,
     )
+    brighten: bool = param(
+        False, help="one curve for the whole map, by which half of it is darker than mid-grey"
+    )
 
 
-@stage("mosaic.tones", "Even the tones", group="Mosaic", version=12, outputs="tones", goes_on=True)
+@stage("mosaic.tones", "Even the tones", group="Mosaic", version=13, outputs="tones", goes_on=True)
 def mosaic_tones(
     survey: Survey, ground: GroundSurface, adjusted: Adjusted, params: TonesParams, context: Context
 ) -> Tones:
@@ -68,47 +75,80 @@ def mosaic_tones(
             fix="leave out --set mosaic.tones.even",
         )
     alike = all(f.bands == bands for f in frames)
-    images = all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not measured
-    if not alike or params.even == "never" or (params.even == "auto" and not images):
+    images = alike and all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not measured
+    if params.brighten and not images:
+        raise InputError(
+            "only images of 8 bits with one or three bands can be brightened", fix="leave out --brighten"
+        )
+    even = alike and params.even != "never" and (params.even != "auto" or images)
+    if not even and not params.brighten:
         return none
     used = [s != "rejected" for s in adjusted.status]
     frames_on_map = CandidateFrames(survey, adjusted.poses, adjusted.cameras, used, ground)
     views = frames_on_map.views(frames_on_map.limits(TRIM, frames_on_map.pixel_m))
-    if len(views) < 2:
+    if not views:
         return none
     places = lattice(views, survey.map_crs, survey.work_frame, ground)
-    values = _values(survey, places, bands, context)
-    exposures = Exposures.of(frames, adjusted.cameras)
-    if params.level == "frames":
-        exposures = exposures.unknown
-    sun = SunBehind.of(survey, views, places.frame, places.image_px)
     earlier = earlier_numbers(survey, context)
     was = _earlier_tones(earlier, context)
     whites = (PICTURE if images else MEASURED) if was is None else (was.white,)
-    tones, evenness = solve_tones(places, values, exposures, whites, sun)
-    common = params.level == "common" or reports_tell(tones)
-    if params.level == "auto" and not common:
-        tones, evenness = solve_tones(places, values, exposures.unknown, whites, sun)
-    tones = (with_one_level if common else with_own_level)(tones, places)
-    if was is not None:
-        tones = with_earlier_tones(tones, places, values, was, earlier)
+    seen = _Seen(survey, views, places, _values(survey, places, bands, context), whites)
+    tones = none
+    if even and len(views) > 1:
+        tones, evenness = _evened(seen, Exposures.of(frames, adjusted.cameras), params.level)
+        if was is not None:
+            tones = with_earlier_tones(tones, places, seen.values, was, earlier)
+        _report(tones, evenness, [f.name for f in frames], context)
+    if params.brighten:
+        its = was.curve if was is not None else UNCHANGED
+        tones = replace(tones, curve=curve_of(tones, places, seen.values) if its == UNCHANGED else its)
+        context.metric("tones.curve", tones.curve)
+    return tones
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What frames show at places of a survey: values (m, b) of the sightings, NaN where unknown. whites: of
+    the responses that they may have, see `Tones`."""
+
+    survey: Survey
+    views: Sequence[FrameView]
+    places: ToneSightings
+    values: Floats32
+    whites: Sequence[float]
+
+
+def _evened(seen: _Seen, exposures: Exposures, level: str) -> tuple[Tones, Evenness]:
+    """Tones by which frames show all places alike, with the level that is asked for."""
+    places, values = seen.places, seen.values
+    if level == "frames":
+        exposures = exposures.unknown
+    sun = SunBehind.of(seen.survey, seen.views, places.frame, places.image_px)
+    tones, evenness = solve_tones(places, values, exposures, seen.whites, sun)
+    common = level == "common" or reports_tell(tones)
+    if level == "auto" and not common:
+        tones, evenness = solve_tones(places, values, exposures.unknown, seen.whites, sun)
+    return (with_one_level if common else with_own_level)(tones, places), evenness
+
+
+def _report(tones: Tones, evenness: Evenness, names: list[str], context: Context) -> None:
+    bands = tones.gain.shape[1]
     columns = {f"gain_log_{k + 1}": tones.gain[:, k] for k in range(bands)}
     slopes = {
         f"slope_log_{axis}_{k + 1}": tones.slope[:, k, i] for k in range(bands) for i, axis in enumerate("xy")
     }
-    context.recorder.table("tones", [f.name for f in frames], columns | slopes)
+    context.recorder.table("tones", names, columns | slopes)
     context.metric("tones.difference_grey", asdict(evenness))
     context.metric("tones.bend_towards_white", bool(np.isfinite(tones.white)))
     if tones.spot is not None:
         context.metric("tones.hot_spot_log", tones.spot.round(3))
         context.metric("tones.hot_spot_width_deg", round(float(np.degrees(tones.spot_width_rad)), 1))
-    context.metric("tones.level", "common" if common else "frames")
+    context.metric("tones.level", "common" if tones.level is None else "frames")
     if tones.reported is not None and np.ptp(tones.reported):
         left = tones.gain - tones.reported
         context.metric("tones.reported_sd", float(tones.reported.std()))
         context.metric("tones.unreported_sd", float(np.sqrt(left.var(axis=0).mean())))
     context.metric("tones.gain_sd", float(tones.gain.std()))
-    return tones
 
 
 def _earlier_tones(earlier: Ints64, context: Context) -> Tones | None:

@@ -1,0 +1,53 @@
+"""One gentle curve for the whole map: a dark survey becomes brighter, black and white stay as they are."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geomosaic.arrays import Bytes, Floats32
+from geomosaic.composition.tones import GREYS, Tones, ToneSightings, evened
+from geomosaic.constants import sourced, tuned
+from geomosaic.matching.tracks import frame_by_frame
+
+UNCHANGED: Final = 1.0
+"""The curve that leaves all values as they are."""
+_MID_GREY = sourced(118.0, "grey levels", "what half of the map is made darker than", "sRGB of an 18 % card")
+_MOST = tuned(4.0, "times the odds", "two stops: more shows the noise of shadows")
+
+
+def curve_of(tones: Tones, places: ToneSightings, values: Floats32) -> float:
+    """By what the odds v / (255 - v) of the map's values are multiplied to bring their median to mid-grey.
+
+    That is the middle of a film's characteristic curve (Hurter and Driffield 1890). At most by two stops.
+    values (m, b): of the sightings as frames show them, NaN where unknown.
+    """
+    greys = [np.zeros(0, dtype=np.float32)]
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    for frame, some in frame_by_frame(places.frame[known]):
+        mine = known[some]
+        right, below = places.offset[mine].astype(np.float32).T[..., None]
+        darker = np.exp(-tones.at_offsets(frame, right, below))
+        greys.append(evened(values[mine][None], darker[None], tones.white, "float32")[0].mean(axis=1))
+    of_all = np.concatenate(greys)
+    if not len(of_all):
+        return UNCHANGED
+    median = float(np.clip(np.median(of_all), 1.0, GREYS - 1.0))
+    wanted = _MID_GREY / (GREYS - _MID_GREY) / (median / (GREYS - median))
+    return float(np.clip(wanted, 1.0 / _MOST, _MOST))
+
+
+def curved(pixels: NDArray[Any], curve: float) -> NDArray[Any]:
+    """Pixels of 8 bits (h, w, b) along the curve of so many times the odds."""
+    if curve == UNCHANGED:
+        return pixels
+    return np.asarray(cv2.LUT(pixels, _table(curve))).reshape(pixels.shape)
+
+
+def _table(curve: float) -> Bytes:
+    """The curve's values (256,)."""
+    grey = np.arange(GREYS + 1.0)
+    return np.rint(GREYS * curve * grey / (GREYS + (curve - 1.0) * grey)).astype(np.uint8)
