@@ -24,7 +24,6 @@ from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.scene import Scene, ground_of
 from geomosaic.composition.tiles import TILE_PX
-from geomosaic.composition.tone_curve import UNCHANGED
 from geomosaic.composition.tones import GREYS, Tones
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import CompositionStep, Window
@@ -126,7 +125,7 @@ class Noting:
         """The mosaic's notes, of no tile."""
         nothing, samples = np.zeros(0, dtype=np.int64), _ACROSS**2
         image, bright = (np.zeros((0, samples, n), dtype=np.float32) for n in (2, self.bands))
-        curve = "" if self.tones is None or self.tones.curve == UNCHANGED else f" {self.tones.curve:.4f}"
+        curve = "" if self.tones is None or self.tones.curve == 1.0 else f" {self.tones.curve:.4f}"
         manner = f"{self.manner} {self.ownership.cell_px} {self._white}{curve}"
         return ComposedTiles(
             self.scene.grid, manner, self.frames, nothing.reshape(0, 2), (), np.zeros(1, np.int64),

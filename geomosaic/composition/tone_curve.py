@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,8 +13,6 @@ from geomosaic.composition.tones import GREYS, Tones, ToneSightings, evened
 from geomosaic.constants import sourced, tuned
 from geomosaic.matching.tracks import frame_by_frame
 
-UNCHANGED: Final = 1.0
-"""The curve that leaves all values as they are."""
 _MID_GREY = sourced(118.0, "grey levels", "what half of the map is made darker than", "sRGB of an 18 % card")
 _MOST = tuned(4.0, "times the odds", "two stops: more shows the noise of shadows")
 
@@ -23,7 +21,7 @@ def curve_of(tones: Tones, places: ToneSightings, values: Floats32) -> float:
     """By what the odds v / (255 - v) of the map's values are multiplied to bring their median to mid-grey.
 
     That is the middle of a film's characteristic curve (Hurter and Driffield 1890). At most by two stops.
-    values (m, b): of the sightings as frames show them, NaN where unknown.
+    values (m, b): of the sightings as frames show them, NaN where unknown. 1 leaves all values as they are.
     """
     greys = [np.zeros(0, dtype=np.float32)]
     known = np.flatnonzero(np.isfinite(values).all(axis=1))
@@ -34,7 +32,7 @@ def curve_of(tones: Tones, places: ToneSightings, values: Floats32) -> float:
         greys.append(evened(values[mine][None], darker[None], tones.white, "float32")[0].mean(axis=1))
     of_all = np.concatenate(greys)
     if not len(of_all):
-        return UNCHANGED
+        return 1.0
     median = float(np.clip(np.median(of_all), 1.0, GREYS - 1.0))
     wanted = _MID_GREY / (GREYS - _MID_GREY) / (median / (GREYS - median))
     return float(np.clip(wanted, 1.0 / _MOST, _MOST))
@@ -42,7 +40,7 @@ def curve_of(tones: Tones, places: ToneSightings, values: Floats32) -> float:
 
 def curved(pixels: NDArray[Any], curve: float) -> NDArray[Any]:
     """Pixels of 8 bits (h, w, b) along the curve of so many times the odds."""
-    if curve == UNCHANGED:
+    if curve == 1.0:
         return pixels
     return np.asarray(cv2.LUT(pixels, _table(curve))).reshape(pixels.shape)
 

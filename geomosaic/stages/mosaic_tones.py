@@ -13,7 +13,7 @@ from geomosaic.arrays import Floats32, Ints64
 from geomosaic.composition.earlier_tones import with_earlier_tones
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
-from geomosaic.composition.tone_curve import UNCHANGED, curve_of
+from geomosaic.composition.tone_curve import curve_of
 from geomosaic.composition.tone_deviations import Exposures
 from geomosaic.composition.tone_solution import (
     MEASURED,
@@ -100,8 +100,8 @@ def mosaic_tones(
             tones = with_earlier_tones(tones, places, seen.values, was, earlier)
         _report(tones, evenness, [f.name for f in frames], context)
     if params.brighten:
-        its = was.curve if was is not None else UNCHANGED
-        tones = replace(tones, curve=curve_of(tones, places, seen.values) if its == UNCHANGED else its)
+        its = was.curve if was is not None else 1.0
+        tones = replace(tones, curve=curve_of(tones, places, seen.values) if its == 1.0 else its)
         context.metric("tones.curve", tones.curve)
     return tones
 

@@ -11,7 +11,7 @@ import rasterio
 from mosaic_scenes import make_survey
 from small_surveys import MAP_ALONE, made_map, small_survey
 
-from geomosaic.composition.tone_curve import UNCHANGED, curve_of, curved
+from geomosaic.composition.tone_curve import curve_of, curved
 from geomosaic.composition.tones import Tones, ToneSightings
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context
@@ -45,7 +45,7 @@ def test_the_curve_is_gentle() -> None:
     assert curve_of(*of_two_frames(8.0)) == 4.0
     assert curve_of(*of_two_frames(190.0)) == pytest.approx(118 / 137 / (190 / 65), rel=0.01)
     tones, places, values = of_two_frames(60.0)
-    assert curve_of(tones, places, np.full_like(values, np.nan)) == UNCHANGED
+    assert curve_of(tones, places, np.full_like(values, np.nan)) == 1.0
 
 
 @pytest.mark.parametrize("curve", [0.25, 0.7, 1.0, 2.0, 4.0])
