@@ -15,13 +15,13 @@ from geomosaic.matching.tracks import frame_by_frame
 
 _MID_GREY = sourced(118.0, "grey levels", "what half of the map is made darker than", "sRGB of an 18 % card")
 _MOST = tuned(4.0, "times the odds", "two stops: more shows the noise of shadows")
+_STOP = sourced(2.0, "times the odds", "off mid-grey that counts as dark or pale", "definition of a stop")
 
 
-def curve_of(tones: Tones, places: ToneSightings, values: Floats32) -> float:
-    """By what the odds v / (255 - v) of the map's values are multiplied to bring their median to mid-grey.
+def median_grey(tones: Tones, places: ToneSightings, values: Floats32) -> float:
+    """The median of the map's values, 0 to 255, by the mean of the bands; NaN where nothing is known.
 
-    That is the middle of a film's characteristic curve (Hurter and Driffield 1890). At most by two stops.
-    values (m, b): of the sightings as frames show them, NaN where unknown. 1 leaves all values as they are.
+    values (m, b): of the sightings as frames show them, NaN where unknown.
     """
     greys = [np.zeros(0, dtype=np.float32)]
     known = np.flatnonzero(np.isfinite(values).all(axis=1))
@@ -31,11 +31,26 @@ def curve_of(tones: Tones, places: ToneSightings, values: Floats32) -> float:
         darker = np.exp(-tones.at_offsets(frame, right, below))
         greys.append(evened(values[mine][None], darker[None], tones.white, "float32")[0].mean(axis=1))
     of_all = np.concatenate(greys)
-    if not len(of_all):
+    return float(np.median(of_all)) if len(of_all) else float("nan")
+
+
+def curve_to_mid_grey(median: float) -> float:
+    """By what the odds v / (255 - v) of the map's values are multiplied to bring their median to mid-grey.
+
+    That is the middle of a film's characteristic curve (Hurter and Driffield 1890). At most two stops; 1,
+    which leaves all values as they are, for an unknown median.
+    """
+    if np.isnan(median):
         return 1.0
-    median = float(np.clip(np.median(of_all), 1.0, GREYS - 1.0))
-    wanted = _MID_GREY / (GREYS - _MID_GREY) / (median / (GREYS - median))
+    grey = np.clip(median, 1.0, GREYS - 1.0)
+    wanted = _MID_GREY / (GREYS - _MID_GREY) / (grey / (GREYS - grey))
     return float(np.clip(wanted, 1.0 / _MOST, _MOST))
+
+
+def how_dark(median: float) -> str:
+    """`dark` or `pale` for a map that is more than a stop off mid-grey, nothing for any other."""
+    curve = curve_to_mid_grey(median)
+    return "dark" if curve > _STOP else "pale" if curve < 1.0 / _STOP else ""
 
 
 def curved(pixels: NDArray[Any], curve: float) -> NDArray[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from geomosaic.arrays import Floats32, Ints64
 from geomosaic.composition.earlier_tones import with_earlier_tones
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
-from geomosaic.composition.tone_curve import curve_of
+from geomosaic.composition.tone_curve import curve_to_mid_grey, how_dark, median_grey
 from geomosaic.composition.tone_deviations import Exposures
 from geomosaic.composition.tone_solution import (
     MEASURED,
@@ -60,7 +60,22 @@ class TonesParams(StageParams):
     )
 
 
-@stage("mosaic.tones", "Even the tones", group="Mosaic", version=13, outputs="tones", goes_on=True)
+def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What makes a dark or pale mosaic brighter or darker."""
+    its = summary["metrics"].get("tones", {})
+    grey = its.get("median_grey")
+    if grey is None or "curve" in its or not how_dark(grey):
+        return []
+    text = (
+        f"{how_dark(grey)}: half of the map is darker than {grey:.0f} of 255; --brighten brings that to 118"
+    )
+    return [("brightness", text)]
+
+
+@stage(
+    "mosaic.tones", "Even the tones", group="Mosaic", version=13, outputs="tones", conclusions=_conclusions,
+    goes_on=True,
+)  # fmt: skip
 def mosaic_tones(
     survey: Survey, ground: GroundSurface, adjusted: Adjusted, params: TonesParams, context: Context
 ) -> Tones:
@@ -99,10 +114,13 @@ def mosaic_tones(
         if was is not None:
             tones = with_earlier_tones(tones, places, seen.values, was, earlier)
         _report(tones, evenness, [f.name for f in frames], context)
-    if params.brighten:
-        its = was.curve if was is not None else 1.0
-        tones = replace(tones, curve=curve_of(tones, places, seen.values) if its == 1.0 else its)
-        context.metric("tones.curve", tones.curve)
+    if images:
+        grey = median_grey(tones, places, seen.values)
+        context.metric("tones.median_grey", grey)
+        if params.brighten:
+            its = was.curve if was is not None else 1.0
+            tones = replace(tones, curve=curve_to_mid_grey(grey) if its == 1.0 else its)
+            context.metric("tones.curve", tones.curve)
     return tones
 
 

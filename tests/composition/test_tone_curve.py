@@ -11,7 +11,7 @@ import rasterio
 from mosaic_scenes import make_survey
 from small_surveys import MAP_ALONE, made_map, small_survey
 
-from geomosaic.composition.tone_curve import curve_of, curved
+from geomosaic.composition.tone_curve import curve_to_mid_grey, curved, how_dark, median_grey
 from geomosaic.composition.tones import Tones, ToneSightings
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context
@@ -36,16 +36,21 @@ def test_half_of_the_map_becomes_darker_than_mid_grey() -> None:
     """What frames differ by is taken off first: their gains do not brighten the map."""
     for gain in (0.0, 0.8):
         tones, places, values = of_two_frames(60.0, gain)
-        curve = curve_of(tones, places, values)
-        assert curve == pytest.approx(118 / 137 / (60 / 195), rel=0.01)
+        grey = median_grey(tones, places, values)
+        assert grey == pytest.approx(60.0, rel=0.01)
+        curve = curve_to_mid_grey(grey)
+        assert curve == pytest.approx(118 / 137 / (60 / 195), rel=0.02)
         assert curved(np.full((1, 1, 3), 60, np.uint8), curve).ravel().tolist() == [118, 118, 118]
 
 
 def test_the_curve_is_gentle() -> None:
-    assert curve_of(*of_two_frames(8.0)) == 4.0
-    assert curve_of(*of_two_frames(190.0)) == pytest.approx(118 / 137 / (190 / 65), rel=0.01)
+    assert [curve_to_mid_grey(grey) for grey in (0.0, 8.0, 255.0, float("nan"))] == [4.0, 4.0, 0.25, 1.0]
+    assert curve_to_mid_grey(190.0) == pytest.approx(118 / 137 / (190 / 65))
     tones, places, values = of_two_frames(60.0)
-    assert curve_of(tones, places, np.full_like(values, np.nan)) == 1.0
+    assert np.isnan(median_grey(tones, places, np.full_like(values, np.nan)))
+    assert [how_dark(grey) for grey in (60.0, 80.0, 118.0, 155.0, 175.0, float("nan"))] == [
+        "dark", "", "", "", "pale", "",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("curve", [0.25, 0.7, 1.0, 2.0, 4.0])
@@ -59,7 +64,7 @@ def test_black_and_white_stay_and_values_keep_their_order(curve: float) -> None:
 def test_a_mosaic_is_brightened_from_edge_to_edge(tmp_path: Path) -> None:
     made = small_survey(tmp_path / "flight", exposure_sd=0.1)
     plain, bright = tmp_path / "plain", tmp_path / "bright"
-    made_map(made, plain, EVENED)
+    assert "curve" not in made_map(made, plain, EVENED)["metrics"]["tones"]
     found = made_map(made, bright, EVENED, mosaic__tones={"brighten": True})
     with rasterio.open(plain / "mosaic.tif") as one, rasterio.open(bright / "mosaic.tif") as other:
         before, after, valid = one.read([1, 2, 3]), other.read([1, 2, 3]), one.dataset_mask() > 0
