@@ -45,7 +45,7 @@ CRITERIA: Mapping[str, Criterion] = {
         0.7,
         3.0,
         "px",
-        "images and camera disagree: blurred frames, rolling shutter while turning, another lens, moving ground",
+        "images and camera disagree: blur, rolling shutter while turning, another lens, moving ground",
         "give the lens and the readout time (--camera); blurred frames need shorter exposures",
         "keypoints on ground that stays are good to a third of a pixel, by reduced frames to half of one: "
         "beyond that something moves or bends; a map is called wrong beyond three",
