@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -13,6 +13,7 @@ from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.linear import SparseFactors
 from geomosaic.geodesy.sun import sun_direction
 from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.survey.model import Survey
@@ -28,6 +29,7 @@ _ZONES_H = sourced(
 )
 _LEAST_UP = tuned(0.2, "sine of the sun's elevation", "lower: its shadow lies beyond every frame")
 _SEEN = tuned(0.5, "of the spot's peak", "less: slopes and vignettes of frames that see none look like one")
+_FINER = tuned(4, "widths for each", "of the spot that is shown: fewer leave 1 % of it; more change nothing")
 _MOST = tuned(30_000, "sightings", "to look for a spot in: more take minutes of thousands of frames")
 _BY_CHANCE = tuned(1e-3, "probability", "of a spot where there is none; more: cars make some")
 
@@ -83,24 +85,39 @@ def hot_spot(rays: Floats, away: Floats, width_rad: float) -> Floats:
 @dataclass(frozen=True)
 class TonesLeft:
     """What evened frames differ by: logs (k, b) of sightings less their places' means, with their weights
-    (k, b); frame (k,); known (m,): which sightings these are; of_place (k, p)."""
+    (k, b); frame (k,); known (m,): which sightings these are; of_place (k, p). design (k, u): by which all
+    unknowns show; factors: of the normal equations of each band, which account for the places' brightness."""
 
     logs: Floats
     weight: Floats
     frame: Ints
     known: Bools
     of_place: csr_matrix
+    design: csr_matrix
+    factors: Sequence[SparseFactors]
 
     def some(self) -> TonesLeft:
         """Those of every n-th place, as many as tell; known (k,): which of these sightings."""
         step = -(-len(self.frame) // _MOST)
         mine = np.asarray(self.of_place.indices % step == 0)
-        return TonesLeft(self.logs[mine], self.weight[mine], self.frame[mine], mine, self.of_place[mine])
+        return replace(
+            self,
+            logs=self.logs[mine],
+            weight=self.weight[mine],
+            frame=self.frame[mine],
+            known=mine,
+            of_place=self.of_place[mine],
+            design=self.design[mine],
+        )
 
 
 def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | None:
     """The directions away from the sun (n, 3) and the width of the spot that lessens what frames differ by
-    most; None where it may be chance. All time zones and widths are tried: chance has as many goes."""
+    most; None where it may be chance.
+
+    All time zones and widths are tried: chance has as many goes. A spot is partly absorbed by gains, slopes
+    and vignettes, wide ones most. This counts for the width of the zone's spot, among finer widths.
+    """
     if not len(left.frame):
         return None
     rays, some = behind.rays[left.known], left.some()
@@ -111,17 +128,26 @@ def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | Non
         return None
     best = int(np.argmax(gains))
     least = chdtri(left.logs.shape[1], _BY_CHANCE / np.count_nonzero(gains))
-    return spots[best] if gains[best] * len(left.frame) / len(some.frame) > least else None
+    if gains[best] * len(left.frame) / len(some.frame) <= least:
+        return None
+    away = spots[best][0]
+    widths = np.geomspace(_WIDTHS_RAD[0], _WIDTHS_RAD[-1], _FINER * (len(_WIDTHS_RAD) - 1) + 1).tolist()
+    finer = [_gain(hot_spot(rays, away[left.frame], width), left, absorbed=True) for width in widths]
+    return away, widths[int(np.argmax(finer))]
 
 
-def _gain(spot: Floats, left: TonesLeft) -> float:
-    """By how much the weighted squares lessen; 0 where no frame looks into the spot."""
+def _gain(spot: Floats, left: TonesLeft, *, absorbed: bool = False) -> float:
+    """By how much the weighted squares lessen; 0 where no frame looks into the spot. absorbed: less what the
+    other unknowns show of the spot."""
     if spot.max() < _SEEN:
         return 0.0
     gain = 0.0
-    for logs, weight in zip(left.logs.T, left.weight.T, strict=True):
+    for logs, weight, factors in zip(left.logs.T, left.weight.T, left.factors, strict=True):
         total = np.maximum(left.of_place.T @ weight, 1e-12)
         own = spot - left.of_place @ ((left.of_place.T @ (weight * spot)) / total)
         square = float((weight * own * own).sum())
+        if absorbed:
+            along = left.design.T @ (weight * own)
+            square -= float(along @ factors.solve(along))
         gain += float((weight * own * logs).sum()) ** 2 / square if square > 0.0 else 0.0
     return gain

@@ -128,8 +128,10 @@ def _by_response(
         ),
     ]
     found, left, weight = np.zeros((bands, unknowns)), np.zeros_like(logs), np.zeros_like(logs)
+    factors: list[SparseFactors] = []
     for b in range(bands if len(at) else 0):
-        found[b], left[:, b], weight[:, b] = _solved(design, of_place, logs[:, b], share, scatters)
+        found[b], left[:, b], weight[:, b], of_band = _solved(design, of_place, logs[:, b], share, scatters)
+        factors.append(of_band)
     gain, contrast, _, across, along, second, fourth, *rest = np.split(found.T, ends[:-1])
     seen_at_all = (seen > 0)[:, None]
     tones = Tones(
@@ -142,7 +144,7 @@ def _by_response(
     )
     before = logs - _means(of_place, np.ones(len(at)), logs)
     evenness = _evenness(grey * below, before, left)
-    return tones, evenness, TonesLeft(left, weight, places.frame[known], known, of_place)
+    return tones, evenness, TonesLeft(left, weight, places.frame[known], known, of_place, design, factors)
 
 
 def _solved(
@@ -151,9 +153,10 @@ def _solved(
     logs: Floats,
     share: Floats,
     scatters: Sequence[Scatter],
-) -> tuple[Floats, Floats, Floats]:
-    """One band's unknowns, what they leave of the differences to each place's mean, and the weights."""
-    found, weight, left = np.zeros(design.shape[1]), share, logs - _means(of_place, share, logs)
+) -> tuple[Floats, Floats, Floats, SparseFactors]:
+    """One band's unknowns, what they leave of the differences to each place's mean, the weights, and the
+    factors of the last normal equations."""
+    left = logs - _means(of_place, share, logs)
     for _ in range(_ROUNDS):
         sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
         weight = share / sd**2 * cauchy_weight(left / sd)
@@ -167,7 +170,7 @@ def _solved(
         scatters = [scatter.estimated(found, factors) for scatter in scatters]
         off = logs - design @ found
         left = off - _means(of_place, weight, off)
-    return found, left, weight
+    return found, left, weight, factors
 
 
 def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
