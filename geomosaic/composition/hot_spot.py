@@ -86,7 +86,7 @@ def hot_spot(rays: Floats, away: Floats, width_rad: float) -> Floats:
 class TonesLeft:
     """What evened frames differ by: logs (k, b) of sightings less their places' means, with their weights
     (k, b); frame (k,); known (m,): which sightings these are; of_place (k, p). design (k, u): by which all
-    unknowns show; factors: of the normal equations of each band, which account for the places' brightness."""
+    unknowns show; normals: each band's normal equations (u, u), which account for the places' brightness."""
 
     logs: Floats
     weight: Floats
@@ -94,7 +94,7 @@ class TonesLeft:
     known: Bools
     of_place: csr_matrix
     design: csr_matrix
-    factors: Sequence[SparseFactors]
+    normals: Sequence[csr_matrix]
 
     def some(self) -> TonesLeft:
         """Those of every n-th place, as many as tell; known (k,): which of these sightings."""
@@ -131,23 +131,37 @@ def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | Non
     if gains[best] * len(left.frame) / len(some.frame) <= least:
         return None
     away = spots[best][0]
+    return away, _width_rad(rays, away[left.frame], left)
+
+
+def _width_rad(rays: Floats, away: Floats, left: TonesLeft) -> float:
+    """The width of the spot about directions (k, 3) that lessens what frames differ by most, with all other
+    unknowns free."""
     widths = np.geomspace(_WIDTHS_RAD[0], _WIDTHS_RAD[-1], _FINER * (len(_WIDTHS_RAD) - 1) + 1).tolist()
-    finer = [_gain(hot_spot(rays, away[left.frame], width), left, absorbed=True) for width in widths]
-    return away, widths[int(np.argmax(finer))]
+    gains = np.zeros(len(widths))
+    for logs, weight, normal in zip(left.logs.T, left.weight.T, left.normals, strict=True):
+        factors = SparseFactors(normal)
+        for k, width in enumerate(widths):
+            own, square = _own(hot_spot(rays, away, width), weight, left)
+            along = left.design.T @ (weight * own)
+            square -= float(along @ factors.solve(along))
+            gains[k] += float((weight * own * logs).sum()) ** 2 / square if square > 0.0 else 0.0
+    return float(widths[int(gains.argmax())])
 
 
-def _gain(spot: Floats, left: TonesLeft, *, absorbed: bool = False) -> float:
-    """By how much the weighted squares lessen; 0 where no frame looks into the spot. absorbed: less what the
-    other unknowns show of the spot."""
+def _gain(spot: Floats, left: TonesLeft) -> float:
+    """By how much the weighted squares lessen; 0 where no frame looks into the spot."""
     if spot.max() < _SEEN:
         return 0.0
     gain = 0.0
-    for logs, weight, factors in zip(left.logs.T, left.weight.T, left.factors, strict=True):
-        total = np.maximum(left.of_place.T @ weight, 1e-12)
-        own = spot - left.of_place @ ((left.of_place.T @ (weight * spot)) / total)
-        square = float((weight * own * own).sum())
-        if absorbed:
-            along = left.design.T @ (weight * own)
-            square -= float(along @ factors.solve(along))
+    for logs, weight in zip(left.logs.T, left.weight.T, strict=True):
+        own, square = _own(spot, weight, left)
         gain += float((weight * own * logs).sum()) ** 2 / square if square > 0.0 else 0.0
     return gain
+
+
+def _own(spot: Floats, weight: Floats, left: TonesLeft) -> tuple[Floats, float]:
+    """What sightings (k,) see of the spot beyond their place's mean, and its weighted square."""
+    total = np.maximum(left.of_place.T @ weight, 1e-12)
+    own = spot - left.of_place @ ((left.of_place.T @ (weight * spot)) / total)
+    return own, float((weight * own * own).sum())

@@ -128,10 +128,10 @@ def _by_response(
         ),
     ]
     found, left, weight = np.zeros((bands, unknowns)), np.zeros_like(logs), np.zeros_like(logs)
-    factors: list[SparseFactors] = []
+    normals: list[csr_matrix] = []
     for b in range(bands if len(at) else 0):
-        found[b], left[:, b], weight[:, b], of_band = _solved(design, of_place, logs[:, b], share, scatters)
-        factors.append(of_band)
+        found[b], left[:, b], weight[:, b], normal = _solved(design, of_place, logs[:, b], share, scatters)
+        normals.append(normal)
     gain, contrast, _, across, along, second, fourth, *rest = np.split(found.T, ends[:-1])
     seen_at_all = (seen > 0)[:, None]
     tones = Tones(
@@ -144,7 +144,7 @@ def _by_response(
     )
     before = logs - _means(of_place, np.ones(len(at)), logs)
     evenness = _evenness(grey * below, before, left)
-    return tones, evenness, TonesLeft(left, weight, places.frame[known], known, of_place, design, factors)
+    return tones, evenness, TonesLeft(left, weight, places.frame[known], known, of_place, design, normals)
 
 
 def _solved(
@@ -153,9 +153,9 @@ def _solved(
     logs: Floats,
     share: Floats,
     scatters: Sequence[Scatter],
-) -> tuple[Floats, Floats, Floats, SparseFactors]:
+) -> tuple[Floats, Floats, Floats, csr_matrix]:
     """One band's unknowns, what they leave of the differences to each place's mean, the weights, and the
-    factors of the last normal equations."""
+    last normal equations."""
     left = logs - _means(of_place, share, logs)
     for _ in range(_ROUNDS):
         sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
@@ -164,13 +164,14 @@ def _solved(
         coupling = of_place.T @ weighed
         per = diags(1.0 / np.maximum(of_place.T @ weight, 1e-12))
         normal = design.T @ weighed - coupling.T @ per @ coupling
+        normal += sum(scatter.normal for scatter in scatters)
         side = weighed.T @ logs - coupling.T @ (per @ (of_place.T @ (weight * logs)))
-        factors = SparseFactors(normal + sum(scatter.normal for scatter in scatters))
+        factors = SparseFactors(normal)
         found = factors.solve(side + sum(scatter.side for scatter in scatters))
         scatters = [scatter.estimated(found, factors) for scatter in scatters]
         off = logs - design @ found
         left = off - _means(of_place, weight, off)
-    return found, left, weight, factors
+    return found, left, weight, normal
 
 
 def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
