@@ -16,6 +16,7 @@ from rasterio.warp import reproject
 from small_surveys import MAP_ALONE, made_map
 
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.hot_spot import SunBehind, hot_spot
 from geomosaic.composition.tone_deviations import Exposures
 from geomosaic.composition.tone_solution import (
     PICTURE,
@@ -259,7 +260,25 @@ def test_the_hot_spot_goes_where_frames_show_one(tmp_path: Path, spot: float) ->
     run = tmp_path / "run"
     figures = made_map(survey, run, EVENED)["metrics"]["tones"]
     assert ("hot_spot_log" in figures) == bool(spot)
+    assert not spot or figures["hot_spot_width_deg"] == pytest.approx(5.0, rel=0.3)
     assert uneven(run / "mosaic.tif", survey.ortho) < 0.03, "0.05 as the frames are, with the spot"
+
+
+@pytest.mark.parametrize("seed", [31, 32])
+@pytest.mark.parametrize("width_rad", [0.05, 0.087, 0.15])
+def test_the_hot_spots_width_and_height_are_found(seed: int, width_rad: float) -> None:
+    """Frames that see 45 degrees to each side, with gains, slopes and a vignette besides; the sun stands 25
+    degrees off the zenith. Vignettes and slopes absorb more of a wide spot than of a narrow one."""
+    places, values, _, _, _ = sightings(seed, frames=30, slope_sd=0.05)
+    rays = np.column_stack([places.offset, np.ones(len(places.frame))])
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    away = np.tile([0.3, -0.3, 0.9], (30, 1)) / np.linalg.norm([0.3, -0.3, 0.9])
+    spot = hot_spot(rays, away[places.frame], width_rad)
+    values = (values * np.exp(0.4 * spot)[:, None]).astype(np.float32)
+    tones, _ = solve_tones(places, values, exposures(30), sun=SunBehind(away[None], rays))
+    assert tones.spot is not None
+    assert tones.spot_width_rad == pytest.approx(width_rad, rel=0.2)
+    np.testing.assert_allclose(tones.spot, 0.4, rtol=0.2)
 
 
 def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
