@@ -45,6 +45,8 @@ _UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; les
 _KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
 _LEAST_FIT = tuned(0.25, "share", "of cells that fit, suspect pixels that mix a knot: more loses half clouds")
 _LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: less claims too much")
+_ROUNDS: Final = ((2, 3), (1, 2))
+"""Scales and how often each: a path that is off by 3 px needs three rounds, the last of them fine."""
 LEAST_KNOTS = tuned(16, "knots", "of a pair: fewer may be mostly one cloud's; more refuse short scenes")
 
 
@@ -114,7 +116,7 @@ def solved_window(
     cloudy = False
     clear = list(pairs)
     used: Bools = np.zeros(coarse.shape[:2], dtype=np.bool_)
-    for scale, rounds in ((2, 2), (1, 2)):
+    for scale, rounds in _ROUNDS:
         clear = list(pairs)
         images = each(partial(pair_images, scale=scale), pairs)
         ready = _PreparedPairs(pairs, images, coarse, centres)

@@ -2,15 +2,17 @@
 
 The method is Ackermann's (1984, high precision digital image correlation), with shifts alone. The curve that
 is refined bends along the lines, so within a cell of some lines nothing but a shift is left. Both images'
-fine detail is taken over the ground that both show: a blur over different ground shifts what it leaves. A
-cell's residuals are compared to what noise and resampling explain: a cloud, a misread ground or a lost line
-does not fit.
+fine detail is taken over the ground that both show: a blur over different ground shifts what it leaves. Each
+octave of resolution counts by what it knows: gradients that both images have, over noise. So faint ground is
+matched by its coarse forms: the matched filter of Knapp and Carter (1976), octave by octave. A cell's
+residuals are compared to what noise and resampling explain: a cloud, a misread ground or a lost line does not
+fit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from itertools import combinations_with_replacement
 
 import cv2
 import numpy as np
@@ -18,6 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from geomosaic.arrays import Bools, Floats, Floats32
 from geomosaic.ccd.columns import BOX_PX, fine_detail
+from geomosaic.ccd.remapping import STEPS_PER_PX, lands, remap
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.volumes import halved
 from geomosaic.constants import tuned
@@ -25,14 +28,15 @@ from geomosaic.estimation.linear import solve_each
 from geomosaic.matching.displacement import SMOOTHING_SIGMA_PX
 
 MISFIT_PX = tuned(0.06, "px", "resampling and relief in a cell: less rejects ground; more admits clouds")
-_STEPS_PER_PX: Final = cv2.INTER_TAB_SIZE
-"""Of cv2.remap's tables, as `_lands` expects."""
 _ALIKE_MISFIT_PX = tuned(0.33, "px", "the same, correlated by pixel: less claims too much at high contrast")
 _CLOSE_MISFIT_PX = tuned(0.117, "px", "the same for learning: less learns noise; more smooths jitter away")
 _MOST_RATIO = tuned(1.8, "1", "misfit of full weight: less loses cells by chance; more admits half clouds")
 _HOPELESS_RATIO = tuned(5.0, "1", "misfit of no weight: less loses cells at edges; more lets clouds pull")
 _COL_GROUPS = tuned(4, "cells", "across a knot: fewer lose it at a cloud's edge; more lack pixels")
 _ALIKE = tuned(0.4, "1", "gradient correlation of full weight, none at half: less lets smooth clouds in")
+_COARSEST_PX = tuned(
+    8, "px", "pixel of the last octave: less loses faint ground; more, only what boxes remove"
+)
 NEARBY_KNOTS = tuned(31, "knots", "of one scatter and contrast, odd: fewer are chance; more blur contrast")
 _ALIKE_KNOTS = tuned(5, "knots", "window of that correlation, odd: fewer are noisy; more blur clouds' edges")
 
@@ -98,7 +102,7 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
     known = np.stack([np.zeros_like(known_px), known_px])[:, : n * s].reshape(2, n, s).mean(axis=2) / s
     known[0] += given.nominal_col
     at_px = curve_px[:, : n * s].reshape(2, n, s).mean(axis=2) / s + known
-    whole = np.rint(at_px * _STEPS_PER_PX) / _STEPS_PER_PX
+    whole = np.rint(at_px * STEPS_PER_PX) / STEPS_PER_PX
     w = given.lead.shape[1]
     first = max(0, int(np.ceil(2.0 - float(np.median(whole[0])))))
     last = min(w, int(np.floor(w - 2.0 - float(np.median(whole[0])))))
@@ -108,26 +112,24 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
         return KnotOffsetsMeasured(np.zeros((knots, 2)), none, none, np.zeros(knots), np.ones(knots))
     map_col = (np.arange(first, first + cols)[None, :] + whole[0][:, None]).astype(np.float32)
     map_line = np.repeat((np.arange(n) + whole[1])[:, None], cols, axis=1).astype(np.float32)
-    moved = _remap(given.trail, map_col, map_line, cv2.INTER_CUBIC)
-    seen = _remap(given.valid.astype(np.float32), map_col, map_line, cv2.INTER_LINEAR) > 0.999
-    lead = given.lead[:n, first : first + cols]
+    moved = remap(given.trail, map_col, map_line, cv2.INTER_CUBIC)
+    seen = remap(given.valid.astype(np.float32), map_col, map_line, cv2.INTER_LINEAR) > 0.999
     seen &= given.valid[:n, first : first + cols]
-    weight = seen.astype(np.float32)
-    lead, moved = (fine_detail(image, weight, BOX_PX // s) for image in (lead, moved))
-    cells = _cells(lead, moved, weight, (knots, lines, _COL_GROUPS, cols // _COL_GROUPS))
+    edges = np.arange(knots + 1) * float(lines)
+    cells = _octaves(given.lead[:n, first : first + cols], moved, seen, edges, s)
     bent = curve_px[:, : n * s].reshape(2, knots, knot_lines)
     middle = bent[..., (knot_lines - 1) // 2 : knot_lines // 2 + 1].mean(axis=2) - bent.mean(axis=2)
-    at = _lands(whole) - known + np.repeat(middle / s, lines, axis=1)
-    return _weighed(cells, at, s)
+    at = lands(whole) - known + np.repeat(middle / s, lines, axis=1)
+    return _weighed(cells, s * at.reshape(2, knots, -1).mean(axis=2).T)
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Centred sums over cells (knots, groups).
+    """Sums over cells (knots, octaves, groups), in pixels of the octave.
 
     normal: (..., 2, 2) products of the mean image's gradients. right: (..., 2) of these and the difference.
     square: of the difference. shared, whole: power of the gradients that both images have, and of all.
-    pixels: seen ones.
+    pixels: seen ones. unit_px: (octaves, 1) pixels of the strips to one of the octave's.
     """
 
     normal: Floats
@@ -136,16 +138,37 @@ class _Cells:
     shared: Floats
     whole: Floats
     pixels: Floats
+    unit_px: Floats
 
 
-def _cells(lead: Floats32, moved: Floats32, seen: Floats32, shape: tuple[int, ...]) -> _Cells:
-    pixels = _sums(seen, shape)
-    difference = lead - moved
-    sums = _centred([*_gradients(0.5 * (lead + moved)), difference], seen, shape, pixels)
-    apart = _centred(_gradients(0.5 * difference), seen, shape, pixels)
-    mean, half = sums[0, 0] + sums[1, 1], apart[0, 0] + apart[1, 1]
-    normal, right = np.moveaxis(sums[:2, :2], (0, 1), (2, 3)), np.moveaxis(sums[:2, 2], 0, 2)
-    return _Cells(normal, right, sums[2, 2], mean - half, mean + half, pixels)
+def _octaves(lead: Floats32, moved: Floats32, seen: Bools, edges: Floats, unit_px: int) -> _Cells:
+    """Cells of the images and of their halves. edges (knots + 1,): lines where knots begin."""
+    found, units = [], []
+    while lead.shape[1] >= _COL_GROUPS and unit_px <= _COARSEST_PX:
+        weight = seen.astype(np.float32)
+        box = max(BOX_PX // unit_px, 2) // 2 * 2 + 1
+        fine, other = (fine_detail(image, weight, box) for image in (lead, moved))
+        found.append(_sums_of(fine, other, weight, edges))
+        units.append([float(unit_px)])
+        unit_px, edges, (n, w) = 2 * unit_px, edges / 2, np.array(lead.shape) // 2
+        seen = np.asarray(seen[: 2 * n, : 2 * w].reshape(n, 2, w, 2).all(axis=(1, 3)))
+        lead, moved = (_softened(halved(image), seen) for image in (lead, moved))
+    cc, cl, cd, ll, ld, d, apart, pixels = np.stack(found, axis=2)
+    normal = np.moveaxis(np.array([[cc, cl], [cl, ll]]), (0, 1), (3, 4))
+    return _Cells(
+        normal, np.stack([cd, ld], axis=3), d, cc + ll - apart, cc + ll + apart, pixels, np.array(units)
+    )
+
+
+def _sums_of(lead: Floats32, moved: Floats32, weight: Floats32, edges: Floats) -> Floats:
+    """Sums over cells (8, knots, groups): products of the mean's gradients by columns and lines and the
+    difference, power of half the difference's gradients, seen pixels."""
+    half = np.float32(0.5)
+    fields = [*_gradients(half * (lead + moved)), lead - moved]
+    products = [one * other for one, other in combinations_with_replacement(fields, 2)]
+    by_col, by_line = _gradients(half * fields[2])
+    products += [by_col * by_col + by_line * by_line, np.ones_like(weight)]
+    return np.stack([_sums(product * weight, edges) for product in products])
 
 
 def _gradients(image: Floats32) -> list[Floats32]:
@@ -155,48 +178,65 @@ def _gradients(image: Floats32) -> list[Floats32]:
     ]
 
 
-def _weighed(cells: _Cells, at: Floats, scale: int) -> KnotOffsetsMeasured:
-    """Cells to knots. Args: at (2, lines): the shift of each line.
+def _weighed(cells: _Cells, centre_px: Floats) -> KnotOffsetsMeasured:
+    """Cells to knots. Args: centre_px (knots, 2): the shift that cells were measured about.
 
     Noise in the gradients draws a cell's shift towards zero; the share of their power that both images have,
     by some knots together, says how far. What cells scatter about their knots gives the deviations.
     """
-    normal, right = cells.normal, cells.right
-    knots = len(normal)
-    ridge = 1e-3 * np.maximum(np.trace(normal, axis1=2, axis2=3), 1e-12) + 1e-9
-    regular = normal + ridge[..., None, None] * np.eye(2)
-    shift = np.clip(solve_each(regular, right[..., None])[..., 0], -1.0, 1.0)
-    rest = cells.square - 2 * (shift * right).sum(-1) + np.einsum("kgi,kgij,kgj->kg", shift, normal, shift)
-    count = np.maximum(cells.pixels, 1.0)
-    rest, gradient = np.maximum(rest, 0.0) / count, np.trace(normal, axis1=2, axis2=3) / count
-    enough = cells.pixels >= 0.5 * cells.pixels.max(initial=1.0)
-    noise = noise_floor(rest[enough])
-    expected = noise + MISFIT_PX**2 * gradient
-    weight = _weights(rest / np.maximum(expected, 1e-12), _alike(cells, noise))
-    weight *= enough & (np.abs(shift).max(-1) < 1.0)
-    mean_power = 0.5 * (cells.shared + cells.whole)
-    both, all_of = (
-        uniform_filter1d((weight * power).sum(axis=1), _ALIKE_KNOTS) for power in (cells.shared, mean_power)
-    )
-    share = np.clip(both / np.maximum(all_of, 1e-9), 0.0, 1.0)[:, None]
+    weight, share, expected, gradient = _judged(cells)
+    slope = share / cells.unit_px
     variance, close = (
         np.maximum(expected + misfit**2 * gradient, 1e-12) for misfit in (_ALIKE_MISFIT_PX, _CLOSE_MISFIT_PX)
     )
-    total, near_by = (
-        _definite(np.einsum("kg,kgij->kij", weight * share**2 / v, normal)) for v in (variance, close)
+    each, near_by = (
+        _definite(np.einsum("kog,kogij->kgij", weight * slope**2 / v, cells.normal))
+        for v in (variance, close)
     )
-    pull = np.einsum("kg,kgi->ki", weight * share / variance, right)
+    pull = np.einsum("kog,kogi->kgi", weight * slope / variance, cells.right)
+    pull *= (np.trace(each, axis1=2, axis2=3) > 0.0)[..., None]
+    total = each.sum(axis=1)
     known = np.trace(total, axis1=1, axis2=2) > 0.0
-    mean = np.zeros((knots, 2))
-    safe = total[known] + 1e-6 * np.trace(total[known], axis1=1, axis2=2)[:, None, None] * np.eye(2)
-    mean[known] = solve_each(safe, pull[known][..., None])[..., 0]
-    left = right - share[..., None] * np.einsum("kgij,kj->kgi", normal, mean)
-    square = (left * solve_each(regular, left[..., None])[..., 0]).sum(-1) / variance
-    scatter = _scatter(square, weight * known[:, None])
+    mean = np.zeros(centre_px.shape)
+    mean[known] = solve_each(_firm(total[known], 1e-6), pull[known].sum(axis=1)[..., None])[..., 0]
+    left = pull - np.einsum("kgij,kj->kgi", each, mean)
+    square = (left * solve_each(_firm(each, 1e-3), left[..., None])[..., 0]).sum(-1)
+    scatter = _scatter(square, (np.trace(each, axis1=2, axis2=3) > 0.0).astype(np.float64))
+    good = (weight > 0.5).mean(axis=(1, 2))
     total = total / scatter[:, None, None]
-    centre = at.reshape(2, knots, -1).mean(axis=2).T
-    good = (weight > 0.5).mean(axis=1)
-    return KnotOffsetsMeasured(scale * (centre + mean), total / scale**2, near_by / scale**2, good, scatter)
+    return KnotOffsetsMeasured(centre_px + mean, total, near_by.sum(axis=1), good, scatter)
+
+
+def _judged(cells: _Cells) -> tuple[Floats, Floats, Floats, Floats]:
+    """Of cells (knots, octaves, groups): weight, share of common gradients (of all groups), expected
+    variance of the difference, mean square gradient."""
+    normal, right = cells.normal, cells.right
+    shift = np.clip(solve_each(_firm(normal, 1e-3), right[..., None])[..., 0], -1.0, 1.0)
+    bowl = np.einsum("...i,...ij,...j->...", shift, normal, shift)
+    left = np.maximum(cells.square - 2 * (shift * right).sum(-1) + bowl, 0.0)
+    rest, gradient = (x / np.maximum(cells.pixels, 1.0) for x in (left, np.trace(normal, axis1=3, axis2=4)))
+    enough = cells.pixels >= 0.5 * cells.pixels.max(axis=(0, 2), initial=1.0, keepdims=True)
+    noise = _noise(left, cells.pixels)
+    expected = noise + MISFIT_PX**2 * gradient
+    weight = _weights(rest / np.maximum(expected, 1e-12), _alike(cells, noise))
+    weight *= enough & (np.abs(shift).max(-1) < 1.0)
+    weight = np.minimum.accumulate(
+        weight, axis=1
+    )  # what differs in fine detail is a cloud in coarse forms too
+    both, all_of = (_near_by(weight * power) for power in (cells.shared, 0.5 * (cells.shared + cells.whole)))
+    share = np.clip(both / np.maximum(all_of, 1e-9), 0.0, 1.0)
+    return weight, share[..., None], expected, gradient
+
+
+def _near_by(cells: Floats) -> Floats:
+    """Sums (knots, octaves) over the groups of some knots."""
+    return np.asarray(uniform_filter1d(cells.sum(axis=2), _ALIKE_KNOTS, axis=0))
+
+
+def _firm(matrices: Floats, by: float) -> Floats:
+    """Matrices (..., 2, 2) with a share of their trace added, so that they can be solved."""
+    ridge = by * np.maximum(np.trace(matrices, axis1=-2, axis2=-1), 1e-12) + 1e-9
+    return np.asarray(matrices + ridge[..., None, None] * np.eye(2))
 
 
 def _weights(ratio: Floats, alike: Floats) -> Floats:
@@ -205,8 +245,8 @@ def _weights(ratio: Floats, alike: Floats) -> Floats:
     return weight * (ratio < _HOPELESS_RATIO) * np.clip(2.0 * alike / _ALIKE - 1.0, 0.0, 1.0)
 
 
-def _alike(cells: _Cells, noise: float) -> Floats:
-    """Share (knots, groups) of the gradients' power, over some knots, that both images have or noise makes.
+def _alike(cells: _Cells, noise: Floats) -> Floats:
+    """Share (knots, octaves, groups) of the gradients' power, over some knots, that both have or noise makes.
 
     About 0 where the two show different things, however smooth both are. noise: variance of the difference.
     """
@@ -233,57 +273,19 @@ def _definite(matrix: Floats) -> Floats:
     return matrix * ((a > 0) & (a * b - c * c > 1e-3 * a * b))[..., None, None]
 
 
-def _lands(at: Floats) -> Floats:
-    """Where the image that cv2.remap takes from `at` really comes from: the kernel's centre of mass."""
-    steps = np.arange(_STEPS_PER_PX, dtype=np.float32) / np.float32(_STEPS_PER_PX)
-    ramp = np.arange(16, dtype=np.float32)[None, :]
-    centre = cv2.remap(
-        ramp,
-        steps[None, :] + 8,
-        np.zeros((1, len(steps)), np.float32),
-        cv2.INTER_CUBIC,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    off = centre[0].astype(np.float64) - 8.0 - steps
-    return np.asarray(at + off[np.rint(at * _STEPS_PER_PX).astype(np.int64) % _STEPS_PER_PX])
+def _noise(square: Floats, pixels: Floats) -> Floats:
+    """Variance (octaves, 1) of the difference where images agree: the lower tenth of knots, and more."""
+    total, count = _near_by(square), _near_by(pixels)
+    seen = count >= 0.5 * count.max(axis=0, initial=1.0)
+    rest = [mine[good] for mine, good in zip((total / np.maximum(count, 1.0)).T, seen.T, strict=True)]
+    return np.array([[1.15 * float(np.quantile(mine, 0.1)) if mine.size else 1.0] for mine in rest])
 
 
-def noise_floor(rest: Floats) -> float:
-    """Variance of the difference of two images where they agree: the lower tenth of the cells, and more."""
-    return 1.15 * float(np.quantile(rest, 0.1)) if rest.size else 1.0
-
-
-def _centred(fields: list[Floats32], seen: Floats32, shape: tuple[int, ...], facts: Floats) -> Floats:
-    fields = [field * seen for field in fields]
-    means = [_sums(field, shape) for field in fields]
-    count = len(fields)
-    out = np.empty((count, count, *facts.shape))
-    for i in range(count):
-        for j in range(i, count):
-            out[i, j] = _sums(fields[i] * fields[j], shape) - means[i] * means[j] / np.maximum(facts, 1.0)
-            out[j, i] = out[i, j]
-    return out
-
-
-def _sums(field: Floats32, shape: tuple[int, ...]) -> Floats:
-    """Sums over cells (knots, groups)."""
-    return np.asarray(field.reshape(shape).sum(axis=1).sum(axis=-1, dtype=np.float64))
-
-
-def _remap(image: Floats32, cols: Floats32, lines: Floats32, how: int) -> Floats32:
-    """cv2.remap, in pieces of less than the 32,767 lines it can address."""
-    out = np.empty(cols.shape, dtype=np.float32)
-    piece = 8192
-    for top in range(0, len(cols), piece):
-        part = slice(top, min(top + piece, len(cols)))
-        low = int(np.clip(np.floor(lines[part].min()) - 4, 0, len(image) - 1))
-        high = int(np.clip(np.ceil(lines[part].max()) + 5, low + 1, len(image)))
-        out[part] = cv2.remap(
-            image[low:high],
-            cols[part],
-            lines[part] - np.float32(low),
-            how,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=0,
-        )
-    return out
+def _sums(field: Floats32, edges: Floats) -> Floats:
+    """Sums over cells (knots, groups); a line that lies in two knots counts in both by its parts."""
+    groups = field[:, : field.shape[1] // _COL_GROUPS * _COL_GROUPS].reshape(len(field), _COL_GROUPS, -1)
+    total = np.zeros((len(field) + 1, _COL_GROUPS))
+    np.cumsum(groups.sum(axis=2), axis=0, dtype=np.float64, out=total[1:])
+    low = np.minimum(edges.astype(np.intp), len(field) - 1)
+    part = np.minimum(edges - low, 1.0)[:, None]
+    return np.diff((1.0 - part) * total[low] + part * total[low + 1], axis=0)

@@ -78,7 +78,8 @@ def _steep(dline_px: Floats, least_px: float) -> list[int]:
     rise = np.abs(apart[:, _STEEP_KNOTS:] - apart[:, :-_STEEP_KNOTS]).max(axis=0)
     found = []
     while rise.size and rise.max() > least_px:
-        at = int(np.median(np.flatnonzero(rise >= rise.max() - 1e-6)[:8]))
+        highest = np.flatnonzero(rise >= rise.max() - 1e-6)
+        at = int(np.median(highest[highest <= highest[0] + _STEEP_KNOTS]))
         found.append(at + _STEEP_KNOTS // 2)
         rise[max(at - 12, 0) : at + 13] = 0.0
     return sorted(found)

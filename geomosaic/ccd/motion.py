@@ -20,6 +20,7 @@ from geomosaic.ccd.expected import NOMINAL_SD_PX, Expected
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse, solve
 
+_LEAST_WINDOWS = tuned(8, "1", "stretches a weight: fewer fit noise; more leave scenes without prediction")
 _FREE_KNOTS = tuned(60, "knots", "pulled to the level as one: fewer flatten slow motion; more run off")
 _JERK = tuned(2.1, "usual motion", "prior of a knot's change: less smooths jitter; more follows noise")
 _MOTION_ORDER = tuned(12, "knots", "autoregression, two a tone: fewer cannot bridge jitter; more learn noise")
@@ -210,13 +211,17 @@ def _windows(curves: list[Floats], known: list[Bools], order: int, stride: int) 
 def _fitted(
     curves: list[Floats], known: list[Bools], order: int, stride: int, least_px: float
 ) -> Curve | None:
-    """Least squares over all stretches known throughout; None where these are too few."""
+    """Least squares over all stretches known throughout; None where these are too few.
+
+    The deviation is that of new stretches (final prediction error, Akaike 1969).
+    """
     y, a = _windows(curves, known, order, stride)
-    if len(y) < 15 * order:
+    if len(y) < _LEAST_WINDOWS * order:
         return None
     normal = a.T @ a + len(y) * 0.1 * least_px**2 * np.eye(order)
     weights = _stable(np.asarray(solve(normal, a.T @ y)))
-    return Curve(weights, max(float(np.sqrt(np.mean((y - a @ weights) ** 2))), least_px), stride)
+    variance = float(np.mean((y - a @ weights) ** 2)) * (len(y) + order) / (len(y) - order)
+    return Curve(weights, max(math.sqrt(variance), least_px), stride)
 
 
 def _spread(curves: list[Floats], known: list[Bools], least: Curve, before: Curve, wider: float) -> Curve:

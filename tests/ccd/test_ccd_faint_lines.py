@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
+from geomosaic.ccd.columns import even_columns
 from geomosaic.ccd.expected import expected
 from geomosaic.ccd.least_squares_matching import measure, pair_images
+from geomosaic.ccd.lost_lines import steps
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.second_layers import widest_step
 from geomosaic_simulate.strip_plan import StripPlan
@@ -73,3 +75,31 @@ def test_noise_of_faint_knots_makes_no_step_and_a_step_is_still_found():
     assert widest_step(offset, sd, own, known, LIKELY) == 0.0
     offset[0, 40:60] += 2.0
     assert widest_step(offset, sd, own, known, LIKELY) == pytest.approx(np.hypot(2.0, 2.0), abs=0.2)
+
+
+def test_coarse_forms_carry_ground_without_fine_detail():
+    """Forms of 6 px at a third of the noise: nothing but noise is in fine detail."""
+    found = measured(pair(6.0, 3.0, 9.0, (0.0, 0.0), 10), (0.0, 0.0))
+    total = found.information.sum(axis=0)
+    mean = np.linalg.solve(total, np.einsum("kij,kj->i", found.information, found.offset_px))
+    assert mean @ total @ mean < 16.0
+    assert (np.trace(total) / 2) ** -0.5 < 0.1
+
+
+def test_the_response_of_columns_is_read_off_faint_lines():
+    rng = np.random.default_rng(11)
+    ground = gaussian_filter(rng.normal(size=(2000, 100)), 12.0)
+    ground *= 0.1 / ground.std()
+    ground[800:] *= 0.05
+    response = 1.0 + 0.005 * rng.normal(size=100)
+    image = 400.0 * (1.0 + ground) * response + rng.normal(0.0, 3.0, ground.shape)
+    even = even_columns(image.astype(np.float32), np.ones(image.shape, dtype=bool))
+    left = even[800:].mean(axis=0) / (400.0 * (1.0 + ground[800:])).mean(axis=0)
+    assert (left / left.mean()).std() < 0.001
+
+
+def test_two_equal_rises_end_the_search_for_lost_lines():
+    offset = np.zeros((1, KNOTS, 2))
+    slope = np.exp(-0.5 * ((np.arange(KNOTS)[:, None] - np.array([36.0, 84.0])) / 4.0) ** 2)
+    offset[0, :, 1] = np.cumsum(slope @ np.array([1.0, -1.0]))
+    assert steps([pair(1.5, 30.0, 3.0, (0.0, 0.0), 12)], offset, LIKELY) == []
