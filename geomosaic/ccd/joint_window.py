@@ -45,8 +45,11 @@ _UNSEEN_PX = tuned(0.1, "px", "deviation of that offset: more admits clouds; les
 _KNOTS_PER_FACT = tuned(10.0, "knots", "that err alike: fewer make still ground move; more decide nothing")
 _LEAST_FIT = tuned(0.25, "share", "of cells that fit, suspect pixels that mix a knot: more loses half clouds")
 _LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: less claims too much")
-_ROUNDS: Final = ((2, 3), (1, 2))
-"""Scales and how often each: a path that is off by 3 px needs three rounds, the last of them fine."""
+_ROUNDS = tuned(
+    ((2, 3), (1, 2)),
+    "px a pixel, rounds",
+    "of refinement: fewer leave a part of a path's 3 px; more take time",
+)
 LEAST_KNOTS = tuned(16, "knots", "of a pair: fewer may be mostly one cloud's; more refuse short scenes")
 
 

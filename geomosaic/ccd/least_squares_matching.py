@@ -220,9 +220,7 @@ def _judged(cells: _Cells) -> tuple[Floats, Floats, Floats, Floats]:
     expected = noise + MISFIT_PX**2 * gradient
     weight = _weights(rest / np.maximum(expected, 1e-12), _alike(cells, noise))
     weight *= enough & (np.abs(shift).max(-1) < 1.0)
-    weight = np.minimum.accumulate(
-        weight, axis=1
-    )  # what differs in fine detail is a cloud in coarse forms too
+    weight = np.minimum.accumulate(weight, axis=1)  # what differs in detail is a cloud in coarse forms too
     both, all_of = (_near_by(weight * power) for power in (cells.shared, 0.5 * (cells.shared + cells.whole)))
     share = np.clip(both / np.maximum(all_of, 1e-9), 0.0, 1.0)
     return weight, share[..., None], expected, gradient

@@ -23,7 +23,7 @@ class StripsParams(StageParams):
     truth: Path | None = param(None, help="true offsets, as simulate strips writes them, to compare with")
 
 
-@stage("quality.strips", "Misplacement of the strips", group="Quality", version=5, outputs="strip_quality")
+@stage("quality.strips", "Misplacement of the strips", group="Quality", version=6, outputs="strip_quality")
 def quality_strips(
     strips: StripGeometry, offsets: StripOffsets, params: StripsParams, context: Context
 ) -> StripQuality:
