@@ -48,7 +48,7 @@ _LASTING_SHARE = tuned(0.05, "share", "of a knot's variance that is correlated: 
 _ROUNDS = tuned(
     ((2, 3), (1, 2)),
     "px a pixel, rounds",
-    "of refinement: fewer leave a part of a path's 3 px; more take time",
+    "of refinement: fewer leave a part of 3 px; more take time",
 )
 LEAST_KNOTS = tuned(16, "knots", "of a pair: fewer may be mostly one cloud's; more refuse short scenes")
 
