@@ -9,7 +9,17 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class Spread(Protocol):
+class ProgressObserver(Protocol):
+    """Shows how far work has come and stops it, as `pipeline.Context` does."""
+
+    def progress(self, done: int, total: int, text: str = "") -> None:
+        """done of total are ready; text: of what."""
+
+    def check_cancelled(self) -> None:
+        """Raises to stop."""
+
+
+class Spread(ProgressObserver, Protocol):
     """As `pipeline.Context` does it."""
 
     def map(
@@ -21,16 +31,6 @@ class Spread(Protocol):
     ) -> list[Result]:
         """Results in the items' order, of a module's own function. keys: tell the items of a name apart
         that is asked for once; else they are distinguished by what they contain."""
-
-
-class ProgressObserver(Protocol):
-    """Shows how far work has come and stops it, as `pipeline.Context` does."""
-
-    def progress(self, done: int, total: int, text: str = "") -> None:
-        """done of total are ready; text: of what."""
-
-    def check_cancelled(self) -> None:
-        """Raises to stop."""
 
 
 class Unobserved:

@@ -26,7 +26,7 @@ class SpooledResult(Protocol[Made]):
         """As load, where it is wanted again and again, in parts."""
 
 
-class Spooler(spread.Spread, spread.ProgressObserver, Protocol):
+class Spooler(spread.Spread, Protocol):
     """As `pipeline.Context` does it."""
 
     def spooled(

@@ -89,10 +89,12 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         if adjusted is None:
             return _solved(replace(block, earlier=None), settings, spread)
         return replace(adjusted, warnings=(*notes, *adjusted.warnings))
+    spread.progress(0, len(PROCEDURE), "first solution, step")
     work = begun(block, settings, (tracks, few), spread, placed_by_control(block, free))
     steps = _named("few tie points" if work.rough else "tie points", work.steps)
     skipped: list[Warn] = []
-    for name, step in PROCEDURE.items():
+    for number, (name, step) in enumerate(PROCEDURE.items()):
+        spread.progress(number, len(PROCEDURE), f"{name}, step")
         before = len(work.steps)
         try:
             work = step(work)
