@@ -165,10 +165,10 @@ def _sums_of(lead: Floats32, moved: Floats32, weight: Floats32, edges: Floats) -
     difference, power of half the difference's gradients, seen pixels."""
     half = np.float32(0.5)
     fields = [*_gradients(half * (lead + moved)), lead - moved]
-    products = [one * other for one, other in combinations_with_replacement(fields, 2)]
+    sums = [_sums(one * other * weight, edges) for one, other in combinations_with_replacement(fields, 2)]
     by_col, by_line = _gradients(half * fields[2])
-    products += [by_col * by_col + by_line * by_line, np.ones_like(weight)]
-    return np.stack([_sums(product * weight, edges) for product in products])
+    power = by_col * by_col + by_line * by_line
+    return np.stack([*sums, _sums(power * weight, edges), _sums(weight, edges)])
 
 
 def _gradients(image: Floats32) -> list[Floats32]:
