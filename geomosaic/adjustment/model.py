@@ -47,12 +47,14 @@ class ControlResidual:
 
 @dataclass(frozen=True)
 class SolvedBlock:
-    """A solution that the adjustment of a later run begins from, of the frames that it is certain of. names
-    (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame. rotation_terms_rad (n,
-    t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as assumed; cameras: as found.
-    shared, fixed: values of the shared unknowns by their part's name, and which were kept as given.
-    components: variance components by name. observations: number of image observations. choice: how the model
-    was chosen."""
+    """A solution that the adjustment of a later run begins from, with the frames that it is certain of.
+
+    names (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame.
+    rotation_terms_rad (n, t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as
+    assumed; cameras: as found. shared, fixed: values of the shared unknowns by the name of their part, and
+    which were kept as given. components: variance components by name. observations: number of image
+    observations. choice: how the model was chosen.
+    """
 
     FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad"}
     names: tuple[str, ...]
@@ -131,12 +133,15 @@ class Block:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the methods. epsilon_px: in ground pixels (the paper's D), where error sharing stops;
-    max_rounds: its most rounds. ground: of a bundle without a DEM, `auto`, `flat` or `tie_surface`.
-    boresight, lever_arm, gps_lag, rolling_shutter, turning: solved for by a bundle; vibrating: rotations of
-    several periods while a frame is read; rate_sd_rad_per_s: of these rotations, if known. free_lens: a
-    maker's distortion is only the start. model: `auto` adds what the evidence supports, see `chosen_model`.
-    self_calibration: shared unknowns (lens, shutter, mounting) are solved for."""
+    """Settings of the methods.
+
+    epsilon_px: in ground pixels (the paper's D), where error sharing stops; max_rounds: its most rounds.
+    ground: of a bundle without a DEM, `auto`, `flat` or `tie_surface`. boresight, lever_arm, gps_lag,
+    rolling_shutter, turning: solved for by a bundle; vibrating: rotations of several periods while a frame is
+    read; rate_sd_rad_per_s: of these rotations, if known. free_lens: a maker's distortion is only the start.
+    model: `auto` adds what the evidence supports, see `chosen_model`. self_calibration: shared unknowns
+    (lens, shutter, mounting) are solved for.
+    """
 
     epsilon_px: float = 10.0
     max_rounds: int = 12
@@ -236,12 +241,16 @@ class ImageResiduals:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`. residuals_m: per pair of
-    `Block.ties.pairs` (k, 2), tie points on the ground, right minus left, east and north. ground: the block's
-    own unless the method estimates it. control: of all measured control and check points. The rest comes from
-    methods that solve for it. pose_covariance (f, 6, 6): of east, north, up (m) and turns about them (rad),
-    that of the POS for frames that took no part. places, shared, image_residuals: None from other methods.
-    model: where more than the given one was tried. solved: what a later run may begin from."""
+    """The outcome. status[i] is `tied`, `placed` (by POS alone) or `rejected`.
+
+    residuals_m: per pair of `Block.ties.pairs` (k, 2), tie points on the ground, right minus left, east and
+    north. ground: the block's own unless the method estimates it. control: of all measured control and check
+    points.
+
+    The rest comes from methods that solve for it. pose_covariance (f, 6, 6): of east, north, up (m) and turns
+    about them (rad), that of the POS for frames that took no part. places, shared, image_residuals: None from
+    other methods. model: where more than the given one was tried. solved: what a later run may begin from.
+    """
 
     poses: Poses
     cameras: tuple[Camera, ...]

@@ -34,9 +34,6 @@ _MOST_RATIO = tuned(1.8, "1", "misfit of full weight: less loses cells by chance
 _HOPELESS_RATIO = tuned(5.0, "1", "misfit of no weight: less loses cells at edges; more lets clouds pull")
 _COL_GROUPS = tuned(4, "cells", "across a knot: fewer lose it at a cloud's edge; more lack pixels")
 _ALIKE = tuned(0.4, "1", "gradient correlation of full weight, none at half: less lets smooth clouds in")
-_COARSEST_PX = tuned(
-    8, "px", "pixel of the last octave: less loses faint ground; more, only what boxes remove"
-)
 NEARBY_KNOTS = tuned(31, "knots", "of one scatter and contrast, odd: fewer are chance; more blur contrast")
 _ALIKE_KNOTS = tuned(5, "knots", "window of that correlation, odd: fewer are noisy; more blur clouds' edges")
 
@@ -142,11 +139,12 @@ class _Cells:
 
 
 def _octaves(lead: Floats32, moved: Floats32, seen: Bools, edges: Floats, unit_px: int) -> _Cells:
-    """Cells of the images and of their halves. edges (knots + 1,): lines where knots begin."""
+    """Cells of the images and of their halves, as long as the blur is wider than a pixel. edges (knots + 1,):
+    lines where knots begin."""
     found, units = [], []
-    while lead.shape[1] >= _COL_GROUPS and unit_px <= _COARSEST_PX:
+    while lead.shape[1] >= _COL_GROUPS and BOX_PX // unit_px > 1:
         weight = seen.astype(np.float32)
-        box = max(BOX_PX // unit_px, 2) // 2 * 2 + 1
+        box = BOX_PX // unit_px // 2 * 2 + 1
         fine, other = (fine_detail(image, weight, box) for image in (lead, moved))
         found.append(_sums_of(fine, other, weight, edges))
         units.append([float(unit_px)])

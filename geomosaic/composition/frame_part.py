@@ -150,6 +150,8 @@ def _patch(how: Warping, view: FrameView, decoded: Decoded, box: Window) -> Patc
     seen = how.scene.lattice(tile).seen(view.pose, view.camera, rows, cols)
     pixels = resample(decoded.pixels, seen.cols, seen.rows, how.resampling)
     pixels = _evened(pixels, seen, view, how)
+    if how.tones is not None:
+        pixels = curved(pixels, how.tones.curve)
     return Patch(box.row, box.col, pixels, _margin_px(how, view, decoded, seen))
 
 
@@ -170,16 +172,13 @@ def _margin_px(how: Warping, view: FrameView, decoded: Decoded, seen: WindowInFr
 def _evened(pixels: NDArray[Any], seen: WindowInFrame, view: FrameView, how: Warping) -> NDArray[Any]:
     """As all frames would show it. Tones bend over a tenth of a frame: every eighth pixel shows them."""
     tones = how.tones
-    if tones is None:
+    if tones is None or tones.flat(view.frame):
         return as_type(pixels, how.dtype)
-    if tones.flat(view.frame):
-        return curved(as_type(pixels, how.dtype), tones.curve)
     nodes = seen.node_cols, seen.node_rows
     gone = bool(np.isnan(nodes[0]).any())  # a node past the lens's end says nothing of pixels before it
     where = (seen.cols, seen.rows) if gone else nodes
     darker = np.exp(-tones.brighter(view.frame, view.camera, *where))
-    pixels = evened(pixels, darker if gone else seen.between(darker), tones.white, how.dtype)
-    return curved(pixels, tones.curve)
+    return evened(pixels, darker if gone else seen.between(darker), tones.white, how.dtype)
 
 
 def tile_of(row: int, col: int) -> Window:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_matrix
 from scipy.special import chdtri
 
@@ -29,7 +31,6 @@ _ZONES_H = sourced(
 )
 _LEAST_UP = tuned(0.2, "sine of the sun's elevation", "lower: its shadow lies beyond every frame")
 _SEEN = tuned(0.5, "of the spot's peak", "less: slopes and vignettes of frames that see none look like one")
-_FINER = tuned(4, "widths for each", "of the spot that is shown: fewer leave 1 % of it; more change nothing")
 _MOST = tuned(30_000, "sightings", "to look for a spot in: more take minutes of thousands of frames")
 _BY_CHANCE = tuned(1e-3, "probability", "of a spot where there is none; more: cars make some")
 
@@ -116,7 +117,7 @@ def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | Non
     most; None where it may be chance.
 
     All time zones and widths are tried: chance has as many goes. A spot is partly absorbed by gains, slopes
-    and vignettes, wide ones most. This counts for the width of the zone's spot, among finer widths.
+    and vignettes, wide ones most. The width of the zone's spot accounts for this.
     """
     if not len(left.frame):
         return None
@@ -137,16 +138,19 @@ def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | Non
 def _width_rad(rays: Floats, away: Floats, left: TonesLeft) -> float:
     """The width of the spot about directions (k, 3) that lessens what frames differ by most, with all other
     unknowns free."""
-    widths = np.geomspace(_WIDTHS_RAD[0], _WIDTHS_RAD[-1], _FINER * (len(_WIDTHS_RAD) - 1) + 1).tolist()
-    gains = np.zeros(len(widths))
-    for logs, weight, normal in zip(left.logs.T, left.weight.T, left.normals, strict=True):
-        factors = SparseFactors(normal)
-        for k, width in enumerate(widths):
-            own, square = _own(hot_spot(rays, away, width), weight, left)
+    factors = [SparseFactors(normal) for normal in left.normals]
+
+    def left_over(log_width: float) -> float:
+        spot, gain = hot_spot(rays, away, math.exp(log_width)), 0.0
+        for logs, weight, of_band in zip(left.logs.T, left.weight.T, factors, strict=True):
+            own, square = _own(spot, weight, left)
             along = left.design.T @ (weight * own)
-            square -= float(along @ factors.solve(along))
-            gains[k] += float((weight * own * logs).sum()) ** 2 / square if square > 0.0 else 0.0
-    return float(widths[int(gains.argmax())])
+            square -= float(along @ of_band.solve(along))
+            gain += float((weight * own * logs).sum()) ** 2 / square if square > 0.0 else 0.0
+        return -gain
+
+    ends = math.log(_WIDTHS_RAD[0]), math.log(_WIDTHS_RAD[-1])
+    return math.exp(float(minimize_scalar(left_over, bounds=ends, method="bounded").x))
 
 
 def _gain(spot: Floats, left: TonesLeft) -> float:

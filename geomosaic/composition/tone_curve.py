@@ -8,18 +8,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.arrays import Bytes, Floats32
+from geomosaic.arrays import Floats32
 from geomosaic.composition.tones import GREYS, Tones, ToneSightings, evened
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import sourced
 from geomosaic.matching.tracks import frame_by_frame
 
 _MID_GREY = sourced(118.0, "grey levels", "what half of the map is made darker than", "sRGB of an 18 % card")
-_MOST = tuned(4.0, "times the odds", "two stops: more shows the noise of shadows")
-_STOP = sourced(2.0, "times the odds", "off mid-grey that counts as dark or pale", "definition of a stop")
+_STOP = sourced(2.0, "times the odds", "dark or pale beyond one, changed by two at most", "definition")
 
 
 def median_grey(tones: Tones, places: ToneSightings, values: Floats32) -> float:
-    """The median of the map's values, 0 to 255, by the mean of the bands; NaN where nothing is known.
+    """The median of the map's values, 0 to 255, by the mean of the bands; NaN where nothing is known. Hot
+    spots are too small to count.
 
     values (m, b): of the sightings as frames show them, NaN where unknown.
     """
@@ -44,7 +44,7 @@ def curve_to_mid_grey(median: float) -> float:
         return 1.0
     grey = np.clip(median, 1.0, GREYS - 1.0)
     wanted = _MID_GREY / (GREYS - _MID_GREY) / (grey / (GREYS - grey))
-    return float(np.clip(wanted, 1.0 / _MOST, _MOST))
+    return float(np.clip(wanted, _STOP**-2, _STOP**2))
 
 
 def how_dark(median: float) -> str:
@@ -53,14 +53,14 @@ def how_dark(median: float) -> str:
     return "dark" if curve > _STOP else "pale" if curve < 1.0 / _STOP else ""
 
 
+def along(grey: NDArray[Any], curve: float) -> NDArray[Any]:
+    """Values (...), 0 to 255, along the curve of so many times the odds."""
+    return np.asarray(GREYS * curve * grey / (GREYS + (curve - 1.0) * grey))
+
+
 def curved(pixels: NDArray[Any], curve: float) -> NDArray[Any]:
     """Pixels of 8 bits (h, w, b) along the curve of so many times the odds."""
     if curve == 1.0:
         return pixels
-    return np.asarray(cv2.LUT(pixels, _table(curve))).reshape(pixels.shape)
-
-
-def _table(curve: float) -> Bytes:
-    """The curve's values (256,)."""
-    grey = np.arange(GREYS + 1.0)
-    return np.rint(GREYS * curve * grey / (GREYS + (curve - 1.0) * grey)).astype(np.uint8)
+    table = np.rint(along(np.arange(GREYS + 1.0), curve)).astype(np.uint8)
+    return np.asarray(cv2.LUT(pixels, table)).reshape(pixels.shape)

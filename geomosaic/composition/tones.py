@@ -50,7 +50,7 @@ class Tones:
     the map keeps it. None where it shows one exposure throughout. spot (b,): times a `hot_spot` of this
     width about the direction away from the sun in each camera's axes, away (n, 3); None where none shows.
     reported (n, b): the part of the gains that frames' exposures account for. curve: of the whole map, see
-    `tone_curve.curve_of`.
+    `tone_curve.curve_to_mid_grey`.
     """
 
     gain: Floats

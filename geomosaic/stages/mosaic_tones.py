@@ -13,7 +13,7 @@ from geomosaic.arrays import Floats32, Ints64
 from geomosaic.composition.earlier_tones import with_earlier_tones
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
-from geomosaic.composition.tone_curve import curve_to_mid_grey, how_dark, median_grey
+from geomosaic.composition.tone_curve import along, curve_to_mid_grey, how_dark, median_grey
 from geomosaic.composition.tone_deviations import Exposures
 from geomosaic.composition.tone_solution import (
     MEASURED,
@@ -66,14 +66,14 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     grey = its.get("median_grey")
     if grey is None or "curve" in its or not how_dark(grey):
         return []
-    text = (
-        f"{how_dark(grey)}: half of the map is darker than {grey:.0f} of 255; --brighten brings that to 118"
-    )
+    then = along(np.array(grey), curve_to_mid_grey(grey))
+    median = f"half of the map is darker than {grey:.0f} of 255"
+    text = f"{how_dark(grey)}: {median}; --brighten makes that {then:.0f}"
     return [("brightness", text)]
 
 
 @stage(
-    "mosaic.tones", "Even the tones", group="Mosaic", version=14, outputs="tones", conclusions=_conclusions,
+    "mosaic.tones", "Even the tones", group="Mosaic", version=15, outputs="tones", conclusions=_conclusions,
     goes_on=True,
 )  # fmt: skip
 def mosaic_tones(

@@ -76,6 +76,23 @@ def test_a_mosaic_is_brightened_from_edge_to_edge(tmp_path: Path) -> None:
     assert abs(float(np.median(before[:, valid])) - 118.0) > 12.0
 
 
+@pytest.mark.parametrize(
+    ("grey", "said"),
+    [
+        (70.0, "dark: half of the map is darker than 70 of 255; --brighten makes that 118"),
+        (8.0, "dark: half of the map is darker than 8 of 255; --brighten makes that 29"),
+        (200.0, "pale: half of the map is darker than 200 of 255; --brighten makes that 121"),
+        (100.0, None),
+        (None, None),
+    ],
+)
+def test_a_run_says_that_its_map_is_dark_or_pale(grey: float | None, said: str | None) -> None:
+    wanted = [] if said is None else [("brightness", said)]
+    assert mosaic_tones.conclusions({"metrics": {"tones": {"median_grey": grey}}}) == wanted
+    assert mosaic_tones.conclusions({"metrics": {"tones": {"median_grey": grey, "curve": 2.0}}}) == []
+    assert mosaic_tones.conclusions({"metrics": {}}) == []
+
+
 def test_measured_values_are_not_brightened(tmp_path: Path) -> None:
     survey, *_ = make_survey(tmp_path, lines=1, per_line=2, dtype="uint16")
     asked = {"survey": survey, "ground": None, "adjusted": None}
