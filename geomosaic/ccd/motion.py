@@ -20,6 +20,7 @@ from geomosaic.ccd.expected import NOMINAL_SD_PX, Expected
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse, solve
 
+_LEAST_WINDOWS = tuned(8, "1", "stretches a weight: fewer fit noise; more leave scenes without prediction")
 _FREE_KNOTS = tuned(60, "knots", "pulled to the level as one: fewer flatten slow motion; more run off")
 _JERK = tuned(2.1, "usual motion", "prior of a knot's change: less smooths jitter; more follows noise")
 _MOTION_ORDER = tuned(12, "knots", "autoregression, two a tone: fewer cannot bridge jitter; more learn noise")
@@ -215,7 +216,7 @@ def _fitted(
     The deviation is that of new stretches (final prediction error, Akaike 1969).
     """
     y, a = _windows(curves, known, order, stride)
-    if len(y) <= order:
+    if len(y) < _LEAST_WINDOWS * order:
         return None
     normal = a.T @ a + len(y) * 0.1 * least_px**2 * np.eye(order)
     weights = _stable(np.asarray(solve(normal, a.T @ y)))
