@@ -2,6 +2,7 @@
 
     python -m tools.bench.bench_constants [--rooms ROOM ...] [--only NAME ...] [--out DIR] [--again]
                                           [--longest SECONDS] [--results docs/results/constants]
+                                          [--scenes NAME ...] [--flights FRAMES ...]
 
 Each scene (tools/bench/bench_constants_scenes.py) runs once, stage by stage, and its functions are noted. A
 constant is then halved and doubled (`geomosaic.constants.varied`) for each stage that called a function which
@@ -9,9 +10,10 @@ names it, the fastest first. This ends when an outcome moves: by 1 % of a stated
 px, 0.1 grey levels, a warning or a verdict. Numbers without fractions are rounded and stay at least 1; shares
 below 1 stay below it. A constant that is used while a module loads, or as a default, is named and not varied.
 
---only: constants whose name ends so. --longest: processor seconds for one constant; what then has not moved
-is `still` on the trials it had. --again measures what has a row already. Rows are kept in RESULTS.json by
-name, those of other rooms too, each with the scenes that it was tried on (`of`); RESULTS.md is the table.
+--only: constants whose name ends so. --flights: folders of real frames, tried after the scenes. --longest:
+processor seconds for one constant; what then has not moved is `still` on the trials it had. --again
+measures what has a row already. Rows are kept in RESULTS.json by name, those of other rooms too, each with
+the scenes that it was tried on (`of`); RESULTS.md is the table.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ import numpy as np
 
 from geomosaic.constants import Record, records
 from tools.bench.bench_constants_names import homes, used_while_loading
-from tools.bench.bench_constants_scenes import SCENES, Done, stages
+from tools.bench.bench_constants_scenes import SCENES, Done, Scene, stages
 from tools.bench.bench_constants_trials import Trials
 from tools.bench.bench_flights import commit
 
@@ -155,6 +157,7 @@ def main() -> int:
     parser.add_argument("--rooms", nargs="*", default=[])
     parser.add_argument("--only", nargs="*", default=[], help="ends of names")
     parser.add_argument("--scenes", nargs="*", default=[], help="names of scenes")
+    parser.add_argument("--flights", nargs="*", type=Path, default=[], help="folders of real frames")
     parser.add_argument("--out", type=Path, default=Path("out/bench-constants"))
     parser.add_argument("--results", type=Path, default=Path("docs/results/constants"))
     parser.add_argument("--longest", type=float, default=60.0, help="processor seconds for a constant")
@@ -163,14 +166,12 @@ def main() -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     out = args.out.absolute()
     done: list[Done] = []
-    for scene in SCENES:
-        if not args.scenes or scene.name in args.scenes:
-            mine = stages(scene, out)
-            times = ", ".join(
-                f"{d.step.stage.id} {d.outcome.seconds:.1f}" for d in mine if d.outcome.seconds > 1
-            )
-            print(f"{scene.name}: {sum(d.outcome.seconds for d in mine):.1f} s ({times})", flush=True)
-            done += mine
+    chosen = [scene for scene in SCENES if not args.scenes or scene.name in args.scenes]
+    for scene in (*chosen, *(Scene(p.name, "", "mosaic", {}, str(p.absolute())) for p in args.flights)):
+        mine = stages(scene, out)
+        times = ", ".join(f"{d.step.stage.id} {d.outcome.seconds:.1f}" for d in mine if d.outcome.seconds > 1)
+        print(f"{scene.name}: {sum(d.outcome.seconds for d in mine):.1f} s ({times})", flush=True)
+        done += mine
     kept = args.results.with_suffix(".json")
     rows = {row["name"]: row for row in json.loads(kept.read_text())["rows"]} if kept.exists() else {}
     names = list(dict.fromkeys(d.scene for d in done))

@@ -34,12 +34,14 @@ STRIPS = ["--ccds", "3", "--lines", "2400", "--width-px", "128", "--overlap-px",
 @dataclass(frozen=True)
 class Scene:
     """What is simulated, and what is asked of it: `mosaic`, `strips`, or a recipe's name; options by the
-    names of the request's fields, files below the survey's folder."""
+    names of the request's fields, files below the survey's folder. flight: a folder of real frames, of which
+    nothing is simulated."""
 
     name: str
     simulated: str
     asked: str
     options: Mapping[str, Any]
+    flight: str = ""
 
 
 SCENES = (
@@ -125,7 +127,7 @@ def _mark(scene: Scene) -> str:
 
 
 def _simulate(scene: Scene, folder: Path) -> None:
-    if (folder / "simulated").exists():
+    if scene.flight or (folder / "simulated").exists():
         return
     kind, usual = ("strips", STRIPS) if scene.asked.startswith("strips") else ("frames", SMALL)
     given = scene.simulated.split()
@@ -141,6 +143,8 @@ def recipe_of(scene: Scene, folder: Path) -> Recipe:
         name: folder / value if isinstance(value, str) and (folder / value).exists() else value
         for name, value in scene.options.items()
     }
+    if scene.flight:
+        return MosaicRequest(frames=Path(scene.flight), **options).recipe()
     if scene.asked == "mosaic":
         return MosaicRequest(frames=folder / "frames", set=[FEW], **options).recipe()
     if scene.asked == "strips":
