@@ -213,13 +213,13 @@ class ModelChoice:
     """Models of lens and shutter that were tried, and the one that was taken. taken: additions to the given
     model, see `chosen_model`, in order. names, left_out_px: every model, its additions joined by +, and the
     median residual of the tie points left out of its solve. contradicted: those that fit tie points, but not
-    the positions. shown: the last addition was taken for what all images together show."""
+    the positions. shown: how many of the last additions were taken for what all images together show."""
 
     taken: tuple[str, ...]
     names: tuple[str, ...]
     left_out_px: tuple[float, ...]
     contradicted: tuple[str, ...] = ()
-    shown: bool = False
+    shown: int | bool = 0
 
     def __post_init__(self) -> None:
         """Models of earlier versions get their present names."""

@@ -63,8 +63,8 @@ def _all_patches(strips: Strips, settings: CcdSettings, progress: Progress) -> d
 def patches(overlap: Overlap, geometry: StripGeometry, settings: CcdSettings, spare: int) -> Floats:
     """The patches of an overlap, but for `spare` lines at either end: middle line, dcol, dline, correlation.
 
-    Returns: (p, 4). Patches whose peak is at the edge of the search, or that hold what isn't valid, have
-    correlation 0.
+    Returns: (p, 4). Patches whose peak is at the edge of the search, or that have a line without any
+    valid pixel, have correlation 0.
     """
     reach_c, reach_l = settings.search_cols_px, settings.search_lines_px
     left, right = (

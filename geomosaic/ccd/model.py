@@ -37,7 +37,6 @@ class Overlap:
     left, right: (n, read_px), the left strip's last columns and the right strip's first. Row i is the left
     strip's line first_line + i and the right strip's line first_line + i + round(side * row_separation).
     valid: (n, read_px) where both hold an image; rows that only one strip has are False throughout.
-    relief_px: (n,) the part of dline that the ground's known heights make, from a DEM.
     """
 
     pair: int
@@ -46,7 +45,6 @@ class Overlap:
     side: int
     valid: Bools
     first_line: int = 0
-    relief_px: Floats | None = None
 
 
 @dataclass(frozen=True)

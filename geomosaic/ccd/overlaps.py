@@ -68,10 +68,7 @@ class Strips:
             seen[at] = True if g.nodata is None else found != g.nodata
             valid &= seen
             sides.append(image)
-        relief = self.relief_px.get(pair)
-        if relief is not None:
-            relief = relief[np.clip(np.arange(start, stop), 0, len(relief) - 1)]
-        return Overlap(pair, sides[0], sides[1], side, valid, start, relief)
+        return Overlap(pair, sides[0], sides[1], side, valid, start)
 
 
 class StripFiles(Strips):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from geomosaic.arrays import Floats, Floats32
 from geomosaic.composition.occlusion import occluded
@@ -109,8 +110,8 @@ def agreement(
 def _places(land: _Land, views: Sequence[FrameView]) -> tuple[list[tuple[int, int]], Floats]:
     """Pairs of neighbours and the corner of a place that both are as near to, where the grounds differ."""
     nadirs = np.array([view.nadir_m for view in views]).reshape(-1, 2)
-    away = np.linalg.norm(nadirs[:, None] - nadirs, axis=2)
-    near = np.argsort(away, axis=1, kind="stable")[:, 1 : _NEIGHBOURS + 1]
+    count = min(_NEIGHBOURS + 1, len(nadirs))
+    near = cKDTree(nadirs).query(nadirs, range(1, count + 1))[1][:, 1:]
     pairs = sorted({(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row})
     half_m = np.array([-0.5, 0.5]) * _PLACE_PX * land.gsd_m
     found, corners = [], []

@@ -110,7 +110,7 @@ class EarlierMosaic:
 
 @dataclass(frozen=True)
 class Noting:
-    """What notes are made by. frames: of the survey, by name and content; manner, white: see
+    """What notes are made by. frames: of the survey, by name and content; manner: see
     `ComposedTiles`; halo_px: how far about a tile who gives what matters."""
 
     scene: Scene

@@ -31,6 +31,8 @@ def with_earlier_seams(
     if not alike or np.abs(off - (col, row)).max() > SAME_CELL:
         return cut
     both = np.flatnonzero(numbers >= 0)
+    if not len(both):
+        return cut
     owner = np.zeros(max(int(was.owner.max(initial=0)), int(numbers.max(initial=-1)) + 1) + 1, dtype=np.int32)
     owner[numbers[both] + 1] = both + 1
     earlier = _placed(owner[was.owner], cut.owner.shape, row, col)
@@ -44,7 +46,7 @@ def _placed(cells: Ints32, shape: tuple[int, ...], row: int, col: int) -> Ints32
     """Cells in an array of another shape, from a row and col on that may lie outside; 0 elsewhere."""
     out = np.zeros(shape, dtype=np.int32)
     rows, cols = (
-        slice(max(first, 0), max(min(first + size, whole), 0))
+        slice(min(max(first, 0), whole), max(min(first + size, whole), 0))
         for first, size, whole in zip((row, col), cells.shape, shape, strict=True)
     )
     out[rows, cols] = cells[rows.start - row : rows.stop - row, cols.start - col : cols.stop - col]

@@ -27,6 +27,7 @@ from geomosaic.constants import tuned
 from geomosaic.projection.footprint import survey_pixel_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey, Warn
+from geomosaic.survey.names import some
 
 TRIM: Final = "trim"
 EDGES: Final = (TRIM, "keep")
@@ -55,14 +56,13 @@ class Extent:
             raise elsewhere(self.outline, ownership.grid.crs, self.views)
         return self.area.seen(ownership.grid, ownership.owner > 0, ownership.cell_px)
 
-    def unseen(self, share_seen: float) -> Iterator[Warn]:
-        """A warning where much of the area is not seen."""
+    def unseen(self, share_seen: float, trimmed: bool) -> Iterator[Warn]:
+        """A warning where much of the area is not seen. trimmed: whether edges are."""
         if share_seen < _SEEN:
             assert self.outline is not None
-            beyond = (
-                f"{100.0 * (1.0 - share_seen):.0f} % of the area is not seen well by any frame and stays "
-                "empty; --edges keep shows more"
-            )
+            beyond = f"{100.0 * (1.0 - share_seen):.0f} % of the area is not seen"
+            beyond += " well by any frame and stays empty; " if trimmed else " by any frame and stays empty; "
+            beyond += "--edges keep shows more" if trimmed else "fly it, or draw the area smaller"
             yield Warn("aoi-beyond", "", f"{self.outline.file.name}: {beyond}")
 
 
@@ -149,7 +149,7 @@ class MosaicScene:
                 yield Warn("looks-past-ground", names[i], f"{text}; {fix}")
             return
         left = used - self.flung - {view.frame for view in self.scene.views}
-        for code, text, some in (
+        for code, text, their in (
             (
                 "looks-aside",
                 (
@@ -164,9 +164,10 @@ class MosaicScene:
                 left & self.well,
             ),
         ):
-            if some:
-                number = f"{len(some)} frames look" if len(some) > 1 else "1 frame looks"
-                yield Warn(code, "", f"{number} {text} ({', '.join(names[i] for i in sorted(some))})")
+            if their:
+                number = f"{len(their)} frames look" if len(their) > 1 else "1 frame looks"
+                of = some(names[i] for i in sorted(their))
+                yield Warn(code, "", f"{number} {text} ({of})")
 
 
 @dataclass(frozen=True)
@@ -213,7 +214,7 @@ class SceneChoice:
         if not out:
             return self
         number = f"{len(out)} frames match" if len(out) > 1 else "1 frame matches"
-        names = ", ".join(frames.survey.frames[i].name for i in sorted(out))
+        names = some(frames.survey.frames[i].name for i in sorted(out))
         text = (
             f"{number} no other frame, and other frames show the same ground or it looks at the "
             f"horizon: left out of the mosaic ({names}); if ground is missing, --edges keep uses them"

@@ -60,7 +60,7 @@ def occluded_scene(scene: Scene, spread: Spread) -> tuple[Scene, tuple[Hidden, .
         return scene, (), None
     side_px = side_px_of(scene)
     look = partial(occlusion_depth, replace(scene, views=()), side_px)
-    shadows = spread.map("shadows", look, scene.views, keys=[v.frame for v in scene.views])
+    shadows = spread.map("occlusions", look, scene.views, keys=[v.frame for v in scene.views])
     hidden, unseen = occluded_parts(scene.grid, side_px, shadows)
     return replace(scene, views=with_occlusion(scene.views, hidden)), hidden, unseen
 

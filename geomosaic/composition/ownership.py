@@ -30,7 +30,7 @@ from geomosaic.projection.warp import frame_from_map
 
 _MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
 _CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
-_MOST_CELLS = tuned(16_000_000, "cells", "128 MB of owners: more take memory; fewer coarsen large mosaics")
+_MOST_CELLS = tuned(16_000_000, "cells", "64 MB of owners: more take memory; fewer coarsen large mosaics")
 _APART = tuned(4, "cells", "between exact places: farther misses shutter turns by cells; nearer takes time")
 
 

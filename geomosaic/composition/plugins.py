@@ -11,9 +11,9 @@ from geomosaic.errors import PluginError, origin_of
 
 T = TypeVar("T")
 BLENDS_GROUP: Final = "geomosaic.blends"
-"""An entry point's object is a `mosaic.blends.Blend`."""
+"""An entry point's object is a `composition.blends.Blend`."""
 SEAMS_GROUP: Final = "geomosaic.seams"
-"""An entry point's object is a `mosaic.seam_cut.Seam`."""
+"""An entry point's object is a `composition.seam_cut.Seam`."""
 
 
 class Named(Mapping[str, T], Generic[T]):

@@ -34,7 +34,7 @@ from geomosaic.survey.strips import StripGeometry
 
 @dataclass(frozen=True)
 class StripMosaic:
-    """The composed scene, as an uncompressed raster with an internal mask and overviews.
+    """The composed scene, as a raster with an internal mask and overviews.
 
     raster: the raster's name inside the run folder. first_line: scene line of its upper edge. lines_read: of
     each CCD's strip. gaps_px: raster cols (first, one beyond the last) that no living CCD covers.

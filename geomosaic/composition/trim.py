@@ -12,6 +12,7 @@ import numpy as np
 import rasterio
 import shapely
 from rasterio.features import shapes
+from scipy.ndimage import distance_transform_edt
 
 from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints32
 from geomosaic.camera.exterior import Poses
@@ -126,7 +127,8 @@ def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
     inside = ~_outer(why > 0, outside)
     filling = np.unique(seen.owner[inside & (why > 0) & (well.owner == 0)]) - 1
     why[inside] = 0
-    why[slivers(~outside & (why == 0), why > 0)] = _Why.GUESSED
+    narrow = slivers(~outside & (why == 0), why > 0)
+    why[narrow] = _nearest_reason(why, narrow)
     kept, cell_m2 = ~outside & (why == 0), (cell_px * grid.gsd_m) ** 2
     about = (cv2.dilate(kept.view(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (why == 0)
     parts = {code: _polygons(grid, cell_px, why == code) for code in REASONS}
@@ -144,6 +146,14 @@ def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
     )
     lies = grid, cell_px
     return Edges(_polygons(*lies, about), _polygons(*lies, why > 0), frozenset(filling.tolist()), trimmed)
+
+
+def _nearest_reason(why: Bytes, some: Bools) -> Bytes:
+    """Of some cells, the reason of the nearest cell that is left out."""
+    if not some.any():
+        return why[some]
+    rows, cols = distance_transform_edt(why == 0, return_distances=False, return_indices=True)
+    return np.asarray(why[rows[some], cols[some]])
 
 
 def filled(nearest: Ownership, nearest_m: Floats32, scene: Scene, filling: frozenset[int]) -> Ownership:

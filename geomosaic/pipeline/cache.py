@@ -89,10 +89,11 @@ def file_manifest(
     return {name: hashes.manifest(path, progress) for name, path in named.items()}
 
 
-def lineage_of(manifest: Manifest, inputs: Iterable[ArtefactHandle] = ()) -> Lineage:
-    """The lineage of what a stage makes of files and of earlier artefacts."""
-    own = {fingerprint_of_json({n: dict(hashes) for n, hashes in manifest.items()})} if manifest else set()
-    return frozenset(own).union(*(one.lineage for one in inputs))
+def lineage_of(manifest: Manifest) -> Lineage:
+    """The lineage of what a stage makes of files."""
+    if not manifest:
+        return frozenset()
+    return frozenset({fingerprint_of_json({n: dict(hashes) for n, hashes in manifest.items()})})
 
 
 def stage_key(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,7 @@ from geomosaic import __version__
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline import files
 from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.input_files import frame_files
 from geomosaic.pipeline.params import output_values
 from geomosaic.pipeline.recipe import RECORDING, RUN_JSON, UNFINISHED, Recipe
 from geomosaic.pipeline.run_folder import WORK, RunFolder
@@ -57,11 +58,12 @@ class EarlierRun:
                 return path
         return None
 
-    def unchanged(self, paths: Iterable[Path]) -> frozenset[str]:
-        """The names of those frames that it read with the content that they have."""
+    def unchanged(self, frames: Mapping[str, Path]) -> frozenset[str]:
+        """The names of those frames that it read with the content that they have. frames: by their names."""
         with suppress(KeyError, TypeError, AttributeError):
-            read = self.summary["inputs"]["survey.read.frames"]["files"]
-            return frozenset(p.name for p in paths if read.get(p.name) == self.hashes.of_file(p))
+            read = {path.absolute(): mark for path, mark in frame_files(self.summary["inputs"])}
+            same = (n for n, p in frames.items() if read.get(p.absolute()) == self.hashes.of_file(p))
+            return frozenset(same)
         return frozenset()
 
 

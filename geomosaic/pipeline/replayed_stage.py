@@ -7,8 +7,8 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path, PurePath
-from stat import S_ISDIR, S_ISREG
+from pathlib import Path
+from stat import S_ISREG
 from typing import Any
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -20,6 +20,7 @@ from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import encode
 from geomosaic.pipeline.context import Notes, RunFile
 from geomosaic.pipeline.files import path_within
+from geomosaic.pipeline.input_files import files_of
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.recording.file.fingerprints import artefact_fingerprint, fingerprint_of_bytes
@@ -107,15 +108,6 @@ class ReplayedStage:
             for path, mark in files_of(entry):
                 if S_ISREG(mode_of(path)):
                     yield path, mark
-
-
-def files_of(entry: Mapping[str, Any]) -> Iterator[tuple[Path, str]]:
-    """The files of an input in a manifest, where they lay, and their hashes."""
-    place, names = Path(str(entry["path"])), entry["files"]
-    alone = place.name in names and not S_ISDIR(mode_of(place))
-    for name, mark in names.items():
-        within = name if PurePath(name).is_absolute() else PurePath(name).name
-        yield (place.parent if alone else place) / within, str(mark)
 
 
 def moved(entry: Mapping[str, Any], places: Mapping[Path, Path]) -> dict[str, Any]:

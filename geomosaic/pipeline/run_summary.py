@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -50,11 +51,11 @@ class RunSummary:
         self._log.recorder.inputs(manifest)
 
     def for_stage(self) -> Mapping[str, Any]:
-        """What stages may report of it: with fixed time nothing that differs between equal runs."""
-        if not self._log.recorder.fixed_time:
-            return self.plain
+        """What stages may report of it: with fixed time nothing that differs between equal runs. It is a
+        copy, as concurrent stages read it while others end."""
         clock = ("timings_s", "memory_mb", "peak_memory_mb", "cached_stages", "recorded_stages")
-        return {name: value for name, value in self.plain.items() if name not in clock}
+        left_out = clock if self._log.recorder.fixed_time else ()
+        return copy.deepcopy({name: value for name, value in self.plain.items() if name not in left_out})
 
     def mark(self, handle: ArtefactHandle) -> str:
         """What the recording calls an artefact."""

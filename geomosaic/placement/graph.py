@@ -91,7 +91,7 @@ def adjacent_frames(
 
 
 def connected_parts(n: int, pairs: Sequence[tuple[int, int]]) -> list[list[int]]:
-    """Groups of frames that hang together by pairs, largest first; lonely frames are parts of one."""
+    """Groups of frames that pairs connect, largest first; frames without any are parts of one."""
     part = list(range(n))
 
     def find(i: int) -> int:

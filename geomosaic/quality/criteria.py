@@ -116,7 +116,7 @@ CRITERIA: Mapping[str, Criterion] = {
         0.01,
         1.0 / 3.0,
         "share",
-        "the frames hang together in several parts, each placed by its own positions",
+        "tie points connect the frames in several parts only, each placed by its own positions",
         "frames between the parts, or control points in each",
         "as for frames that are not tied",
     ),

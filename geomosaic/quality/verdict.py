@@ -71,7 +71,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class VerdictInputs:
-    """What is known of a mosaic without its truth. parts: frames that hang together by tie points; land:
+    """What is known of a mosaic without its truth. parts: frames that tie points connect; land:
     the share of the mosaic's land that each frame gives, by frame; doubt: of the ground and of what was
     matched; warned: codes of the run's warnings; names of the frames; pixel_m: the mosaic's."""
 

@@ -69,7 +69,7 @@ class SolveParams(StageParams):
     gps_lag: bool = param(False, help="a bundle solves for how late positions are, along the flight")
     model: str = param(
         "auto",
-        help="lens and shutter: what tie points left out of the solve speak for, or as given",
+        help="lens and shutter: chosen by cross-validation with left-out tie points, or as given",
         choices=("auto", "given"),
     )
     turning: bool = param(False, help="a bundle solves for how frames turn while their rows are read")
@@ -86,7 +86,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=102, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=103, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -138,7 +138,7 @@ def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Contex
     settings, before = Settings(**params.model_dump(exclude={"method"})), context.earlier
     if before is None:
         return METHODS[params.method](block, settings, context)
-    unchanged = before.unchanged(Path(frame.path) for frame in survey.frames)
+    unchanged = before.unchanged({f.name: Path(f.path) for f in survey.frames})
     context.metric("reused.frames", len(unchanged))
     context.metric("reused.frames_of", len(survey.frames))
     if params.method != "bundle":

@@ -41,12 +41,12 @@ class OffsetsParams(StageParams):
     knot_lines: int = param(
         _SETTINGS.knot_lines,
         help="joint: lines between the knots of its curves, even; 0: every 5 ms",
-        unit="px",
+        unit="lines",
         ge=0,
         le=256,
     )
     segment_lines: int = param(
-        _SETTINGS.segment_lines, help="piecewise_linear: lines of a segment", unit="px", ge=64, le=20000
+        _SETTINGS.segment_lines, help="piecewise_linear: lines of a segment", unit="lines", ge=64, le=20000
     )
     enhance: bool = param(
         _SETTINGS.enhance, help="piecewise_linear: stretch each segment's greys for matching"

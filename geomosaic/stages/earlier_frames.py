@@ -16,6 +16,6 @@ def earlier_numbers(survey: Survey, context: Context) -> Ints64:
     before = None if context.earlier is None else context.earlier.artefact("survey", Survey)
     if before is None or context.earlier is None:
         return np.full(len(survey.frames), -1)
-    unchanged = context.earlier.unchanged(Path(frame.path) for frame in survey.frames)
+    unchanged = context.earlier.unchanged({f.name: Path(f.path) for f in survey.frames})
     number = {frame.name: k for k, frame in enumerate(before.frames) if frame.name in unchanged}
     return np.array([number.get(frame.name, -1) for frame in survey.frames], dtype=np.int64)

@@ -70,7 +70,12 @@ class MapParams(StageParams):
 
 
 @stage(
-    "export.map", "Lay the scene on the map", group="Export", version=2, outputs="map_file", results=(MAP,)
+    "export.map",
+    "Project the scene onto the map",
+    group="Export",
+    version=2,
+    outputs="map_file",
+    results=(MAP,),
 )
 def export_map(strips: StripGeometry, mosaic_file: RunFile, params: MapParams, context: Context) -> RunFile:
     """Writes mosaic_map.tif: the scene orthorectified by its RPC, on the geometry's DEM if it has one."""

@@ -14,15 +14,11 @@ from geomosaic.composition.roof_ownership import with_roofs
 from geomosaic.composition.roofs import raised_roofs
 from geomosaic.composition.scene import Scene
 from geomosaic.pipeline.function_stage import InputGroup, stage
-from geomosaic.pipeline.stage import Context, StageParams
+from geomosaic.pipeline.stage import Context
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.input_groups import AdjustedSurvey
 from geomosaic.surface.dtm import TerrainModel
 from geomosaic.surface.model import DenseSurface
-
-
-class RoofParams(StageParams):
-    """None."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     wants_frames=True, conclusions=_conclusions,
 )  # fmt: skip
 def mosaic_roofs(
-    of: AdjustedSurvey, ownership: Ownership, matched: MatchedSurface, params: RoofParams, context: Context
+    of: AdjustedSurvey, ownership: Ownership, matched: MatchedSurface, context: Context
 ) -> tuple[GroundSurface, Ownership]:
     """Raises the roofs that at least three frames agree on at their heights, and not on the ground."""
     survey, ground = of.survey, of.adjusted.ground

@@ -101,7 +101,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.seams", "Place the seamlines", group="Mosaic", version=17, outputs="ownership",
+    "mosaic.seams", "Place the seamlines", group="Mosaic", version=18, outputs="ownership",
     check=_check, plugged=lambda params: [(SEAMS_GROUP, params.seam)], conclusions=_conclusions,
     goes_on=True,
 )  # fmt: skip
@@ -129,7 +129,7 @@ def mosaic_seams(
     if chosen.extent.area is not None:
         seen = chosen.extent.share_seen(ownership)
         context.metric("seams.area_seen", seen)
-        for warning in chosen.extent.unseen(seen):
+        for warning in chosen.extent.unseen(seen, chosen.edges is not None):
             context.warn(warning.code, warning.frame, warning.text)
     if chosen.area is not None:
         ownership = within(ownership, chosen.area)

@@ -74,7 +74,8 @@ def mosaic_strips(
     by_object = params.space == "object" or (params.space == "auto" and offsets.method == "virtual_line")
     if by_object and space is None:
         raise InputError(
-            "the method object_space needs a rigorous model", fix="give 'model' in the geometry file"
+            "a scene on the ground (mosaic.strips.space=object) needs a rigorous model",
+            fix="give 'model' in the geometry file, or --set mosaic.strips.space=image",
         )
     layout: SceneLayout
     if by_object and space is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Floats32, Ints64
 from geomosaic.composition.earlier_tones import with_earlier_tones
+from geomosaic.composition.grid import without_flung
 from geomosaic.composition.hot_spot import SunBehind
 from geomosaic.composition.mosaic_scene import TRIM, CandidateFrames
 from geomosaic.composition.tone_curve import along, curve_to_mid_grey, how_dark, median_grey
@@ -73,7 +74,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.tones", "Even the tones", group="Mosaic", version=15, outputs="tones", conclusions=_conclusions,
+    "mosaic.tones", "Even the tones", group="Mosaic", version=16, outputs="tones", conclusions=_conclusions,
     goes_on=True,
 )  # fmt: skip
 def mosaic_tones(
@@ -100,22 +101,23 @@ def mosaic_tones(
         return none
     used = [s != "rejected" for s in adjusted.status]
     frames_on_map = CandidateFrames(survey, adjusted.poses, adjusted.cameras, used, ground)
-    views = frames_on_map.views(frames_on_map.limits(TRIM, frames_on_map.pixel_m))
+    seen = frames_on_map.views(frames_on_map.limits(TRIM, frames_on_map.pixel_m))
+    views, _ = without_flung(seen, frames_on_map.pixel_m)
     if not views:
         return none
     places = lattice(views, survey.map_crs, survey.work_frame, ground)
     earlier = earlier_numbers(survey, context)
     was = _earlier_tones(earlier, context)
     whites = (PICTURE if images else MEASURED) if was is None else (was.white,)
-    seen = _Seen(survey, views, places, _values(survey, places, bands, context), whites)
+    shown = _Seen(survey, views, places, _values(survey, places, bands, context), whites)
     tones = none
     if even and len(views) > 1:
-        tones, evenness = _evened(seen, Exposures.of(frames, adjusted.cameras), params.level)
+        tones, evenness = _evened(shown, Exposures.of(frames, adjusted.cameras), params.level)
         if was is not None:
-            tones = with_earlier_tones(tones, places, seen.values, was, earlier)
+            tones = with_earlier_tones(tones, places, shown.values, was, earlier)
         _report(tones, evenness, [f.name for f in frames], context)
     if images:
-        grey = median_grey(tones, places, seen.values)
+        grey = median_grey(tones, places, shown.values)
         context.metric("tones.median_grey", grey)
         if params.brighten:
             its = was.curve if was is not None else 1.0

@@ -72,7 +72,7 @@ def quality_surface(
         context.metric(f"quality.surface.{name}", asdict(getattr(comparison, name)))
     for name in ("by_slope", "by_kind", "by_support"):
         classes = {text: asdict(figures) for text, figures in getattr(comparison, name)}
-        context.notes.metrics["quality"]["surface"][name] = classes
+        context.metric(f"quality.surface.{name}", classes)
     context.metric("quality.surface.reference", comparison.reference)
     context.metric("quality.surface.datum", comparison.datum)
     return comparison

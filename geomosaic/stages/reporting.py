@@ -200,8 +200,8 @@ def report_estimate(context: Context, estimate: SizeEstimate) -> None:
     What an earlier run left there counts as free. Memory and time depend on the workers, which equal bytes
     must not: with `fixed_time` they aren't kept.
     """
-    left = [p.lstat() for p in context.run_folder.rglob("*")]
-    before = sum(s.st_size for s in left if stat.S_ISREG(s.st_mode)) / 1e9
+    left = {(s.st_dev, s.st_ino): s for s in (p.lstat() for p in context.run_folder.rglob("*"))}
+    before = sum(s.st_size for s in left.values() if stat.S_ISREG(s.st_mode)) / 1e9
     free_gb = shutil.disk_usage(context.run_folder).free / 1e9
     left_out = ("memory_gb", "minutes") if context.fixed_time else ()
     kept = {k: v for k, v in asdict(estimate).items() if k not in left_out}

@@ -165,9 +165,16 @@ def _matched(
         )
         keeping = partial(_part, base, fine.cells, (fine.lowest_m, fine.highest_m))
         with context.spooled("tiles of the surface", keeping, near, keys) as parts:
-            surface = mosaic_tiles(fine.cells, base, zip(tiles, (p.load() for p in parts), strict=True))
-            counted = sum((p.load().counted for p in parts), MatchCounts())
-    return surface, counted
+            counted: list[MatchCounts] = []
+
+            def loaded() -> Iterator[FilteredTile]:
+                for part in parts:
+                    found = part.load()
+                    counted.append(found.counted)
+                    yield found
+
+            surface = mosaic_tiles(fine.cells, base, zip(tiles, loaded(), strict=True))
+    return surface, sum(counted, MatchCounts())
 
 
 @dataclass(frozen=True)

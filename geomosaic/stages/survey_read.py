@@ -143,7 +143,7 @@ def _work_frame(survey: Survey, context: Context) -> LocalFrame:
     was: Survey | None = None if context.earlier is None else context.earlier.artefact("survey", Survey)
     if was is None or context.earlier is None or was.map_crs != survey.map_crs:
         return survey.work_frame
-    same = context.earlier.unchanged(Path(frame.path) for frame in survey.frames)
+    same = context.earlier.unchanged({f.name: Path(f.path) for f in survey.frames})
     return was.work_frame if 2 * len(same) >= len(survey.frames) else survey.work_frame
 
 

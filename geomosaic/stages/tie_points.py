@@ -61,7 +61,7 @@ class Pairing:
         apart = self._apart()
         if apart:
             said = [(p, self.expected(*p)) for p in apart]
-            self._round("pairs of lonely frames", replace(self.how, search="all"), said)
+            self._round("pairs of untied frames", replace(self.how, search="all"), said)
             self._by_neighbours()
         return self._found()
 
@@ -119,15 +119,15 @@ class Pairing:
                 return
 
     def _apart(self) -> list[Pair]:
-        """Untied pairs of frames that don't hang together, and of lonely frames those flown next to them."""
+        """Untied pairs of frames that aren't connected, and of untied frames those flown next to them."""
         tied = self.tied
         part: dict[int, int] = {}
         for k, members in enumerate(connected_parts(len(self.features), tied)):
             part |= dict.fromkeys(members, k)
-        lonely = set(range(len(self.features))) - {i for pair in tied for i in pair}
+        untied = set(range(len(self.features))) - {i for pair in tied for i in pair}
         return [
             *[(a, b) for a, b in self.untied if part[a] != part[b]],
-            *adjacent_frames(lonely, self.sequence, list(self.looks)),
+            *adjacent_frames(untied, self.sequence, list(self.looks)),
         ]
 
     def _round(self, name: str, how: Matching, pairs: Sequence[tuple[Pair, Guess]]) -> int:

@@ -60,3 +60,17 @@ def test_a_grid_that_has_grown() -> None:
 def test_cells_that_are_others(grid: OutputGrid) -> None:
     found = with_earlier_seams(replace(CUT, grid=grid), [part(0), part(1), part(2)], WAS, NUMBERS)
     assert found.owner.tolist() == CUT.owner.tolist()
+
+
+@pytest.mark.parametrize("cells", [(-9, 0), (9, 0), (0, -7), (0, 7)])
+def test_an_earlier_mosaic_that_lies_beyond(cells: tuple[int, int]) -> None:
+    """It may begin past the present one's end, on any side."""
+    east_m, north_m = np.array(cells) * CELL_PX * GSD_M
+    was = replace(WAS, grid=replace(GRID, west_m=1000.0 + east_m, north_m=5000.0 + north_m))
+    found = with_earlier_seams(CUT, [part(0), part(1), part(2)], was, NUMBERS)
+    assert found.owner.tolist() == CUT.owner.tolist()
+
+
+def test_a_survey_of_other_frames() -> None:
+    found = with_earlier_seams(CUT, [part(0), part(1), part(2)], WAS, np.array([-1, -1, -1]))
+    assert found.owner.tolist() == CUT.owner.tolist()

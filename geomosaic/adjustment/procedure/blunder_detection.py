@@ -168,7 +168,7 @@ def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
 
 
 def implausible_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
-    """Warnings of estimated principal points (by `strayed_principal_points`) where no lens has them."""
+    """Warnings of estimated principal points (by `implausible_principal_points`) where no lens has them."""
     rows = strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)
     text = (
         "the images draw its principal point farther off than a lens can have it; kept as given. Something "

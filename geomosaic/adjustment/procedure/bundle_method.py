@@ -87,7 +87,7 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
     if block.earlier is not None:
         adjusted = _gone_on(block, settings, (tracks, few), spread)
         if adjusted is None:
-            return _solved(replace(block, earlier=None), settings, spread)
+            adjusted = _solved(replace(block, earlier=None), settings, spread)
         return replace(adjusted, warnings=(*notes, *adjusted.warnings))
     spread.progress(0, len(PROCEDURE), "first solution, step")
     work = begun(block, settings, (tracks, few), spread, placed_by_control(block, free))
@@ -122,7 +122,8 @@ def _gone_on(
             work = PROCEDURE[name](work)
             steps += _named(name, work.steps[before:])
         if still_fits(work, block.earlier):
-            return replace(bundle_outcome(work), steps=steps)
+            adjusted = as_filed(bundle_outcome(work), replace(block, turned=work.turned))
+            return replace(adjusted, steps=steps)
     return None
 
 
@@ -179,7 +180,7 @@ def _heights_freed(work: BlockState) -> BlockState:
 
 
 def _model_chosen(work: BlockState) -> BlockState:
-    """With what tie points left out of a solve speak for, of lens and shutter."""
+    """With the model of lens and shutter that cross-validation chooses."""
     found = work.found
     if work.settings.model != "auto" or not found.ties.points:
         return work
@@ -215,7 +216,7 @@ def _turning_too(work: BlockState) -> BlockState:
     if contradicts(turning.found.solution, before) or _leaves_open(turning, work):
         return work
     tried = work.choice or ModelChoice((), (), ())
-    return replace(turning, choice=replace(tried, taken=(*tried.taken, "turning"), shown=True))
+    return replace(turning, choice=replace(tried, taken=(*tried.taken, "turning"), shown=tried.shown + 1))
 
 
 def _leaves_open(its: BlockState, now: BlockState) -> bool:
@@ -257,7 +258,7 @@ def _readout_shown(work: BlockState) -> BlockState:
     if contradicts(read.found.solution, before):
         return work
     tried = work.choice or ModelChoice((), (), ())
-    choice = replace(tried, taken=(*tried.taken, "readout"), shown=True)
+    choice = replace(tried, taken=(*tried.taken, "readout"), shown=tried.shown + 1)
     shown = _by_all(replace(read, choice=choice))
     return work if contradicts(shown.found.solution, before) else shown
 

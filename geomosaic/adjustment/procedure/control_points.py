@@ -28,7 +28,7 @@ from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import ControlPoint, Survey, Warn
 
-Spread = Callable[[Ints, Floats, Floats], Floats]
+CovarianceOf = Callable[[Ints, Floats, Floats], Floats]
 """Covariance (3, 3) of what depends on poses and lenses: frames (k,), derivatives by their poses
 (k, 3, 6) and by their cameras' numbers (k, 3, 9)."""
 Free = Callable[[Block], tuple[Poses, tuple[Camera, ...]]]
@@ -62,10 +62,10 @@ def ground_control(survey: Survey, ground: GroundSurface) -> tuple[GroundControl
 
 
 def control_residuals(
-    block: Block, poses: Poses, spread: Spread | None = None
+    block: Block, poses: Poses, propagate: CovarianceOf | None = None
 ) -> tuple[ControlResidual, ...]:
     """Where each point was surveyed minus where the images put it, by the block's cameras and given poses. A
-    point of one image is projected on the ground; points that cannot be placed are left out. Args: spread:
+    point of one image is projected on the ground; points that cannot be placed are left out. Args: propagate:
     covariance after a bundle, which used the points that aren't for checking. Without it all are check
     points, and the poses' own deviations count as independent."""
     out = []
@@ -75,38 +75,38 @@ def control_residuals(
             continue
         frames = np.array([frame for frame, _, _ in c.observations], dtype=np.intp)
         at_m, own, by_pose, by_interior = found
-        moved = (spread or spread_of_poses(poses))(frames, by_pose, by_interior)
+        moved = (propagate or covariance_of_poses(poses))(frames, by_pose, by_interior)
         sd = np.sqrt(np.maximum(np.diag(own + moved), 0.0) + c.sd_m**2)
         out.append(
-            ControlResidual(c.name, c.check or spread is None, len(frames), c.enu_m - at_m, sd, c.sd_m)
+            ControlResidual(c.name, c.check or propagate is None, len(frames), c.enu_m - at_m, sd, c.sd_m)
         )
     return tuple(out)
 
 
-def spread_of(solution: Solution, camera_of: Ints) -> Spread:
+def covariance_of(solution: Solution, camera_of: Ints) -> CovarianceOf:
     """Covariance of what depends on a solution's poses and cameras, with all correlations. Args: camera_of
     (f,): the camera's index of each frame."""
     layout = solution.estimate.layout
 
-    def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
+    def propagate(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
         poses, shared = np.zeros((len(camera_of), 6, 3)), np.zeros((layout.size, 3))
         np.add.at(poses, frames, np.swapaxes(by_pose, 1, 2))
         of_cameras = shared[layout.interior].reshape(len(layout.cameras), -1, 3)
         np.add.at(of_cameras, camera_of[frames], np.swapaxes(by_interior, 1, 2))
         return solution.stated.reduced.propagate(poses, shared)
 
-    return spread
+    return propagate
 
 
-def spread_of_poses(poses: Poses) -> Spread:
+def covariance_of_poses(poses: Poses) -> CovarianceOf:
     """That of poses as if they were independent."""
     sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
     variance = np.where(np.isfinite(sd), sd, ANYWHERE_M) ** 2
 
-    def spread(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
+    def propagate(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
         return np.asarray(np.einsum("kia,ka,kja->ij", by_pose, variance[frames], by_pose))
 
-    return spread
+    return propagate
 
 
 def _place(

@@ -36,7 +36,11 @@ def with_fallbacks(block: Block, settings: Settings, solve: Solve) -> Adjusted:
             why = str(error)
             continue
         return replace(adjusted, warnings=(*warnings, *adjusted.warnings))
-    return replace(_by_positions(block, settings), warnings=warnings)
+    text = (
+        f"the frames cannot be adjusted ({why}): each lies where its position and attitude put it, and "
+        "seams will not fit; fly more overlap, or give positions with --pos"
+    )
+    return replace(_outcome(block, block.poses), warnings=(*warnings, Warn("bundle-failed", "", text)))
 
 
 def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
@@ -63,18 +67,7 @@ def _levels(solve: Solve) -> tuple[tuple[Solve, str, str], ...]:
             "the bundle adjustment cannot be solved ({why}): frames are shifted, turned and scaled over the "
             "ground until they agree, without tilts or lens; fly more overlap, or give positions with --pos",
         ),
-        (
-            _by_positions,
-            "bundle-failed",
-            "the frames cannot be adjusted ({why}): each lies where its position and attitude put it, and "
-            "seams will not fit; fly more overlap, or give positions with --pos",
-        ),
     )
-
-
-def _by_positions(block: Block, settings: Settings) -> Adjusted:
-    """Poses as given."""
-    return _outcome(block, block.poses)
 
 
 def _outcome(block: Block, poses: Poses) -> Adjusted:

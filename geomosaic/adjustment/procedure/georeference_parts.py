@@ -67,8 +67,8 @@ def georeferenced(
 def _by_headings(shape: Complexes, priors: PlanPriors) -> complex:
     """Turn and scale of the part by most of its headings and heights."""
     turns = np.conj(shape) / np.abs(shape)
-    apart = np.abs(np.angle(turns[:, None] * np.conj(turns)))
-    best = turns[np.minimum(apart, ALIKE).sum(axis=1).argmin()]
+    cost = [np.minimum(np.abs(np.angle(turn * np.conj(turns))), ALIKE).sum() for turn in turns]
+    best = turns[int(np.argmin(cost))]
     near = np.abs(np.angle(turns * np.conj(best))) < np.maximum(3.0 * priors.yaw_sd_rad, 0.1)
     turn = complex(turns[near].mean()) if near.any() else complex(best)
     return complex(turn / abs(turn) * np.exp(-np.median(np.log(np.abs(shape)))))

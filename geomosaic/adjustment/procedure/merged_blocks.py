@@ -214,5 +214,5 @@ def merged_surface(earlier: GroundSurface, local: GroundSurface) -> GroundSurfac
     surer = share > 0.0
     sd_m[surer] = of_local[surer]
     edge = np.isinf(sd_m)
-    sd_m[edge] = grown.sd_m[~edge].max(initial=0.0) if grown.sd_m is not None else 0.0
+    sd_m[edge] = sd_m[~edge].max(initial=0.0)
     return replace(grown, up_m=up_m, sd_m=sd_m)

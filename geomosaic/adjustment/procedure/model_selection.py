@@ -80,7 +80,7 @@ def chosen_model(
     in_vain: set[str] = set()
     vibrating = left_by_vibration(image_residuals(tracks, first), block.cameras) < BETTER
     while now_px > _LEAST_PX:
-        candidates = {n: model for n, model in _candidates(now, taken, vibrating) if n not in in_vain}
+        candidates = {n: model for n, model in _candidates(now, vibrating) if n not in in_vain}
         found = _compared(left_out, f"models of step {len(taken) + 1}", now.block, candidates, its)
         worse = {n for n, model in found.judged.items() if model.compared_to(its)[0] > 1.0 / _MAY_WIN}
         in_vain |= found.in_vain | (_LENSES & worse)
@@ -197,10 +197,9 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
         out.append(Warn("velocity-unknown", "", text))
     if choice is None:
         return out
-    judged = choice.taken[: len(choice.taken) - choice.shown]
-    if choice.shown:
-        name = choice.taken[-1]
-        out.append(Warn("model-chosen", "", f"{_TEXTS[name]}: {_SHOWN_BY[name]}"))
+    count = len(choice.taken) - choice.shown
+    judged, shown = choice.taken[:count], choice.taken[count:]
+    out += [Warn("model-chosen", "", f"{_TEXTS[name]}: {_SHOWN_BY[name]}") for name in shown]
     if judged:
         its = [name for name in judged if name != "turning" or "vibrating" not in judged]
         before, after = (choice.left_out_px[choice.names.index(n)] for n in (_GIVEN, "+".join(judged)))
@@ -224,7 +223,7 @@ def model_warnings(block: Block, choice: ModelChoice | None) -> list[Warn]:
     return out
 
 
-def _candidates(now: Model, taken: tuple[str, ...], vibrating: bool) -> Iterator[tuple[str, Model]]:
+def _candidates(now: Model, vibrating: bool) -> Iterator[tuple[str, Model]]:
     """What can be added to a model, the simplest first; vibrating: whether residuals look like it."""
     block, settings = now.block, now.settings
     turns, moving = block.poses.turns, _moving(block)
@@ -245,7 +244,7 @@ def _candidates(now: Model, taken: tuple[str, ...], vibrating: bool) -> Iterator
     all_solved = all(c.readout_s and c.readout_sd_s for c in block.cameras)
     if moving and not settings.rolling_shutter and not all_solved:
         yield "readout", model(rolling, read_settings)
-    if not makers and "fisheye" not in taken:
+    if not makers and any(c.kind != "fisheye" for c in block.cameras):
         yield "fisheye", model(replace(block, cameras=tuple(map(_as_fisheye, block.cameras))), settings)
     solved = settings.rolling_shutter or (moving and not read)
     if not settings.turning:

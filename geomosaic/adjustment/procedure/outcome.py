@@ -30,10 +30,10 @@ from geomosaic.adjustment.procedure.blunder_detection import (
 )
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
 from geomosaic.adjustment.procedure.control_points import (
-    Spread,
+    CovarianceOf,
     control_residuals,
-    spread_of,
-    spread_of_poses,
+    covariance_of,
+    covariance_of_poses,
 )
 from geomosaic.adjustment.procedure.model_selection import image_residuals, model_warnings
 from geomosaic.adjustment.procedure.position_checks import OF_ANOTHER_SHAPE, shift_and_scale
@@ -51,7 +51,7 @@ from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.collocation import moved_with_neighbours
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
-from geomosaic.spread import Spread as Tasks
+from geomosaic.spread import Spread
 from geomosaic.survey.control import LEAST_POINTS
 from geomosaic.survey.model import Warn
 
@@ -74,11 +74,11 @@ def unplaced_parts(block: Block) -> list[list[int]]:
 
 @dataclass(frozen=True)
 class BundleAccuracy:
-    """Of a solution that used control points. spread: see `control_residuals`. covariance (f, 6, 6): of the
+    """Of a bundle's solution. propagate: see `control_residuals`. covariance (f, 6, 6): of the
     poses. common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; rejected: frames
     whose poses are rejected."""
 
-    spread: Spread
+    propagate: CovarianceOf
     covariance: Floats
     common_m2: Floats
     unsolved: frozenset[int]
@@ -99,7 +99,7 @@ def outcome(
         ["rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))]
     )
     untied: Bools = status == "placed"
-    spread: Spread | None = None
+    propagate: CovarianceOf | None = None
     covariance: Floats | None = None
     if accuracy is not None:
         untied[[i for c in block.control if not c.check for i, _, _ in c.observations]] = False
@@ -108,7 +108,7 @@ def outcome(
     if accuracy is None:
         common_m2 = common_error(block, poses, block.ground)
     else:
-        common_m2, spread = accuracy.common_m2, _with_untied(accuracy, poses, untied)
+        common_m2, propagate = accuracy.common_m2, _with_untied(accuracy, poses, untied)
         sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
         covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), accuracy.covariance)
         covariance = covariance + np.diag(np.append(common_m2, np.zeros(3)))
@@ -121,19 +121,19 @@ def outcome(
         residuals_m=tuple(plan_m[right] - plan_m[left] for left, right in ends),
         ground=block.ground,
         figures={"common_height_sd_m": float(np.sqrt(common_m2[2]))},
-        control=control_residuals(block, poses, spread),
+        control=control_residuals(block, poses, propagate),
         pose_covariance=covariance,
     )
 
 
-def _with_untied(accuracy: BundleAccuracy, poses: Poses, untied: Bools) -> Spread:
-    """A spread in which poses that took no part in the solve have their own deviations."""
-    alone = spread_of_poses(poses)
+def _with_untied(accuracy: BundleAccuracy, poses: Poses, untied: Bools) -> CovarianceOf:
+    """Covariances in which poses that took no part in the solve have their own deviations."""
+    alone = covariance_of_poses(poses)
 
     def both(frames: Ints, by_pose: Floats, by_interior: Floats) -> Floats:
         apart = untied[frames][:, None, None]
         try:
-            solved = accuracy.spread(frames, np.where(apart, 0.0, by_pose), by_interior)
+            solved = accuracy.propagate(frames, np.where(apart, 0.0, by_pose), by_interior)
         except NotSolvableError:
             solved, apart = np.zeros((3, 3)), np.ones_like(apart)
         of_alone = alone(frames, np.where(apart, by_pose, 0.0), by_interior)
@@ -158,7 +158,7 @@ class BlockState:
     block: Block
     settings: Settings
     found: BlockSolution
-    spread: Tasks
+    spread: Spread
     choice: ModelChoice | None = None
     notes: tuple[Warn, ...] = ()
     steps: tuple[SolveStep, ...] = ()
@@ -187,7 +187,7 @@ def bundle_outcome(work: BlockState) -> Adjusted:
     rejected = contradicted_frames(block, solution.poses, counted)
     certain = with_common_error(solution.poses, common_m2)
     accuracy = BundleAccuracy(
-        spread=spread_of(solution, block.lens_of),
+        propagate=covariance_of(solution, block.lens_of),
         covariance=solution.stated.pose_covariance,
         common_m2=common_m2,
         unsolved=frozenset(np.flatnonzero(solution.left_out).tolist()),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from stat import S_ISREG
@@ -16,8 +16,9 @@ import numpy as np
 from geomosaic.doors.files import mode_of
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.hashes import FileHashes
+from geomosaic.pipeline.input_files import frame_files
 from geomosaic.pipeline.recipe import Recipe, RecipeStep
-from geomosaic.pipeline.replayed_stage import ReplayedStage, files_of
+from geomosaic.pipeline.replayed_stage import ReplayedStage
 from geomosaic.placement.model import Placement
 from geomosaic.recording.file.frame_kinds import THUMBNAILS
 from geomosaic.recording.file.model import Recording
@@ -25,7 +26,6 @@ from geomosaic.recording.file.reader import recorded_images
 from geomosaic.recording.file.thumbnail import decoded
 from geomosaic.survey.model import Frame, Survey
 
-FRAMES = "survey.read.frames"
 _MOST_FRAME_PX = 400 << 20
 """Of a frame whose thumbnail is enlarged, more than cameras have: a recording may claim any size."""
 _STAND_INS = "work/thumbnails"
@@ -37,7 +37,7 @@ _WANTED = ("matching.sift", "adjustment.solve", "mosaic.compose")
 def found_frames(recording: Recording, folder: Path) -> dict[Path, Path]:
     """Where files of the recorded survey lie below a folder, by where they lay: found by content, whatever
     they are called. Raises `FileError` if one isn't there."""
-    wanted = dict(_recorded_files(recording))
+    wanted = dict(frame_files(recording.manifest))
     if not wanted:
         raise InputError("the recording names no frames", file=recording.path, fix="replay without --frames")
     if not folder.is_dir():
@@ -52,14 +52,6 @@ def found_frames(recording: Recording, folder: Path) -> dict[Path, Path]:
         fix = "give the folder that holds them, unchanged"
         raise FileError(f"{count}, the first is {missing[0].name}", file=folder, fix=fix)
     return {path: below[mark] for path, mark in wanted.items()}
-
-
-def _recorded_files(recording: Recording) -> Iterator[tuple[Path, str]]:
-    """The files in the folders of frames, and their hashes."""
-    for name, entry in recording.manifest.items():
-        here = name == FRAMES or name.startswith(f"{FRAMES}/")
-        if here and isinstance(entry, dict) and isinstance(entry.get("files"), dict) and "path" in entry:
-            yield from files_of(entry)
 
 
 def at_places(given: Mapping[int, ReplayedStage], places: Mapping[Path, Path]) -> dict[int, ReplayedStage]:
