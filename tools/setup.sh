@@ -17,7 +17,7 @@ if ! command -v gdal-config >/dev/null; then
         DEBIAN_FRONTEND=noninteractive $root apt-get install -y -qq --no-install-recommends libgdal-dev g++ >/dev/null
     else
         echo "setup: GDAL's library is missing; install libgdal-dev (Debian, Ubuntu), gdal-devel (Fedora)," \
-             "gdal (Homebrew), or use conda: conda env create -f environment.yml" >&2
+             "gdal (Homebrew), or use conda (docs/start.md)" >&2
         exit 2
     fi
 fi

@@ -72,7 +72,7 @@ def control(asked: ControlOptions) -> None:
                 gcp_optional=True,
             )
             oriented = frames_by_tags(request, reporter)
-    surveyed, notes = read_points(asked.points, folder, oriented, datum)
+    surveyed, notes = read_points(asked.points, folder, oriented, datum, asked.pos_crs)
     for note in notes:
         reporter.warning(note.text)
     session = MarkingSession(oriented, surveyed, folder)

@@ -16,7 +16,6 @@ from geomosaic.export.references import write_odm_control
 from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.pipeline import files
 from geomosaic.survey.control import read_control
-from geomosaic.survey.control_table import OR_POS_CRS
 from geomosaic.survey.extent import lonlat_of
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames
@@ -33,21 +32,22 @@ _CHECK: Final = "CHK"
 
 
 def read_points(
-    path: Path, folder: Path, frames: OrientedFrames, datum: CRS | None = None
+    path: Path, folder: Path, frames: OrientedFrames, datum: CRS | None = None, crs: str | None = None
 ) -> tuple[tuple[ControlPoint, ...], tuple[Warn, ...]]:
     """The points of a file, with the marks and kinds that the folder's gcp.csv has for them, and what was
     assumed of the file. Points that only gcp.csv has come last.
 
-    Args: datum: what heights of the file count from that state nothing else.
+    Args: datum: what heights of the file count from that state nothing else. crs: of x and y, where the file
+    states none.
     Raises: `InputError` for a file that cannot be read, or marks of gcp.csv in frames that are not there.
     """
     names = FrameNames(frame.name for frame in frames.frames)
     positions = [frame.position for frame in frames.frames]
     near = lonlat_of([p for p in positions if p.known] or positions) if frames.on_earth else NOWHERE
     try:
-        given = read_control(path, names, near, datum)
+        given = read_control(path, names, near, datum, crs)
     except InputError as error:
-        error.reword(lambda text: text.replace("--gcp", "--points").removesuffix(OR_POS_CRS))
+        error.reword(lambda text: text.replace("--gcp", "--points"))
         raise
     notes = [*given.notes]
     if given.absent:

@@ -39,30 +39,38 @@ class AbsoluteAccuracy:
 
     @property
     def ce90_m(self) -> float:
-        """Radius of the circle about a mapped place that holds the true one in 90 of 100 cases.
+        """Radius of the circle about a mapped place that holds the true one in 90 of 100 cases."""
+        return self.circle_m(0.9)
+
+    @property
+    def le90_m(self) -> float:
+        """Half of the interval about a mapped height that holds the true one in 90 of 100 cases."""
+        return self.interval_m(0.9)
+
+    def circle_m(self, share: float) -> float:
+        """Radius of the circle about a mapped place that holds the true one in a share of cases.
 
         A common shift that check points measured does not scatter. With it a length has Rice's distribution,
         without it Rayleigh's, from which the factor of the RMSE is.
         """
         shift_m = float(np.hypot(*self.shift_m[:2]))
         if not shift_m > 0.0:
-            return circle_of(0.9) * self.rmse_h_m
+            return circle_of(share) * self.rmse_h_m
         from scipy.stats import rice  # half a second, which few runs need
 
         sd_m = np.sqrt(max(self.rmse_h_m**2 - shift_m**2, SLIGHT * shift_m**2) / 2.0)
-        return float(sd_m * rice.ppf(0.9, shift_m / sd_m))
+        return float(sd_m * rice.ppf(share, shift_m / sd_m))
 
-    @property
-    def le90_m(self) -> float:
-        """Half of the interval about a mapped height that holds the true one in 90 of 100 cases; see
-        `ce90_m`."""
+    def interval_m(self, share: float) -> float:
+        """Half of the interval about a mapped height that holds the true one in a share of cases; see
+        `circle_m`."""
         shift_m = abs(float(self.shift_m[2]))
         if not shift_m > 0.0:
-            return interval_of(0.9) * self.rmse_v_m
+            return interval_of(share) * self.rmse_v_m
         from scipy.stats import foldnorm
 
         sd_m = np.sqrt(max(self.rmse_v_m**2 - shift_m**2, SLIGHT * shift_m**2))
-        return float(sd_m * foldnorm.ppf(0.9, shift_m / sd_m))
+        return float(sd_m * foldnorm.ppf(share, shift_m / sd_m))
 
     @property
     def shifted(self) -> bool:

@@ -91,7 +91,7 @@ CRITERIA: Mapping[str, Criterion] = {
         "share",
         "the ground beyond the last tie points may lie so much higher or lower that the map there is off by "
         f"more than {ASKED}",
-        "an elevation model (--dem), or frames beyond what is wanted",
+        "an elevation model (--dem), or one more line beyond the area on each side",
         "every survey has a rim that too few frames see, and accuracy.tif shows it; a third of all is no rim",
         inner=True,
     ),
@@ -99,16 +99,16 @@ CRITERIA: Mapping[str, Criterion] = {
         0.1,
         np.inf,
         "share",
-        "the surface was matched unsurely: woods that wind moves, rims of what stands, and what few frames "
-        f"see, or see aslant, may lie off by more than {ASKED}",
-        "more overlap along and across, flown without wind; --ortho terrain lays frames on the ground below",
+        "the surface was matched unsurely: woods in wind, edges of objects, and land that few frames or only "
+        f"oblique views show, may lie off by more than {ASKED}",
+        "more overlap along and across, flown without wind; --ortho terrain rectifies on the terrain below",
         "as for the worst tenth of the seams: nine tenths of the land keep below what is asked",
     ),
     "frames not tied": Criterion(
         0.01,
         1.0 / 3.0,
         "share",
-        "frames that match no other lie where their own positions say",
+        "frames without tie points are placed by their own positions alone, which may be metres off",
         "leave them out, or fly with more overlap",
         "a position is worth metres, so their land is off; a hundredth of all is a corner, a third is no map",
     ),
@@ -175,7 +175,7 @@ CRITERIA: Mapping[str, Criterion] = {
         3.0,
         np.inf,
         "stated deviations",
-        "check points are shifted in common by more than is stated",
+        "all check points are off by one common shift, larger than the stated accuracy",
         "use them as control points, or check the datum of both",
         "within three, a shift is what the stated absolute accuracy says",
     ),
@@ -274,7 +274,7 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
     ),
     "lens-strayed": (
         "doubtful",
-        "no lens bends images as these are bent",
+        "the estimated lens is impossible: distances may be wrong",
         "give the lens and the readout time (--camera)",
     ),
 }

@@ -16,7 +16,6 @@ from geomosaic.quality.accuracy import (
     Requirement,
     metres,
 )
-from geomosaic.quality.figures import circle_of, interval_of
 from geomosaic.quality.seam_check import SeamCheck
 
 _STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
@@ -127,10 +126,10 @@ def reported(accuracy: Accuracy, required: Requirement) -> dict[str, Any]:
         "absolute": {
             "rmse_h_m": absolute.rmse_h_m,
             "ce90_m": absolute.ce90_m,
-            "ce95_m": circle_of(0.95) * absolute.rmse_h_m,
+            "ce95_m": absolute.circle_m(0.95),
             "rmse_v_m": absolute.rmse_v_m,
             "le90_m": absolute.le90_m,
-            "le95_m": interval_of(0.95) * absolute.rmse_v_m,
+            "le95_m": absolute.interval_m(0.95),
             "how": absolute.how,
             "check_points": absolute.check_points,
             "shift_m": absolute.shift_m.tolist(),

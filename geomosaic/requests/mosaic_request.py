@@ -72,7 +72,7 @@ class MosaicRequest(SurveyRequest):
     )
     accuracy: float | None = asked(
         Option(
-            "horizontal RMSE that you need, such as 5cm [what the positions can give]",
+            "horizontal RMSE that you need, such as 5cm; a number alone is metres [what positions can give]",
             "LENGTH",
             ACCURACY,
             sets="quality.verdict.accuracy_m",
@@ -81,7 +81,7 @@ class MosaicRequest(SurveyRequest):
     )
     accuracy_vertical: float | None = asked(
         Option(
-            "vertical RMSE that you need, such as 10cm",
+            "vertical RMSE that you need, such as 10cm; a number alone is metres",
             "LENGTH",
             ACCURACY,
             sets="quality.verdict.accuracy_vertical_m",

@@ -130,6 +130,8 @@ class _TypedOptions:
             text = _FAULT.sub(lambda _: start, text.removeprefix(file))
         else:
             text = _SET.sub(self._option, text)
+        for its in (f for f in fields(self.request) if not option_of(f).heading):  # an argument has no flag
+            text = text.replace(f"with {flag_of(its)} PATH", f"as {option_of(its).metavar}")
         return _FLAG.sub(lambda found: found[0] if found[1] in flags else _set_instead(found), text)
 
     def _option(self, found: re.Match[str]) -> str:

@@ -74,7 +74,7 @@ def mosaic_strips(
     by_object = params.space == "object" or (params.space == "auto" and offsets.method == "virtual_line")
     if by_object and space is None:
         raise InputError(
-            "a scene on the ground (mosaic.strips.space=object) needs a rigorous model",
+            "a scene on the ground needs a rigorous model",
             fix="give 'model' in the geometry file, or --set mosaic.strips.space=image",
         )
     layout: SceneLayout

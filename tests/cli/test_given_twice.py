@@ -29,4 +29,4 @@ def test_an_option_with_one_value_is_given_once(
 def test_options_that_may_be_given_twice(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ("mosaic", "nowhere", "--set", "survey.read.crs=auto", "--set", "mosaic.seams.edges=keep")
     assert main((*arguments, "-q", "-q")) == 2
-    assert "no such file or folder" in capsys.readouterr().err
+    assert "no such file or folder; give an existing one as FRAMES_DIR" in capsys.readouterr().err

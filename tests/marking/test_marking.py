@@ -162,6 +162,8 @@ def test_points_that_cannot_be_read_are_errors_and_marks_of_other_frames_are_nam
         given.write_text(text)
         with pytest.raises(InputError, match=said):
             read_points(given, tmp_path, scene.frames)
+    points, _ = read_points(given, tmp_path, scene.frames, crs="EPSG:32632")
+    assert [points[0].lon_deg, points[0].lat_deg] == pytest.approx([7.575069, 50.992885], abs=1e-6)
     given.write_text("name,lon_deg,lat_deg,height,image,col,row\nA,7.0,51.0,100,other.jpg,5,6\n")
     points, notes = read_points(given, tmp_path, scene.frames)
     assert not points[0].images and any("1 marks are in images" in note.text for note in notes)

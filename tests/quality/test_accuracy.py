@@ -171,6 +171,7 @@ def test_a_shift_that_check_points_measured_does_not_widen_ce90() -> None:
     absolute = accuracy_of(adjusted(None, *points), float("nan"), 0.02).absolute
     assert absolute.shifted
     assert absolute.ce90_m == pytest.approx(2.126, abs=0.002)
+    assert absolute.ce90_m < absolute.circle_m(0.95) < 1.7308 * absolute.rmse_h_m
     assert absolute.le90_m == pytest.approx(3.064, abs=0.002)
     scattered = tuple(check((1.3 * e / 0.05, 0.0, u)) for e, _, u in spread)
     absolute = accuracy_of(adjusted(None, *scattered), float("nan"), 0.02).absolute
