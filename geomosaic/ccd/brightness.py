@@ -1,7 +1,7 @@
 """What is bright: clouds mostly are, and whatever is bright and moves against the rest as a whole is cloud.
 
-Brightness alone condemns nothing: snow and sand are bright too. It says which part of a scene to ask last
-and whether that part lies where the curves drawn by the rest would have it.
+Brightness alone decides nothing: snow and sand are bright too. It says which part of a scene counts last,
+and whether its offsets agree with the curves of the rest.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from geomosaic.survey.strips import StripGeometry
 
 
 @dataclass(frozen=True)
-class Nature:
+class ScenePriors:
     """What holds for every camera; what is of one is in its `StripGeometry`.
 
     cloud_height_m, cloud_height_sd_m: clouds lie from the ground to some 13 km. Low, middle and high ones
@@ -75,9 +75,9 @@ class Expected:
         return max(LEAST_STEP_PX, lines * max(self.steep_px_per_line, motion))
 
 
-def expected(geometry: StripGeometry, knot_lines: int = 0, nature: Nature | None = None) -> Expected:
+def expected(geometry: StripGeometry, knot_lines: int = 0, priors: ScenePriors | None = None) -> Expected:
     """What may be expected of a camera's strips; knot_lines 0: as jitter needs them."""
-    g, n = geometry, nature or Nature()
+    g, n = geometry, priors or ScenePriors()
     rows_s, px_per_rad = g.row_separation_lines / g.line_rate_hz, g.altitude_m / g.ground_pixel_m
     line_m = min(1.0 / g.height_m_per_line if g.height_m_per_line > 0.0 else 0.0, _MOST_PX)
     drift_px, wind_px = n.drift_rad_per_s * rows_s * px_per_rad, n.wind_sd_m_per_s * rows_s / g.ground_pixel_m

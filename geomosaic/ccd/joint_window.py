@@ -27,7 +27,7 @@ from geomosaic.ccd.least_squares_matching import (
     pair_images,
 )
 from geomosaic.ccd.model import SURE_SD_PX, UNKNOWN_SD_PX, CcdSettings
-from geomosaic.ccd.motion import Habits, Smoothed, first_habits, learned, smooth, smooth_with_shift
+from geomosaic.ccd.motion import MotionPriors, Smoothed, first_priors, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
 from geomosaic.ccd.rows import RowPair
@@ -113,8 +113,8 @@ def solved_window(
     """
     centres = _centres(pairs, likely)
     coarse, weights = start.offset_px, start.information
-    habits = first_habits(likely)
-    now = smooth(coarse, weights, np.median(coarse, axis=1), habits)
+    priors = first_priors(likely)
+    now = smooth(coarse, weights, np.median(coarse, axis=1), priors)
     cells: list[KnotOffsetsMeasured] = []
     cloudy = False
     clear = list(pairs)
@@ -124,14 +124,14 @@ def solved_window(
         images = each(partial(pair_images, scale=scale), pairs)
         ready = _PreparedPairs(pairs, images, coarse, centres)
         if start.suspect:
-            off, seen = _off_curves(ready, now, start.suspect, habits)
+            off, seen = _off_curves(ready, now, start.suspect, priors)
             cloudy |= off
             if cloudy or not seen:
                 clear = start.clear(pairs)
                 ready = replace(ready, images=each(partial(pair_images, scale=scale), clear))
         for turn in range(rounds):
             last = scale == 1 and turn == rounds - 1
-            now, cells, used, habits = _refined(ready, now, habits, last)
+            now, cells, used, priors = _refined(ready, now, priors, last)
     assert now.covariance is not None
     variance = np.maximum(np.diagonal(now.covariance, axis1=2, axis2=3), 0.0)
     measured_px = np.stack([c.offset_px for c in cells])
@@ -174,7 +174,7 @@ def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expec
 
 
 def _off_curves(
-    ready: _PreparedPairs, now: Smoothed, suspect: Sequence[Bools], habits: Habits
+    ready: _PreparedPairs, now: Smoothed, suspect: Sequence[Bools], priors: MotionPriors
 ) -> tuple[bool, bool]:
     """Whether the suspect part lies off the curves that the rest draws; and whether that can be decided."""
     cells, offset, measured = _measured(ready, now)
@@ -192,7 +192,7 @@ def _off_curves(
     weighed = measured
     for _ in range(3):
         solution, shift, covariance = smooth_with_shift(
-            offset, weighed + _ANCHOR, part & found, level, habits
+            offset, weighed + _ANCHOR, part & found, level, priors
         )
         residual = offset - solution.offsets_px - np.where(part[..., None], shift, 0.0)
         weight, factor = _plausible(residual, measured)
@@ -203,11 +203,11 @@ def _off_curves(
 
 
 def _refined(
-    ready: _PreparedPairs, now: Smoothed, habits: Habits, last: bool
-) -> tuple[Smoothed, list[KnotOffsetsMeasured], Bools, Habits]:
+    ready: _PreparedPairs, now: Smoothed, priors: MotionPriors, last: bool
+) -> tuple[Smoothed, list[KnotOffsetsMeasured], Bools, MotionPriors]:
     """One round: cells measured along the curves, implausible ones set back, curves drawn anew.
 
-    Returns: curves, cells, which of them (pairs, knots) had a say, habits.
+    Returns: curves, cells, which of them (pairs, knots) had a say, priors.
     """
     cells, offset, measured = _measured(ready, now)
     found = np.trace(measured, axis1=2, axis2=3) > np.trace(_ANCHOR)
@@ -215,14 +215,14 @@ def _refined(
     close = np.where(found[..., None, None], np.stack([cell.close for cell in cells]), 0.0)
     information, near_by = measured, close
     for _ in range(2):
-        solution = smooth(offset, near_by + _ANCHOR, level, habits)
+        solution = smooth(offset, near_by + _ANCHOR, level, priors)
         weight, factor = _plausible(offset - solution.offsets_px, measured)
         share = (weight / factor[:, None])[..., None, None]
         information, near_by = measured * share, close * share
     known = np.trace(information, axis1=2, axis2=3) > 2 * SURE_SD_PX**-2
-    habits = learned(solution, known, habits)
-    final = smooth(offset, information + _ANCHOR, level, habits, covariance=last)
-    return final, cells, found, habits
+    priors = learned(solution, known, priors)
+    final = smooth(offset, information + _ANCHOR, level, priors, covariance=last)
+    return final, cells, found, priors
 
 
 def _measured(ready: _PreparedPairs, now: Smoothed) -> tuple[list[KnotOffsetsMeasured], Floats, Floats]:

@@ -42,7 +42,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Habits:
+class MotionPriors:
     """What is expected of the curves: motion and own parts, columns and lines each; how far motion goes."""
 
     motion: tuple[tuple[Curve, ...], tuple[Curve, ...]]
@@ -68,7 +68,7 @@ def prediction(order: int) -> Floats:
     return np.asarray(-np.poly(np.ones(order))[1:], dtype=np.float64)
 
 
-def first_habits(likely: Expected) -> Habits:
+def first_priors(likely: Expected) -> MotionPriors:
     """What is expected before anything was seen: motion by its usual change, own parts by relief."""
     jerk = _JERK * likely.moves_px_per_line * likely.knot_lines
     relief = likely.bends_px_per_line * _OWN_STRIDE * likely.knot_lines
@@ -85,11 +85,11 @@ def first_habits(likely: Expected) -> Habits:
         )
         for sd, by in zip(fine, (0.0, relief), strict=True)
     ]
-    return Habits((motion, motion), (own[0], own[1]), likely.far_px)
+    return MotionPriors((motion, motion), (own[0], own[1]), likely.far_px)
 
 
 def smooth(
-    offset_px: Floats, information: Floats, level_px: Floats, habits: Habits, covariance: bool = False
+    offset_px: Floats, information: Floats, level_px: Floats, priors: MotionPriors, covariance: bool = False
 ) -> Smoothed:
     """The most probable curves.
 
@@ -97,7 +97,7 @@ def smooth(
     level_px (pairs, 2): about where each pair's curves lie, to which they return where nothing is known.
     """
     k, n = offset_px.shape[:2]
-    factor, right = _equations(offset_px, information, level_px, habits)
+    factor, right = _equations(offset_px, information, level_px, priors)
     sums = None
     if covariance:
         whole = factor.inverse_blocks().reshape(n, k + 1, 2, k + 1, 2)
@@ -111,13 +111,13 @@ def smooth(
 
 
 def smooth_with_shift(
-    offset_px: Floats, information: Floats, part: Bools, level_px: Floats, habits: Habits
+    offset_px: Floats, information: Floats, part: Bools, level_px: Floats, priors: MotionPriors
 ) -> tuple[Smoothed, Floats, Floats]:
     """The most probable curves if a part (pairs, knots) lies off them by one vector that is not known.
 
     Returns: the curves, that vector (2,) and its covariance (2, 2): Schur's complement of the curves.
     """
-    factor, right = _equations(offset_px, information, level_px, habits)
+    factor, right = _equations(offset_px, information, level_px, priors)
     n, size = right.shape
     mine = np.where(part[..., None, None], information, 0.0)
     joined = np.zeros((n, size, 2))
@@ -133,7 +133,7 @@ def smooth_with_shift(
 
 
 def _equations(
-    offset_px: Floats, information: Floats, level_px: Floats, habits: Habits
+    offset_px: Floats, information: Floats, level_px: Floats, priors: MotionPriors
 ) -> tuple[Banded, Floats]:
     """Normal equations of the curves less their levels: factors, and the right side (knots, 2 + 2 pairs)."""
     k, n = offset_px.shape[:2]
@@ -148,9 +148,9 @@ def _equations(
         mine = slice(2 + 2 * p, 4 + 2 * p)
         diagonal[:, mine, mine] = diagonal[:, :2, mine] = diagonal[:, mine, :2] = information[p]
         right[:, mine] = pulled[p]
-    spread = np.array([habits.reach_px] * 2 + [NOMINAL_SD_PX] * (2 * k))
+    spread = np.array([priors.reach_px] * 2 + [NOMINAL_SD_PX] * (2 * k))
     diagonal[:, np.arange(size), np.arange(size)] += spread**-2 / _FREE_KNOTS
-    own, *others = _bands(habits, n, k)
+    own, *others = _bands(priors, n, k)
     diagonal[:, np.arange(size), np.arange(size)] += own
     return Banded(diagonal, others), right
 
@@ -162,8 +162,8 @@ def _curves(solved: Floats, level_px: Floats, covariance: Floats | None) -> Smoo
     return Smoothed(x[:, 0] + common, own, covariance)
 
 
-def learned(solution: Smoothed, known: Bools, before: Habits) -> Habits:
-    """Habits of the curves of a solution, from where they were well measured.
+def learned(solution: Smoothed, known: Bools, before: MotionPriors) -> MotionPriors:
+    """MotionPriors of the curves of a solution, from where they were well measured.
 
     Args: known (pairs, knots) bool.
     """
@@ -187,7 +187,7 @@ def learned(solution: Smoothed, known: Bools, before: Habits) -> Habits:
                 _spread(curves, list(known), Curve(prediction(1), 0.003, _OWN_STRIDE), level, lasting),
             )
         )
-    return Habits((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)
+    return MotionPriors((motion[0], motion[1]), (apart[0], apart[1]), before.reach_px)
 
 
 def _mean(curve: Floats, known: Bools) -> Floats:
@@ -244,9 +244,9 @@ def _stable(weights: Floats) -> Floats:
     return -np.real(np.poly(roots))[1:]
 
 
-def _bands(habits: Habits, knots: int, pairs: int) -> list[Floats]:
+def _bands(priors: MotionPriors, knots: int, pairs: int) -> list[Floats]:
     """Bands of the curves' precision: bands[d] (knots - d, 2 + 2 pairs) joins knot j and j + d."""
-    each = [*habits.motion, *(habits.own * pairs)]
+    each = [*priors.motion, *(priors.own * pairs)]
     reach = max(len(curve.weights) * curve.stride for curves in each for curve in curves)
     out = [np.zeros((max(knots - d, 0), len(each))) for d in range(reach + 1)]
     for column, curves in enumerate(each):

@@ -1,4 +1,4 @@
-"""Settles the mosaic's grid, and which frame gives which part of it."""
+"""Chooses the mosaic's grid, and which frame gives which part of it."""
 
 from __future__ import annotations
 

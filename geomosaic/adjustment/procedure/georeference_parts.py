@@ -77,10 +77,11 @@ def _by_headings(shape: Complexes, priors: PlanPriors) -> complex:
 def _by_pairs(place: Complexes, fixes: Fixes) -> list[complex]:
     """Turn and scale with the least median residual, of many pairs of fixes far apart; none of under 4."""
     n = len(place)
-    i, j = np.triu_indices(n, 1)
-    if len(i) > SAMPLES:
-        some = np.random.default_rng(0).choice(len(i), 8 * SAMPLES, replace=len(i) < 8 * SAMPLES)
-        i, j = i[some], j[some]
+    count, drawn = n * (n - 1) // 2, 8 * SAMPLES
+    if count <= SAMPLES:
+        i, j = np.triu_indices(n, 1)
+    else:
+        i, j = _pairs_of(n, np.random.default_rng(0).choice(count, drawn, replace=count < drawn))
         far = np.argsort(-np.abs(place[i] - place[j]), kind="stable")[: len(i) // 2]
         far = far[:: max(1, len(far) // SAMPLES)]
         i, j = i[far], j[far]
@@ -92,6 +93,12 @@ def _by_pairs(place: Complexes, fixes: Fixes) -> list[complex]:
     left = fixes.at[None] - whole[:, None] * place[None]
     shift = np.median(left.real, axis=1) + 1j * np.median(left.imag, axis=1)
     return [complex(whole[np.median(np.abs(left - shift[:, None]), axis=1).argmin()])]
+
+
+def _pairs_of(n: int, numbers: Ints) -> tuple[Ints, Ints]:
+    """The pairs of n with these numbers in the order of `np.triu_indices(n, 1)`."""
+    i = ((2 * n - 1 - np.sqrt((2.0 * n - 1.0) ** 2 - 8.0 * numbers)) // 2).astype(np.intp)
+    return i, numbers - i * (2 * n - i - 1) // 2 + i + 1
 
 
 def _improved(
