@@ -11,6 +11,7 @@ import typer
 
 from geomosaic.cli.options import Port, Quiet, output_option, with_options
 from geomosaic.cli.requested import typer_option
+from geomosaic.errors import InputError
 from geomosaic.requests.mosaic_request import MosaicRequest
 
 
@@ -55,6 +56,12 @@ def control(asked: ControlOptions) -> None:
     from geomosaic.marking.session import MarkingSession
     from geomosaic.requests.run_request import default_folder
 
+    unused = [n for n in ("pos", "camera", "dem", "ground_height") if getattr(asked, n) is not None]
+    if asked.run is not None and unused:
+        flag = f"--{unused[0].replace('_', '-')}"
+        raise InputError(
+            f"{flag} has no effect with --run, whose poses count", fix=f"leave out {flag} or --run"
+        )
     folder = asked.output or default_folder(asked.frames, "control")
     datum = None if asked.height_datum is None else datum_of(asked.height_datum)
     with progress(quiet=asked.quiet) as reporter:

@@ -58,6 +58,6 @@ def _conclude(recipe: Recipe, output: Path, summary: Mapping[str, Any]) -> None:
 
 def print_named(lines: Sequence[tuple[str, str]]) -> None:
     """Lines of a word and its text, the texts below each other."""
-    width = max(10, *(len(name) for name, _ in lines))
+    width = max([10, *(len(name) for name, _ in lines)])
     for name, text in lines:
         print(f"{name:<{width}} {text}")

@@ -16,6 +16,7 @@ from geomosaic.arrays import Floats
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.geopackage import MapFeatures, write_geopackage
 from geomosaic.quality.changes import HEIGHT, IMAGE, Change
+from geomosaic.quality.rasters import colour_bands
 
 LAYER: Final = "changes"
 _PICTURE_PX: Final = 2000  # longest side of the picture: more does not fit a screen
@@ -26,7 +27,7 @@ _COLOURS: Final = {IMAGE: (0, 0, 255), HEIGHT: (255, 80, 0)}
 def write_polygons(path: Path, changes: Sequence[Change], crs: str, time_s: float | None) -> None:
     """A GeoPackage with one layer. Raises: `OSError` if it can't be written."""
     fields = {
-        "kind": [c.kind for c in changes],
+        "kind": np.array([c.kind for c in changes], dtype=str),
         "deviations": np.array([c.sigma for c in changes], dtype=np.float64),
         "area_m2": np.array([c.area_m2 for c in changes], dtype=np.float64),
         "rise_m": np.array([c.rise_m for c in changes], dtype=np.float64),
@@ -47,7 +48,7 @@ def write_picture(path: Path, mosaic: Path, changes: Sequence[Change]) -> None:
     with open_raster(mosaic, OWN) as tiff, reading(mosaic):
         share = min(1.0, _PICTURE_PX / max(tiff.width, tiff.height))
         shape = max(1, round(tiff.height * share)), max(1, round(tiff.width * share))
-        colours = tiff.indexes[:3] if tiff.count >= 3 else tiff.indexes[:1]
+        colours = colour_bands(tiff)
         bands = tiff.read(colours, out_shape=(len(colours), *shape), resampling=Resampling.average)
         inverse = ~tiff.transform
     grey = bands.astype(np.float32)

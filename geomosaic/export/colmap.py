@@ -20,16 +20,18 @@ from geomosaic.matching.tracks import frame_by_frame
 _GREY: Final = "128 128 128"
 
 
-def write_colmap(folder: Path, block: SfmBlock, origin: tuple[float, float, float]) -> None:
+def write_colmap(folder: Path, block: SfmBlock, origin: tuple[float, float, float] | None) -> None:
     """Writes the three files into a folder.
 
-    origin: longitude and latitude in degrees and ellipsoidal height in m of the world's origin, for people.
+    origin: longitude and latitude in degrees and ellipsoidal height in m of the world's origin, for people;
+    None of a local frame without a place on the Earth.
     Raises: `OSError` if they can't be written.
     """
-    lon, lat, height = origin
-    head = (
-        f"# metres east, north and up about longitude {lon:.9f}, latitude {lat:.9f}, height {height:.3f} m\n"
-    )
+    head = "# a local frame: its scale and its heading are unknown\n"
+    if origin is not None:
+        lon, lat, height = origin
+        head = f"# metres east, north and up about longitude {lon:.9f}, latitude {lat:.9f}, "
+        head += f"height {height:.3f} m\n"
     cameras = [_camera(k + 1, camera) for k, camera in enumerate(block.cameras)]
     (folder / "cameras.txt").write_text(head + "".join(f"{line}\n" for line in cameras), encoding="utf-8")
     with (folder / "images.txt").open("w", encoding="utf-8") as file:

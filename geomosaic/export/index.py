@@ -70,6 +70,8 @@ class Index:
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise InputError(f"'{text}' is no formula", fix=_LIKE) from error
         _check(tree, text)
+        if not any(isinstance(n, ast.Name) for n in ast.walk(tree)):
+            raise InputError(f"'{text}' names no band", fix=_LIKE)
         label = name or (known if known in FORMULAS else "index")
         if not re.fullmatch(r"[\w-]{1,40}", label):
             raise InputError(f"'{label}' is no name for a file", fix="use letters, digits, - and _")

@@ -45,7 +45,7 @@ def write_layers(path: Path, solved: SolvedSurvey, stated: Mapping[str, str] | N
     error_ellipses: of the adjusted positions, larger than life. tie_points: midway between where its two
     frames put each; residuals: lines from where the left frame puts it to where the right one does, true to
     scale; image_residuals: each observation of the bundle where its frame puts it on the ground, with its
-    vector in pixels. These three show at most 2,000 a frame and 200,000 in all, as their description says.
+    vector in pixels. These three are thinned, as their description says.
     control: where points were surveyed; control_residuals: lines to there from where the images put them,
     true to scale. seamlines: where each frame gives the mosaic. trimmed: what frames see and the
     mosaic leaves out, a part a reason.
@@ -153,7 +153,7 @@ class _Layers:
         known = np.asarray(np.isfinite(outlines).all(axis=(1, 2)))
         fields = {**self._ellipse(), "sd_u_m": o.sd_m[:, 2], "scale": np.full(len(known), factor)}
         fields = {"frame": self.names, "status": self.status, **fields}
-        larger = f"drawn {factor:,.0f} times larger"
+        larger = "true to scale" if factor == 1.0 else f"drawn {factor:,.0f} times larger"
         return MapFeatures(
             "error_ellipses",
             f"Standard error ellipses (1 sigma) of the frames' positions, {larger}",

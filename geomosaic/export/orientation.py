@@ -13,7 +13,7 @@ from geomosaic.camera.rotation import Rotation, about_x, about_y
 from geomosaic.constants import SLIGHT
 from geomosaic.export.on_map import grid_from_work, local_from_work, map_from_work
 from geomosaic.geodesy.mapcrs import is_local
-from geomosaic.placement.prior import position_assumed
+from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.survey.model import Survey
 
 _SMALL_SHARE = 0.1
@@ -70,7 +70,7 @@ def orientations(survey: Survey, prior: Poses, adjusted: Adjusted) -> Orientatio
         sd_m=_deviations(covariance_m2),
         sd_omega_phi_kappa_deg=np.degrees(_deviations(angles)),
         moved_m=np.where(position_assumed(prior), np.nan, moved_m),
-        turned_deg=np.degrees(turned),
+        turned_deg=np.where(heading_assumed(prior), np.nan, np.degrees(turned)),
     )
 
 

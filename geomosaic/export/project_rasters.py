@@ -13,9 +13,9 @@ from geomosaic.composition.palette import frame_colour
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.export.project import ProjectLayer
 from geomosaic.export.styles import VERSION
+from geomosaic.quality.rasters import RGB, colour_bands
 
 HILLSHADE: Final = "surface_hillshade.tif"
-_RGB: Final = ("red", "green", "blue")
 _SPREAD: Final = 2.0
 """Deviations about the mean that are stretched from black to white, as QGIS does by default."""
 _HEIGHTS: Final = ("#00224d", "#414d6b", "#7b7b78", "#bbae6e", "#fde737")
@@ -40,18 +40,14 @@ _MULTIPLY: Final = "6"
 def image_layer(path: Path, title: str) -> ProjectLayer:
     """A raster on the map in its colours, stretched where it has more than 8 bits."""
     with open_raster(path, OWN) as tiff:
-        names = [(name or "").lower() for name in tiff.descriptions]
-        if tiff.count < 3:
-            bands = [1]
-        else:
-            bands = [names.index(c) + 1 for c in _RGB] if set(_RGB) <= set(names) else [1, 2, 3]
+        bands = colour_bands(tiff)
         stretch = None if tiff.dtypes[0] == "uint8" else [_stretch(tiff.tags(band)) for band in bands]
         crs, mask = tiff.crs.to_wkt(), tiff.count + 1
     if len(bands) == 3:
         renderer = Element("rasterrenderer", type="multibandcolor", opacity="1", alphaBand=f"{mask}")
-        for colour, band in zip(_RGB, bands, strict=True):
+        for colour, band in zip(RGB, bands, strict=True):
             renderer.set(f"{colour}Band", f"{band}")
-        parts: Sequence[str] = [f"{c}ContrastEnhancement" for c in _RGB]
+        parts: Sequence[str] = [f"{c}ContrastEnhancement" for c in RGB]
     else:
         renderer = Element(
             "rasterrenderer", type="singlebandgray", opacity="1", alphaBand=f"{mask}", grayBand="1",

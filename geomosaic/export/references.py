@@ -41,7 +41,8 @@ def write_pix4d(path: Path, o: Orientations) -> None:
 def write_odm_geo(path: Path, o: Orientations) -> None:
     """OpenDroneMap's geo.txt: name, lon, lat, height, yaw, pitch, roll (0 at the nadir), accuracies."""
     rows = _rows(o, [0, 1, 2], _nadir_angles(o), accuracy_last=True)
-    _write(path, ["EPSG:4326"], rows, " ")
+    known = [row[: row.index("")] if "" in row else row for row in rows]  # blanks part the columns
+    _write(path, ["EPSG:4326"], known, " ")
 
 
 def write_odm_control(path: Path, points: Iterable[ControlPoint], crs: str) -> None:
@@ -62,10 +63,10 @@ def write_odm_control(path: Path, points: Iterable[ControlPoint], crs: str) -> N
 def _rows(
     o: Orientations, place: list[int], angles_deg: Floats, *, accuracy_last: bool = False
 ) -> list[list[str]]:
-    """Of each frame that isn't rejected: name, its place in this order, horizontal and vertical accuracy,
-    angles."""
+    """Of each frame that isn't rejected: name, its place in this order, accuracy per horizontal axis and
+    vertically, angles."""
     decimals = (_DEGREES, _DEGREES, _METRES)
-    flat_m = np.hypot(o.sd_m[:, 0], o.sd_m[:, 1])
+    flat_m = np.hypot(o.sd_m[:, 0], o.sd_m[:, 1]) / np.sqrt(2.0)
     rows = []
     for k, name in enumerate(o.names):
         if o.status[k] == "rejected":

@@ -109,9 +109,13 @@ class ResidualLayers:
         there = surveyed - off
         surveyed_map, found_map = map_from_work(self.survey, surveyed), map_from_work(self.survey, there)
         residual = surveyed_map - found_map
-        residual_u = place[:, 2] - self.survey.work_frame.geodetic_from_enu(there)[:, 2]
+        found_height = self.survey.work_frame.geodetic_from_enu(there)[:, 2]
+        plan_only = np.array([p.plan_only for p in points], dtype=bool)
+        residual_u = np.where(plan_only, np.nan, place[:, 2] - found_height)
+        drawn_height = np.where(plan_only & np.isfinite(found_height), found_height, place[:, 2])
         turn = grid_from_work(self.survey, surveyed)
         sd = np.sqrt(np.einsum("nij,nj->ni", turn**2, _column(residuals, "sd_m") ** 2))
+        place[plan_only, 2] = sd[plan_only, 2] = np.nan
         fields = {
             "name": np.array([p.name for p in points], dtype=str),
             "kind": np.where(check, "check", "control"),
@@ -122,7 +126,7 @@ class ResidualLayers:
             "residual_m": np.linalg.norm(residual, axis=1),
             **columns("sd_e_m sd_n_m sd_u_m", sd),
         }
-        at = np.asarray(shapely.points(np.column_stack([surveyed_map, place[:, 2]])))
+        at = np.asarray(shapely.points(np.column_stack([surveyed_map, drawn_height])))
         text = "Surveyed control and check points"
         surveyed_points = MapFeatures("control", text, "PointZ", at, fields, looks.control())
         seen = np.isfinite(residual).all(axis=1)

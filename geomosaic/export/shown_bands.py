@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geomosaic.arrays import Bytes
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.quality.rasters import colour_bands
 
 _PERCENTILES: Final = (1.0, 99.0)
 
@@ -32,9 +33,9 @@ class ShownBands:
 
 
 def shown_bands(mosaic_file: Path) -> ShownBands:
-    """The first three bands, or the only one; more than 8 bits from the 1st to the 99th percentile."""
+    """Red, green and blue, or the only band; more than 8 bits from the 1st to the 99th percentile."""
     with open_raster(mosaic_file, OWN) as tiff:
-        bands = [1, 2, 3] if tiff.count >= 3 else [1]
+        bands = colour_bands(tiff)
         if tiff.dtypes[0] == "uint8":
             return ShownBands(bands)
         reduction = max(1, max(tiff.shape) // 1000)

@@ -17,6 +17,7 @@ from geomosaic.arrays import Floats32
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.raster import SOFTWARE
 from geomosaic.doors.raster import OWN, Raster, reading
+from geomosaic.export.shown_bands import ShownBands, shown_bands
 from geomosaic.export.surface import SurfaceBlock, mosaic_window
 from geomosaic.export.surface_heights import HeightSystem, reference_of
 
@@ -43,7 +44,7 @@ def writing_cloud(
     header.generating_software, header.system_identifier = SOFTWARE, "matched frames"
     header.vlrs.append(WktCoordinateSystemVlr(_wkt(heights)))
     header.global_encoding.wkt = True
-    backend = laspy.LazBackend.Lazrs
+    backend, shown = laspy.LazBackend.Lazrs, shown_bands(Path(mosaic.name))
     with path.open("wb") as file:
         writer = laspy.LasWriter(file, header, do_compress=True, laz_backend=backend, closefd=False)
 
@@ -57,7 +58,7 @@ def writing_cloud(
             points.z = block.height_m[rows, cols].astype(np.float64)
             points.classification = np.where(block.ground[rows, cols], GROUND, OTHER).astype(np.uint8)
             points.return_number = points.number_of_returns = np.ones(len(rows), dtype=np.uint8)
-            points.red, points.green, points.blue = _colours(mosaic, block, by)[:, rows, cols]
+            points.red, points.green, points.blue = _colours(mosaic, shown, block, by)[:, rows, cols]
             writer.write_points(points)
 
         yield write
@@ -70,18 +71,21 @@ def _wkt(heights: HeightSystem) -> str:
     return str(reference.ExportToWkt(["FORMAT=WKT1", "ALLOW_ELLIPSOIDAL_HEIGHT_AS_VERTICAL_CRS=YES"]))
 
 
-def _colours(mosaic: Raster, block: SurfaceBlock, by: int) -> NDArray[np.uint16]:
+def _colours(mosaic: Raster, shown: ShownBands, block: SurfaceBlock, by: int) -> NDArray[np.uint16]:
     """(3, rows, cols) red, green, blue: means of the mosaic's valid pixels in each of the block's."""
     size = block.height_m.shape[0], block.height_m.shape[1]
-    bands = [1, 2, 3] if mosaic.count >= 3 else [1, 1, 1]
+    bands = shown.bands if len(shown.bands) == 3 else shown.bands * 3
     window = mosaic_window(mosaic, block.row, block.col, size, by)
     with reading(Path(mosaic.name), OWN.problem, OWN.fix):
         pixels = mosaic.read(bands, window=window)
         valid = mosaic.dataset_mask(window=window) > 0
     number = _sums(valid.astype(np.float32), size, by)
     sums = np.stack([_sums(np.where(valid, band, 0).astype(np.float32), size, by) for band in pixels])
-    full = 257.0 if pixels.dtype == np.uint8 else 1.0  # of eight bits to sixteen
-    means = sums / np.maximum(number, np.float32(1.0)) * np.float32(full)
+    means = sums / np.maximum(number, np.float32(1.0))
+    if pixels.dtype.kind == "f":  # measured values, which may be shares or degrees
+        means = shown.eight_bits(means).astype(np.float32)
+    if pixels.dtype.kind == "f" or pixels.dtype == np.uint8:
+        means *= np.float32(257.0)  # of eight bits to sixteen
     return np.asarray(np.clip(np.round(means), 0.0, 65535.0).astype(np.uint16))
 
 

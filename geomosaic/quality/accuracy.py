@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Floats
 from geomosaic.constants import MEDIAN_LENGTH, SLIGHT, sourced, tuned
 from geomosaic.quality.check_points import CheckPoints, check_points
+from geomosaic.quality.control import known_residuals_m, means
 from geomosaic.quality.figures import circle_of, interval_of
 
 NOT_STATED: Final = float("nan")
@@ -119,12 +120,14 @@ class Requirement:
         if rmse_h_m is None and rmse_v_m is None and permille is None:
             return self
         local_m = [rmse_h_m, None if permille is None else permille * _OVER_M / 1000.0]
-        return Requirement(
-            self.rmse_h_m if rmse_h_m is None else rmse_h_m,
-            self.rmse_v_m if rmse_v_m is None else rmse_v_m,
-            self.permille if permille is None else permille,
-            "as asked for",
-            min((m for m in local_m if m is not None), default=self.local_m),
+        asked_m = [m for m in local_m if m is not None and self.scaled]
+        return replace(
+            self,
+            rmse_h_m=self.rmse_h_m if rmse_h_m is None else rmse_h_m,
+            rmse_v_m=self.rmse_v_m if rmse_v_m is None else rmse_v_m,
+            permille=self.permille if permille is None else permille,
+            why="as asked for",
+            local_m=min(asked_m, default=self.local_m),
         )
 
 
@@ -149,7 +152,9 @@ def accuracy_of(adjusted: Adjusted, seam_px: float, pixel_m: float, *, placed: b
     absolute = _estimated(places if placed else None, local_m2 / 2.0)
     if figures is not None and figures.count >= LEAST_POINTS:
         used = [c for c in adjusted.control if c.check and c.name not in figures.blunders]
-        absolute = _measured(figures, np.mean([c.surveyed_sd_m**2 for c in used], axis=0))
+        surveyed_m2 = np.array([c.surveyed_sd_m**2 for c in used])
+        known = np.isfinite(known_residuals_m(used))
+        absolute = _measured(figures, means(np.where(known, surveyed_m2, np.nan)))
     return Accuracy(absolute, _relative(places, local_m2, placed))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from rasterio import Affine
@@ -17,6 +18,8 @@ from geomosaic.doors.raster import REFERENCE, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.projection.lattice import MOST_OFF_PX
 from geomosaic.quality.ssim import luma
+
+RGB: Final = ("red", "green", "blue")
 
 
 def open_map(path: Path) -> Raster:
@@ -56,12 +59,21 @@ def on_grid_of(mosaic: Raster, other: Raster, path: Path, transform: Affine | No
         ) from error
 
 
+def colour_bands(dataset: Raster) -> list[int]:
+    """The numbers of a raster's red, green and blue band: by their names, else the first three; or of the one
+    grey band."""
+    colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
+    if len(colours) < 3:
+        return colours[:1]
+    number = {(dataset.descriptions[i - 1] or "").lower(): i for i in colours}
+    return [number[c] for c in RGB] if number.keys() >= set(RGB) else colours[:3]
+
+
 def read_luma(
     dataset: Raster, window: Window | None, shape: tuple[int, int] | None = None
 ) -> tuple[Floats32, Bools]:
     """Luma and valid pixels of a window, at a reduced shape if one is given."""
-    colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
-    colours = colours[:3] if len(colours) >= 3 else colours[:1]
+    colours = colour_bands(dataset)
     with reading(Path(dataset.name)):
         bands = dataset.read(
             colours,

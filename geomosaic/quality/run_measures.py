@@ -14,6 +14,7 @@ from pyproj.exceptions import ProjError
 from rasterio.windows import Window
 
 from geomosaic.arrays import Floats
+from geomosaic.composition.tiles import TILE_PX
 from geomosaic.constants import MEDIAN_LENGTH
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.doors.vector import Shapes
@@ -164,16 +165,17 @@ def _pixels(raster: Raster, at_m: Floats) -> tuple[Floats, Floats]:
 
 
 def sampled(raster: Raster, band: int, at_m: Floats) -> Floats:
-    """A band's values (n,) at places (n, 2) of the map, NaN where there are none."""
-    window, out = _window(raster, at_m), np.full(len(at_m), np.nan)
-    if not (window.width and window.height):
-        return out
-    with reading(Path(raster.name), OWN.problem, OWN.fix):
-        values = raster.read(band, window=window, masked=True)
-    known = np.asarray(values.astype(np.float64).filled(np.nan))
-    cols, rows = _pixels(raster, at_m)
-    col = np.floor(cols).astype(np.intp) - window.col_off
-    row = np.floor(rows).astype(np.intp) - window.row_off
-    within = (col >= 0) & (col < window.width) & (row >= 0) & (row < window.height)
-    out[within] = known[row[within], col[within]]
+    """A band's values (n,) at places (n, 2) of the map, NaN where there are none. Only tiles with places are
+    read."""
+    out = np.full(len(at_m), np.nan)
+    col, row = (np.floor(px).astype(np.intp) for px in _pixels(raster, at_m))
+    within = np.flatnonzero((col >= 0) & (col < raster.width) & (row >= 0) & (row < raster.height))
+    tiles = np.column_stack([row[within], col[within]]) // TILE_PX
+    for top, left in np.unique(tiles, axis=0).tolist():
+        mine = within[(tiles == (top, left)).all(axis=1)]
+        size = min(TILE_PX, raster.width - left * TILE_PX), min(TILE_PX, raster.height - top * TILE_PX)
+        window = Window(left * TILE_PX, top * TILE_PX, *size)
+        with reading(Path(raster.name), OWN.problem, OWN.fix):
+            values = raster.read(band, window=window, masked=True).astype(np.float64).filled(np.nan)
+        out[mine] = values[row[mine] - top * TILE_PX, col[mine] - left * TILE_PX]
     return out

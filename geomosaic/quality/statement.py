@@ -83,9 +83,10 @@ def _how(absolute: AbsoluteAccuracy) -> str:
         return "estimated from the covariance"
     east, north, up = absolute.shift_m
     scatter_m = float(np.hypot(*absolute.scatter_m[:2]))
+    shift = f"mean shift {east:+.3f} m east, {north:+.3f} m north"
+    shift += f", {up:+.3f} m up" if math.isfinite(up) else ""
     return (
-        f"measured at {absolute.check_points} check points: mean shift {east:+.3f} m east, {north:+.3f} m "
-        f"north, {up:+.3f} m up; scatter {metres(scatter_m)} horizontally"
+        f"measured at {absolute.check_points} check points: {shift}; scatter {metres(scatter_m)} horizontally"
     )
 
 

@@ -46,7 +46,15 @@ class Evidence:
         """The value with its unit."""
         if self.unit == "share":
             return _percent(self.value)
-        return f"{self.value:.{0 if self.unit == 'points' else 2}f} {self.unit}".strip()
+        return _with_unit(self.value, self.unit)
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """A figure as text; lengths in metres with digits that tell them apart."""
+    of, _, what = unit.partition(" ")
+    if of == "m":
+        return f"{metres(value)} {what}".strip()
+    return f"{value:.{0 if unit == 'points' else 2}f} {unit}".strip()
 
 
 @dataclass(frozen=True)
@@ -165,7 +173,7 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
     for name, value, most, unit, fix in asked:
         if np.isfinite(value) and np.isfinite(most):
             missed = value > most
-            cause = f"the requirement is missed: {most:.2f} {unit}, {required.why}" if missed else ""
+            cause = f"the requirement is missed: {_with_unit(most, unit)}, {required.why}" if missed else ""
             effect = over_100_m if missed and unit == "per mille" else ""
             out.append(Evidence(name, value, unit, GRADES[int(missed)], cause, fix if missed else "", effect))
     return out

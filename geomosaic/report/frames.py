@@ -99,19 +99,20 @@ def render_report(report: FramesReport) -> str:
     pixel_m = mosaic.grid.gsd_m * mosaic.grid.width_px / image.width_px
     scale = arrow_scale(mapped, mosaic.grid.gsd_m * max(mosaic.grid.width_px, mosaic.grid.height_px))
     drawn = FrameLayers(survey, placement, ties, adjusted, orientation, footprints_m, origin, pixel_m)
+    on_earth = not is_local(mosaic.grid.crs)
     begin = PageHead(
         title="Mosaic of " + plural(len(survey.frames), "frame"),
         run=report.name,
         judged=judged.judged,
         image=image,
-        caption="North is up. " * (not is_local(mosaic.grid.crs)) + "The full image is mosaic.tif.",
+        caption="North is up. " * on_earth + "The full image is mosaic.tif.",
         facts=_facts(report, image.covered_m2),
         map_view=MapView(
             (float(origin[0]), float(origin[1])),
             ("E", "N"),
             False,
-            "m",
-            True,
+            "m" if on_earth else "",
+            on_earth,
             box_of(image, origin),
             _images(report, image, origin, footprints_m),
             [
@@ -120,7 +121,7 @@ def render_report(report: FramesReport) -> str:
             ],
         ),
         table=parts.frame_table(placement, ties, adjusted, orientation, warnings_of(report.summary).frames),
-        plate=plate(image, mapped, scale),
+        plate=plate(image, mapped, scale, on_earth),
     )
     return render(
         "frames.html",

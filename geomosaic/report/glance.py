@@ -10,11 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp, Resampling
+from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
 
 from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
+from geomosaic.quality.rasters import colour_bands
 
 _LONGER_SIDE_PX = 2800
 _QUALITY = 75
@@ -52,8 +53,7 @@ def glance_of(dataset: Raster | WarpedVRT, longest_px: int, quality: int = 82) -
     """The same of an open raster."""
     scale = max(1.0, max(dataset.shape) / longest_px)
     shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
-    colours = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c != ColorInterp.alpha]
-    colours = colours[:3] if len(colours) >= 3 else colours[:1]
+    colours = colour_bands(dataset)
     bands = dataset.read(colours, out_shape=(len(colours), *shape), resampling=Resampling.average)
     valid = dataset.dataset_mask(out_shape=shape) > 127
     t = dataset.transform

@@ -30,8 +30,9 @@ _OFF: Final = (14.0, 28.0, -28.0, 42.0, -42.0)
 _HALO: Final = {"stroke": "#fff", "stroke_linejoin": "round", "stroke_linecap": "round"}
 
 
-def plate(image: Glance, kinds: Sequence[MappedPoints], scale: ArrowScale) -> str:
-    """The mosaic, 1000 units long, with points and legend; the image itself is left to the page's script."""
+def plate(image: Glance, kinds: Sequence[MappedPoints], scale: ArrowScale, on_earth: bool) -> str:
+    """The mosaic, 1000 units long, with points and legend; the image itself is left to the page's script.
+    on_earth: whether its lengths are metres, and north is up."""
     shrink = _SIDE / max(image.width_px, image.height_px)
     wide, high = image.width_px * shrink, image.height_px * shrink
     left = max(0.0, (_NARROWEST - wide) / 2.0)
@@ -50,7 +51,8 @@ def plate(image: Glance, kinds: Sequence[MappedPoints], scale: ArrowScale) -> st
         places = at(kind.at_m)
         out += [mark(kind.layer, x, y, wrong) for (x, y), wrong in zip(places, kind.blunders, strict=True)]
     out += _names(kinds, [at(kind.at_m) for kind in kinds], shafts, (left, 0.0, left + wide, high))
-    foot = [*_measures(scale if kinds else None, unit_m, high), *_legend(kinds, high)]
+    measures = _measures(scale if kinds else None, unit_m, high) if on_earth else []
+    foot = [*measures, *_legend(kinds, high)]
     height = high + 40.0 + 30.0 * bool(kinds)
     return document(max(wide, _NARROWEST), height, [*out, *foot], "the mosaic with its control points")
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from geomosaic.requests.mosaic_request import MosaicRequest
 from geomosaic.requests.option import RUNNING, Option, asked
 from geomosaic.requests.run_request import Job, recipe_of
-
-if TYPE_CHECKING:
-    pass
 
 _MATCHED: Final = (
     "survey.read",

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.composition.model import Mosaic
 from geomosaic.matching.model import TiePoints
@@ -15,6 +17,7 @@ from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.params import StageParams, param
 from geomosaic.pipeline.stage import Context, RunFile
 from geomosaic.quality.compare import Comparison
+from geomosaic.quality.control import known_residuals_m
 from geomosaic.quality.surface import SurfaceComparison
 from geomosaic.quality.verdict import Verdict
 from geomosaic.report.control import CHECK_POINTS, point_figures
@@ -68,7 +71,7 @@ class ReportParams(StageParams):
 
 
 @stage(
-    "export.report", "Write the report", group="Export", version=9, outputs="report_file", cached=False,
+    "export.report", "Write the report", group="Export", version=10, outputs="report_file", cached=False,
     results=("report.html", ACCURACY_REPORT, PDF),
 )  # fmt: skip
 def export_report(
@@ -113,17 +116,19 @@ def _accuracy_report(summary: Mapping[str, Any], adjusted: Adjusted) -> str:
     """Accuracy, verdict, figures of control and of check points and every one of them, as JSON."""
     kinds = point_figures(adjusted)
     blunders = {(f.title == CHECK_POINTS, name) for f in kinds for name in f.blunders}
+    known = np.isfinite(known_residuals_m(adjusted.control))
     points = [
         {
             "name": c.name,
             "check": c.check,
             "blunder": (c.check, c.name) in blunders,
             "images": c.images,
-            "residual_m": c.residual_m.tolist(),
-            "sd_m": c.sd_m.tolist(),
-            "surveyed_sd_m": c.surveyed_sd_m.tolist(),
+            **{
+                name: [float(v) if its else None for v, its in zip(getattr(c, name), of, strict=True)]
+                for name in ("residual_m", "sd_m", "surveyed_sd_m")
+            },
         }
-        for c in adjusted.control
+        for c, of in zip(adjusted.control, known, strict=True)
     ]
     figures = {
         "check" if f.title == CHECK_POINTS else "control": {

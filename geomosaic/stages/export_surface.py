@@ -59,7 +59,7 @@ def _check(params: SurfaceParams) -> None:
 
 
 @stage(
-    "export.surface", "Write the surface", group="Export", version=1, outputs=("surface_file",
+    "export.surface", "Write the surface", group="Export", version=2, outputs=("surface_file",
     "confidence_file", "terrain_file"), results=(*FILES.values(), *SIDECARS, HILLSHADE, CONTOURS, CLOUD),
     check=_check,
 )  # fmt: skip

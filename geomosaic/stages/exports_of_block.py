@@ -8,7 +8,7 @@ from geomosaic.export.opensfm import write_opensfm
 from geomosaic.export.orientation import orientations
 from geomosaic.export.references import write_metashape, write_odm_control, write_odm_geo, write_pix4d
 from geomosaic.export.sfm import sfm_block
-from geomosaic.geodesy.mapcrs import check_on_earth
+from geomosaic.geodesy.mapcrs import check_on_earth, is_local
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile
@@ -20,7 +20,7 @@ METASHAPE, PIX4D = "metashape.csv", "pix4d.csv"
 
 
 @stage(
-    "export.colmap", "Write the block for COLMAP", group="Export", version=1, outputs="colmap_folder",
+    "export.colmap", "Write the block for COLMAP", group="Export", version=2, outputs="colmap_folder",
     results=(COLMAP,),
 )  # fmt: skip
 def export_colmap(survey: Survey, ties: TiePoints, adjusted: Adjusted, context: Context) -> RunFile:
@@ -29,16 +29,18 @@ def export_colmap(survey: Survey, ties: TiePoints, adjusted: Adjusted, context: 
     at = survey.work_frame
     with context.writing(COLMAP) as folder:
         folder.mkdir()
-        write_colmap(folder, block, (at.lon_deg, at.lat_deg, at.height_ellipsoidal_m))
+        origin = (at.lon_deg, at.lat_deg, at.height_ellipsoidal_m)
+        write_colmap(folder, block, None if is_local(survey.map_crs) else origin)
     return context.run_file(COLMAP)
 
 
 @stage(
-    "export.opensfm", "Write the block for OpenSfM", group="Export", version=1, outputs="opensfm_folder",
+    "export.opensfm", "Write the block for OpenSfM", group="Export", version=2, outputs="opensfm_folder",
     results=(OPENSFM,),
 )  # fmt: skip
 def export_opensfm(survey: Survey, ties: TiePoints, adjusted: Adjusted, context: Context) -> RunFile:
     """Writes opensfm/: reconstruction.json, tracks.csv, camera_models.json and reference_lla.json."""
+    check_on_earth(survey.map_crs, "reconstruction of OpenSfM")
     block = sfm_block(survey, ties, adjusted)
     at, times = survey.work_frame, tuple(survey.frames[i].time_s for i in block.frames)
     with context.writing(OPENSFM) as folder:
@@ -48,7 +50,7 @@ def export_opensfm(survey: Survey, ties: TiePoints, adjusted: Adjusted, context:
 
 
 @stage(
-    "export.odm", "Write positions for OpenDroneMap", group="Export", version=2, outputs="odm_folder",
+    "export.odm", "Write positions for OpenDroneMap", group="Export", version=3, outputs="odm_folder",
     results=(ODM,),
 )  # fmt: skip
 def export_odm(survey: Survey, placement: Placement, adjusted: Adjusted, context: Context) -> RunFile:
@@ -78,7 +80,7 @@ def export_odm(survey: Survey, placement: Placement, adjusted: Adjusted, context
 
 
 @stage(
-    "export.metashape", "Write positions for Metashape", group="Export", version=1, outputs="metashape_file",
+    "export.metashape", "Write positions for Metashape", group="Export", version=2, outputs="metashape_file",
     results=(METASHAPE,),
 )  # fmt: skip
 def export_metashape(survey: Survey, placement: Placement, adjusted: Adjusted, context: Context) -> RunFile:
@@ -90,7 +92,7 @@ def export_metashape(survey: Survey, placement: Placement, adjusted: Adjusted, c
 
 
 @stage(
-    "export.pix4d", "Write positions for Pix4D", group="Export", version=1, outputs="pix4d_file",
+    "export.pix4d", "Write positions for Pix4D", group="Export", version=2, outputs="pix4d_file",
     results=(PIX4D,),
 )  # fmt: skip
 def export_pix4d(survey: Survey, placement: Placement, adjusted: Adjusted, context: Context) -> RunFile:

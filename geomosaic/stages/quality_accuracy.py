@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from geomosaic.composition.ownership import Ownership
 from geomosaic.export.accuracy import write_accuracy
 from geomosaic.export.cog import CogOptions, write_cog
+from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.pipeline.function_stage import InputGroup, stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.ground import GroundSurface
@@ -46,7 +47,7 @@ class MatchedHeights(InputGroup):
 
 
 @stage(
-    "quality.accuracy", "Write the accuracy raster", group="Quality", version=2, outputs="accuracy_file",
+    "quality.accuracy", "Write the accuracy raster", group="Quality", version=3, outputs="accuracy_file",
     results=(ACCURACY,),
 )  # fmt: skip
 def quality_accuracy(
@@ -82,8 +83,9 @@ def quality_accuracy(
         ("horizontal", summary.horizontal_m),
         ("vertical", summary.vertical_m),
     ):
-        context.metric(f"accuracy.{name}_median_m", _known(median_m))
-        context.metric(f"accuracy.{name}_95_m", _known(most_m))
+        stated = not is_local(survey.map_crs)  # else it is in no unit, and against no world
+        context.metric(f"accuracy.{name}_median_m", _known(median_m) if stated else None)
+        context.metric(f"accuracy.{name}_95_m", _known(most_m) if stated else None)
     for source in HeightSource:
         context.metric(f"accuracy.share.{source.name.lower()}", summary.shares[source])
     return context.run_file(ACCURACY)

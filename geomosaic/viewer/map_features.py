@@ -28,6 +28,9 @@ _STRAIGHT_PX: Final = 0.5  # that a line is off: less sends more vertices; more 
 _DECIMALS: Final = 1
 
 
+_LOCAL: Final = "Engineering CRS"
+
+
 def map_features(package: Path, grid: ViewGrid) -> list[dict[str, Any]]:
     """Layers that hold anything: title, colour, lines as lists of places, and points with labels.
 
@@ -51,7 +54,8 @@ def _px_from_layer(layer: Any, grid: ViewGrid) -> Callable[[Floats], Floats] | N
     reference = layer.GetSpatialRef()
     own = None if reference is None else CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2019"]))
     of_map = CRS.from_wkt(grid.crs) if grid.crs else None
-    if own == of_map or own is None:
+    local = of_map is not None and own is not None and own.type_name == of_map.type_name == _LOCAL
+    if own == of_map or own is None or local:  # GeoPackage and TIFF write a local frame differently
         return grid.px_from_map
     if of_map is None:
         return None

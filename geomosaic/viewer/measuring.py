@@ -38,15 +38,25 @@ def measured(view: RunView, kind: str, points_px: Floats) -> dict[str, Any]:
     return of(view.rasters, CRS.from_wkt(view.grid.crs), view.grid.map_from_px(points_px))
 
 
+def _on_rasters(rasters: RunRasters, crs: CRS, at_m: Floats) -> Floats:
+    """Places (n, 2) of the map that is shown, in the CRS of a run's own rasters."""
+    with open_raster(rasters.accuracy, OWN) as accuracy:
+        own = CRS.from_user_input(accuracy.crs.to_wkt())
+    if own == crs or own.type_name == crs.type_name == "Engineering CRS":
+        return at_m
+    return np.column_stack(Transformer.from_crs(crs, own, always_xy=True).transform(at_m[:, 0], at_m[:, 1]))
+
+
 def _place(rasters: RunRasters, crs: CRS, at_m: Floats) -> dict[str, Any]:
     """Where a place lies and how high, with deviations against the world."""
+    own_m = _on_rasters(rasters, crs, at_m)
     with open_raster(rasters.accuracy, OWN) as accuracy:
-        plan_m = np.array([v[0] for v in accuracy.sample(at_m[:1])], dtype=np.float64)
+        plan_m = np.array([v[0] for v in accuracy.sample(own_m[:1])], dtype=np.float64)
     found: dict[str, Any] = {"east": at_m[0, 0], "north": at_m[0, 1], "plan_sd": _known(float(plan_m[0]))}
     if crs.is_projected:
         lon, lat = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*at_m[0])
         found |= {"lon": lon, "lat": lat}
-    heights = measure_heights(rasters, at_m)
+    heights = measure_heights(rasters, own_m)
     if heights is not None:
         found |= {"height": _known(float(heights.up_m[0])), "height_sd": _known(float(heights.sd_m[0]))}
     return found
@@ -55,7 +65,7 @@ def _place(rasters: RunRasters, crs: CRS, at_m: Floats) -> dict[str, Any]:
 def _distance(rasters: RunRasters, crs: CRS, at_m: Floats) -> dict[str, Any]:
     """The length of a line, and how much higher its end is than its beginning."""
     _, (length,) = measure_lines(rasters, _shapes(shapely.LineString(at_m), crs), rasters.accuracy)
-    heights = measure_heights(rasters, at_m)
+    heights = measure_heights(rasters, _on_rasters(rasters, crs, at_m))
     rise = None if heights is None else _figure(height_difference(rasters, heights))
     return {"length": _figure(length), "rise": rise}
 
@@ -64,7 +74,8 @@ def _profile(rasters: RunRasters, crs: CRS, at_m: Floats) -> dict[str, Any]:
     """The same, with heights along the line."""
     line = shapely.LineString(at_m)
     along_m = np.linspace(0.0, line.length, _SAMPLES + 1)
-    heights = measure_heights(rasters, shapely.get_coordinates(shapely.line_interpolate_point(line, along_m)))
+    places_m = shapely.get_coordinates(shapely.line_interpolate_point(line, along_m))
+    heights = measure_heights(rasters, _on_rasters(rasters, crs, places_m))
     if heights is None:
         raise InputError("the run has no surface", fix="make the mosaic with --surface dense")
     profile = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +16,7 @@ from geomosaic.viewer.grid_raster import ViewGrid
 from geomosaic.viewer.map_features import map_features
 from geomosaic.viewer.tile_layers import (
     AccuracyLayer,
+    Colours,
     IndexLayer,
     MosaicLayer,
     SurfaceLayer,
@@ -61,13 +63,14 @@ def run_views(run: Path, other: Path | None = None) -> list[RunView]:
     Earth, or do not overlap.
     """
     grid = ViewGrid.of(_mosaic(run))
-    views = [_view(run, grid)]
+    ends = _common_ends([run] if other is None else [run, other])
+    views = [_view(run, grid, ends)]
     if other is not None:
         for folder, at in ((run, grid), (other, ViewGrid.of(_mosaic(other)))):
             if not at.crs:
                 fix = "put it on a map first: geomosaic export map RUN"
                 raise InputError("has no map projection, and cannot be compared", file=folder, fix=fix)
-        views.append(_view(other, grid))
+        views.append(_view(other, grid, ends))
     return views
 
 
@@ -79,15 +82,26 @@ def _mosaic(run: Path) -> Path:
     return on_map(mosaic)
 
 
-def _view(run: Path, grid: ViewGrid) -> RunView:
+def _common_ends(runs: Sequence[Path]) -> dict[str, Colours]:
+    """Of the surface and of the accuracy: one colour means one value in all runs."""
+    found: dict[str, Colours] = {}
+    for name, ends_of in ((SURFACE, surface_colours), (ACCURACY, accuracy_colours)):
+        files = (path_within(run, f"{name}.tif") for run in runs)
+        each = [ends for file in files if file.is_file() and (ends := ends_of(file)) is not None]
+        if each:
+            found[name] = Colours(min(e.low for e in each), max(e.high for e in each))
+    return found
+
+
+def _view(run: Path, grid: ViewGrid, ends: Mapping[str, Colours]) -> RunView:
     layers: dict[str, TileLayer] = {MOSAIC: MosaicLayer(_mosaic(run), grid)}
     surface, accuracy, package = (
         path_within(run, name) for name in ("surface.tif", "accuracy.tif", "layers.gpkg")
     )
-    if surface.is_file() and (colours := surface_colours(surface)) is not None:
-        layers[SURFACE] = SurfaceLayer(surface, grid, colours)
-    if accuracy.is_file() and (colours := accuracy_colours(accuracy)) is not None:
-        layers[ACCURACY] = AccuracyLayer(accuracy, grid, colours)
+    if surface.is_file() and SURFACE in ends:
+        layers[SURFACE] = SurfaceLayer(surface, grid, ends[SURFACE])
+    if accuracy.is_file() and ACCURACY in ends:
+        layers[ACCURACY] = AccuracyLayer(accuracy, grid, ends[ACCURACY])
     for path in sorted(run.glob("index_*.tif")):
         layers[path.stem] = IndexLayer(path_within(run, path.name), grid)
     features = map_features(package, grid) if package.is_file() else []

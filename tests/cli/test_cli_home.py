@@ -73,6 +73,11 @@ def test_the_longest_word_widens_the_column(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out == "mosaic             a\nsurface_confidence b\n"
 
 
+def test_a_run_that_has_nothing_to_name(capsys: pytest.CaptureFixture[str]) -> None:
+    print_named([])
+    assert not capsys.readouterr().out
+
+
 def test_a_dry_run_refuses_what_the_run_refuses(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
     few = ["--set", "mosaic.seams.max_gigapixels=0.001", "--gsd", 0.001, "--workers", 1]
     assert geomosaic("mosaic", frames, "--dry-run", *few) == 2

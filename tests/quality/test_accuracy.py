@@ -192,6 +192,27 @@ def test_land_is_as_accurate_relative_to_the_land_around_as_distances_are_asked_
     assert gnss.asked(None, None, None) is gnss
 
 
+def test_check_points_without_a_height_say_nothing_of_heights() -> None:
+    """Four are surveyed to 1 cm; the fifth has no height, whose deviation is 100 km."""
+    nowhere = check((0.02, 0.01, 0.0))
+    unknown = np.array([0.01, 0.01, 1e5])
+    nowhere = replace(nowhere, sd_m=unknown, surveyed_sd_m=unknown)
+    points = [check((0.02, 0.01, 0.03 * s), 0.01) for s in (1.0, -1.0, 1.0, -1.0)]
+    nothing = Requirement(math.nan, math.nan, math.nan, "nobody's demand", 0.06)
+    found = accuracy_of(adjusted(None, *points, nowhere), float("nan"), 0.02)
+    assert found.absolute.rmse_v_m == pytest.approx(np.hypot(0.03, 0.01))
+    said = dict(answers(found, nothing, NO_SEAMS, 0.02))["absolute accuracy"]
+    assert "m up" in said and "nan" not in said
+    only = accuracy_of(adjusted(None, *[nowhere] * 4), float("nan"), 0.02)
+    assert "north; scatter" in dict(answers(only, nothing, NO_SEAMS, 0.02))["absolute accuracy"]
+
+
+def test_what_is_asked_of_a_map_without_scale_stays_in_pixels() -> None:
+    nothing = Requirement(math.nan, math.nan, math.nan, "no frame has a position", 0.06, scaled=False)
+    asked = nothing.asked(0.05, None, None)
+    assert not asked.scaled and asked.rmse_h_m == 0.05 and asked.local_m == 0.06
+
+
 def test_a_map_that_nothing_places_states_no_absolute_accuracy() -> None:
     found = accuracy_of(adjusted(place_errors(np.tile([1.2, -0.5, 0.0], (4, 1)))), np.nan, 0.02, placed=False)
     assert found.absolute.how == "not stated" and np.isnan(found.absolute.rmse_h_m)

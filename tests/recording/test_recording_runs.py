@@ -158,7 +158,12 @@ def test_places_are_moved_together(tmp_path: Path) -> None:
             recorder.location("f", place, (1.0, 1.0, 1.0), "tied")
         recorder.geojson("/footprints/placed", [shape])
         recorder.artefact("a", "survey", "t", "ab" * 20, io.BytesIO(b"places"))
-        recorder.stage_finished("a", StageEnd(seconds=0.0))
+        holes = {"count": 1, "largest": [{"easting_m": 306197.5, "northing_m": 4545388.25, "area_m2": 2.5}]}
+        recorder.metric("mosaic.holes", holes)
+        recorder.stage_finished("a", StageEnd(seconds=0.0, notes={"metrics": {"mosaic": {"holes": holes}}}))
+    for schema in ("geomosaic.Metric", "geomosaic.StageEvent"):
+        assert b"306197" not in b"".join(d for _, _, d in messages(path, schema))
+    assert read_recording(path).metrics["mosaic.holes"]["largest"][0]["area_m2"] == 2.5
     from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 

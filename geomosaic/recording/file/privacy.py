@@ -21,6 +21,24 @@ _FOLDERS = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^\s/\\:'\",;()\[\]{}<
 _CRS = re.compile(r"\b(EPSG|ESRI|IGNF|OGC):\w+")
 
 
+_PLACES = frozenset({"easting_m", "northing_m", "centre_east_m", "centre_north_m", "middle_m"})
+"""Entries of metrics that hold places of the map."""
+
+
+def _without_places(text: str) -> str:
+    """A text of JSON whose entries of `_PLACES` are null."""
+
+    def cleared(value: Any) -> Any:
+        match value:
+            case dict():
+                return {k: None if k in _PLACES else cleared(v) for k, v in value.items()}
+            case list():
+                return [cleared(v) for v in value]
+        return value
+
+    return json.dumps(cleared(json.loads(text)), separators=(",", ":")) if text else text
+
+
 class Privacy:
     """Takes out of texts the folders of absolute paths, so that names of files stay. With `places` it also
     moves all places to a secret one, and takes out the names of map systems.
@@ -79,6 +97,10 @@ class Privacy:
         if isinstance(message, LocationFix):
             at = (message.longitude, message.latitude, message.altitude)
             message.longitude, message.latitude, message.altitude = self._moved(at)
+        elif "json" in message.DESCRIPTOR.fields_by_name:
+            message.json = _without_places(message.json)
+        elif "notes_json" in message.DESCRIPTOR.fields_by_name:
+            message.notes_json = _without_places(message.notes_json)
         elif isinstance(message, GeoJSON):
             tree = json.loads(message.geojson)
             for feature in tree["features"]:

@@ -93,8 +93,10 @@ function render() {
   hint();
 }
 
+const layers = new Map(shown.runs.flatMap(run => run.layers).reverse().map(layer => [layer.name, layer]));
+
 function base(name) {
-  const legend = shown.runs[0].layers.find(layer => layer.name === name)?.legend;
+  const legend = layers.get(name)?.legend;
   $("legend").hidden = !legend;
   if (legend) {
     [$("low").textContent, $("high").textContent] = legend;
@@ -115,7 +117,7 @@ for (const of of KINDS) {
   button.dataset.kind = of.name;
   $("tools").append(button);
 }
-for (const { name, title } of shown.runs[0].layers)
+for (const { name, title } of layers.values())
   $("bases").append(element("label", {}, element("input", { type: "radio", name: "base", value: name, checked: name === "mosaic", onchange: () => base(name) }), title));
 for (const { title, colour } of new Map(shown.runs.flatMap(run => run.features).map(of => [of.title, of])).values()) {
   const mark = element("i"), box = element("input", { type: "checkbox", value: title, onchange: () => { map.features[box.checked ? "add" : "delete"](title); map.redraw(); } });
