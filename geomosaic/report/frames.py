@@ -159,7 +159,8 @@ def _images(
             "overlap", "Overlap count", overlap_image(image, footprints_m), box, note=counts, opacity=0.6
         )
     ]
-    accuracy = None if others.accuracy is None else accuracy_image(others.accuracy, origin)
+    deviations = None if is_local(report.mosaic.grid.crs) else others.accuracy
+    accuracy = None if deviations is None else accuracy_image(deviations, origin)
     if accuracy is not None:
         out.append(accuracy)
     if surface is not None:
