@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
-from itertools import combinations, islice
+from itertools import combinations
 
 import numpy as np
 
@@ -21,17 +21,9 @@ def cauchy_about_median(length: Floats, medians: float = 2.0) -> Floats:
     return np.asarray(1.0 / (1.0 + (length / max(medians * float(np.median(length)), 1e-9)) ** 2))
 
 
-def fit_similarity(
-    source: Floats,
-    target: Floats,
-    rounds: int = 5,
-    weigh: Callable[[Floats], Floats] = cauchy_about_median,
-    *,
-    symmetric: bool = False,
-) -> tuple[complex, complex]:
+def fit_similarity(source: Floats, target: Floats, rounds: int = 5) -> tuple[complex, complex]:
     """Robust similarity of the plane as complex numbers, target = turn * source + shift. Args: source, target
-    (k, 2), k >= 2; weigh: weights (k,) by residual lengths (k,), in the unit of the target; symmetric: scale
-    by the ratio of both extents, which noise in the source does not shrink."""
+    (k, 2), k >= 2."""
     z, w = source @ [1, 1j], target @ [1, 1j]
     weight = np.ones(len(z))
     turn, shift = 1.0 + 0j, 0j
@@ -40,10 +32,8 @@ def fit_similarity(
         spread = float((weight * np.abs(z - z_0) ** 2).sum())
         if spread > 0.0:
             turn = complex((weight * (w - w_0) * np.conj(z - z_0)).sum() / spread)
-            if symmetric and turn:
-                turn *= np.sqrt(float((weight * np.abs(w - w_0) ** 2).sum()) / spread) / abs(turn)
         shift = complex(w_0 - turn * z_0)
-        weight = weigh(np.abs(w - turn * z - shift))
+        weight = cauchy_about_median(np.abs(w - turn * z - shift))
     return turn, shift
 
 
@@ -71,7 +61,11 @@ class Similarity3D:
         """The robust similarity from points (n, 3) to others (n, 3); None for fewer than 3 or on a line. It
         starts from the triple with the least median residual (Rousseeuw 1984); Cauchy's weights about the
         median residual follow. Each fit is Umeyama's (1991, section 4)."""
-        triples = (list(t) for t in islice(combinations(range(len(points)), 3), SAMPLES))
+        n = len(points)
+        triples = (list(t) for t in combinations(range(n), 3))
+        if math.comb(n, 3) > SAMPLES:  # spread over all points: any one may be a blunder
+            rng = np.random.default_rng(0)
+            triples = (rng.choice(n, 3, replace=False).tolist() for _ in range(SAMPLES))
         tried = [
             cls._weighted(points[t], to[t], np.ones(3))
             for t in triples

@@ -36,6 +36,7 @@ from geomosaic.survey.pixels import read_pixels
 Matches = tuple[int, Floats, Floats]
 """A frame, ground points (n, 3) and their image coordinates (n, 2) in the band."""
 
+_MOST_FRAMES = tuned(4.0, "frames", "of pixels in a window: fewer refuse turned frames; more take memory")
 _MOST_CAPTURES = tuned(12, "captures", "spread over the flight; each shows a hundred patches for 4 unknowns")
 _PATCH_PX = tuned(96, "ground px", "side; smaller: too few common edges; larger: relief shifts them apart")
 _PATCHES = tuned(120, "patches a capture", "about; of some bands few correlate; more take time alone")
@@ -112,8 +113,10 @@ def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i
         ground_sampling_distance_m(of, camera, captures.ground)
         for of, camera in ((captures.poses[i], captures.cameras[i]), (pose, so_far.camera))
     )
-    coarser = max(1, int(band_gsd_m / gsd_m)) if np.isfinite(band_gsd_m) else 1
+    coarser = max(1, int(band_gsd_m / gsd_m)) if np.isfinite(band_gsd_m) and gsd_m > 0.0 else 1
     window = _window(captures, i, coarser * gsd_m)
+    if window is None:
+        return i, np.zeros((0, 3)), np.zeros((0, 2))
     frame, of_band = captures.survey.frames[i], band.frames[i]
     if of_band is None:
         raise ValueError("a capture without this band")
@@ -133,15 +136,20 @@ def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i
     return i, _bilinear(points, found.centres_px)[good], image_px[good]
 
 
-def _window(captures: Captures, i: int, gsd_m: float) -> GroundWindow:
-    """The map window of frame i."""
+def _window(captures: Captures, i: int, gsd_m: float) -> GroundWindow | None:
+    """The map window of frame i; None where it looks too far aside to be laid on the ground."""
     survey, pose, camera = captures.survey, captures.poses[i], captures.cameras[i]
     border = ground_from_image(pose, camera, captures.ground, camera.border_px())
-    geodetic = survey.work_frame.geodetic_from_enu(border[np.isfinite(border).all(axis=1)])
+    border = border[np.isfinite(border).all(axis=1)]
+    if not np.isfinite(gsd_m) or not len(border):
+        return None
+    geodetic = survey.work_frame.geodetic_from_enu(border)
     on_map = MapProjection(survey.map_crs).map_from_geodetic(geodetic[:, 0], geodetic[:, 1])
     west, south = on_map.min(axis=0)
     east, north = on_map.max(axis=0)
     size = int((east - west) / gsd_m) + 1, int((north - south) / gsd_m) + 1
+    if size[0] * size[1] > _MOST_FRAMES * camera.width_px * camera.height_px:
+        return None
     grid = MapGrid(survey.map_crs, west, north, gsd_m, *size)
     return ground_window(grid, survey.work_frame, captures.ground)
 

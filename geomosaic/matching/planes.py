@@ -69,6 +69,8 @@ def plane_through(left_px: Floats, right_px: Floats) -> Floats | None:
 
 def through(plane: Floats, px: Floats) -> Floats:
     """Where a plane takes places (n, 2)."""
+    if not len(px):
+        return np.zeros((0, 2))
     return np.asarray(cv2.perspectiveTransform(px[:, None].astype(np.float64), plane)[:, 0], np.float64)
 
 

@@ -6,8 +6,10 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Floats, Ints
+from geomosaic.constants import TOGETHER
 
 
 def flight_lines(positions_m: Floats, turn_deg: float = 40.0, gap: float = 4.0) -> tuple[int, ...]:
@@ -61,8 +63,7 @@ def overlapping_pairs(
         return ()
     outlines_a, grown_a = np.array(outlines, dtype=object), np.array(grown, dtype=object)
     smaller = np.minimum(shapely.area(outlines_a)[left], shapely.area(outlines_a)[right])
-    shared = shapely.area(shapely.intersection(outlines_a[left], outlines_a[right])) / smaller
-    near = shapely.area(shapely.intersection(grown_a[left], grown_a[right])) / smaller
+    shared, near = (_shared_areas(of, left, right) / smaller for of in (outlines_a, grown_a))
     score = shared + 0.01 * near
     frame, pair = np.concatenate([left, right]), np.tile(np.arange(left.size), 2)
     order = np.lexsort((pair, -score[pair], frame))
@@ -72,6 +73,13 @@ def overlapping_pairs(
     wanted = np.flatnonzero(asked & ((shared > 0.0) | (near > least)))
     wanted = wanted[np.argsort(-score[wanted], kind="stable")]
     return tuple((int(left[k]), int(right[k])) for k in wanted)
+
+
+def _shared_areas(outlines: NDArray[np.object_], left: Ints, right: Ints) -> Floats:
+    """Of pairs of outlines, some at once: the shapes that they share take memory."""
+    parts = [slice(k, k + TOGETHER) for k in range(0, len(left), TOGETHER)]
+    shared = (shapely.intersection(outlines[left[some]], outlines[right[some]]) for some in parts)
+    return np.concatenate([shapely.area(of) for of in shared])
 
 
 def adjacent_frames(

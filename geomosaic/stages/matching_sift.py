@@ -63,7 +63,7 @@ class SiftParams(KeypointParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=23, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=24, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(

@@ -166,12 +166,15 @@ def _plain(entry: _Entry) -> Camera:
         if key not in _PLAIN_KEYS:
             raise UnknownNameError("camera key", str(key), _PLAIN_KEYS, file=entry.path)
     kind = values.get("kind", "brown")
-    if kind not in LENSES:
+    if not isinstance(kind, str) or kind not in LENSES:
         raise UnknownNameError("kind of lens", str(kind), LENSES, file=entry.path)
     if "focal_length_px" in values or "focal_length_mm" not in values:
         focal = get("focal_length_px")
     else:
-        focal = 1000.0 * get("focal_length_mm") / get("pixel_size_um")
+        pixel_um = get("pixel_size_um")
+        if not pixel_um > 0.0:
+            raise entry.error(f" has {shown(pixel_um)} for pixel_size_um", "give the side of a pixel")
+        focal = 1000.0 * get("focal_length_mm") / pixel_um
     width, height = get("width_px"), get("height_px")
     focal_sd = get("focal_length_sd_px", abs(focal) * FOCAL_LENGTH["camera-file"].sd_relative)
     if not 0.0 <= focal_sd <= abs(focal):

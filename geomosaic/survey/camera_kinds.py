@@ -7,14 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from geomosaic.constants import sourced
 from geomosaic.errors import InputError
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import UnusedImage
-from geomosaic.survey.rig import BandHeader, CaptureGroups, capture_by_name, capture_by_tag
+from geomosaic.survey.plausible import NEIGHBOURS
+from geomosaic.survey.rig import AT_ONCE_S, BandHeader, CaptureGroups, capture_by_name, capture_by_tag
 from geomosaic.survey.strays import Stray, camera_kind
 
-_AT_ONCE_S = sourced(1.0, "s", "between a capture's times: less loses files; more mixes", "EXIF: whole s")
 _Key = Callable[[FrameHeader], str]
 JOINED: Final = "+"
 """Stands between the kinds of cameras that are mosaicked together."""
@@ -93,7 +92,10 @@ def _by_time(own: Sequence[FrameHeader], other: Sequence[FrameHeader]) -> dict[s
     near = [
         (abs(times[k] - time_s), k, header)
         for time_s, header in timed
-        for k in range(bisect_left(times, time_s - _AT_ONCE_S), bisect_right(times, time_s + _AT_ONCE_S))
+        for k in range(
+            max(bisect_left(times, time_s - AT_ONCE_S), bisect_left(times, time_s) - NEIGHBOURS),
+            min(bisect_right(times, time_s + AT_ONCE_S), bisect_right(times, time_s) + NEIGHBOURS),
+        )
     ]
     found: dict[str, FrameHeader] = {}
     used: set[int] = set()

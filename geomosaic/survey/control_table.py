@@ -39,7 +39,9 @@ GIVE_CRS: Final = (
     f"write the EPSG code of x and y in the first line of the --gcp file, such as EPSG:n{OR_POS_CRS}"
 )
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
-_MEASURED: Final = re.compile(r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng))(?=\s|$)", re.IGNORECASE)
+_MEASURED: Final = re.compile(
+    r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng|hei[cf]))(?=\s|$)", re.IGNORECASE
+)
 """Of a line of gcp_list.txt what stands before the image, and the image up to its extension."""
 
 

@@ -88,7 +88,8 @@ def looked_at(path: str) -> tuple[Wholeness, Bytes | None]:
 
 
 def _of_jpeg(data: bytes, structure: JpegStructure) -> tuple[Wholeness, Bytes | None]:
-    if data.count(b"\xff\xda", structure.data_start) > _MOST_SCANS:
+    end = data.find(_EOI, structure.data_start)  # files may have more after the image
+    if data.count(b"\xff\xda", structure.data_start, end if end > 0 else None) > _MOST_SCANS:
         return Wholeness(f"it has more than {_MOST_SCANS} scans", 0), None
     said, pixels = _decoded_whole(data, structure.bands)
     if "extraneous" in said:  # cameras may pad the data in front of the end marker

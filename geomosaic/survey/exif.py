@@ -62,6 +62,14 @@ class Exif:
         return self.exposure_s * self.iso / 100.0 / (self.f_number or 1.0) ** 2
 
 
+_OF_GDAL: Final = {
+    "ISOSpeedRatings": "PhotographicSensitivity",
+    "SubSecTime_Original": "SubSecTimeOriginal",
+    "SubSecTime_Digitized": "SubSecTimeDigitized",
+}
+"""Names of tags that GDAL writes in its own way."""
+
+
 def exif_from_block(block: bytes) -> Exif:
     """From an EXIF segment's bytes or a whole TIFF file's: a TIFF header and its directories."""
     return _exif(tags_from_block(block))
@@ -71,10 +79,12 @@ def exif_from_gdal(items: Mapping[str, str]) -> Exif:
     """From GDAL's metadata items (`EXIF_GPSLatitude: (24) (40) (49.0)`), as gdal_translate keeps them."""
     tags: Tags = {}
     for key, text in items.items():
-        name = key.removeprefix("EXIF_")
+        name = _OF_GDAL.get(name := key.removeprefix("EXIF_"), name)
         if len(text) > LONGEST_BYTES:
             continue
-        if re.fullmatch(rf"(\s*\({_FLOAT}\))+\s*", text):
+        if name.startswith("SubSecTime"):  # digits of a fraction: 05 is no 5
+            tags[name] = text.strip()
+        elif re.fullmatch(rf"(\s*\({_FLOAT}\))+\s*", text):
             tags[name] = tuple(float(n) for n in re.findall(r"[^()\s]+", text))
         elif re.fullmatch(r"(0x[0-9a-fA-F]{1,2}\s*)+", text):
             tags[name] = tuple(float(int(n, 16)) for n in text.split())

@@ -74,12 +74,13 @@ class Attitude:
 class Frame:
     """One image: its file, its camera's name, and what the platform said of it.
 
-    `name` is the file's name without folders; `path` is absolute. `valid_mask` names a raster of
-    the same size whose zeros are invalid pixels. `time_s` is seconds since 1970 UTC. Of a damaged frame
-    that is used none the less, only the first `whole_rows` count. velocity_m_per_s: east, north, up;
-    turns: while its rows were read. platform: serial number of the drone or the camera, as far as tags
-    report one. calibration: of the recorded values to reflectance, which decoding then gives. exposure: time
-    in s that takes as much light at f/1 and ISO 100, as the tags report it.
+    `name` is the file's name, with its folder's in front where two files have one; `path` is absolute.
+    `valid_mask` names a raster of the same size whose zeros are invalid pixels. `time_s` is seconds since
+    1970 UTC. Of a damaged frame that is used none the less, only the first `whole_rows` count.
+    velocity_m_per_s: east, north, up; turns: while its rows were read. platform: serial number of the
+    drone or the camera, as far as tags report one. calibration: of the recorded values to reflectance,
+    which decoding then gives. exposure: time in s that takes as much light at f/1 and ISO 100, as the
+    tags report it.
     """
 
     name: str
@@ -125,7 +126,8 @@ class ElevationModel:
 @dataclass(frozen=True)
 class ControlPoint:
     """A point known on the ground. `check` points are never used in a solve. plan_only: its height is not
-    known, and 0 stands for it. sd_assumed: nothing states how precise it is, its deviations are defaults."""
+    known, and that of the others stands for it. sd_assumed: nothing states how precise it is, its deviations
+    are defaults."""
 
     name: str
     lon_deg: float

@@ -11,7 +11,7 @@ from typing import Final
 from geomosaic.doors.files import printable
 from geomosaic.errors import InputError
 
-_IMAGE = re.compile(r"\.(jpe?g|tiff?|png|dng|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
+_IMAGE = re.compile(r"\.(jpe?g|tiff?|png|dng|hei[cf]|raw|arw|cr2|nef|iiq)$", re.IGNORECASE)
 _REPLACED = re.compile(r"[\W_]+")
 """What file systems and programs replace in names, such as colons and blanks."""
 

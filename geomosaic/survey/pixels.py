@@ -105,6 +105,9 @@ def _read_raster(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Byte
         pixels = np.pad(pixels, [(0, 0), (0, missing), (0, 0)])
         valid = None if valid is None else np.pad(valid, [(0, missing), (0, 0)])
     pixels = np.moveaxis(pixels, 0, -1)
+    if pixels.dtype.kind == "f" and not (finite := np.isfinite(pixels)).all():
+        pixels = np.where(finite, pixels, pixels.dtype.type(0))
+        valid = np.where(finite.all(axis=-1), 255 if valid is None else valid, 0)
     if valid is not None:
         valid = np.where(valid > 0, np.uint8(255), np.uint8(0))
         valid = None if valid.all() else valid

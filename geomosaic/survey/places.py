@@ -264,12 +264,13 @@ def heights_of(
     if np.isnan(values).all():
         return values, []
     offset, notes = 0.0, []
-    vertical = (vertical_crs(crs) if crs is not None and "lon" not in has else None) or datum
-    counts = vertical or (crs if crs is not None and crs.is_projected and "lon" not in has else None)
+    own = vertical_crs(crs) if crs is not None and "lon" not in has else None
+    in_feet = crs is not None and crs.is_projected and "lon" not in has and unit_m(crs) != 1.0
+    vertical, counts = own or datum, own or (crs if in_feet else datum)
     if counts is not None and column in table.unstated and (foot_m := unit_m(counts)) != 1.0:
         values = values * foot_m
         unit = counts.axis_info[-1].unit_name
-        if vertical is None:
+        if own is None and in_feet:
             text = (
                 f"{name}: heights state no unit and count as {unit}, as x and y do: if they are metres, "
                 "the map lies too low; name the column height_m or height_ft"

@@ -26,6 +26,7 @@ def with_platforms(frames: Sequence[Frame]) -> tuple[Frame, ...]:
     and paths with usual speeds pass through all of them. Else the frames are as they were.
     """
     at = [i for i, f in enumerate(frames) if not f.platform and f.time_s is not None and f.position.known]
+    at.sort(key=lambda i: frames[i].time_s or 0.0)  # frames may be in the order of their names
     if len(at) < 2 * LEAST_FRAMES:
         return tuple(frames)
     positions = [frames[i].position for i in at]

@@ -182,7 +182,10 @@ def _table(
     if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "frame", "frame's name")
-        return table.without("status", "left_out"), file_crs, False
+        used = table.without("status", "left_out")
+        if not used.lines:
+            raise InputError("all its frames are left out", file=path, fix="give a line per frame in use")
+        return used, file_crs, False
     if odm is not None:
         return read_table(path, lines, ALIASES, _GEO_TXT), odm, False
     data = [line for line in lines if not line.comment]

@@ -203,13 +203,17 @@ def with_bands(draft: SurveyDraft) -> SurveyDraft:
     bands = []
     for name, by_own in draft.rig.others.items() if draft.rig else ():
         files = [by_own.get(frame.name) for frame in draft.frames]
-        some_file = next(file for file in files if file is not None)
+        some_file = next((file for file in files if file is not None), None)
+        if some_file is None:  # all its captures are left out
+            continue
         camera = draft.cameras_of([some_file.header], [name]).cameras[0]
         frames = tuple(
             None
             if file is None
             else replace(
                 _in_band(frame, file.header, camera.name),
+                valid_mask=draft.usable.masks.get(file.header.name),
+                whole_rows=draft.usable.whole_rows.get(file.header.name),
                 calibration=draft.calibrations.get(str(file.header.path)),
             )
             for frame, file in zip(draft.frames, files, strict=True)
@@ -230,8 +234,6 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
         dtype=header.dtype,
         camera=camera,
         nodata=header.nodata,
-        valid_mask=None,
-        whole_rows=None,
         exposure=header.exif.exposure,
     )
 

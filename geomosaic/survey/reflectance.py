@@ -138,6 +138,9 @@ def with_reflectance(draft: SurveyDraft) -> SurveyDraft:
         for one in shown
         for name, header in one.files.items()
     }
+    if all(header.name in panels for header in draft.headers):
+        problem = "all frames show a reflectance panel"
+        raise InputError(problem, file=draft.inputs.frames, fix="give the frames of the flight too")
     strays = [("frame-panel", UnusedImage(name, "shows a reflectance panel")) for name in panels]
     return replace(
         draft,

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Final
 
+from geomosaic.constants import sourced
 from geomosaic.errors import InputError
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import natural_key, some
 from geomosaic.survey.xmp import Xmp, number
 
+AT_ONCE_S = sourced(1.0, "s", "between a capture's times: less loses files; more mixes", "EXIF: whole s")
 _CAPTURE_TAGS: Final = (
     "Camera:CaptureUUID",
     "MicaSense:CaptureId",
@@ -64,10 +66,11 @@ def captures(headers: Sequence[FrameHeader]) -> CaptureGroups | None:
     if any(h.bands != 1 for h in headers):
         return None
     found = [_by_tags(h) for h in headers]
-    if any(f is None for f in found):
+    by_name = any(f is None for f in found)
+    if by_name:
         found = [_by_name(h) for h in headers]
     files = [f for f in found if f is not None]
-    if len(files) < len(headers) or not _grouped(files):
+    if len(files) < len(headers) or not _grouped(files) or (by_name and not _at_once(files)):
         _check_one_band(headers)
         return None
     own_band = min(Counter(f.band for f in files).items(), key=lambda item: _rank(item[0], item[1], files))[0]
@@ -116,6 +119,18 @@ def _grouped(files: Sequence[BandHeader]) -> bool:
     each = Counter((f.capture, f.band) for f in files)
     several = Counter(f.capture for f in files).most_common(1)[0][1] > 1
     return len(bands) > 1 and several and max(each.values()) == 1
+
+
+def _at_once(files: Sequence[BandHeader]) -> bool:
+    """Whether files that names group were taken at once: by their times, else by there being more captures
+    than bands, since numbers that count on look alike."""
+    times: dict[str, list[float]] = {}
+    for file in files:
+        if file.header.exif.time_s is not None:
+            times.setdefault(file.capture, []).append(file.header.exif.time_s)
+    if times:
+        return all(max(its) - min(its) <= AT_ONCE_S for its in times.values())
+    return len({f.capture for f in files}) > len({f.band for f in files})
 
 
 def _rank(band: str, count: int, files: Sequence[BandHeader]) -> tuple[float, float, float, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -37,6 +38,8 @@ STILL_CAMERAS: Final = {
     "phase one", "samsung",
 }  # fmt: skip
 """Makers whose cameras close a shutter before the sensor, in 4 ms or less, unless they are set not to."""
+_PHONES: Final = re.compile(r"(sm|xq|gt|so)-|xperia|galaxy")
+"""Phones of makers who make still cameras too: their shutters are rolling."""
 UNREPORTED_SD_S = tuned(0.04, "s", "without a report, 0 or 0.02 to 0.1: less hides what is open")
 _BANDS_AT_ONCE = sourced(
     {("sequoia", 1)},
@@ -78,7 +81,8 @@ def _of_sensor(header: FrameHeader) -> Shutter:
         possible = 0.0 <= seconds <= SLOWEST.value
         return Shutter(seconds, 0.0, "tag") if possible else Shutter(0.0, UNREPORTED_SD_S, "absurd")
     mechanical = xmp.get("drone-dji:ShutterType", "").lower() == "mechanical"
-    if mechanical or model in GLOBAL_SHUTTERS or header.exif.make.lower().strip() in STILL_CAMERAS:
+    still = header.exif.make.lower().strip() in STILL_CAMERAS and not _PHONES.match(model)
+    if mechanical or model in GLOBAL_SHUTTERS or still:
         return Shutter(0.0, 0.0, "global")
     if model in READOUTS_S:
         width_px, height_px = header.exif.width_px, header.exif.height_px

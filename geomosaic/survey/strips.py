@@ -227,7 +227,7 @@ def _strips(ccds: tuple[Ccd, ...]) -> tuple[int, tuple[int, ...], str, float | N
         if count != 1 or kind not in _KINDS:
             problem = f"has {count} bands" if count != 1 else f"has {kind} pixels"
             raise FileError(problem, file=ccd.path, fix="a strip has one band of 8 to 16 bits, or float32")
-        found = int(width), str(kind), nodata
+        found = int(width), str(kind), None if nodata is None or math.isnan(nodata) else nodata
         if first is None:
             first = ccd.path, found
         elif found != first[1]:

@@ -89,7 +89,7 @@ def usable(
     if lost and (strict or not used):
         raise unreadable[lost[0]]
     left_out = tuple(UnusedImage(name, _reason(unreadable[name], spoiled.get(name))) for name in lost)
-    notes = [f"left out: {o.reason}; copy it again from the card" for o in left_out]
+    notes = [f"left out: {o.reason}; {unreadable[o.name].fix}" for o in left_out]
     warnings = [
         *(Warn("frame-damaged", o.name, text) for o, text in zip(left_out, notes, strict=True)),
         *warnings,

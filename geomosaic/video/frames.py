@@ -138,7 +138,8 @@ def _moved(one: _Look, other: _Look) -> float:
     """The share of the image that the other does not show again; 1 where they show nothing alike."""
     height, width = one.small.shape
     window = cv2.createHanningWindow((width, height), cv2.CV_32F)
-    (right, down), peak = cv2.phaseCorrelate(one.small, other.small, window)
+    both = one.small.copy(), other.small.copy()  # it multiplies them by the window where they are
+    (right, down), peak = cv2.phaseCorrelate(*both, window)
     if peak < _LOST:
         return 1.0
     return float(1.0 - max(1.0 - abs(right) / width, 0.0) * max(1.0 - abs(down) / height, 0.0))

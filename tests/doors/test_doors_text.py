@@ -414,6 +414,9 @@ def test_rationals_over_nothing_and_clocks_that_were_never_set_say_nothing() -> 
         assert exif_from_block(exif_block([(0x8769, 4, 1, 26)], over[8:])).focal_length_mm == wanted
     assert exif_from_block(exif_block([(0x132, 2, 20, 26)], b"0001:01:01 00:00:00\0")).time_s is None
     assert exif_from_gdal({"EXIF_FocalLength": "(+-)", "EXIF_GPSAltitude": "(1e999)"}).focal_length_mm is None
+    time = {"EXIF_DateTimeOriginal": "2024:05:06 07:08:10", "EXIF_SubSecTime_Original": "75"}
+    of_gdal = exif_from_gdal({**time, "EXIF_ISOSpeedRatings": "200"})
+    assert of_gdal.iso == 200.0 and of_gdal.time_s is not None and of_gdal.time_s % 1.0 == 0.75
 
 
 def test_a_frame_with_a_bomb_of_tags_is_read_at_once(flight: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomosaic.estimation.robust import irls, redescending_weight
-from geomosaic.estimation.similarity import fit_similarity, similarity_design
+from geomosaic.estimation.similarity import Similarity3D, fit_similarity, similarity_design
 
 
 def test_blunders_do_not_move_a_line() -> None:
@@ -34,9 +34,11 @@ def test_two_components_share_a_weight() -> None:
     assert (a + 1j * b, east + 1j * north) == (pytest.approx(turn), pytest.approx(shift))
 
 
-def test_noise_does_not_shrink_a_symmetric_similarity() -> None:
-    rng = np.random.default_rng(2)
-    true = rng.normal(0.0, 1.0, (2000, 2))
-    one, other = (true + rng.normal(0.0, 0.5, (2000, 2)) for _ in range(2))
-    assert abs(fit_similarity(one, other)[0]) < 0.85
-    assert abs(fit_similarity(one, other, symmetric=True)[0]) == pytest.approx(1.0, abs=0.03)
+def test_a_blunder_that_comes_first_spoils_no_similarity() -> None:
+    """Of 40 points the first is kilometres off: other triples are tried."""
+    rng = np.random.default_rng(3)
+    points = rng.normal(0.0, 100.0, (40, 3))
+    to = 1.5 * points + [10.0, -20.0, 5.0]
+    to[0] += rng.normal(0.0, 5000.0, 3)
+    found = Similarity3D.through(points, to)
+    assert found is not None and found.scale == pytest.approx(1.5, abs=1e-6)

@@ -14,7 +14,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.matching.features import Features, grey, reduction_for, shrunk, sift_features
 from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
-from geomosaic.matching.planes import Guess, unconstrained_guess
+from geomosaic.matching.planes import Guess, through, unconstrained_guess
 from geomosaic.matching.search import CHECKS, PlacedKeypoints, mutual_nearest, root_sift, search
 from geomosaic.matching.turned import corrected_poses, turn_costs_m, turned_frames
 
@@ -211,6 +211,7 @@ def test_beyond_the_radius_only_the_free_search_finds_the_overlap() -> None:
     guess = predicted((700.0, 0.0), 300.0)
     looks = MatchKeypoints.of(left), MatchKeypoints.of(right)
     assert not len(match_pair(replace(AUTO, search="near"), *looks, guess, 1.0).left)
+    assert not len(through(np.eye(3), np.zeros((0, 2)))), "a frame without keypoints"
     found = match_pair(AUTO, *looks, guess, 1.0)
     assert found.free and len(found.left) > 300
     assert np.median(tied(found, left, right), axis=0) == pytest.approx([300.0, 140.0], abs=0.1)

@@ -94,6 +94,10 @@ def test_frames_of_named_drones_keep_their_names() -> None:
             time_s = 1.7e9 + 2.0 * k + offset_s
             frames.append(Frame("a", "/a", 800, 600, 3, "uint8", "cam", place, level, time_s))
     assert [f.platform for f in with_platforms(frames)] == ["path 1", "path 2"] * 8
+    by_name = [*frames[8:], *frames[:8]]
+    assert sorted({f.platform for f in with_platforms(by_name)}) == ["path 1", "path 2"]
+    whole = [replace(f, time_s=float(int(f.time_s or 0.0))) for f in frames[::-1]]
+    assert len(with_platforms(whole)) == len(whole)
     named = [replace(f, platform="A") for f in frames]
     assert with_platforms(named) == tuple(named)
     untimed = [replace(f, time_s=None) for f in frames]

@@ -111,6 +111,17 @@ def test_grey_frames_of_one_camera_are_no_rig(tmp_path: Path) -> None:
     assert len(survey.frames) == 3 and survey.band == "" and survey.other_bands == ()
 
 
+@pytest.mark.parametrize("name", ["photo_{0:02d}", "run{1}_{0}"])
+def test_grey_frames_whose_numbers_end_their_names_are_no_rig(tmp_path: Path, name: str) -> None:
+    """Twelve frames of one film, or of three runs, each at a time of its own."""
+    for number in range(12):
+        grey_frame(
+            tmp_path / f"{name.format(number % 4 if '{1}' in name else number, number // 4)}.jpg", number
+        )
+    survey = read_survey(SurveyInputs(tmp_path))
+    assert len(survey.frames) == 12 and survey.other_bands == ()
+
+
 def test_files_of_captures_without_the_first_band_are_named(tmp_path: Path) -> None:
     for capture in range(3):
         for k, band in enumerate(("Green", "Red")):
