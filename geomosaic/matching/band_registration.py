@@ -137,7 +137,7 @@ def _matches(captures: Captures, band: Band, so_far: BandPose, search_px: int, i
 
 
 def _window(captures: Captures, i: int, gsd_m: float) -> GroundWindow | None:
-    """The map window of frame i; None where it looks too far aside to be laid on the ground."""
+    """The map window of frame i; None where it looks too far aside to be projected."""
     survey, pose, camera = captures.survey, captures.poses[i], captures.cameras[i]
     border = ground_from_image(pose, camera, captures.ground, camera.border_px())
     border = border[np.isfinite(border).all(axis=1)]
