@@ -18,7 +18,7 @@ from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.constants import sourced, tuned
 
 Progress = Callable[[int, int], None]
-"""Is told how many of how many are done; may raise to stop the work."""
+"""Called with how many of how many are done; may raise to stop the work."""
 
 LABELS: Final = ("measured", "bridged", "unreliable")
 """Own evidence in the images; from neighbouring lines and pairs; hardly known, or seen by one CCD. Recordings
