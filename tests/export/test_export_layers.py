@@ -63,7 +63,7 @@ def one_frame(lon: float, lat: float, yaw_deg: float, pitch_deg: float, roll_deg
         position - [[3.0, 4.0, 12.0]],
         (home.enu_from_local_rotation(lon, lat) @ turned)[None],
         np.ones((1, 3)),
-        np.ones((1, 3)),
+        np.full((1, 3), 0.1),
     )
     adjusted = Adjusted(poses, (CAMERA,), ("tied",), (), (), flat_ground(home, 400.0, 9000.0))
     return survey, prior, adjusted
@@ -96,6 +96,14 @@ def test_positions_csv_holds_the_contract(tmp_path):
     assert number["sd_u_m"] == pytest.approx(0.9, abs=1e-4)
     assert number["sd_e_m"] == pytest.approx(0.3, abs=1e-3)
     assert number["sd_kappa_deg"] == pytest.approx(0.05, abs=1e-4)
+
+
+def test_nobody_turned_a_frame_whose_heading_nobody_reported(tmp_path):
+    survey, prior, adjusted = one_frame(9.78, 47.23, 37.0, 0.0, 0.0)
+    prior = replace(prior, rotations_sd_rad=np.ones((1, 3)))
+    write_positions(tmp_path / "p.csv", orientations(survey, prior, adjusted))
+    row = rows(tmp_path / "p.csv")[0]
+    assert row["turned_deg"] == "" and float(row["moved_m"]) == pytest.approx(13.0)
 
 
 def test_pitch_and_roll_are_those_of_the_frames_own_vertical(tmp_path):

@@ -213,8 +213,8 @@ def test_a_requirement_that_is_missed_makes_a_map_doubtful() -> None:
 
     assert asked(0.5, 0.8, 1.0).grade == "good"
     missed = asked(0.1)
-    assert missed.grade == "doubtful" and missed.cause.endswith("(absolute accuracy 0.50 m RMSE)")
-    assert "0.10 m RMSE, as asked for" in missed.cause and "--gcp" in missed.fix
+    assert missed.grade == "doubtful" and missed.cause.endswith("(absolute accuracy 50.0 cm RMSE)")
+    assert "10.0 cm RMSE, as asked for" in missed.cause and "--gcp" in missed.fix
     assert asked(rmse_v_m=0.7).grade == asked(permille=0.9).grade == "doubtful"
 
 
