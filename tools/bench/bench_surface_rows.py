@@ -106,8 +106,8 @@ def town_rows(towns: Sequence[Town], small: bool) -> list[ResultRow]:
         doubled = [of.doubled for of in dense]
         rows.append(ROWS["doubled"].row(not any(doubled), doubled=_percent(doubled)))
         ssim = {how: float(np.mean([t.houses[how].ssim for t in towns])) for how in ("ties", "dense")}
-        rows += [ROWS["ssim"].row(None, **ssim), tiles_row(towns)]
-    return rows
+        rows.append(ROWS["ssim"].row(None, **ssim))
+    return [*rows, tiles_row(towns)]
 
 
 def tiles_row(towns: Sequence[Town]) -> ResultRow:
