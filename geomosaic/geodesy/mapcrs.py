@@ -41,6 +41,11 @@ def is_local(crs: str) -> bool:
     return crs == LOCAL_CRS
 
 
+def same_map(one: CRS, other: CRS) -> bool:
+    """Whether two map CRSs are one. Those of local frames are, since files write them in different ways."""
+    return one == other or one.type_name == other.type_name == "Engineering CRS"
+
+
 def check_on_earth(crs: str, what: str) -> None:
     """`InputError` where a map CRS is a local frame's, of which there can't be a `what`."""
     if is_local(crs) or CRS.from_user_input(crs).type_name == "Engineering CRS":

@@ -13,6 +13,7 @@ from pyproj import CRS, Transformer
 from geomosaic.arrays import Floats
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.vector import open_vector
+from geomosaic.geodesy.mapcrs import same_map
 from geomosaic.viewer.grid_raster import ViewGrid
 
 _LAYERS: Final = (
@@ -26,9 +27,6 @@ _LAYERS: Final = (
 _MOST_FEATURES: Final = 20_000  # of a layer: more make the page slow; less hides layers
 _STRAIGHT_PX: Final = 0.5  # that a line is off: less sends more vertices; more moves lines from seams
 _DECIMALS: Final = 1
-
-
-_LOCAL: Final = "Engineering CRS"
 
 
 def map_features(package: Path, grid: ViewGrid) -> list[dict[str, Any]]:
@@ -54,8 +52,7 @@ def _px_from_layer(layer: Any, grid: ViewGrid) -> Callable[[Floats], Floats] | N
     reference = layer.GetSpatialRef()
     own = None if reference is None else CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2019"]))
     of_map = CRS.from_wkt(grid.crs) if grid.crs else None
-    local = of_map is not None and own is not None and own.type_name == of_map.type_name == _LOCAL
-    if own == of_map or own is None or local:  # GeoPackage and TIFF write a local frame differently
+    if own is None or (of_map is not None and same_map(own, of_map)):
         return grid.px_from_map
     if of_map is None:
         return None

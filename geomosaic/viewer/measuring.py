@@ -13,6 +13,7 @@ from geomosaic.arrays import Floats
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.doors.vector import Shapes
 from geomosaic.errors import InputError
+from geomosaic.geodesy.mapcrs import same_map
 from geomosaic.quality.measured import Figure
 from geomosaic.quality.run_heights import height_difference, measure_heights
 from geomosaic.quality.run_measures import RunRasters, measure_lines, measure_polygons
@@ -42,7 +43,7 @@ def _on_rasters(rasters: RunRasters, crs: CRS, at_m: Floats) -> Floats:
     """Places (n, 2) of the map that is shown, in the CRS of a run's own rasters."""
     with open_raster(rasters.accuracy, OWN) as accuracy:
         own = CRS.from_user_input(accuracy.crs.to_wkt())
-    if own == crs or own.type_name == crs.type_name == "Engineering CRS":
+    if same_map(own, crs):
         return at_m
     return np.column_stack(Transformer.from_crs(crs, own, always_xy=True).transform(at_m[:, 0], at_m[:, 1]))
 
