@@ -35,6 +35,9 @@ _LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights place
 _LEVEL_SD = tuned(
     0.25, "of a frame's longer side", "exposure follows a frame; less: frames' own scatter stays"
 )
+_KERNEL_SDS: Final = 4.0
+"""Where OpenCV ends a Gaussian kernel of 32-bit values."""
+_PART_NODES: Final = 512
 _ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
 
 
@@ -215,17 +218,26 @@ def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
 
 
 def _about_places(places: ToneSightings, own: Floats) -> Floats32:
-    """Means of sightings' values (m, b) over about half a frame, at each sighting's place."""
-    first, b = places.nodes.min(axis=0), own.shape[1]
-    shape = tuple((places.nodes.max(axis=0) - first + 1).tolist())
-    sums = np.zeros((*shape, b + 1), dtype=np.float32)
-    row, col = (places.nodes - first).T
+    """Means of sightings' values (m, b) over about half a frame, at each sighting's place.
+
+    Part by part of the map, since frames may be scattered over far more land than they show.
+    """
+    sd, n = _LEVEL_SD * ACROSS, len(places.nodes)
     each = np.column_stack([own, np.ones(len(own))])
-    sums[row, col] = np.stack([np.bincount(places.place, of, len(row)) for of in each.T], axis=1)
-    sums[sums[..., -1] > 0] /= sums[sums[..., -1] > 0][:, -1:]
-    smooth = cv2.GaussianBlur(sums, (0, 0), _LEVEL_SD * ACROSS, borderType=cv2.BORDER_CONSTANT)
-    smooth = smooth.reshape(*shape, b + 1)
-    return np.asarray((smooth[..., :b] / np.maximum(smooth[..., b:], 1e-6))[row, col][places.place])
+    sums = np.stack([np.bincount(places.place, of, n) for of in each.T], axis=1).astype(np.float32)
+    seen = sums[:, -1] > 0
+    sums[seen] /= sums[seen, -1:]
+    about, reach = np.zeros_like(sums), int(np.ceil(_KERNEL_SDS * sd))
+    for part in np.unique(places.nodes // _PART_NODES, axis=0):
+        first = part * _PART_NODES - reach
+        near = places.nodes - first
+        within = ((near >= 0) & (near < _PART_NODES + 2 * reach)).all(axis=1)
+        inner = within & (places.nodes // _PART_NODES == part).all(axis=1)
+        land = np.zeros((_PART_NODES + 2 * reach,) * 2 + sums.shape[1:], dtype=np.float32)
+        land[tuple(near[within].T)] = sums[within]
+        smooth = cv2.GaussianBlur(land, (0, 0), sd, borderType=cv2.BORDER_CONSTANT).reshape(land.shape)
+        about[inner] = smooth[tuple(near[inner].T)]
+    return np.asarray((about[:, :-1] / np.maximum(about[:, -1:], 1e-6))[places.place])
 
 
 def _evenness(grey: Floats, before: Floats, after: Floats) -> Evenness:

@@ -162,3 +162,28 @@ def test_a_part_is_georeferenced_as_one(whole: complex) -> None:
     assert found == pytest.approx(whole, abs=0.02)
     assert shift == pytest.approx(12.0 - 5.0j, abs=1.5)
     assert trust[::3].max() < 1e-3 and np.delete(trust, np.s_[::3]).min() > 0.5
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_frames_of_an_ascent_on_the_spot_keep_the_scale_of_their_heights(seed: int) -> None:
+    """Six frames taken at one place, 40 to 240 m up; tilts of some 5 degrees move what is taken for their
+    nadir points, which least squares would bring together by shrinking the part."""
+    rng = np.random.default_rng(seed)
+    height_m = np.linspace(40.0, 240.0, 6)
+    place = np.radians(5.0) * height_m * (rng.normal(size=6) + 1j * rng.normal(size=6))
+    at = 0.2 * (rng.normal(size=6) + 1j * rng.normal(size=6))
+    beliefs = PlanPriors(at, np.hypot(5.0, 0.05 * height_m), np.full(6, 0.05), 15.0 / height_m)
+    fixes = Fixes(np.arange(6), np.zeros(6, np.complex128), at, beliefs.position_sd_m)
+    found, _, _ = georeferenced(np.ones(6, np.complex128), place, beliefs, fixes)
+    assert abs(found) == pytest.approx(1.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("apart_m", "scale"), [(0.5, 1.0), (60.0, 1.2)])
+def test_two_positions_give_the_scale_if_they_are_farther_apart_than_their_deviations(
+    apart_m: float, scale: float
+) -> None:
+    beliefs = PlanPriors(np.array([0j, apart_m + 0j]), np.full(2, 5.0), np.full(2, 0.05), np.full(2, 0.3))
+    place = np.array([0j, 50.0 + 0j])
+    fixes = Fixes(np.arange(2), np.zeros(2, np.complex128), beliefs.nadir, beliefs.position_sd_m)
+    found, _, _ = georeferenced(np.ones(2, np.complex128), place, beliefs, fixes)
+    assert abs(found) == pytest.approx(scale, rel=0.05)

@@ -122,7 +122,7 @@ def test_alike_frames_stay_as_they_are_and_a_block_doesnt_drift() -> None:
 
 def test_the_map_keeps_what_the_exposure_follows_and_loses_what_frames_differ_by() -> None:
     """Frames of 24 x 18 nodes, a quarter of them apart, from a wood (exposed twice as long) to a beach, with
-    exposures that scatter by 4 % besides."""
+    exposures that scatter by 4 % besides. The last is far away: frames may be scattered over any land."""
     rng = np.random.default_rng(8)
     exposure = np.linspace(0.35, -0.35, 21)
     place, frame, offset, own = [], [], [], []
@@ -132,6 +132,7 @@ def test_the_map_keeps_what_the_exposure_follows_and_loses_what_frames_differ_by
         frame.append(np.full(row.size, i))
         offset.append(np.column_stack([col - 11.5, row - 8.5]) / 15.0)
         own.append(np.full(row.size, gain))
+    place[-1] = place[-1] + 10_000_000
     nodes, number = np.unique(np.concatenate(place), axis=0, return_inverse=True)
     flat = number.ravel(), np.concatenate(frame), np.concatenate(offset)
     places = ToneSightings(*flat, np.zeros((len(flat[0]), 2)), nodes)
@@ -141,7 +142,7 @@ def test_the_map_keeps_what_the_exposure_follows_and_loses_what_frames_differ_by
     level = np.array([powers(*(o[:, [k]] for k in (0, 1))) @ tones.level[i, 0] for i, o in enumerate(offset)])
     column = np.array([p[:, 1] for p in place])
     wanted = np.interp(column, 11.5 + 6.0 * np.arange(21), exposure)
-    off = (level - wanted)[2:-2]
+    off = (level - wanted)[2:-3]
     assert np.sqrt((off**2).mean()) < 0.04, "as bright as frames are, nearer than each of them"
     mean = np.bincount(flat[0], level.ravel()) / np.bincount(flat[0])
     assert np.abs(level.ravel() - mean[flat[0]]).max() < 0.01, "alike in all frames"

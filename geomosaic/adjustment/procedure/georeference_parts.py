@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc, fdtrc
 
 from geomosaic.arrays import Complexes, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH
+from geomosaic.constants import MEDIAN_LENGTH, sourced
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import LEAST_NOISE, redescending_weight
 from geomosaic.estimation.similarity import SAMPLES, similarity_design
 from geomosaic.matching.relative import ALIKE
 
+_BY_CHANCE = sourced(0.05, "probability", "usual level of a test", "Fisher 1925, section 12")
 
 @dataclass(frozen=True)
 class Fixes:
@@ -53,15 +55,35 @@ def georeferenced(
 ) -> tuple[complex, complex, Floats]:
     """The similarity, at = whole * place + shift, of a part onto its fixes, and their weights (k,).
     Re-weighted least squares start from the least median of squares (Rousseeuw 1984) and from headings and
-    heights, which count as one frame's; the lower cost decides. Args: shape (n,): turn and scale of each
-    frame against the given ones; place (n,): nadir points."""
+    heights, which count as one frame's; the lower cost decides. Fixes that do not determine turn and scale,
+    as those of an ascent on the spot, only shift the part: least squares would shrink it to a point. Args:
+    shape (n,): turn and scale of each frame against the given ones; place (n,): nadir points."""
     given = _by_headings(shape, priors)
     if not len(fixes.at):
         return given, complex(np.mean(priors.nadir - given * place)), np.zeros(0)
     known = place[fixes.frame] + shape[fixes.frame] * fixes.offset
     sd = float(np.median(priors.scale_sd[fixes.frame])), float(min(np.median(priors.yaw_sd_rad), np.pi))
     tried = [_improved(whole, known, given, sd, fixes) for whole in (given, *_by_pairs(known, fixes))]
-    return min(tried, key=lambda t: t[0])[1:]
+    _, whole, shift, weight = min(tried, key=lambda t: t[0])
+    if sd[0] >= 1.0 or _determined(fixes, whole * known + shift, weight):
+        return whole, shift, weight
+    off = fixes.at - given * known
+    return given, complex(np.median(off.real), np.median(off.imag)), weight
+
+
+def _determined(fixes: Fixes, fitted: Complexes, weight: Floats) -> bool:
+    """Whether fixes determine turn and scale: an F test of what a similarity explains of their scatter. Two
+    fixes, which leave no residual, must be farther apart than their deviations explain (chi-squared)."""
+    count = float(weight.sum())
+    if not count:
+        return False
+    scatter = np.abs(fixes.at - (weight @ fixes.at) / count) ** 2
+    free = 2.0 * count - 4.0
+    if free < 1.0:
+        return bool(chdtrc(2.0, float((weight / fixes.sd_m**2) @ scatter)) < _BY_CHANCE)
+    left = float(weight @ np.abs(fixes.at - fitted) ** 2)
+    explained = max(float(weight @ scatter) - left, 0.0)
+    return bool(left == 0.0 or fdtrc(2.0, free, explained / 2.0 / (left / free)) < _BY_CHANCE)
 
 
 def _by_headings(shape: Complexes, priors: PlanPriors) -> complex:
