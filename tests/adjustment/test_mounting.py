@@ -159,3 +159,18 @@ def test_without_velocities_a_lag_is_fixed_and_named() -> None:
     adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(gps_lag=True))
     assert _found(adjusted, "gps_lag_s")[::2] == (0.0, True)
     assert "gps_lag_s" in " ".join(w.text for w in adjusted.warnings)
+
+
+@pytest.mark.parametrize("position_sd_m", [0.3, 2.5])
+@pytest.mark.parametrize("seed", [31, 32, pytest.param(33, marks=pytest.mark.proof)])
+def test_attitudes_that_promise_too_much_are_found_with_a_boresight(seed: int, position_sd_m: float) -> None:
+    """Attitudes stated to 0.05 degrees are off by 0.3, headings by 1 degree. A frame's attitude and the
+    boresight compensate each other; what is observed, their sum, is known far better."""
+    flown = fly(seed, position_sd_m=np.full(3, position_sd_m))
+    poses = replace(flown.block.poses, rotations_sd_rad=np.full((18, 3), np.radians(0.05)))
+    adjusted = METHODS["bundle"](replace(flown.block, poses=poses), Settings(model="given", boresight=True))
+    assert adjusted.figures["sigma_tilt"] == pytest.approx(6.0, rel=0.35)
+    assert adjusted.figures["sigma_yaw"] == pytest.approx(10.0, rel=0.4)
+    assert adjusted.figures["sigma_px"] == pytest.approx(0.3, rel=0.15)
+    error_m = (adjusted.poses.positions_m - flown.truth.positions_m)[:, :2]
+    assert np.sqrt((error_m**2).mean()) < 2.0 * np.sqrt((adjusted.poses.positions_sd_m[:, :2] ** 2).mean())

@@ -88,8 +88,16 @@ class Reduced:
     def covariance(self) -> tuple[Floats, Floats]:
         """Covariances for unit weight: each frame's own (f, d, d), and of all that is shared (s, s)."""
         shared = self.shared_covariance()
-        by_shared = self._by_border.reshape(len(self.normals.pose), -1, len(shared))
-        return self._factors.inverse_blocks() + by_shared @ shared @ np.swapaxes(by_shared, 1, 2), shared
+        across = self.across_covariance(shared)
+        return self._factors.inverse_blocks() - across @ np.swapaxes(self._each_by_border, 1, 2), shared
+
+    def across_covariance(self, shared: Floats) -> Floats:
+        """Covariance (f, d, s) of each frame with all that is shared, from that of the latter (s, s)."""
+        return np.asarray(-self._each_by_border @ shared)
+
+    @property
+    def _each_by_border(self) -> Floats:
+        return self._by_border.reshape(len(self.normals.pose), -1, len(self.shared))
 
     def shared_covariance(self) -> Floats:
         """The second part of `covariance` alone."""
@@ -112,13 +120,6 @@ class Reduced:
         own = through_poses[np.ix_(fixed, fixed)] + through_shared
         shared[np.ix_(fixed, fixed)] = own + np.diag(1.0 / variance[fixed])
         return self._factors_for(replace(self, shared=shared))
-
-    def responses(self, pull: Floats) -> Floats:
-        """By how much frames move, (f, d, r), for r pulls on them, (f, d, r), if all others follow."""
-        f, d, r = pull.shape
-        y = self._factors.solve(pull.reshape(f * d, r))
-        y += self._by_border @ (self.shared_covariance() @ (self.border.T @ y))
-        return y.reshape(f, d, r)
 
     def moved(self, by_pose: Floats, by_shared: Floats) -> tuple[Floats, Floats]:
         """The inverse times derivatives of r quantities: the rows of the poses (f, d, r) and of the shared

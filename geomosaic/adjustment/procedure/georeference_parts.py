@@ -16,6 +16,7 @@ from geomosaic.matching.relative import ALIKE
 
 _BY_CHANCE = sourced(0.05, "probability", "usual level of a test", "Fisher 1925, section 12")
 
+
 @dataclass(frozen=True)
 class Fixes:
     """Points known on the ground: nadir points of observed positions, and control points in frames. frame

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import digamma, polygamma
@@ -65,15 +67,14 @@ def variance_components(
     until the image's has converged (image_only), else they would take up what the poses have not yet reached.
     Residuals that all frames of a part have in common do not count. Args: reduced: the equations of the last
     step, whose redundancies count."""
-    covariance, shared = reduced.covariance()
-    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    computed = _Computed.of(problem, at, reduced)
     determined = surface_share(reduced.normals, reduced.points_inverse)
     for term in problem.frames:
-        determined += float((variances[:, term.columns(at)] * term.information(before)).sum())
-    interior = at.layout.interior
-    determined += float((np.diag(shared)[interior] / problem.shared_sd(at.layout)[interior] ** 2).sum())
+        determined += float((computed.variances(term.columns(at)) * term.information(before)).sum())
+    prior = np.diag(computed.shared) / problem.shared_sd(at.layout) ** 2
+    determined += float(np.delete(prior, at.layout.level).sum())
     ties = int((~problem.points.control).sum())
-    unknowns = reduced.pose_side.size + at.interior.size + 3 * ties - determined
+    unknowns = reduced.pose_side.size + at.layout.size - 1 + 3 * ties - determined
     image = problem.image
     after = before.also(image.components(at, before, unknowns))
     residuals = intersection_residuals(image, problem.points, at)
@@ -83,8 +84,9 @@ def variance_components(
     image_change = max(abs(float(np.log(before[name] / after[name]))) for name in names)
     if image_only:
         return after, image_change, 0.0
-    found = [c for term in problem.frames for c in term.components(at, after, variances)]
-    followed = _followed(problem, at, after, found, (reduced, covariance))
+    each = ((t, t.components(at, after, computed.variances(t.columns(at)))) for t in problem.frames)
+    found = [computed.placed(c, term.columns(at)) for term, cs in each for c in cs]
+    followed = _followed(problem, at, after, found, computed)
     others, change = _ahead(found, before, followed)
     return after.also(others), image_change, change
 
@@ -107,16 +109,12 @@ def _ahead(found: list[Component], before: Components, followed: Floats) -> tupl
 
 
 def _followed(
-    problem: BlockProblem,
-    at: Estimate,
-    components: Components,
-    found: list[Component],
-    solved: tuple[Reduced, Floats],
+    problem: BlockProblem, at: Estimate, components: Components, found: list[Component], computed: _Computed
 ) -> Floats:
     """By how much the logarithm of each estimated component follows that of each assumed one, (g, g). Another
     deviation moves the unknowns and with them the squares of all; redundancies change by the correlations of
     each frame's own numbers."""
-    reduced, covariance = solved
+    covariance = computed.covariance
     information, miss = np.zeros(covariance.shape[:2]), np.zeros(covariance.shape[:2])
     for term in problem.frames:
         columns = term.columns(at)
@@ -124,7 +122,7 @@ def _followed(
         miss[:, columns] += term.miss(at)
     counted = np.stack([its.counted for its in found])
     of = counted > 0.0
-    moved = 2.0 * reduced.responses(np.moveaxis(of * (miss * information), 0, -1))
+    moved = 2.0 * computed.moved(np.moveaxis(of * (miss * information), 0, -1))
     kept = covariance * information[:, None, :]
     both = kept * np.swapaxes(kept, 1, 2)
     out = np.zeros((len(found), len(found)))
@@ -140,3 +138,52 @@ def _followed(
         out[k, k] += 1.0
         out[k] *= its.follows
     return out
+
+
+@dataclass(frozen=True)
+class _Computed:
+    """The numbers of frames that terms observe, as the unknowns give them: derivatives by each frame's
+    unknowns (f, d, d) and by the shared ones (f, d, s), covariance (f, d, d) for unit weight, and that of the
+    shared unknowns (s, s). An offset or a boresight is part of what is computed: the pose alone varies far
+    more, as the two compensate each other."""
+
+    reduced: Reduced
+    by_pose: Floats
+    by_shared: Floats
+    covariance: Floats
+    shared: Floats
+
+    @classmethod
+    def of(cls, problem: BlockProblem, at: Estimate, reduced: Reduced) -> _Computed:
+        """Of all terms of the frames."""
+        covariance, shared = reduced.covariance()
+        (f, d), s, slices = covariance.shape[:2], len(shared), at.layout.slices
+        by_pose, by_shared = np.tile(np.eye(d), (f, 1, 1)), np.zeros((f, d, s))
+        for term in problem.frames:
+            columns, (of_poses, of_shared) = term.columns(at), term.derivatives(at)
+            if of_poses is not None:
+                by_pose[:, columns, :6] = of_poses
+            for name, of in of_shared:
+                if name in slices:
+                    by_shared[:, columns, slices[name]] = of
+        if by_shared.any():
+            across = by_pose @ reduced.across_covariance(shared) @ np.swapaxes(by_shared, 1, 2)
+            covariance = by_pose @ covariance @ np.swapaxes(by_pose, 1, 2) + across
+            covariance += np.swapaxes(across, 1, 2) + by_shared @ shared @ np.swapaxes(by_shared, 1, 2)
+        return cls(reduced, by_pose, by_shared, covariance, shared)
+
+    def variances(self, columns: slice) -> Floats:
+        """Of what a term observes, (f, k)."""
+        return np.diagonal(self.covariance, axis1=1, axis2=2)[:, columns]
+
+    def placed(self, component: Component, columns: slice) -> Component:
+        """A component of a term with all d numbers of the frames."""
+        counted, miss = np.zeros((2, *self.covariance.shape[:2]))
+        counted[:, columns], miss[:, columns] = component.counted, component.miss
+        return replace(component, counted=counted, miss=miss)
+
+    def moved(self, pull: Floats) -> Floats:
+        """By how much the numbers move, (f, d, r), for r pulls on them, (f, d, r), if all others follow."""
+        poses = np.swapaxes(self.by_pose, 1, 2) @ pull
+        poses, shared = self.reduced.moved(poses, np.einsum("fds,fdr->sr", self.by_shared, pull))
+        return np.asarray(self.by_pose @ poses + self.by_shared @ shared)

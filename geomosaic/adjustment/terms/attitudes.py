@@ -68,12 +68,12 @@ class Attitudes(FrameTerm):
         return miss
 
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
-        share = variances[:, self.columns(at)] * self.information(components)
+        share = variances * self.information(components)
         own, sd = self.own_miss(at, components), self.sd(components)
         for name, numbers, common in ((TILT, [0, 1], 0.0), (YAW, [2], 1.0)):
             counted = np.broadcast_to(np.isin(np.arange(3), numbers), own.shape)
             group = FrameGroup(name, counted, sd, self.weight, own, self.parts, common)
-            yield group.component(components[name], share, variances.shape[1], 3)
+            yield group.component(components[name], share)
 
     def reweighted(self, image: ImageObservations, at: Estimate, components: Components) -> Self:
         own = self.own_miss(at, components) / self.sd(components)

@@ -85,23 +85,18 @@ class FrameGroup:
     common: float
     more: float = 0.0
 
-    def component(self, factor: float, share: Floats, unknowns: int, first: int) -> Component:
+    def component(self, factor: float, share: Floats) -> Component:
         """The variance component by residuals and redundancy (Foerstner 1979), without what all frames of a
         part have in common: a block at a wrong scale would widen it. Args: factor: the present one; share (f,
-        k): of each number, what the other observations leave of its variance; unknowns d of a frame, of which
-        these begin at `first`."""
+        k): of each number, what the other observations leave of its variance."""
         stated: Bools = np.isfinite(self.sd) & self.counted
         weight = np.where(stated, self.weight, 0.0)
         in_all = np.where(self.counted, self.weight, 0.0).sum(axis=1)
         alone = float(sum(max(in_all[frames].sum() - self.common, 0.0) for frames in self.parts)) - self.more
         r = min(float((weight - share)[stated].sum()), alone)
         miss = np.where(stated, self.own, 0.0)
-        padding = (0, 0), (first, unknowns - first - weight.shape[1])
         squares = float((weight * (miss / self.sd) ** 2)[stated].sum())
-        least, most = PRIOR_FACTORS
-        present = Component(
-            self.name, factor, np.pad(weight, padding), np.pad(miss, padding), squares, r, 0.0, least, most
-        )
+        present = Component(self.name, factor, weight, miss, squares, r, 0.0, *PRIOR_FACTORS)
         return present.estimated(credible)
 
 

@@ -123,14 +123,14 @@ class GnssPositions(FrameTerm):
 
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
         (own, slopes), observed = self.own_miss(at, components), ~self.assumed[:, None]
-        share, sd = variances[:, self.columns(at)] * self.information(components), self.sd(components)
+        share, sd = variances * self.information(components), self.sd(components)
         own_offsets = (self.flights - 1.0) * (np.array(self.offset_sd_m) > 0.0)
         # in common: a similarity in plan, a level; of parts that slope two numbers more; offsets but one
         for name, numbers, common in ((HORIZONTAL, [0, 1], 4.0), (VERTICAL, [2], 1.0)):
             counted = np.isin(np.arange(3), numbers) & observed
             more = (2.0 * slopes if name == VERTICAL else 0.0) + float(own_offsets[numbers].sum())
             group = FrameGroup(name, counted, sd, self.weight, own, self.parts, common, more)
-            yield group.component(components[name], share, variances.shape[1], 0)
+            yield group.component(components[name], share)
 
     def reweighted(self, image: ImageObservations, at: Estimate, components: Components) -> Self:
         own = self.own_miss(at, components)[0] / self.sd(components)

@@ -90,14 +90,13 @@ class RollingShutterRotation(FrameTerm):
         own = at.while_read - np.median(at.while_read, axis=0)
         sd, terms = self.sd(components), self.terms
         of = np.append(np.repeat(np.arange(terms), 3), terms + np.array([0, 0, 1]))
-        redundancy = 1.0 - variances[:, self.columns(at)] / sd**2
+        redundancy = 1.0 - variances / sd**2
         least = self._least(components)
         most = [self.most_rotation] * terms + [1.0] * 2
         for k, name in enumerate(self.component_names()):
             factor, its = components[name], sd * (of == k)
             of_term = (its > 2.0 * IMAGE_AXES.min() * its.max(axis=1, keepdims=True)).astype(float)
-            counted = np.pad(of_term, ((0, 0), (6, 0))), np.pad(-own, ((0, 0), (6, 0)))
             r = float((of_term * redundancy).sum()) - (its.max(axis=0) > 0.0).sum()
             squares = float((of_term * (own / sd) ** 2).sum())
-            present = Component(name, factor, *counted, squares, r, 0.0, least[k], most[k])
+            present = Component(name, factor, of_term, -own, squares, r, 0.0, least[k], most[k])
             yield present.estimated(lambda scatter, _: scatter)

@@ -37,8 +37,9 @@ class Components:
 
 @dataclass(frozen=True)
 class Component:
-    """A variance component of a term by its residuals. factor: of the deviations. counted (f, d): weight with
-    which each number of the frames takes part; miss (f, d): residual of each; squares, redundancy: of all.
+    """A variance component of a term by its residuals. factor: of the deviations. counted (f, k): weight with
+    which each number that the term observes takes part; miss (f, k): residual of each; squares, redundancy:
+    of all.
     follows: by how much the factor's logarithm follows that of the residuals' scatter, 0 where it stays as it
     is. least, most: limits of the factor."""
 
@@ -120,7 +121,7 @@ class FrameTerm(Term):
 
     @abstractmethod
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
-        """Variance components by the residuals; variances (f, d): of the frames' unknowns."""
+        """Variance components by the residuals; variances (f, k): of the computed numbers."""
 
     def information(self, components: Components) -> Floats:
         """Weights over variances, (f, k)."""
