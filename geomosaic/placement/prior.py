@@ -38,6 +38,11 @@ def heading_assumed(poses: Poses) -> Bools:
     return np.asarray(poses.rotations_sd_rad[:, 2] >= np.radians(COURSE_YAW_SD_DEG) - 1e-9)
 
 
+def tilt_assumed(poses: Poses) -> Bools:
+    """Frames (n,) whose tilt nobody observed: the camera is taken to look down."""
+    return np.asarray(poses.rotations_sd_rad[:, :2].min(axis=1) >= np.radians(ATTITUDE["none"].sd_tilt_deg))
+
+
 def position_assumed(poses: Poses) -> Bools:
     """Frames (n,) whose position nobody observed."""
     return np.asarray(poses.positions_sd_m[:, :2].min(axis=1) >= POSITION["none"].sd_horizontal_m)

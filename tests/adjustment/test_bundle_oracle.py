@@ -18,7 +18,7 @@ from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.solver.solve import solve
-from geomosaic.adjustment.terms.attitudes import TILT, YAW
+from geomosaic.adjustment.terms.attitudes import HEADINGS, TILT, YAW, Attitudes
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.camera.exterior import Pose
@@ -43,7 +43,8 @@ STEP = 1e-5
 @dataclass(frozen=True)
 class Oracle:
     """The cost of a block as a sum of squares. Unknowns are changes from what was reported, in units of `size`:
-    of each pose (east, north, up; turn from the left), of the lens, of each point."""
+    of each pose (east, north, up; turn from the left), of the lens, of each point; last by how much all headings
+    are off, clockwise."""
 
     problem: BlockProblem
     solved: Solution
@@ -68,7 +69,18 @@ class Oracle:
         names = HORIZONTAL, HORIZONTAL, VERTICAL, TILT, TILT, YAW
         factor = [self.solved.components[name] for name in names]
         pose = np.column_stack([self.reported.positions_sd_m, self.reported.rotations_sd_rad]) * factor
-        return np.concatenate([pose.ravel(), self.problem.interior[0].sd[:8], self.points.sd_m.ravel()])
+        heading = next(t for t in self.problem.frames if isinstance(t, Attitudes)).groups_sd_rad
+        return np.concatenate(
+            [pose.ravel(), self.problem.interior[0].sd[:8], self.points.sd_m.ravel(), heading]
+        )
+
+    @property
+    def prior(self):
+        """Derivatives of the prior residuals by the unknowns, (n, n): of turns about the vertical also by what
+        headings are off in common."""
+        out, yaw = np.eye(len(self.size)), 6 * np.arange(len(self.reported)) + 5
+        out[yaw, -1] = -self.size[-1] / self.size[yaw]
+        return out
 
     @property
     def free(self):
@@ -90,12 +102,13 @@ class Oracle:
         after, before = self.solved.cameras[0], self.problem.cameras[0]
         lens = [getattr(after, name) - getattr(before, name) for name in LENS]
         points = self.solved.points_m - self.points.given_m
-        off = np.concatenate([pose.ravel(), lens, points.ravel()])
+        heading = self.solved.estimate.value(HEADINGS, 1)
+        off = np.concatenate([pose.ravel(), lens, points.ravel(), heading])
         return np.divide(off, self.size, out=np.zeros_like(off), where=self.size > 0.0)
 
     def image(self, x):
         """Residuals over the deviation that their points leave of them, (m, 2)."""
-        pose, lens, points = np.split(x * self.size, [self.lens.start, self.lens.stop])
+        pose, lens, points, _ = np.split(x * self.size, [self.lens.start, self.lens.stop, len(x) - 1])
         reported, before = self.reported, self.problem.cameras[0]
         camera = replace(before, **{k: getattr(before, k) + v for k, v in zip(LENS, lens, strict=True)})
         at = self.points.given_m + points.reshape(-1, 3)
@@ -120,7 +133,9 @@ class Oracle:
         pose, lens = np.arange(self.lens.start), np.arange(self.lens.start, self.lens.stop)
         seen = [6 * self.tracks.frame + k for k in range(6)]
         seen += [self.lens.stop + 3 * self.tracks.point + k for k in range(3)]
-        together = [pose[k::6] for k in range(6)] + [np.arange(self.lens.stop + k, n, 3) for k in range(3)]
+        together = [pose[k::6] for k in range(6)] + [
+            np.arange(self.lens.stop + k, n - 1, 3) for k in range(3)
+        ]
         out = np.zeros((len(m), 2, n))
         for unknowns, column in zip([*together, *lens[:, None]], [*seen, *lens], strict=True):
             step = np.zeros(n)
@@ -141,7 +156,7 @@ class Oracle:
         hundredth. The last iterations of a hundred and more would move nothing that is compared.
         """
         times = np.sqrt(self.shown * (FREEDOM + 2.0) / (FREEDOM * TELLS))[:, None]
-        x = np.zeros(len(self.size))
+        x, prior = np.zeros(len(self.size)), self.prior[np.ix_(self.free, self.free)]
 
         def all_of(free):
             x[self.free] = free
@@ -150,7 +165,8 @@ class Oracle:
         def rows(free, c):
             r = self.image(all_of(free))
             s2 = (r**2).sum(axis=1, keepdims=True)
-            return np.concatenate([(times * r * np.sqrt(c**2 * np.log1p(s2 / c**2) / s2)).ravel(), free])
+            image = times * r * np.sqrt(c**2 * np.log1p(s2 / c**2) / s2)
+            return np.concatenate([image.ravel(), prior @ free])
 
         def slopes(free, c):
             now = all_of(free)
@@ -163,7 +179,7 @@ class Oracle:
                 short[:, None, None] * by
                 + (less[:, None] * r)[:, :, None] * np.einsum("ma,man->mn", r, by)[:, None]
             )
-            return np.concatenate([by.reshape(-1, len(free)), np.eye(len(free))])
+            return np.concatenate([by.reshape(-1, len(free)), prior])
 
         def least(begin, c, near):
             return least_squares(
@@ -184,7 +200,8 @@ class Oracle:
         root = np.repeat(np.sqrt(weight), 2)
         jacobian = self.derivatives(x).reshape(-1, n) * root[:, None]
         free, fixed = self.free, self.lens.start + np.flatnonzero(self.solved.fixed[:8])
-        own = np.linalg.inv(jacobian[:, free].T @ jacobian[:, free] + np.eye(len(free)))
+        prior = self.prior[np.ix_(free, free)]
+        own = np.linalg.inv(jacobian[:, free].T @ jacobian[:, free] + prior.T @ prior)
         follow = -own @ jacobian[:, free].T @ jacobian[:, fixed]
         out = np.zeros((n, n))
         out[np.ix_(free, free)] = own + follow @ follow.T

@@ -68,6 +68,39 @@ def test_marks_of_whole_images_stay_even_where_they_happen_to_lie_in_a_corner() 
     assert kept is cornered
 
 
+def test_marks_between_0_and_1_are_shares_of_the_image() -> None:
+    flown = tilted(4)
+    block = without_positions(flown)
+    shares = [
+        replace(c, observations=tuple((i, col / 800.0, row / 600.0) for i, col, row in c.observations))
+        for c in block.control
+    ]
+    found, (note,) = with_marks_of_whole_images(
+        replace(block, control=tuple(shares)), lambda its: (flown.truth, its.cameras)
+    )
+    assert note.code == "control-marks-enlarged"
+    for its, before in zip(found.control, block.control, strict=True):
+        assert np.array(its.observations) == pytest.approx(np.array(before.observations))
+
+
+def test_a_control_point_above_the_cameras_costs_a_rolling_shutter_nothing() -> None:
+    """One of six is surveyed 400 m too high, which is behind all cameras: its images alone are disregarded."""
+    flown = fly(3, 2, 4, points=250, relief=hills, readout_s=0.03)
+    control = []
+    for k, (east, north) in enumerate(np.array([[5, 10], [30, 20], [20, 45], [8, 50], [35, 55], [22, 30]])):
+        at = np.array([east, north, float(hills(east, north))])
+        too_high = np.array([0.0, 0.0, 400.0 if k == 2 else 0.0])
+        control.append(
+            GroundControl(f"P{k}", at + too_high, np.full(3, 0.05), False, tuple(flown.seen(at, 0.3)))
+        )
+    adjusted = pose_block(replace(flown.block, control=tuple(control)), Settings(model="given"))
+    assert not [
+        w.code for w in adjusted.warnings if w.code in ("self-calibration-failed", "adjustment-step-failed")
+    ]
+    off_m = np.linalg.norm(adjusted.poses.positions_m - flown.truth.positions_m, axis=1)
+    assert off_m.max() < 0.6 and adjusted.poses.positions_sd_m.max() < 1.0
+
+
 def test_a_similarity_takes_known_points_where_they_go() -> None:
     points = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [0.0, 20.0, -2.0], [5.0, 8.0, 3.0]])
     to = np.array([[100.0, 50.0, 7.0], [100.0, 70.0, 9.0], [60.0, 50.0, 3.0], [84.0, 60.0, 13.0]])

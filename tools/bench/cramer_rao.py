@@ -1,8 +1,9 @@
 """The Cramér-Rao bound of a drawn block, computed apart from the package's solver.
 
 The inverse of the Fisher information at the truth, from central differences of `Pose.image_from_ground`, the
-true deviations and the priors (Van Trees 1968, section 2.4). Tie points are eliminated; poses, and what all
-frames share (the lens where it is drawn, the ground's level), stay. For `bench_monte_carlo.py` and the tests.
+true deviations and the priors (Van Trees 1968, section 2.4). Headings may be off in common by a frame's
+deviation. Tie points are eliminated; poses, and what all frames share (the lens where it is drawn, the
+ground's level), stay. For `bench_monte_carlo.py` and the tests.
 """
 
 from __future__ import annotations
@@ -172,9 +173,14 @@ def cramer_rao(d: Draw, *, on_ground: bool = True) -> Bound:
         reported = np.append(reported, lens_of(d.block.cameras[0]) - lens_of(d.camera))
     prior, reported = np.append(prior_sd, LEVEL_SD_M) ** -2.0, np.append(reported, 0.0)
     information = (x.T @ x + diags(prior) - (y.T @ x).T @ lever).toarray()
+    yaw, in_common = 6 * np.arange(n) + 5, np.zeros(columns)
+    in_common[yaw] = prior[yaw]
+    known = 1.0 / float(np.median(pos.rotations_sd_rad[:, 2])) ** 2 + float(prior[yaw].sum())
+    information -= np.outer(in_common, in_common) / known
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale
     side = x.T @ white - lever.T @ (y.T @ white) + prior * reported
+    side -= in_common * float(in_common @ reported) / known
     some = np.unique(np.linspace(0, p - 1, _SAMPLED_POINTS).astype(np.intp))
     rows = (each * some[:, None] + np.arange(2)).ravel()
     follow = -lever[rows].toarray().reshape(len(some), 2, columns)

@@ -31,7 +31,7 @@ from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.heights import ASSUMED_SD_SHARE
-from geomosaic.placement.prior import position_assumed
+from geomosaic.placement.prior import heading_assumed, position_assumed
 from geomosaic.placement.reach import flying_heights_m
 
 CRUISE_M_PER_S = sourced(10.0, "m/s", "of unknown velocities", "DJI Pilot 2: mapping at 1 to 15 m/s")
@@ -72,7 +72,7 @@ def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Fl
         GnssPositions(
             *(reported, assumed, parts, one, settings.lever_arm, settings.gps_lag), flight=block.flight_of
         ),
-        Attitudes(reported, parts, one, settings.boresight),
+        Attitudes(reported, parts, one, settings.boresight, *_heading_groups(block, part)),
     ]
     rotation = _rolling_shutter_rotation(block, settings)
     return BlockProblem(
@@ -82,6 +82,19 @@ def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Fl
         frames=(*frames, rotation) if rotation else tuple(frames),
         terrain=terrain_of(block, image),
     )
+
+
+def _heading_groups(block: Block, part: Ints) -> tuple[Ints, Floats]:
+    """Frames whose headings one compass or one crab angle may turn in common, by number (f,), -1 for others,
+    and by how much (g,) in rad: those of a flight in a connected part (f,), observed or by the course."""
+    assumed, sd_rad = heading_assumed(block.poses), block.poses.rotations_sd_rad[:, 2]
+    _, group, count = np.unique(
+        np.column_stack([part, block.flight_of, assumed]), axis=0, return_inverse=True, return_counts=True
+    )
+    several = count > 1
+    number = np.where(several, np.cumsum(several) - 1, -1)[group.ravel()]
+    medians = [float(np.median(sd_rad[group.ravel() == k])) for k in np.flatnonzero(several)]
+    return number, np.minimum(np.array(medians), np.pi)
 
 
 def with_control(problem: BlockProblem, control: Sequence[GroundControl]) -> BlockProblem:

@@ -34,6 +34,7 @@ CovarianceOf = Callable[[Ints, Floats, Floats], Floats]
 Free = Callable[[Block], tuple[Poses, tuple[Camera, ...]]]
 """Poses and the camera of each frame, of a block adjusted without control points."""
 _BY_CHANCE = tuned(1e-6, "probability", "of marks all near the first corner, if spread over whole images")
+_MOST_REDUCED = tuned(32.0, "times", "images are reduced for marking: beyond, no mark is good to a pixel")
 _STEP = tuned(0.01, "share", "between the scales that are tried first; then a twentieth of it")
 _DOUBT_RAD = tuned(0.1, "rad", "of a turn about a line of points: more turns blocks over")
 
@@ -187,14 +188,23 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
     share = max((max(m[1] / w, m[2] / h) for m, (w, h) in zip(marks, sizes, strict=True)), default=0.0)
     if not several or share <= 0.0 or share ** (2 * len(marks)) > _BY_CHANCE:
         return block, ()
+    if all(0.0 <= m[1] <= 1.0 and 0.0 <= m[2] <= 1.0 for m in marks):
+        text = (
+            f"all {len(marks)} image marks of the control points lie between 0 and 1: taken as shares of the "
+            "images' width and height; give marks in pixels to be sure"
+        )
+        shares = _enlarged(block, [(float(c.width_px), float(c.height_px)) for c in block.cameras])
+        return shares, (Warn("control-marks-enlarged", "", text),)
     poses, cameras = free(replace(block, control=()))
 
     def cost(scale: float) -> float:
         miss_px = np.concatenate([_miss_px(poses, cameras, c, scale) for c in several])
         return float(cauchy_cost(miss_px / scale / WITHIN_PX).sum()) / 2.0
 
-    best = min(np.arange(1.0, 1.0 / share, _STEP).tolist(), key=cost)
-    best = min((best + np.linspace(-_STEP, _STEP, 41)).tolist(), key=cost)
+    most = min(1.0 / share, _MOST_REDUCED)
+    count = int(np.ceil(np.log(most) / np.log1p(_STEP))) + 1
+    best = min(np.geomspace(1.0, most, count).tolist(), key=cost)
+    best = min((best * (1.0 + np.linspace(-_STEP, _STEP, 41))).tolist(), key=cost)
     if best < 1.0 + _STEP or cost(1.0) - cost(best) < np.log(STRONG):
         return block, ()
     text = (
@@ -202,11 +212,17 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
         f"width and height of their images. Their rays meet if the marks are enlarged by {best:.3f}: "
         "taken as measured in images reduced by that; give marks of the full images to be sure"
     )
-    enlarged = tuple(
-        replace(c, observations=tuple((i, best * col, best * row) for i, col, row in c.observations))
+    enlarged = _enlarged(block, [(best, best)] * len(block.cameras))
+    return enlarged, (Warn("control-marks-enlarged", "", text),)
+
+
+def _enlarged(block: Block, by: Sequence[tuple[float, float]]) -> Block:
+    """The block with each frame's marks enlarged, by two factors for col and row."""
+    control = tuple(
+        replace(c, observations=tuple((i, by[i][0] * col, by[i][1] * row) for i, col, row in c.observations))
         for c in block.control
     )
-    return replace(block, control=enlarged), (Warn("control-marks-enlarged", "", text),)
+    return replace(block, control=control)
 
 
 def _miss_px(poses: Poses, cameras: Sequence[Camera], control: GroundControl, scale: float) -> Floats:

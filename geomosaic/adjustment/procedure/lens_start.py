@@ -102,6 +102,8 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
     out = np.random.default_rng(0).permutation(tracks.points) % LEFT_OUT == 0
     judges = chosen_tracks(tracks, out)
     at_m, judges = points_on_ground(part.poses, part.cameras, part.ground, judges)
+    if not judges.points:
+        return camera
     still = replace(settings, rolling_shutter=False, turning=False)
     place = places(at_m, flying_height_m(part))
     test = LeftOutTest(chosen_tracks(tracks, ~out), judges, place)

@@ -62,16 +62,17 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
 
 def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
     """The block with the headings of each connected part corrected by their common error, and a warning for
-    each such part. Headings of n frames that share an error would outweigh positions. The median turn from
-    given to initial headings is common where it is beyond each frame's limit and the frames' own scatter."""
-    observed = ~heading_assumed(block.poses)
-    known = observed & ~position_assumed(block.poses)
+    each part whose headings were observed. What the adjustment takes for such an error is limited by the
+    headings' deviation. The median turn from given to initial headings is common where it is beyond each
+    frame's limit and the frames' own scatter."""
+    observed, located = ~heading_assumed(block.poses), ~position_assumed(block.poses)
     limit = heading_limits_rad(block.poses)
     turned = np.einsum("nij,nkj->nik", start.rotations, block.poses.rotations)
     angle = np.arctan2(turned[:, 1, 0] - turned[:, 0, 1], turned[:, 0, 0] + turned[:, 1, 1])
     common, warnings = np.zeros(len(angle)), []
-    for part in connected_parts(len(block.names), block.ties.frames):
-        mine = np.array([i for i in part if known[i]], dtype=np.intp)
+    parts = [np.array(part) for part in connected_parts(len(block.names), block.ties.frames)]
+    for its in [part[which[part]] for part in parts for which in (observed, ~observed)]:
+        mine = its[located[its]]
         if len(mine) < LEAST_OBSERVATIONS:
             continue
         mean = np.angle(np.exp(1j * angle[mine]).sum())
@@ -80,9 +81,11 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
         scatter = NORMAL_PER_MAD * float(np.median(np.abs(apart - np.median(apart))))
         if abs(off) <= max(float(np.median(limit[mine])), 2.0 * scatter):
             continue
-        common[part] = np.where(observed[part], off, 0.0)
+        common[its] = off
+        if not observed[its[0]]:
+            continue
         text = (
-            f"the headings of {int(observed[part].sum())} frames are {abs(np.degrees(off)):.0f} degrees too "
+            f"the headings of {len(its)} frames are {abs(np.degrees(off)):.0f} degrees too "
             f"{'small' if off < 0.0 else 'large'} in common, as their positions show: corrected, "
             "nothing to do"
         )
@@ -158,6 +161,8 @@ def _with_one_more(
         if len(set(others)) < len(others) or len(others) >= min(_MOST_PARTS, len(off_m) - 3):
             continue
         tried = (*others, _best(off_m, others))
+        if len(set(tried)) < len(tried):
+            continue
         shapes = _shapes(tried, len(off_m))
         rises = least_squares(shapes.T, off_m)
         left = float(((off_m - rises @ shapes) ** 2).sum())

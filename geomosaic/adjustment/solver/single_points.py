@@ -124,7 +124,7 @@ class _Own:
         self._of = np.searchsorted(which, self._image.tracks.point)
         self._seen = self._image.projections(at)
         self._shown, self._used = problem.image.shown[seen], self._image.used
-        self._sd_px = self._image.sd_px(components)
+        self._sd_px, self._as_many = self._image.sd_px(components), self._image.as_many
         points = problem.points.of(which)
         self._given_m, self._weight = points.given_m, 1.0 / points.present_sd_m(components) ** 2
         self._terrain = problem.terrain
@@ -145,13 +145,14 @@ class _Own:
         before = np.isfinite(residual).all(axis=0)
         length = np.where(before, np.hypot(*residual), 0.0)
         standard = np.where(before, length / (self._sd_px * np.sqrt(self._shown)), BEHIND)
-        weight = np.where(self._used, student_weight(standard) / self._sd_px**2 / INFORMATION, 0.0)
+        counts = self._used / self._as_many
+        weight = counts * student_weight(standard) / self._sd_px**2 / INFORMATION
         residual, by_point = (np.where(before, a, 0.0) for a in (residual, by_point))
         along = np.einsum("am,aim->im", residual / np.maximum(length, 1e-12), by_point)
         weighted = weight * by_point
         bend = np.einsum("aim,ajm->ijm", weighted, by_point)
         bend -= (weight * student_bend(standard) * along)[:, None] * along
-        each = self._used * self._shown * student_cost(standard)
+        each = counts * self._shown * student_cost(standard)
         rows = (each, *np.einsum("aim,am->im", weighted, residual), *bend.reshape(9, -1))
         sums: Floats = np.stack([np.bincount(self._of, row, len(self._which)) for row in rows], axis=1)
         off_m = self._given_m - points_m

@@ -66,12 +66,13 @@ def with_unreported_readouts(
     if not moving or problem.fixed is None or not unreported.any():
         return problem, none
     readouts = np.arange(len(none)) * at.interior.shape[1] + READOUT
-    free = _with_readout_sd(problem, layout.of_readouts(layout.sd) + unreported)
+    asked, fixed = unreported > 0.0, problem.fixed.copy()
+    fixed[readouts] &= ~asked
+    free = _with_readout_sd(replace(problem, fixed=fixed), layout.of_readouts(layout.sd) + unreported)
     begun = replace(at, layout=free.layout)
     reduced = reduce_normals(free.normals(begun, components))
     step_s = reduced.solve()[1].ravel()[readouts]
     own_s = np.sqrt(np.diag(reduced.covariance()[1])[readouts])
-    asked = unreported > 0.0
     sd_s = np.where(asked, np.hypot(step_s, own_s), layout.of_readouts(free.layout.sd))
     fixed = problem.fixed.copy()
     fixed[readouts] |= asked

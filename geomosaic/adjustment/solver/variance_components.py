@@ -73,7 +73,7 @@ def variance_components(
         determined += float((computed.variances(term.columns(at)) * term.information(before)).sum())
     prior = np.diag(computed.shared) / problem.shared_sd(at.layout) ** 2
     determined += float(np.delete(prior, at.layout.level).sum())
-    ties = int((~problem.points.control).sum())
+    ties = int((~problem.points.control & (problem.image.views > 0)).sum())
     unknowns = reduced.pose_side.size + at.layout.size - 1 + 3 * ties - determined
     image = problem.image
     after = before.also(image.components(at, before, unknowns))

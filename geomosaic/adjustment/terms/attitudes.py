@@ -1,9 +1,9 @@
-"""Reported attitudes, with the boresight angles between camera and IMU."""
+"""Reported attitudes, with what headings are off by in common and the boresight of camera and IMU."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -14,10 +14,11 @@ from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import Component, Components, FrameTerm
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
-from geomosaic.camera.rotation import CAMERA_FROM_BODY, exp_turn, log_turn
+from geomosaic.camera.rotation import CAMERA_FROM_BODY, about_z, exp_turn, log_turn
 from geomosaic.constants import tuned
+from geomosaic.placement.prior import heading_assumed, tilt_assumed
 
-TILT, YAW, BORESIGHT = "tilt", "yaw", "boresight"
+TILT, YAW, BORESIGHT, HEADINGS = "tilt", "yaw", "boresight", "headings"
 BORESIGHT_SD_RAD = tuned(np.radians(3.0), "rad", "of mounts of small drones; less: boresights are fixed")
 
 
@@ -26,20 +27,37 @@ class Attitudes(FrameTerm):
     """Attitudes of f frames, as turns about east, north and up; residuals by component `tilt` and `yaw`. The
     camera's axes are the body's: forward is the image's top, right its right side, down the view. boresight:
     the angles by which the reported attitude is turned against the camera's, about forward, right and down,
-    are solved for. parts: frames of each connected part."""
+    are solved for. parts: frames of each connected part. group (f,): numbers from 0 on of frames whose
+    headings may be off in common, as one compass is, or -1; groups_sd_rad (g,): by how much."""
 
     reported: Poses
     parts: tuple[Ints, ...]
     weight: Floats
     boresight: bool = False
+    group: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    groups_sd_rad: Floats = field(default_factory=lambda: np.zeros(0))
 
     name: ClassVar[str] = "attitudes"
 
     def unknowns(self) -> tuple[Unknowns, ...]:
-        if not self.boresight:
+        if self.boresight:  # its third angle is what all headings are off by
+            names = "boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg"
+            return (Unknowns(BORESIGHT, "platform", names, np.zeros(3), np.full(3, BORESIGHT_SD_RAD)),)
+        if not (g := len(self.groups_sd_rad)):
             return ()
-        names = "boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg"
-        return (Unknowns(BORESIGHT, "platform", names, np.zeros(3), np.full(3, BORESIGHT_SD_RAD)),)
+        each = tuple(f"heading_error{f'_{k + 1}' if g > 1 else ''}_deg" for k in range(g))
+        return (Unknowns(HEADINGS, "attitudes", each, np.zeros(g), self.groups_sd_rad, optional=False),)
+
+    def _of_group(self) -> Floats:
+        """Which group each frame belongs to, as ones, (f, g)."""
+        g = len(self.groups_sd_rad)
+        return np.vstack([np.eye(g), np.zeros(g)])[self.group] if g else np.zeros((len(self.weight), 0))
+
+    def _computed(self, at: Estimate) -> Floats:
+        """Attitudes (f, 3, 3) as they would be reported without error."""
+        boresight = exp_turn((CAMERA_FROM_BODY @ at.value(BORESIGHT, 3))[None])[0]
+        off = self._of_group() @ at.value(HEADINGS, len(self.groups_sd_rad))
+        return np.asarray(about_z(-off) @ at.rotations @ boresight)
 
     def component_names(self) -> tuple[str, ...]:
         return TILT, YAW
@@ -48,8 +66,7 @@ class Attitudes(FrameTerm):
         return slice(3, 6)
 
     def miss(self, at: Estimate) -> Floats:
-        back = exp_turn(-(CAMERA_FROM_BODY @ at.value(BORESIGHT, 3))[None])[0]
-        return log_turn(self.reported.rotations @ back @ np.swapaxes(at.rotations, 1, 2))
+        return log_turn(self.reported.rotations @ np.swapaxes(self._computed(at), 1, 2))
 
     def sd(self, components: Components) -> Floats:
         tilt, yaw = components[TILT], components[YAW]
@@ -58,33 +75,43 @@ class Attitudes(FrameTerm):
 
     def derivatives(self, at: Estimate) -> tuple[Floats, list[tuple[str, Floats]]]:
         by_pose = np.broadcast_to(np.eye(3, 6, 3), (len(at.rotations), 3, 6))
-        return by_pose, [(BORESIGHT, at.rotations @ CAMERA_FROM_BODY)]
+        shared = [(BORESIGHT, at.rotations @ CAMERA_FROM_BODY)]
+        if len(self.groups_sd_rad):
+            shared.append((HEADINGS, self._of_group()[:, None] * np.array([0.0, 0.0, -1.0])[:, None]))
+        return by_pose, shared
 
     def own_miss(self, at: Estimate, components: Components) -> Floats:
         """Residuals (f, 3) without the heading that the frames of each part have in common."""
         miss, sd = self.miss(at), self.sd(components)
         for part in self.parts:
-            miss[part, 2] -= common_mean(miss[part, 2], sd[part, 2])
+            mean = np.angle(np.exp(1j * miss[part, 2]).sum())
+            apart = np.angle(np.exp(1j * (miss[part, 2] - mean)))
+            miss[part, 2] = apart - common_mean(apart, sd[part, 2])
         return miss
+
+    def _telling(self) -> Bools:
+        """Which numbers (f, 3) tell about the deviations: assumptions tell nothing about observed ones."""
+        assumed = np.column_stack([tilt_assumed(self.reported)] * 2 + [heading_assumed(self.reported)])
+        return np.asarray(~assumed | assumed.all(axis=0))
 
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
         share = variances * self.information(components)
-        own, sd = self.own_miss(at, components), self.sd(components)
+        own, sd, telling = self.own_miss(at, components), self.sd(components), self._telling()
         for name, numbers, common in ((TILT, [0, 1], 0.0), (YAW, [2], 1.0)):
-            counted = np.broadcast_to(np.isin(np.arange(3), numbers), own.shape)
+            counted = np.isin(np.arange(3), numbers) & telling
             group = FrameGroup(name, counted, sd, self.weight, own, self.parts, common)
             yield group.component(components[name], share)
 
     def reweighted(self, image: ImageObservations, at: Estimate, components: Components) -> Self:
         own = self.own_miss(at, components) / self.sd(components)
-        observed = np.ones(own.shape, dtype=bool)
-        return replace(self, weight=robust_weights(own, observed, self.parts, ([0, 1], [2])))
+        weight = robust_weights(own, self._telling(), self.parts, ([0, 1], [2]))
+        return replace(self, weight=weight)
 
     def without(self, frames: Bools, at: Estimate) -> Self:
         stay, sd_rad = frames[:, None], self.reported.rotations_sd_rad
         reported = replace(
             self.reported,
-            rotations=np.where(stay[:, None], at.rotations, self.reported.rotations),
+            rotations=np.where(stay[:, None], self._computed(at), self.reported.rotations),
             rotations_sd_rad=np.where(stay, np.minimum(sd_rad, np.pi), sd_rad),
         )
         return replace(self, reported=reported)

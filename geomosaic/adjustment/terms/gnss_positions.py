@@ -80,11 +80,15 @@ class GnssPositions(FrameTerm):
         return slice(0, 3)
 
     def miss(self, at: Estimate) -> Floats:
+        return np.asarray(self.reported.positions_m - self._computed_m(at))
+
+    def _computed_m(self, at: Estimate) -> Floats:
+        """Positions (f, 3) as they would be reported without error."""
         lever = CAMERA_FROM_BODY @ at.value(LEVER_ARM, 3)
         computed = at.positions_m + at.rotations @ lever + self._offset_m(at)
         if self.reported.velocities_m_per_s is not None:
             computed = computed - at.value(DELAY, 1) * self.reported.velocities_m_per_s
-        return np.asarray(self.reported.positions_m - computed)
+        return np.asarray(computed)
 
     def sd(self, components: Components) -> Floats:
         plan, height = components[HORIZONTAL], components[VERTICAL]
@@ -141,7 +145,7 @@ class GnssPositions(FrameTerm):
         stay, sd_m = frames[:, None], self.reported.positions_sd_m
         reported = replace(
             self.reported,
-            positions_m=np.where(stay, at.positions_m, self.reported.positions_m),
+            positions_m=np.where(stay, self._computed_m(at), self.reported.positions_m),
             positions_sd_m=np.where(stay, np.minimum(sd_m, ANYWHERE_M), sd_m),
         )
         return replace(self, reported=reported)

@@ -78,8 +78,12 @@ class ImageObservations:
         """The share of an error's square that residuals show along the directions in which they do, (m,). A
         point takes three of the two numbers that each of its k images gives (Baarda 1968, section 4).
         Residuals of a point in two images have one direction, with half of the square in it."""
-        views = self.tracks.lengths[self.tracks.point]
-        return np.where(self.by_hand, 1.0, 1.0 - 1.5 / np.maximum(views, 3))
+        return np.where(self.by_hand, 1.0, 1.0 - 1.5 / np.maximum(self.views[self.tracks.point], 3))
+
+    @cached_property
+    def views(self) -> Ints:
+        """How many observations of each point count, (p,)."""
+        return np.bincount(self.tracks.point, self.used, self.tracks.points).astype(np.intp)
 
     @property
     def longest_side_px(self) -> float:
@@ -135,7 +139,7 @@ class ImageObservations:
             length = np.linalg.norm(residual, axis=0) / (sd * np.sqrt(self.shown[which]))
             weight = np.where(counts, student_weight(length) / sd**2 / self.as_many[which], 0.0)
             residual /= INFORMATION
-            for a in (residual, levers.arms_m, by_interior, by_point):
+            for a in (residual, levers.arms_m, levers.shares, by_interior, by_point):
                 a[..., ~counts] = 0.0
             return residual, weight, levers, by_interior, by_point
 
@@ -188,7 +192,7 @@ class ImageObservations:
         length = self.lengths_px(at)
         return {
             name: float(np.clip(median_of_known(length[which]), MEASURED_SD_PX, self.longest_side_px))
-            for name, which in ((IMAGE, ~self.by_hand), (CONTROL_IMAGE, self.by_hand))
+            for name, which in ((IMAGE, self.used & ~self.by_hand), (CONTROL_IMAGE, self.used & self.by_hand))
         }
 
     def components(self, at: Estimate, components: Components, unknowns: float) -> dict[str, float]:
@@ -201,7 +205,7 @@ class ImageObservations:
             redundancy = max(2.0 * int(tied.sum()) - unknowns, 1.0)
             sigma_px = _scale_px(error_px, shown, redundancy, components[IMAGE])
             out[IMAGE] = float(np.clip(sigma_px, _LEAST_SIGMA_PX, self.longest_side_px))
-        control_px = median_of_known(length[self.by_hand]) / MEDIAN_LENGTH
+        control_px = median_of_known(length[self.by_hand & self.used]) / MEDIAN_LENGTH
         out[CONTROL_IMAGE] = float(np.clip(control_px, MEASURED_SD_PX, self.longest_side_px))
         return out
 
@@ -212,5 +216,7 @@ def _scale_px(error_px: Floats, shown: Floats, redundancy: float, first_px: floa
     for _ in range(ROUNDS):
         error = error_px / scale_px
         squares = float((shown * student_weight(error) * error**2).sum()) / INFORMATION
+        if not squares:
+            break
         scale_px *= float(np.sqrt(squares / redundancy))
     return scale_px

@@ -27,8 +27,8 @@ NOMINAL_READOUT_S = tuned(0.05, "s", "unreported readout and its deviation: smal
 
 
 def interior_deviations(camera: Camera, *, readout: bool = False) -> Floats:
-    """Prior deviations of a camera's numbers in the order of INTERIOR, (9,); 0 for a readout that is known,
-    or neither reported nor asked for. The principal point is known no better than the focal length, within
+    """Prior deviations of a camera's numbers in the order of INTERIOR, (9,); 0 for a readout that is known or
+    not reported, if it is not asked for. The principal point is known no better than the focal length, within
     _PRINCIPAL_SD. Of a distortion of known deviation each term alone moves the frame's corner by no more than
     that."""
     focal = camera.focal_length_sd_px or FOCAL_LENGTH["camera-file"].sd_relative * camera.focal_length_px
@@ -50,7 +50,7 @@ def part_of_camera(name: str) -> str:
 
 
 def interior_unknowns(camera: Camera, *, readout: bool = False, free_lens: bool = False) -> Unknowns:
-    """A camera's numbers; readout: solved for if not reported; free_lens: maker's distortion is but the
+    """A camera's numbers; readout: solved for, also a known one; free_lens: maker's distortion is but the
     start."""
     known = replace(camera, distortion_sd=0.0) if free_lens else camera
     sd = interior_deviations(known, readout=readout)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from scipy.optimize import brentq
@@ -30,6 +30,8 @@ from geomosaic.estimation.robust import (
 from geomosaic.survey.accuracy import POSITION
 
 CONTROL_PLAN, CONTROL_HEIGHT = "control plan", "control height"
+_MOST_FACTOR: Final = 5e8
+"""Where the search for a factor of deviations ends."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +220,10 @@ def _root(excess: Callable[[float], float]) -> float:
     """The factor, at least 1, at which something that falls with it comes down to 1."""
     if not excess(1.0) > 1.0:
         return 1.0
-    return float(np.exp(brentq(lambda log: excess(float(np.exp(log))) - 1.0, 0.0, 20.0)))
+    if excess(_MOST_FACTOR) >= 1.0:
+        return _MOST_FACTOR
+    most = float(np.log(_MOST_FACTOR))
+    return float(np.exp(brentq(lambda log: excess(float(np.exp(log))) - 1.0, 0.0, most)))
 
 
 def _factor(off_m: Floats, stated_m: Floats, own_m: Floats, common: float) -> float:
