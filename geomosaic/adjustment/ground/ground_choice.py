@@ -34,7 +34,7 @@ def flying_height_m(block: Block) -> float:
 
 
 def _offset_per_height(block: Block) -> float:
-    """Relief displacement in the middle of a frame's outer half, per metre of height."""
+    """Relief displacement halfway from a frame's middle to its corner, per metre of height."""
     return max(float(np.hypot(c.width_px, c.height_px)) / 4.0 / c.focal_length_px for c in block.cameras)
 
 

@@ -4,6 +4,7 @@ in metres."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from heapq import heappop, heappush
 
 import numpy as np
 from scipy.sparse import coo_matrix, diags
@@ -65,16 +66,26 @@ def base_frame(net: OffsetNet, sequence: Sequence[int]) -> Moves:
     moves = np.zeros((net.n, 2))
     weight = [its.shape[1] for its in net.ends]
     order = {frame: k for k, frame in enumerate(sequence)}
+    pairs: list[list[int]] = [[] for _ in range(net.n)]
+    for p, pair in enumerate(net.edges):
+        for frame in pair:
+            pairs[frame].append(p)
+    aligned: set[int] = set()
     for part in connected_parts(net.n, net.edges):
-        aligned = {sorted(part, key=lambda i: order[i])[len(part) // 2]}
-        while len(aligned) < len(part):
-            ends = [p for p, pair in enumerate(net.edges) if len(aligned.intersection(pair)) == 1]
-            best = max(ends, key=lambda p: (weight[p], -p))
-            frame = next(i for i in net.edges[best] if i not in aligned)
-            mine = [net.pair_of[frame, i] for i in aligned if (frame, i) in net.pair_of]
-            pulls = [net.misalignment_m(p, moves, seen_from=frame) for p in sorted(mine)]
-            moves[frame] += np.average(pulls, axis=0, weights=[weight[p] for p in sorted(mine)])
+        frame = sorted(part, key=lambda i: order[i])[len(part) // 2]
+        ends: list[tuple[int, int]] = []
+        while True:
             aligned.add(frame)
+            for p in pairs[frame]:
+                heappush(ends, (-weight[p], p))
+            while ends and aligned.issuperset(net.edges[ends[0][1]]):
+                heappop(ends)
+            if not ends:
+                break
+            frame = next(i for i in net.edges[ends[0][1]] if i not in aligned)
+            mine = [p for p in pairs[frame] if not aligned.isdisjoint(net.edges[p])]
+            pulls = [net.misalignment_m(p, moves, seen_from=frame) for p in mine]
+            moves[frame] += np.average(pulls, axis=0, weights=[weight[p] for p in mine])
     return moves, rounds_of(net, moves)
 
 

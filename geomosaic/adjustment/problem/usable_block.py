@@ -39,7 +39,7 @@ def turned_poses(poses: Poses, quarters: Sequence[int]) -> Poses:
 
 def as_taken(block: Block) -> Block:
     """The block with half-turned images turned back: poses, cameras, tie points and control."""
-    frames = _half_turned(block.turned)
+    frames = set(_half_turned(block.turned))
     if not frames:
         return block
     cameras = tuple(c.turned(2) if i in frames else c for i, c in enumerate(block.cameras))

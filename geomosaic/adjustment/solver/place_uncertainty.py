@@ -179,7 +179,8 @@ def _scores(solution: Solution, pose: Floats, shared: Floats) -> tuple[Floats, f
 
 
 def _bends(places_m: Floats) -> Floats:
-    """Errors of places by polynomials of the second degree in plan, in each axis, (3 k, 18), orthonormal."""
+    """Errors of places by polynomials of the second degree in plan, in each axis, (3 k, r), orthonormal. r is
+    18 at most."""
     east, north = ((places_m - places_m.mean(axis=0)) / np.ptp(places_m, axis=0).max())[:, :2].T
     plan = np.stack([np.ones(len(east)), east, north, east**2, east * north, north**2], axis=1)
     return np.asarray(np.kron(orthonormal(plan), np.eye(3)))
