@@ -217,3 +217,15 @@ def test_a_map_that_nothing_places_states_no_absolute_accuracy() -> None:
     found = accuracy_of(adjusted(place_errors(np.tile([1.2, -0.5, 0.0], (4, 1)))), np.nan, 0.02, placed=False)
     assert found.absolute.how == "not stated" and np.isnan(found.absolute.rmse_h_m)
     assert found.relative.rmse_100m_m == pytest.approx(0.0, abs=1e-7)
+
+
+def test_heights_that_may_count_from_anywhere_state_no_accuracy() -> None:
+    """800 m is what land may lie above the sea, which heights above the take-off leave out."""
+    nothing = Requirement(math.nan, math.nan, math.nan, "GNSS positions", math.nan)
+    for rmse_m, says in ((45.0, "vertical RMSE 45.00 m"), (800.0, "heights not known")):
+        unmeasured = np.full(3, np.nan)
+        absolute = AbsoluteAccuracy(1.0, rmse_m, "estimated", 0, unmeasured, unmeasured)
+        its = replace(accuracy_of(adjusted(None), math.nan, 0.02), absolute=absolute)
+        said = dict(answers(its, nothing, NO_SEAMS, 0.02))["absolute accuracy"]
+        assert says in said
+        assert "800" not in said
