@@ -35,9 +35,8 @@ _LEAST_SD = tuned(0.005, "log brightness", "a grey level: less overweights place
 _LEVEL_SD = tuned(
     0.25, "of a frame's longer side", "exposure follows a frame; less: frames' own scatter stays"
 )
-_KERNEL_SDS: Final = 4.0
-"""Where OpenCV ends a Gaussian kernel of 32-bit values."""
-_PART_NODES: Final = 512
+_KERNEL_SDS = sourced(4.0, "deviations", "where a Gaussian kernel ends", "OpenCV: getGaussianKernel, 32 bits")
+_PART_NODES = tuned(512, "places", "along a part of the map: fewer take time, more memory; results stay")
 _ROUNDS = tuned(8, "rounds", "of re-weighting against cars and glitter: fewer have not converged")
 
 

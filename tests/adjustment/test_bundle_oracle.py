@@ -43,8 +43,8 @@ STEP = 1e-5
 @dataclass(frozen=True)
 class Oracle:
     """The cost of a block as a sum of squares. Unknowns are changes from what was reported, in units of `size`:
-    of each pose (east, north, up; turn from the left), of the lens, of each point; last by how much all headings
-    are off, clockwise."""
+    of each pose (east, north, up; turn from the left), of the lens, of each point. The last is by how much all
+    headings are off, clockwise."""
 
     problem: BlockProblem
     solved: Solution

@@ -166,8 +166,8 @@ def test_a_part_is_georeferenced_as_one(whole: complex) -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_frames_of_an_ascent_on_the_spot_keep_the_scale_of_their_heights(seed: int) -> None:
-    """Six frames taken at one place, 40 to 240 m up; tilts of some 5 degrees move what is taken for their
-    nadir points, which least squares would bring together by shrinking the part."""
+    """Six frames taken at one place, 40 to 240 m up. Tilts of some 5 degrees move what is taken for their
+    nadir points. Least squares would bring these together by shrinking the part."""
     rng = np.random.default_rng(seed)
     height_m = np.linspace(40.0, 240.0, 6)
     place = np.radians(5.0) * height_m * (rng.normal(size=6) + 1j * rng.normal(size=6))

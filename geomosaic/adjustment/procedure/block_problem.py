@@ -85,8 +85,9 @@ def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Fl
 
 
 def _heading_groups(block: Block, part: Ints) -> tuple[Ints, Floats]:
-    """Frames whose headings one compass or one crab angle may turn in common, by number (f,), -1 for others,
-    and by how much (g,) in rad: those of a flight in a connected part (f,), observed or by the course."""
+    """Groups of frames whose headings one compass or one crab angle may turn in common. They are those of a
+    flight in a connected part (f,), observed ones apart from those by the course. Returns each frame's group
+    (f,), -1 for none, and the groups' deviations (g,) in rad."""
     assumed, sd_rad = heading_assumed(block.poses), block.poses.rotations_sd_rad[:, 2]
     _, group, count = np.unique(
         np.column_stack([part, block.flight_of, assumed]), axis=0, return_inverse=True, return_counts=True

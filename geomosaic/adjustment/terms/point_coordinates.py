@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Final, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from scipy.optimize import brentq
@@ -18,7 +18,7 @@ from geomosaic.adjustment.terms.frame_components import common_similarity, commo
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components, Term
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS, tuned
 from geomosaic.estimation.linear import inverse_each, paraboloid_design
 from geomosaic.estimation.robust import (
     LEAST_OBSERVATIONS,
@@ -30,8 +30,7 @@ from geomosaic.estimation.robust import (
 from geomosaic.survey.accuracy import POSITION
 
 CONTROL_PLAN, CONTROL_HEIGHT = "control plan", "control height"
-_MOST_FACTOR: Final = 5e8
-"""Where the search for a factor of deviations ends."""
+_MOST_FACTOR = tuned(1e8, "times a stated deviation", "millimetres that are off by 100 km: beyond all files")
 
 
 @dataclass(frozen=True)
