@@ -68,8 +68,8 @@ def _off_m(block: Block, truth_m: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.parametrize("heading_error_deg", [0.0, 7.0, -11.0])
 def test_headings_that_agree_but_share_an_error_do_not_turn_the_block(heading_error_deg: float) -> None:
-    """Stated to 3 degrees, they scatter by 0.3, as those of one compass do; by the scatter alone fifteen
-    headings would be known to 0.1 degrees and turn the block off its positions."""
+    """Stated to 3 degrees, they scatter by 0.3, as those of one compass do. By the scatter alone fifteen
+    headings would be known to 0.1 degrees, and would turn the block off its positions."""
     flown = fly(3, 3, 5, points=400, relief=hills, there_and_back=True)
     scatter = exp_turn(flown.rng.normal(0.0, np.radians([0.3, 0.3, 0.3]), (15, 3)))
     sd_rad = np.tile(np.radians([1.0, 1.0, 3.0]), (15, 1))

@@ -142,10 +142,10 @@ def _followed(
 
 @dataclass(frozen=True)
 class _Computed:
-    """The numbers of frames that terms observe, as the unknowns give them. by_pose (f, d, d), by_shared (f, d,
-    s): derivatives by each frame's unknowns and by the shared ones. covariance (f, d, d): of the numbers, for
-    unit weight; shared (s, s): of the shared unknowns. An offset or a boresight is part of what is computed: the pose alone varies far
-    more, as the two compensate each other."""
+    """The numbers of frames that terms observe, as the unknowns give them. by_pose (f, d, d) and by_shared
+    (f, d, s) are derivatives by each frame's unknowns and by the shared ones. covariance (f, d, d) is that of
+    the numbers for unit weight, shared (s, s) that of the shared unknowns. An offset or a boresight is part
+    of what is computed: the pose alone varies far more, as the two compensate each other."""
 
     reduced: Reduced
     by_pose: Floats
