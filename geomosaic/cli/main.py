@@ -81,6 +81,9 @@ def _failed(error: Exception, stop: Stop) -> int:
         return _fail(usage(), 2)
     if isinstance(error, ModuleNotFoundError) and error.name in _OPTIONAL:
         return _fail(f"{error.name} isn't installed; {_OPTIONAL[error.name]}", 2, error)
+    if isinstance(error, MemoryError):
+        text = f"out of memory ({error}): take fewer --workers or a coarser --gsd; finished work is kept"
+        return _fail(text, 1, error)
     text = f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
     return _fail(text, 1, error)
 
