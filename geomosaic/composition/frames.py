@@ -29,7 +29,8 @@ class Decoded:
 def may_be_masked(frame: Frame) -> bool:
     """False where the format has no invalid pixels; else only decoding shows."""
     jpeg = frame.path.lower().endswith(_FULLY_VALID)
-    return not jpeg or frame.valid_mask is not None or frame.nodata is not None
+    damaged = frame.whole_rows is not None
+    return not jpeg or damaged or frame.valid_mask is not None or frame.nodata is not None
 
 
 def decode(frame: Frame, kernel_radius_px: int) -> Decoded:

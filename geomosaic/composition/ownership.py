@@ -31,6 +31,7 @@ from geomosaic.projection.warp import frame_from_map
 _MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
 _CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
 _MOST_CELLS = tuned(16_000_000, "cells", "64 MB of owners: more take memory; fewer coarsen large mosaics")
+_AS_FINE = tuned(1.5, "times", "coarser views that may own: less mixes flights at one height; more blurs")
 _APART = tuned(4, "cells", "between exact places: farther misses shutter turns by cells; nearer takes time")
 
 
@@ -103,6 +104,21 @@ class FrameCells:
     def seen_well(self) -> Bools | None:
         """Which of them the frame sees well enough to give them; None where it does all that it sees."""
         return self.view.sees_well(self.cols_px, self.rows_px)
+
+    def as_fine(self, finest: Floats32, at: tuple[slice, slice] = (slice(None), slice(None))) -> Bools:
+        """Where the frame sees these of them about as finely as the one that does so best, see
+        `finest_pixels`."""
+        return np.asarray(self.pixels[at] <= _AS_FINE * finest)
+
+    @property
+    def pixels(self) -> Floats32:
+        """The side of a frame's pixel on the ground, over that of a cell; by area, so that oblique views see
+        coarsely."""
+        if min(self.cols_px.shape) < 2:
+            return np.ones_like(self.cols_px)
+        (col_down, col_across), (row_down, row_across) = map(np.gradient, (self.cols_px, self.rows_px))
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / np.sqrt(np.abs(col_across * row_down - col_down * row_across)))
 
     def window(self, cell_px: int) -> Window:
         """The pixels that they cover."""
@@ -181,7 +197,7 @@ def _between(
 
 def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Ownership, Floats32]:
     """Each cell goes to the frame that sees it well and whose nadir point is nearest: it looks down most
-    steeply.
+    steeply. Frames that see it far more coarsely than the finest come last.
 
     Frames are looked at where they are the nearest, then once more where the nearest sees nothing.
     Returns: the ownership, and the distance to that point in m, infinite where no frame sees the ground well.
@@ -190,8 +206,11 @@ def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Own
     nearest, owner = np.full(shape, np.inf, dtype=np.float32), np.zeros(shape, dtype=np.int32)
     windows = [bounds_window(scene.grid, view, cell_px) for view in scene.views]
     areas = [_cells_in(window, cell_px) for window in windows]
+    finest = finest_pixels(scene, cell_px)
     for view, window, at in zip(scene.views, windows, areas, strict=True):
         away_m = distances_m(scene.grid, window, view, cell_px)
+        if finest is not None:
+            away_m[~frame_cells(scene, view, cell_px, smooth=True).as_fine(finest[at])] = np.inf
         np.copyto(owner[at], view.frame + 1, where=away_m < nearest[at])
         np.minimum(nearest[at], away_m, out=nearest[at])
     unseen = np.zeros(shape, dtype=bool)
@@ -204,9 +223,26 @@ def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Own
         if (cells := _cells_of(scene, view, cell_px, unseen[at])) is not None:
             nearer = unseen[cells.of_all] & (cells.distance_m < nearest[cells.of_all])
             nearer &= _shows(cells, cell_px)
+            if finest is not None:
+                nearer &= cells.as_fine(finest[cells.of_all])
             np.copyto(nearest[cells.of_all], cells.distance_m, where=nearer)
             owner[cells.of_all][nearer] = view.frame + 1
     return Ownership(scene.grid, np.asarray(used, dtype=bool), cell_px, owner), nearest
+
+
+def finest_pixels(scene: Scene, cell_px: int) -> Floats32 | None:
+    """The least `FrameCells.pixels` of all frames that see a cell well, infinite where none does. None where
+    all frames see the ground about as finely."""
+    gsd_m = [view.gsd_m for view in scene.views]
+    if not gsd_m or max(gsd_m) <= _AS_FINE * min(gsd_m):
+        return None
+    shape = -(-scene.grid.height_px // cell_px), -(-scene.grid.width_px // cell_px)
+    finest = np.full(shape, np.inf, dtype=np.float32)
+    for view in scene.views:
+        cells = frame_cells(scene, view, cell_px, smooth=True)
+        of = finest[cells.of_all]
+        np.fmin(of, cells.pixels, out=of, where=_shows(cells, cell_px))
+    return finest
 
 
 def by_nearest_nadir(frames: PosedFrames, grid: OutputGrid) -> Ownership:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Floats, Floats32, Ints
-from geomosaic.composition.ownership import Ownership, frame_cells
+from geomosaic.composition.ownership import Ownership, finest_pixels, frame_cells
 from geomosaic.composition.scene import Scene, bounds_window, distances_m
 from geomosaic.composition.tones import Tones, evened
 from geomosaic.composition.views import FrameView
@@ -36,7 +36,7 @@ class SeamBand:
     each.
 
     own: the cells that are nearest to it. near: those that are not much farther from it than from the nearest
-    one.
+    one. finest: see `finest_pixels`.
     """
 
     view: FrameView
@@ -44,6 +44,7 @@ class SeamBand:
     col: int
     own: Bools
     near: Bools
+    finest: Floats32 | None = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def bands(
     """Of each of these frames, which own a part."""
     side = nearest.cell_px
     cell_m = side * nearest.grid.gsd_m
-    areas = _areas(nearest, scene)
+    areas, finest = _areas(nearest, scene), finest_pixels(scene, side)
     for view in views:
         window = bounds_window(scene.grid, view, side)
         rows, cols = (
@@ -112,7 +113,9 @@ def bands(
         near = distances_m(scene.grid, window, view, side) < distance_m[rows, cols] + band_m
         down, across = (np.flatnonzero((own | near).any(axis=axis)) for axis in (1, 0))
         at = slice(down[0], down[-1] + 1), slice(across[0], across[-1] + 1)
-        yield SeamBand(view, rows.start + int(down[0]), cols.start + int(across[0]), own[at], near[at])
+        row, col = rows.start + int(down[0]), cols.start + int(across[0])
+        of = None if finest is None else finest[rows, cols][at]
+        yield SeamBand(view, row, col, own[at], near[at], of)
 
 
 def glimpses(
@@ -145,6 +148,8 @@ def glimpsed(scene: Scene, cell_px: int, tones: Tones | None, job: Glimpse) -> S
     near = band.near & (cells.margin_px[at] > EDGE_PX)
     if (well := cells.seen_well) is not None:
         near &= well[at]
+    if band.finest is not None:
+        near &= cells.as_fine(band.finest, at)
     may = band.own | near
     if (hidden := cells.hidden(cell_px)) is not None:
         may &= ~hidden[at]

@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.special import stdtrit
 
 from geomosaic.adjustment.ground_places import GroundPlaces
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.arrays import Floats
 from geomosaic.constants import MEDIAN_LENGTH, SLIGHT, sourced, tuned
+from geomosaic.quality.block_errors import BlockErrors
 from geomosaic.quality.check_points import CheckPoints, check_points
 from geomosaic.quality.control import known_residuals_m, means
 from geomosaic.quality.figures import circle_of, interval_of
@@ -19,6 +21,7 @@ NOT_STATED: Final = float("nan")
 _ASPRS = "ASPRS Positional Accuracy Standards, edition 2 (2023)"
 LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservation is stated", _ASPRS)
 LEAST_POINTS = tuned(3, "check or control points", "fewer say less than the covariance does")
+_SURE = sourced(0.9875, "probability", "of two axes to a side", "Fisher 1925, section 12: 5 % of both sides")
 _OVER_M = tuned(100.0, "m", "length of the distances that are stated with the whole map's")
 _PIXELS = tuned(3.0, "pixels", "of a map by control points or RTK positions; less is called right elsewhere")
 _RTK_M = tuned(0.3, "m", "stated deviation of carrier phases at most; by code GNSS, distances over 100 m")
@@ -75,8 +78,13 @@ class AbsoluteAccuracy:
 
     @property
     def shifted(self) -> bool:
-        """Whether check points show one shift in common rather than scatter."""
-        return bool((np.abs(self.shift_m) > self.scatter_m).any())
+        """Whether check points show one horizontal shift in common rather than scatter, by Student's test."""
+        n = self.check_points
+        if n < LEAST_POINTS:
+            return False
+        mean_sd_m = self.scatter_m[:2] / np.sqrt(n - 1.0)
+        off_m = np.abs(self.shift_m[:2])
+        return bool(((off_m > self.scatter_m[:2]) & (off_m > stdtrit(n - 1, _SURE) * mean_sd_m)).any())
 
 
 @dataclass(frozen=True)
@@ -228,12 +236,29 @@ def _relative(places: GroundPlaces | None, local_m2: float, placed: bool) -> Rel
 
     def rmse_m(over_m: float) -> float:
         near = (length_m**2 > over_m**2 / 2.0) & (length_m**2 < 2.0 * over_m**2)
-        return float(np.sqrt(np.maximum(variance_m2[near], 0.0).mean())) if near.any() else NOT_STATED
+        if not near.any():
+            return _between_places_m(places, joint.reshape(2 * count, 2 * count), over_m, local_m2)
+        return float(np.sqrt(np.maximum(variance_m2[near], 0.0).mean()))
 
     scale = places.similar()[:, 2]
     scale = scale / (scale @ scale)
     scale_sd = float(np.sqrt(max(float(scale @ places.plan_m2() @ scale), 0.0)))
     return RelativeAccuracy(1000.0 * scale_sd, rmse_m(_OVER_M), rmse_m(whole_m), whole_m)
+
+
+def _between_places_m(places: GroundPlaces, joint_m2: Floats, over_m: float, local_m2: float) -> float:
+    """RMSE of distances shorter than those of any two places: from each of them towards the middle, by errors
+    interpolated between places. Not stated on maps that are smaller. Args: joint_m2 (2 k, 2 k)."""
+    at_m = places.places_m[:, :2]
+    inwards_m = at_m.mean(axis=0) - at_m
+    far = np.linalg.norm(inwards_m, axis=1) > over_m
+    if not far.any():
+        return NOT_STATED
+    along = inwards_m[far] / np.linalg.norm(inwards_m[far], axis=1)[:, None]
+    weights_at = BlockErrors(places).weights_at
+    apart = weights_at(at_m[far] + over_m * along) - weights_at(at_m[far])
+    rows = (apart[:, :, None] * along[:, None]).reshape(len(along), -1)
+    return float(np.sqrt(np.einsum("nk,nk->n", rows @ joint_m2, rows).mean() + local_m2))
 
 
 def metres(length_m: float) -> str:

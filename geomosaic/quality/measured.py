@@ -51,6 +51,9 @@ def length_of(line: Any, sd_m: Floats, scale_sd: float, crs: CRS | None) -> Figu
     units = ways / np.maximum(lengths, np.finfo(float).tiny)[:, None]
     nothing = np.zeros((1, 2))
     gradient = np.concatenate([nothing, units]) - np.concatenate([units, nothing])
+    if (at_m[0] == at_m[-1]).all():  # one vertex, not two
+        gradient[0] += gradient[-1]
+        gradient[-1] = 0.0
     length = float(lengths.sum())
     variance = (np.square(gradient).sum(axis=1) * sd_m**2).sum() + (scale_sd * length) ** 2
     return Figure(length, float(np.sqrt(variance)), _differing(length, _on_ellipsoid(line, crs)))

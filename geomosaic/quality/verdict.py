@@ -96,7 +96,7 @@ class VerdictInputs:
 def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, required: Requirement) -> Verdict:
     """Grades a mosaic: whether a fault was found, and whether it is as accurate as is required."""
     figures = _agreement(adjusted, seen.patterns) | _seams(seen.seams)
-    figures |= _connection(adjusted, seen.parts, seen.land)
+    figures |= _connection(adjusted, seen.parts, seen.land, required.local_m)
     figures |= _land(seen.doubt)
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     judged = (_judged(name, value, required, seen.pixel_m) for name, value in figures.items())
@@ -180,14 +180,21 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
 
 
 def _connection(
-    adjusted: Adjusted, parts: Sequence[Sequence[int]], land: Mapping[int, float]
+    adjusted: Adjusted, parts: Sequence[Sequence[int]], land: Mapping[int, float], local_m: float
 ) -> dict[str, float]:
     """Shares of the mosaic's land that frames give which hang on their own positions, or in another part than
-    most."""
+    most. A part doesn't count if its place and that of most are known better than land may lie off relative
+    to other land, as by RTK positions or control points."""
     tied = {i: share for i, share in land.items() if adjusted.status[i] == "tied"}
-    largest = max((sum(tied.get(i, 0.0) for i in part) for part in parts), default=0.0)
-    alone = sum(share for i, share in land.items() if i not in tied)
-    return {"frames not tied": alone, "frames in other parts": max(sum(tied.values()) - largest, 0.0)}
+    shares = [sum(tied.get(i, 0.0) for i in part) for part in parts]
+    apart = sum(tied.values()) - max(shares, default=0.0)
+    if len(parts) > 1:
+        off_m = np.linalg.norm(adjusted.poses.positions_sd_m[:, :2], axis=1)
+        well = [bool(np.median(off_m[list(part)]) <= local_m) for part in parts]
+        main = int(np.argmax(shares))
+        apart -= sum(s for k, s in enumerate(shares) if k != main and well[k] and well[main])
+    alone = sum(land.values()) - sum(tied.values())
+    return {"frames not tied": alone, "frames in other parts": max(apart, 0.0)}
 
 
 def _land(doubt: LandDoubt) -> dict[str, float]:

@@ -72,7 +72,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=20, outputs=("mosaic", "raster_file"),
+    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=21, outputs=("mosaic", "raster_file"),
     results=(SOURCES,), plugged=plugged_blend, conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def mosaic_compose(

@@ -386,3 +386,23 @@ def test_a_raster_that_can_not_grow_is_an_error(tmp_path):
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )
     assert run.stdout == f"OSError {errno.EFBIG}\n", run.stderr
+
+
+def test_what_a_damaged_jpeg_lost_comes_from_its_neighbours(tmp_path: Path) -> None:
+    """A third of its rows are whole, so that planning may not count on the rest."""
+    survey, poses, ground = make_survey(tmp_path / "frames", suffix=".jpg", lines=1, per_line=6)
+    cameras = [survey.camera_of(i) for i in range(6)]
+    shown = []
+    for whole_rows in (None, 60):
+        frames = tuple(
+            replace(f, whole_rows=whole_rows if i == 2 else None) for i, f in enumerate(survey.frames)
+        )
+        posed = PosedFrames(replace(survey, frames=frames), poses, cameras, [True] * 6, ground)
+        views = frame_views(posed, CRS)
+        grid = output_grid(MapPixels(CRS, 0.05), views, [f.name for f in frames])
+        path = tmp_path / f"{whole_rows}.tif"
+        mosaic = compose(posed, by_nearest_nadir(posed, grid), MosaicFiles(path))
+        assert mosaic.holes.number == 0
+        with rasterio.open(path) as raster:
+            shown.append(int((raster.dataset_mask() > 0).sum()))
+    assert shown[1] > 0.97 * shown[0]

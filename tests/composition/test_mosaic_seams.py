@@ -141,6 +141,36 @@ def test_each_cell_goes_to_the_frame_that_sees_it_most_steeply(tmp_path: Path) -
     assert (owned.owner == 0).sum() > 0 and np.isinf(distance_m[owned.owner == 0]).all()
 
 
+@pytest.mark.parametrize("times", [1.9, 3.5])
+def test_frames_far_above_others_give_only_what_these_do_not_see(tmp_path: Path, times: float) -> None:
+    """Three lines at 50 m and one frame higher up, whose nadir point lies between theirs."""
+    survey, poses, ground = make_survey(tmp_path, lines=3, per_line=6)
+    high = replace(survey.frames[8], name="high.tif")
+    there = poses.positions_m[8] * [1.0, 1.0, times] + [3.0, 2.0, 0.0]
+    posed = PosedFrames(
+        replace(survey, frames=(*survey.frames, high)),
+        replace(
+            poses,
+            **{
+                name: np.concatenate([getattr(poses, name), getattr(poses, name)[8:9]])
+                for name in ("positions_m", "rotations", "positions_sd_m", "rotations_sd_rad")
+            },
+        ),
+        [survey.camera_of(0)] * 19,
+        [True] * 19,
+        ground,
+    )
+    posed.poses.positions_m[18] = there
+    views = frame_views(posed, CRS)
+    names = [f.name for f in posed.survey.frames]
+    scene = Scene(survey.work_frame, ground, output_grid(MapPixels(CRS, GSD_M), views, names), views)
+    low = nearest_nadir(replace(scene, views=views[:18]), [True] * 19, 8)[0].owner
+    nearest, found = glimpses(posed.survey, scene)
+    assert not ((low > 0) & (nearest.owner == 19)).any() and (nearest.owner == 19).any()
+    (part,) = (its for its in found if its.frame == 18)
+    assert not (part.may & (low[part.of_all] > 0)).any()
+
+
 def test_windows_anywhere_see_the_same_owners() -> None:
     owner = np.arange(1, 13, dtype=np.int32).reshape(3, 4)
     owned = Ownership(OutputGrid(CRS, 0.0, 0.0, 1.0, 120, 96), np.ones(12, bool), 32, owner)

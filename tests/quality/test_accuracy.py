@@ -229,3 +229,23 @@ def test_heights_that_may_count_from_anywhere_state_no_accuracy() -> None:
         said = dict(answers(its, nothing, NO_SEAMS, 0.02))["absolute accuracy"]
         assert says in said
         assert "800" not in said
+
+
+def test_large_maps_state_distances_too() -> None:
+    """Places 1 km apart, whose errors are a scale of 1 per mille: 0.1 m over 100 m between them."""
+    corners = np.array([[0.0, 0.0, 0.0], [3000.0, 0.0, 0.0], [0.0, 3000.0, 0.0], [3000.0, 3000.0, 0.0]])
+    middle = np.array([[1000.0, 1000.0, 0.0], [2000.0, 1000.0, 0.0], [1500.0, 2000.0, 0.0]])
+    at_m = np.concatenate([corners, middle])
+    errors_m = (1e-3 * (at_m - at_m.mean(axis=0)))[None]
+    places = GroundPlaces(at_m, np.einsum("na,nb->ab", *[errors_m.reshape(1, -1)] * 2))
+    found = accuracy_of(adjusted(places), math.nan, 0.02).relative
+    assert found.rmse_100m_m == pytest.approx(0.1, rel=1e-3)
+    assert found.permille == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("shift_m", "shifted"), [(0.06, False), (1.0, True)])
+def test_few_check_points_show_a_common_shift_where_chance_does_not(shift_m: float, shifted: bool) -> None:
+    """Three points with a scatter of 0.05 m."""
+    scatter_m = np.full(3, 0.05)
+    its = AbsoluteAccuracy(0.1, 0.1, "measured", 3, np.array([shift_m, 0.0, 9.0]), scatter_m)
+    assert its.shifted is shifted

@@ -15,6 +15,7 @@ from small_surveys import mosaic, small_survey, summary
 
 from geomosaic.adjustment.model import Adjusted, ControlResidual, ImageResiduals
 from geomosaic.adjustment.procedure.residual_pattern import CELLS, residual_patterns
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
@@ -167,6 +168,12 @@ def grade(
     return judged(adjusted, seams, parts, doubt).grade
 
 
+def known_to(*sd_m: float) -> Poses:
+    """Five level frames with these deviations of their positions."""
+    sd = np.broadcast_to(np.reshape(sd_m, (-1, 1)), (5, 3))
+    return Poses(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)), sd, np.zeros((5, 3)))
+
+
 def test_each_figure_can_spoil_the_verdict() -> None:
     lost = ControlResidual("GCP", False, 4, np.array([0.05, 0.45, 0.0]), np.full(3, 0.1), np.full(3, 0.05))
     shares = np.r_[np.ones(60), np.full(40, 0.01)]
@@ -180,7 +187,10 @@ def test_each_figure_can_spoil_the_verdict() -> None:
     assert grade(outcome(), seams_of(4.0, 5.0, 6.0)) == "bad"
     assert grade(outcome(status=("tied",) * 4 + ("placed",))) == "doubtful"
     assert grade(outcome(status=("tied",) * 2 + ("placed",) * 3)) == "bad"
-    assert grade(outcome(), parts=(range(3), range(3, 5))) == "bad"
+    assert grade(outcome(poses=known_to(3.0)), parts=(range(3), range(3, 5))) == "bad"
+    assert grade(outcome(poses=known_to(0.02)), parts=(range(3), range(3, 5))) == "good"
+    mixed = known_to(0.02, 0.02, 0.02, 3.0, 3.0)
+    assert grade(outcome(poses=mixed), parts=(range(3), range(3, 5))) == "bad"
     assert grade(outcome(control=(lost,))) == "doubtful"
     assert grade(outcome(image_residuals=some)) == "doubtful"
     assert grade(outcome(), doubt=LandDoubt(0.08, 0.3, 0.05)) == "good"
