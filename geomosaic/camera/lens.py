@@ -99,7 +99,8 @@ def _brown_by_terms(x: Array, y: Array, r_sq: Array) -> list[tuple[Array | float
 
 
 def _brown_straightened(terms: Array, xy: Floats, limit: float) -> Floats:
-    """By fixed point."""
+    """By fixed point: each step along the radius by the radial slope, across it by how far the lens enlarges
+    there. Near the radius where the lens ends, the two differ by any factor."""
     ideal = np.array(xy, dtype=np.float64)
     if not np.any(terms):
         return ideal
@@ -107,9 +108,12 @@ def _brown_straightened(terms: Array, xy: Floats, limit: float) -> Floats:
     for _ in range(MOST_ROUNDS):
         x, y = ideal[..., 0], ideal[..., 1]
         r_sq = np.minimum(x * x + y * y, limit * limit)
-        slope = 1.0 + r_sq * (3.0 * k1 + r_sq * (5.0 * k2 + r_sq * 7.0 * k3))
-        bent = np.stack(_brown_bent(terms, x, y, x * x + y * y), axis=-1)
-        step = (xy - bent) / np.maximum(slope, _FLATTEST)[..., None]
+        slope = np.maximum(1.0 + r_sq * (3.0 * k1 + r_sq * (5.0 * k2 + r_sq * 7.0 * k3)), _FLATTEST)
+        scale = np.maximum(1.0 + r_sq * (k1 + r_sq * (k2 + r_sq * k3)), _FLATTEST)
+        off = xy - np.stack(_brown_bent(terms, x, y, x * x + y * y), axis=-1)
+        outward = (off * ideal).sum(axis=-1) / np.maximum(x * x + y * y, np.finfo(np.float64).tiny)
+        along = outward[..., None] * ideal
+        step = along / slope[..., None] + (off - along) / scale[..., None]
         ideal += step
         r_sq = ideal[..., 0] ** 2 + ideal[..., 1] ** 2
         if np.nanmax(r_sq, initial=0.0) > limit * limit:

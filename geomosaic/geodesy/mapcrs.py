@@ -68,7 +68,15 @@ def map_crs(text: str, lonlat: tuple[float, float] | None = None) -> CRS:
         fix = "give the part of the plan alone; what the positions' heights count from is --height-datum"
         raise InputError(f"'{text}' has heights too, and the map's are ellipsoidal", fix=fix)
     for group in stated.groups:
-        fitting = [crs for crs in stated.meant(group) if _is_metric(crs)]
+        metric = [crs for crs in stated.meant(group) if _is_metric(crs)]
+        fitting = [crs for crs in metric if not _is_reversed(crs)]
+        if metric and not fitting:
+            raise InputError(
+                f"'{text}' counts from north to south or from east to west, so that its map would be turned "
+                "or a mirror image",
+                fix="give the system of the same land that counts east and north, such as EPSG:5514 for "
+                "Krovak or ESRI:102562 for South Africa",
+            )
         if lonlat is not None and len(fitting) > 1:
             fitting = [crs for crs in fitting if outside_area_m(crs, *lonlat) == 0.0] or fitting
         if fitting:
@@ -80,6 +88,12 @@ def map_crs(text: str, lonlat: tuple[float, float] | None = None) -> CRS:
 
 def _is_metric(crs: CRS) -> bool:
     return crs.is_projected and all(a.unit_conversion_factor == 1.0 for a in crs.axis_info[:2])
+
+
+def _is_reversed(crs: CRS) -> bool:
+    """Whether coordinates rise to the south or the west."""
+    directions = {axis.direction.lower() for axis in crs.axis_info[:2]}
+    return bool(directions & {"south", "west"}) and directions != {"south"}
 
 
 def _alike(group: list[CRS], lonlat: tuple[float, float] | None) -> bool:
@@ -136,6 +150,13 @@ class MapProjection:
         )
         en = _map_from_geodetic(self.crs).transform(lon.ravel(), lat.ravel())
         return np.stack(en, axis=-1).reshape((*lon.shape, 2))
+
+    def unwrapped(self, x: Floats, about: float) -> Floats:
+        """Longitudes of a CRS in degrees within half a turn of one, so that they don't jump at 180 degrees;
+        eastings stay."""
+        if not CRS.from_user_input(_LOCAL_PLANE if is_local(self.crs) else self.crs).is_geographic:
+            return x
+        return np.asarray(about + (x - about + 180.0) % 360.0 - 180.0)
 
     def geodetic_from_map(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Floats:
         """Longitude and latitude in degrees, shape (..., 2)."""

@@ -39,7 +39,8 @@ def to_compare(n: int, frames: Collection[int], most: int = MOST_COMPARED) -> li
     next to it in order of capture as keep to it. No pair comes twice."""
     wanted = sorted(frames)
     m = len(wanted)
-    reach = n if m * (n - m) + m * (m - 1) // 2 <= most else max(2, most // (2 * m))
+    once = m if m == n else 2 * m  # of two wanted frames, a pair counts once
+    reach = n if m * (n - m) + m * (m - 1) // 2 <= most else max(2, most // once)
     done = set(wanted)
     return [
         (i, [j for j in range(max(0, i - reach), min(n, i + reach + 1)) if j > i or j not in done])

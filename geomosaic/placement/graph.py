@@ -8,8 +8,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from geomosaic.arrays import Floats, Ints
-from geomosaic.constants import TOGETHER
+from geomosaic.arrays import Bools, Floats, Ints
+from geomosaic.constants import TOGETHER, tuned
+
+_TRIED = tuned(8, "times the neighbours", "whose outlines are intersected: fewer lose turned frames")
 
 
 def flight_lines(positions_m: Floats, turn_deg: float = 40.0, gap: float = 4.0) -> tuple[int, ...]:
@@ -61,18 +63,35 @@ def overlapping_pairs(
     left, right = left[keep], right[keep]
     if not left.size:
         return ()
+    kept = _likely(np.array([o.bounds for o in outlines]), left, right, _TRIED * most)
+    left, right = left[kept], right[kept]
     outlines_a, grown_a = np.array(outlines, dtype=object), np.array(grown, dtype=object)
     smaller = np.minimum(shapely.area(outlines_a)[left], shapely.area(outlines_a)[right])
     shared, near = (_shared_areas(of, left, right) / smaller for of in (outlines_a, grown_a))
     score = shared + 0.01 * near
-    frame, pair = np.concatenate([left, right]), np.tile(np.arange(left.size), 2)
-    order = np.lexsort((pair, -score[pair], frame))
-    nth = np.arange(order.size) - np.searchsorted(frame[order], frame[order], side="left")
-    asked = np.zeros(left.size, dtype=bool)
-    asked[pair[order[nth < most]]] = True
+    asked = _asked(left, right, score, most)
     wanted = np.flatnonzero(asked & ((shared > 0.0) | (near > least)))
     wanted = wanted[np.argsort(-score[wanted], kind="stable")]
     return tuple((int(left[k]), int(right[k])) for k in wanted)
+
+
+def _asked(left: Ints, right: Ints, score: Floats, most: int) -> Bools:
+    """Which pairs (k,) are among the best of either frame."""
+    frame, pair = np.concatenate([left, right]), np.tile(np.arange(left.size), 2)
+    order = np.lexsort((pair, -score[pair], frame))
+    nth = np.arange(order.size) - np.searchsorted(frame[order], frame[order], side="left")
+    out = np.zeros(left.size, dtype=bool)
+    out[pair[order[nth < most]]] = True
+    return out
+
+
+def _likely(bounds: Floats, left: Ints, right: Ints, most: int) -> Bools:
+    """Pairs (k,) whose outlines are worth intersecting, by how far their bounds (n, 4) overlap: of frames on
+    the spot each meets all others."""
+    low = np.fmax(bounds[left, :2], bounds[right, :2])
+    high = np.fmin(bounds[left, 2:], bounds[right, 2:])
+    apart_m = np.nan_to_num(np.linalg.norm(np.maximum(low - high, 0.0), axis=1), nan=np.inf)
+    return _asked(left, right, np.nan_to_num((high - low).clip(0.0).prod(axis=1)) - apart_m, most)
 
 
 def _shared_areas(outlines: NDArray[np.object_], left: Ints, right: Ints) -> Floats:

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from pyproj import Geod
 
-from geomosaic.arrays import Bools, Floats
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import ASSUMED_SD_SHARE as ASSUMED_SD_SHARE
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.placement.flights import flights_of
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 ASSUMED_HEIGHT_M = sourced(120.0, "m", "over ground, where none is reported", "EU 2019/947: the most allowed")
 LEAST_HEIGHT_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
 _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")
+_COMPANY = tuned(3, "frames", "as high make a flight of its own: fewer keep jumps, more lose short flights")
+_ALIKE = tuned(0.2, "share", "of a height, within which frames fly as high: less parts hills, more joins")
+_OTHER_TAKE_OFF_M = tuned(15.0, "m", "between flights' levels: GNSS differs by less; more misses take-offs")
+_AS_USUAL = tuned(0.1, "share", "of a wide base: shorter ones are hovers; more loses slow flights")
 _FAR = tuned(
     2.5, "usual heights", "ratio in doubt next to an impossible one: less drops good, more keeps bad"
 )
@@ -34,21 +40,39 @@ class FrameHeights:
     sd_m: Floats
 
 
-def frame_heights_m(frames: tuple[Frame, ...], ground_heights_m: Floats) -> Floats:
+def frame_heights_m(survey: Survey, ground_heights_m: Floats) -> Floats:
     """Ellipsoidal heights of the projection centres, (n,); NaN where nothing says.
 
     Heights above the ground count from the take-off point, whose height is taken as the median of the
-    ground below the frames. They have priority over an absolute height of worse than 3 m.
+    ground below the frames. They have priority over an absolute height of worse than 3 m. Flights that took
+    off from another level, as their absolute heights show, count from there.
 
     Args: ground_heights_m (n,) ellipsoidal heights of the ground below the frames.
     """
+    frames = survey.frames
     absolute = np.array([or_nan(f.position.height_ellipsoidal_m) for f in frames])
     above = np.array([or_nan(f.position.height_above_ground_m) for f in frames])
     weak = np.array([f.position.sd_vertical_m > 3.0 for f in frames]) | np.isnan(absolute)
     relative = np.isfinite(above)
     if not relative.any():
         return absolute
-    return np.where(weak & relative, np.median(ground_heights_m[relative]) + above, absolute)
+    flights = flights_of(survey.clock_times_s, [f.name for f in frames])
+    level = np.median(ground_heights_m[relative]) + _take_offs_m(absolute - above, flights)
+    return np.where(weak & relative, level + above, absolute)
+
+
+def _take_offs_m(level_m: Floats, flights: Ints) -> Floats:
+    """How far each frame's (n,) take-off point lies above the usual one, by absolute less relative heights
+    (n,); 0 within what receivers differ by between flights."""
+    out, known = np.zeros(len(level_m)), np.isfinite(level_m)
+    if not known.any():
+        return out
+    usual_m = float(np.median(level_m[known]))
+    for flight in np.unique(flights[known]):
+        its = flights == flight
+        above_m = float(np.median(level_m[its & known])) - usual_m
+        out[its] = above_m if abs(above_m) > _OTHER_TAKE_OFF_M else 0.0
+    return out
 
 
 def with_missing_heights(heights: FrameHeights, ground_heights_m: Floats) -> FrameHeights:
@@ -72,18 +96,26 @@ def possible_heights(heights: FrameHeights, ground_heights_m: Floats) -> tuple[F
     """Heights that can be true, and which (n,) were replaced: those would put the frame on the ground or
     below.
 
-    Where one does, all that are far from the usual height above the ground are in doubt. They are set to the
-    usual height, with half of it as deviation, and the images determine the rest. Where most frames lie below
-    the ground nothing is changed: then it is the ground that is wrong.
+    Where one does, all that are far from the usual height above the ground are in doubt, unless others flew
+    as high. They are set to the usual height, with half of it as deviation, and the images determine the
+    rest. Where most frames lie below the ground nothing is changed: then it is the ground that is wrong.
     """
     above = heights.m - ground_heights_m
     usual = float(np.nanmedian(above)) if np.isfinite(above).any() else 0.0
     if not usual > 0.0 or not np.any(above <= _ON_THE_GROUND * usual):
         return heights, np.zeros(len(above), dtype=bool)
     implausible = (above < usual / _FAR) | (above > usual * _FAR)
+    implausible &= (above <= _ON_THE_GROUND * usual) | (_as_high(above) < _COMPANY)
     used_m = np.where(implausible, ground_heights_m + usual, heights.m)
     sd_m = np.where(implausible, np.maximum(heights.sd_m, usual / 2.0), heights.sd_m)
     return FrameHeights(used_m, sd_m), implausible
+
+
+def _as_high(above_m: Floats) -> Ints:
+    """How many other frames flew about as high above the ground as each, (n,)."""
+    order = np.sort(above_m[above_m > 0.0])
+    first, end = (np.searchsorted(order, above_m * of) for of in (1.0 - _ALIKE, 1.0 + _ALIKE))
+    return np.where(above_m > 0.0, end - first - 1, 0)
 
 
 @dataclass(frozen=True)
@@ -112,17 +144,22 @@ def ground_height_m(frames: tuple[Frame, ...]) -> float | None:
 
 
 def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float]]:
-    """Up to `most` pairs of frames next to each other in time, spread over the flight: indices and horizontal
-    distance in metres. Pairs closer than a tenth of the median distance are left out."""
-    known = [i for i, f in enumerate(frames) if f.position.known]
-    if len(known) < 2:
+    """Up to `most` pairs of frames of one camera next to each other in time, spread over the flight: indices
+    and horizontal distance in metres. Hovers and ferries are left out."""
+    by_camera: dict[str, list[int]] = {}
+    for i, frame in enumerate(frames):
+        if frame.position.known:
+            by_camera.setdefault(frame.camera, []).append(i)
+    pairs = sorted(pair for its in by_camera.values() for pair in pairwise(its))
+    if not pairs:
         return []
-    at = np.array([[frames[i].position.lon_deg, frames[i].position.lat_deg] for i in known])
-    _, _, base_m = Geod(ellps="WGS84").inv(*at[:-1].T, *at[1:].T)
-    apart = np.flatnonzero(base_m > 0.1 * np.median(base_m))
-    apart = apart[np.asarray(base_m)[apart] < 3.0 * np.median(base_m)]
+    at = np.array([[frames[i].position.lon_deg, frames[i].position.lat_deg] for pair in pairs for i in pair])
+    base_m = np.asarray(Geod(ellps="WGS84").inv(*at[::2].T, *at[1::2].T)[2])
+    flown_m = base_m[base_m > _AS_USUAL * float(np.quantile(base_m, 0.9))]
+    usual_m = float(np.median(flown_m)) if flown_m.size else 0.0
+    apart = np.flatnonzero((base_m > _AS_USUAL * usual_m) & (base_m < 3.0 * usual_m))
     chosen = apart[np.unique(np.linspace(0, len(apart) - 1, min(most, len(apart))).astype(np.intp))]
-    return [(known[i], known[i + 1], float(base_m[i])) for i in chosen]
+    return [(*pairs[k], float(base_m[k])) for k in chosen]
 
 
 def with_any_height(survey: Survey) -> tuple[Survey, float]:

@@ -37,7 +37,7 @@ def relief(
         raise InputError(
             ("the DEM has no heights where the frames lie"), fix="give a --dem of the survey's area"
         )
-    places = _places(work_frame, MapProjection(raster.crs), east, north)
+    places = _places(work_frame, raster, east, north)
     up_m = np.zeros((north.size, east.size))
     for top in range(0, north.size, TOGETHER):
         rows = north[top : top + TOGETHER]
@@ -48,16 +48,18 @@ def relief(
     return GroundSurface("dem", float(east[0]), float(north[0]), spacing_m, up_m)
 
 
-def _places(work_frame: LocalFrame, projection: MapProjection, east: Floats, north: Floats) -> Places:
+def _places(work_frame: LocalFrame, raster: HeightRaster, east: Floats, north: Floats) -> Places:
     """Map coordinates and height of nodes at (norths, easts, ups): exact at some knots, splines between."""
     from scipy.interpolate import RectBivariateSpline
 
+    projection = MapProjection(raster.crs)
     knots = [np.linspace(axis[0], max(axis[-1], axis[0] + 1.0), _KNOTS) for axis in (north, east)]
     n, e = np.meshgrid(*knots, indexing="ij")
     levels = []
     for up in (0.0, _LIFT_M):
         geodetic = work_frame.geodetic_from_enu(np.stack([e, n, np.full_like(e, up)], axis=-1))
         xy = projection.map_from_geodetic(geodetic[..., 0], geodetic[..., 1])
+        xy[..., 0] = projection.unwrapped(xy[..., 0], raster.middle_x)
         levels.append(np.concatenate([xy, geodetic[..., 2:]], axis=-1))
     base, slope = levels[0], (levels[1] - levels[0]) / _LIFT_M
     if not np.isfinite(levels).all():

@@ -28,6 +28,7 @@ from geomosaic.pipeline.stage import Context, param
 from geomosaic.pipeline.stored_result import StoredResult
 from geomosaic.placement.model import Placement
 from geomosaic.placement.reach import misplacement_m
+from geomosaic.projection.footprint import ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.keypoints import FrameReduction, KeypointParams, frame_features, pictured
 from geomosaic.stages.tie_points import Pairing, record_tried, refined
@@ -63,7 +64,7 @@ class SiftParams(KeypointParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=24, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=25, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(
@@ -150,12 +151,14 @@ def _expected(
 ) -> Callable[[int, int], Guess]:
     """Where pairs are expected to match: by poses, to within how far these may be off."""
     overlap = ExpectedOverlap.of(placement.poses, cameras, ground)
+    own_m = [ground_sampling_distance_m(placement.poses[i], c, ground) for i, c in enumerate(cameras)]
+    pixel_m = np.where(np.isfinite(own_m) & (np.array(own_m) > 0.0), own_m, placement.ground_pixel_m)
 
     def of(a: int, b: int) -> Guess:
         if params.radius_m != "auto":
-            return overlap.guess(a, b, params.radius_m / placement.ground_pixel_m)
+            return overlap.guess(a, b, params.radius_m / pixel_m[b])
         off_m = float(np.hypot(reach_m[a], reach_m[b]))
-        return overlap.guess(a, b, max(LEAST_RADIUS_PX, off_m / placement.ground_pixel_m))
+        return overlap.guess(a, b, max(LEAST_RADIUS_PX, off_m / pixel_m[b]))
 
     return of
 

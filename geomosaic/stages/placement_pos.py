@@ -44,7 +44,7 @@ def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "placement.pos", "Place frames by POS", group="Placement", version=12, outputs="prior_placement",
+    "placement.pos", "Place frames by POS", group="Placement", version=13, outputs="prior_placement",
     plans=_plans,
 )  # fmt: skip
 def placement_pos(
@@ -102,7 +102,7 @@ def placement_pos(
 def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
     """Heights that frames can have had above the ground below_m (n,), which is ellipsoidal too."""
     names = [f.name for f in survey.frames]
-    given_m = frame_heights_m(survey.frames, below_m)
+    given_m = frame_heights_m(survey, below_m)
     sd_m = np.array([f.position.sd_vertical_m for f in survey.frames])
     heights = with_missing_heights(FrameHeights(given_m, sd_m), below_m)
     filled = [

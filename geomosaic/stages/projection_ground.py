@@ -23,7 +23,7 @@ from geomosaic.placement.heights import (
 from geomosaic.placement.reach import ground_pixel_m, half_extent_m
 from geomosaic.projection.ground import GroundSurface, flat_ground
 from geomosaic.projection.relief import relief
-from geomosaic.survey.dem import dem_crs, outliers_warning, read_heights
+from geomosaic.survey.dem import dem_crs, dem_middle_x, outliers_warning, read_heights
 from geomosaic.survey.model import Survey
 
 _MOST_FLAT_REACH = 3.0
@@ -44,7 +44,7 @@ class GroundParams(StageParams):
 
 
 @stage(
-    "projection.ground", "Make the ground surface", group="Projection", version=10,
+    "projection.ground", "Make the ground surface", group="Projection", version=11,
     outputs=("prior_ground", "levelled_survey"),
     formerly={"prior_ground": "ground", "levelled_survey": "survey"},
 )  # fmt: skip
@@ -65,7 +65,7 @@ def projection_ground(
         context.recorder.log("info", f"ground from {survey.elevation.path}, {survey.elevation.vertical}")
     else:
         level = float(height or 0.0)
-        top = frame_heights_m(survey.frames, np.full(len(survey.frames), level))
+        top = frame_heights_m(survey, np.full(len(survey.frames), level))
         reach = _reach_m(survey, top - level)
         ground = flat_ground(survey.work_frame, level, float(np.abs(enu).max()) + reach)
         context.recorder.log("info", f"flat ground at {level:.2f} m above the ellipsoid")
@@ -106,18 +106,21 @@ def _dem(survey: Survey, enu: Floats, context: Context) -> GroundSurface:
     assert survey.elevation is not None
     projection = MapProjection(dem_crs(survey.elevation))
     at = _places(survey)
+    middle = dem_middle_x(survey.elevation)
     xy = projection.map_from_geodetic(at[:, 0], at[:, 1])
+    xy[:, 0] = projection.unwrapped(xy[:, 0], middle)
     near = read_heights(survey.elevation, (*xy.min(axis=0), *xy.max(axis=0)))
     below = near.at(xy[:, 0], xy[:, 1])
     if np.isfinite(below).any():
         _compare_heights(survey, float(np.nanmedian(below)), context)
     low = float(np.nanmin(near.height_ellipsoidal_m, initial=np.nanmin(below)))
-    above = frame_heights_m(survey.frames, below[: len(survey.frames)]) - low
+    above = frame_heights_m(survey, below[: len(survey.frames)]) - low
     reach = _reach_m(survey, above)
     corners = np.array([[e, n] for e in (enu[:, 0].min() - reach, enu[:, 0].max() + reach)
                         for n in (enu[:, 1].min() - reach, enu[:, 1].max() + reach)])  # fmt: skip
     lonlat = survey.work_frame.geodetic_from_enu(np.column_stack([corners, np.zeros(4)]))
     box = projection.map_from_geodetic(lonlat[:, 0], lonlat[:, 1])
+    box[:, 0] = projection.unwrapped(box[:, 0], middle)
     metres = float(np.linalg.norm(corners[3] - corners[0]) / np.linalg.norm(box[3] - box[0]))
     finest_m = _NODE_PX * ground_pixel_m(survey.cameras, above)
     raster = read_heights(survey.elevation, (*box.min(axis=0), *box.max(axis=0)), finest_m / metres)

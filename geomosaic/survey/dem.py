@@ -41,6 +41,11 @@ class HeightRaster:
     pixel_y: float
     outliers: tuple[tuple[float, int], ...] = ()
 
+    @property
+    def middle_x(self) -> float:
+        """Halfway from its western to its eastern edge."""
+        return float(self.west + self.height_ellipsoidal_m.shape[1] * self.pixel_x / 2.0)
+
     def at(self, x: Floats, y: Floats) -> Floats:
         """Bilinear between pixel centres; NaN outside and next to unknown pixels."""
         row = (self.north - y) / self.pixel_y - 0.5
@@ -88,6 +93,12 @@ def dem_crs(elevation: ElevationModel) -> str:
     """The DEM's horizontal CRS as WKT."""
     with open_raster(Path(elevation.path), DEM) as source:
         return str(source.crs.to_wkt())
+
+
+def dem_middle_x(elevation: ElevationModel) -> float:
+    """Halfway from the DEM's western to its eastern edge, in its CRS."""
+    with open_raster(Path(elevation.path), DEM) as source:
+        return float(source.bounds.left + source.bounds.right) / 2.0
 
 
 def check_grid(source: Raster, path: Path) -> None:

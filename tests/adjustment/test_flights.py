@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -108,3 +109,18 @@ def test_rtk_flights_keep_their_positions() -> None:
     sharp = replace(block.poses, positions_m=straight_m, positions_sd_m=stated_m)
     adjusted = METHODS["bundle"](replace(block, poses=sharp), Settings(model="given", ground="flat"))
     assert adjusted.shared is not None and not any("offset" in name for name in adjusted.shared.names)
+
+
+@pytest.mark.parametrize("every_s", [1, 2])
+@pytest.mark.parametrize(
+    "name", ["DJI_{clock:%Y%m%d%H%M%S}_{number:04d}_V.JPG", "IMG_{clock:%Y%m%d_%H%M%S}.jpg", "{epoch}.jpg"]
+)
+def test_clocks_in_names_hide_no_pause(name: str, every_s: int) -> None:
+    """Ten frames, ten minutes, ten frames."""
+    times_s = 1_714_550_400.0 + every_s * np.arange(20) + np.repeat([0.0, 600.0], 10)
+    clocks = [datetime.fromtimestamp(t, UTC) for t in times_s]
+    names = [
+        name.format(clock=clock, number=k + 1, epoch=int(t))
+        for k, (clock, t) in enumerate(zip(clocks, times_s, strict=True))
+    ]
+    assert flights_of(times_s, names).tolist() == np.repeat([0, 1], 10).tolist()

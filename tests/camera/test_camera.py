@@ -310,3 +310,23 @@ def test_turns_over_another_span() -> None:
     assert turns.at([-0.05, 0.05, 0.2])[0][:, 0] == pytest.approx([-0.01, 0.03, 0.12])
     assert turns.at([-0.05, 0.05])[1][:, 0] == pytest.approx([0.2, 0.6])
     assert turns.tabled(0.1, 5).rad[:, 0] == pytest.approx([-0.01, -0.005, 0.0, 0.015, 0.03])
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera("k1 alone", 4000, 3000, 1900.0, 2000.0, 1500.0, k1=-0.15),
+        Camera("decentred", 4000, 3000, 1900.0, 2000.0, 1500.0, k1=-0.15, p1=1e-3, p2=-5e-4),
+        Camera("action camera", 4000, 3000, 1790.0, 2000.0, 1500.0, k1=-0.255, k2=0.067, k3=-0.0065),
+        Camera("small", 640, 480, 400.0, 320.0, 240.0, k1=-0.33, k2=0.12, k3=-0.02),
+    ],
+    ids=lambda c: c.name,
+)
+def test_rays_of_wide_lenses_go_back_to_their_pixels(camera: Camera) -> None:
+    """Also near the radius where such a lens ends, beyond which pixels have no ray."""
+    col, row = np.meshgrid(np.linspace(2, camera.width_px - 2, 60), np.linspace(2, camera.height_px - 2, 50))
+    px = np.stack([col, row], axis=-1)
+    rays = camera.ray_from_image(px)
+    inside = np.linalg.norm(rays[..., :2], axis=-1) < 0.98 * camera.radius_limit
+    assert inside.mean() > 0.5
+    assert np.abs(camera.image_from_camera(rays) - px)[inside].max() < 0.01

@@ -130,3 +130,16 @@ def test_grid_convergence_sign() -> None:
 def test_a_crs_that_is_no_metric_map_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="such as EPSG:n"):
         map_crs(text)
+
+
+@pytest.mark.parametrize("name", ["EPSG:5513", "EPSG:2065", "EPSG:2048"])
+def test_maps_that_count_south_or_west_are_refused(name: str) -> None:
+    """Their mosaics would be mirror images, or upside down."""
+    with pytest.raises(InputError, match="mirror image") as refused:
+        map_crs(name)
+    assert "EPSG:5514" in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["EPSG:5514", "EPSG:2193", "EPSG:3031", "EPSG:3413", "EPSG:5041"])
+def test_maps_with_any_order_of_axes_and_about_the_poles_are_taken(name: str) -> None:
+    assert map_crs(name).to_epsg() == int(name.removeprefix("EPSG:"))

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from small_surveys import mosaic, small_survey, summary, warned
 
+from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.matching.features import Features
+from geomosaic.matching.flying_height import flying_height_m
 from geomosaic.pipeline.stage import Context
 from geomosaic.placement.heights import height_is_unknown, neighbours, with_heights_above_ground
 from geomosaic.recording.file.reader import read_recording
@@ -88,3 +92,37 @@ def test_a_recipe_that_measures_no_height_names_the_stage_that_does(tmp_path: Pa
     with pytest.raises(InputError, match="nothing measures it") as raised:
         stage.run({"survey": _survey([600.0] * 4)}, stage.Params(), Context(tmp_path))
     assert "matching.flying_height before projection.ground" in str(raised.value)
+
+
+def test_hovers_and_rigs_hide_no_flight() -> None:
+    """Twenty frames on the spot before ten in a line, each by two cameras at once."""
+    survey = _survey([None] * 4)
+    (first, *_), north = survey.frames, 48.0 + np.r_[1e-6 * np.arange(20), 5e-4 * np.arange(1, 11)]
+    frames = [
+        replace(first, position=replace(first.position, lat_deg=float(lat)), camera=camera)
+        for lat in north
+        for camera in ("camera", "other")
+    ]
+    pairs = neighbours(frames, 16)
+    assert len(pairs) == 16 and min(base_m for *_, base_m in pairs) > 50.0
+    assert {b - a for a, b, _ in pairs} == {2}
+
+
+@pytest.mark.parametrize("along", [True, False])
+@pytest.mark.parametrize("pitch_deg", [0.0, 30.0, 45.0])
+def test_tilted_cameras_measure_their_height_too(pitch_deg: float, along: bool) -> None:
+    """Points on flat ground 100 m below two frames 20 m apart."""
+    rng = np.random.default_rng(3)
+    camera = Camera("camera", 640, 480, 600.0, 320.0, 240.0)
+    tilt = Rotation.from_yaw_pitch_roll(0.0, np.radians(pitch_deg), 0.0)
+    step_m = np.array([0.0, 20.0, 0.0] if along else [20.0, 0.0, 0.0])
+    ahead_m = 100.0 * np.tan(np.radians(pitch_deg))
+    land_m = np.column_stack([rng.uniform(-40, 60, 300), ahead_m + rng.uniform(-40, 60, 300), np.zeros(300)])
+    seen = [
+        Pose(np.array([0.0, 0.0, 100.0]) + at, tilt).image_from_ground(camera, land_m)
+        for at in (np.zeros(3), step_m)
+    ]
+    words = rng.uniform(0.0, 255.0, (300, 128)).astype(np.float32)
+    features = [Features(px.astype(np.float32), np.full(300, 4.0, np.float32), words) for px in seen]
+    found = flying_height_m((features[0], features[1]), (camera,) * 2, (tilt.matrix,) * 2, 20.0, 3.0)
+    assert found == pytest.approx(100.0, rel=0.01)

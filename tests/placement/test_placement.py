@@ -16,7 +16,12 @@ from geomosaic.pipeline.recipe import load_recipe
 from geomosaic.pipeline.registry import installed
 from geomosaic.pipeline.runner import run
 from geomosaic.placement.graph import connected_parts, flight_lines, overlapping_pairs
-from geomosaic.placement.heights import FrameHeights, frame_heights_m, ground_height_m
+from geomosaic.placement.heights import (
+    FrameHeights,
+    frame_heights_m,
+    ground_height_m,
+    possible_heights,
+)
 from geomosaic.placement.prior import FORMULAS, courses_deg, prior_poses
 from geomosaic.placement.reach import half_extent_m, misplacement_m
 from geomosaic.projection.ground import GroundSurface
@@ -138,8 +143,10 @@ def test_heights() -> None:
         with_height(None, None, 10.0),
     )
     ground = np.array([520.0, 530.0, 524.0, 9.0, 9.0])
-    assert frame_heights_m(frames, ground) == pytest.approx([631.0, 619.0, 614.0, 644.0, np.nan], nan_ok=True)
-    assert frame_heights_m(frames[3:], ground[3:]) == pytest.approx([644.0, np.nan], nan_ok=True)
+    assert frame_heights_m(survey_of(*frames), ground) == pytest.approx(
+        [631.0, 619.0, 614.0, 644.0, np.nan], nan_ok=True
+    )
+    assert frame_heights_m(survey_of(*frames[3:]), ground[3:]) == pytest.approx([644.0, np.nan], nan_ok=True)
 
 
 def test_the_flat_ground_lies_at_the_median_of_absolute_minus_relative() -> None:
@@ -270,3 +277,41 @@ def test_the_papers_nine_frames_by_the_papers_recipe(tmp_path: Path) -> None:
         np.clip((np.einsum("nij,nij->n", true.rotations, found.rotations) - 1.0) / 2.0, -1.0, 1.0)
     )
     assert np.degrees(turned).max() < 0.1
+
+
+def flown_at(level_m: float, above_m: float, minute: int) -> list[Frame]:
+    """Ten frames of a flight that took off level_m high, each second."""
+    frames = [with_height(level_m + above_m, above_m, 15.0) for _ in range(10)]
+    return [
+        replace(f, name=f"DJI_{minute // 3 + k:04d}.JPG", time_s=1.7e9 + 60.0 * minute + k)
+        for k, f in enumerate(frames)
+    ]
+
+
+@pytest.mark.parametrize(("second_m", "apart_m"), [(560.0, 60.0), (508.0, 0.0)])
+def test_flights_count_from_their_own_take_off(second_m: float, apart_m: float) -> None:
+    """Both 200 m above the first take-off; GNSS alone makes two flights differ by some metres."""
+    frames = (*flown_at(500.0, 200.0, 0), *flown_at(second_m, 700.0 - second_m, 30))
+    heights_m = frame_heights_m(survey_of(*frames), np.full(20, 500.0))
+    assert heights_m[:10] == pytest.approx(np.full(10, 700.0 - apart_m / 2.0))
+    assert heights_m[10:] - heights_m[:10] == pytest.approx(np.full(10, 500.0 + apart_m - second_m))
+
+
+def test_a_frame_on_the_ground_leaves_a_low_flight_its_height() -> None:
+    above_m = np.r_[np.full(60, 120.0), np.full(30, 30.0), 0.5]
+    heights, replaced = possible_heights(FrameHeights(400.0 + above_m, np.full(91, 3.0)), np.full(91, 400.0))
+    assert np.flatnonzero(replaced).tolist() == [90]
+    assert heights.m[60:90] == pytest.approx(np.full(30, 430.0))
+
+
+def test_frames_on_the_spot_ask_for_neighbours_too() -> None:
+    """150 frames about one point: each meets all others, of which the nearest are enough."""
+    rng = np.random.default_rng(2)
+    at_m = rng.normal(0.0, 3.0, (150, 1, 2))
+    square = np.array([[-20.0, -15.0], [20.0, -15.0], [20.0, 15.0], [-20.0, 15.0]])
+    pairs = overlapping_pairs(list(square + at_m), 5.0)
+    counts = np.bincount(np.ravel(pairs), minlength=150)
+    assert counts.min() >= 12 and len(pairs) < 150 * 12
+    apart_m = [float(np.linalg.norm(at_m[i] - at_m[j])) for i, j in pairs]
+    everyone = np.linalg.norm(at_m[:, 0, None] - at_m[None, :, 0], axis=2)
+    assert np.median(apart_m) < 0.5 * np.median(everyone)

@@ -266,3 +266,17 @@ def test_a_raster_without_a_place_is_named(tmp_path: Path) -> None:
         write(path, hills(), crs=None, transform=Affine.identity())
     with pytest.raises(InputError, match="no coordinate reference system"):
         check_dem(path)
+
+
+def test_a_dem_in_degrees_crosses_the_180th_meridian() -> None:
+    """A plane that rises 2000 m a degree to the east, read as GDAL gives it: from 179.9 to 180.1 degrees."""
+    frame = LocalFrame(179.998, -16.8, 0.0)
+    pixel = 2e-4
+    slope = 2000.0 * pixel * (np.arange(1000.0) + 0.5)
+    raster = HeightRaster(np.tile(slope, (1000, 1)), "EPSG:4326", 179.9, -16.7, pixel, pixel)
+    ground = relief(frame, raster, np.full(2, -600.0), np.full(2, 600.0), 20.0)
+    east_m = np.array([-500.0, 0.0, 150.0, 300.0, 500.0])
+    up_m = ground.up_at(east_m, np.zeros(5))
+    lon = frame.geodetic_from_enu(np.column_stack([east_m, np.zeros(5), up_m]))[:, 0]
+    assert lon[0] > 179.0 and lon[-1] < -179.0
+    assert up_m == pytest.approx(2000.0 * ((lon - 179.9) % 360.0), abs=0.1)
