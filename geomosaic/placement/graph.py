@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import TOGETHER, tuned
 
+HOVER = tuned(0.1, "share", "of a wide step: shorter ones are hovers; more loses slow flights")
 _TRIED = tuned(8, "times the neighbours", "whose outlines are intersected: fewer lose turned frames")
 
 
@@ -24,7 +25,7 @@ def flight_lines(positions_m: Floats, turn_deg: float = 40.0, gap: float = 4.0) 
     """
     steps = np.diff(positions_m[:, :2], axis=0)
     length = np.linalg.norm(steps, axis=1)
-    typical = float(np.median(length[length > 0.0])) if np.any(length > 0.0) else 1.0
+    typical = usual_step_m(length) or 1.0
     lines, line, course = [0], 0, None
     for step, size in zip(steps, length, strict=True):
         if size < 0.05 * typical:
@@ -39,6 +40,15 @@ def flight_lines(positions_m: Floats, turn_deg: float = 40.0, gap: float = 4.0) 
             course = direction
         lines.append(line)
     return tuple(lines)
+
+
+def usual_step_m(lengths_m: Floats) -> float:
+    """The median of steps between frames (k,) while the aircraft flew: hovers and the frames of one capture
+    count nothing. 0 without any."""
+    if not lengths_m.size:
+        return 0.0
+    flown = lengths_m[lengths_m > HOVER * float(np.quantile(lengths_m, 0.9))]
+    return float(np.median(flown)) if flown.size else 0.0
 
 
 def overlapping_pairs(

@@ -13,6 +13,7 @@ from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import ASSUMED_SD_SHARE as ASSUMED_SD_SHARE
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.placement.flights import flights_of
+from geomosaic.placement.graph import HOVER, usual_step_m
 from geomosaic.survey.model import ControlPoint, Frame, Survey
 
 ASSUMED_HEIGHT_M = sourced(120.0, "m", "over ground, where none is reported", "EU 2019/947: the most allowed")
@@ -21,7 +22,6 @@ _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: mo
 _COMPANY = tuned(3, "frames", "as high make a flight of its own: fewer keep jumps, more lose short flights")
 _ALIKE = tuned(0.2, "share", "of a height, within which frames fly as high: less parts hills, more joins")
 _OTHER_TAKE_OFF_M = tuned(15.0, "m", "between flights' levels: GNSS differs by less; more misses take-offs")
-_AS_USUAL = tuned(0.1, "share", "of a wide base: shorter ones are hovers; more loses slow flights")
 _FAR = tuned(
     2.5, "usual heights", "ratio in doubt next to an impossible one: less drops good, more keeps bad"
 )
@@ -155,9 +155,8 @@ def neighbours(frames: Sequence[Frame], most: int) -> list[tuple[int, int, float
         return []
     at = np.array([[frames[i].position.lon_deg, frames[i].position.lat_deg] for pair in pairs for i in pair])
     base_m = np.asarray(Geod(ellps="WGS84").inv(*at[::2].T, *at[1::2].T)[2])
-    flown_m = base_m[base_m > _AS_USUAL * float(np.quantile(base_m, 0.9))]
-    usual_m = float(np.median(flown_m)) if flown_m.size else 0.0
-    apart = np.flatnonzero((base_m > _AS_USUAL * usual_m) & (base_m < 3.0 * usual_m))
+    usual_m = usual_step_m(base_m)
+    apart = np.flatnonzero((base_m > HOVER * usual_m) & (base_m < 3.0 * usual_m))
     chosen = apart[np.unique(np.linspace(0, len(apart) - 1, min(most, len(apart))).astype(np.intp))]
     return [(*pairs[k], float(base_m[k])) for k in chosen]
 

@@ -12,13 +12,14 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.placement.graph import flight_lines
+from geomosaic.placement.graph import HOVER, flight_lines, usual_step_m
 from geomosaic.placement.heights import FrameHeights, or_nan
 from geomosaic.placement.velocity import velocities_m_per_s
 from geomosaic.survey.accuracy import ATTITUDE, POSITION
 from geomosaic.survey.model import Survey
 
 COURSE_YAW_SD_DEG = tuned(20.0, "deg", "of a heading by course: less pulls at crosswind; more ignores it")
+_STANDS_M = tuned(0.3, "m", "from frame to frame: less is a receiver's noise; more loses the lowest flights")
 YAW_LIES_DEG = tuned(8.0, "degrees", "of a wrong heading: compasses are off by as much near motors")
 
 
@@ -84,8 +85,10 @@ ATTITUDES: dict[str, Callable[[Floats, Floats, Floats], Rotation]] = {
 
 def courses_deg(positions_m: Floats, lines: tuple[int, ...], reach: int = 1) -> Floats:
     """True course over ground at each frame (n,), by least squares through its neighbours in the same flight
-    line; NaN where it has none, or they lie where it does. Args: reach: how many frames before and after."""
+    line; NaN where it has none, or hovers among them. Args: reach: how many frames before and after."""
     n = len(positions_m)
+    steps_m = np.linalg.norm(np.diff(positions_m[:, :2], axis=0), axis=1)
+    least_m = max(HOVER * usual_step_m(steps_m), _STANDS_M)
     course = np.full(n, np.nan)
     frames: dict[int, list[int]] = {}
     for i, line in enumerate(lines):
@@ -95,8 +98,9 @@ def courses_deg(positions_m: Floats, lines: tuple[int, ...], reach: int = 1) -> 
             continue
         for k, i in enumerate(at):
             near = np.arange(max(k - reach, 0), min(k + reach + 1, len(at)))
-            d = (near - near.mean()) @ positions_m[[at[j] for j in near], :2]
-            course[i] = np.degrees(np.arctan2(d[0], d[1])) if d.any() else np.nan
+            away = near - near.mean()
+            d = away @ positions_m[[at[j] for j in near], :2] / (away @ away)
+            course[i] = np.degrees(np.arctan2(d[0], d[1])) if np.hypot(*d) > least_m else np.nan
     return course
 
 

@@ -315,3 +315,21 @@ def test_frames_on_the_spot_ask_for_neighbours_too() -> None:
     apart_m = [float(np.linalg.norm(at_m[i] - at_m[j])) for i, j in pairs]
     everyone = np.linalg.norm(at_m[:, 0, None] - at_m[None, :, 0], axis=2)
     assert np.median(apart_m) < 0.5 * np.median(everyone)
+
+
+def test_frames_that_hover_or_rise_have_no_course() -> None:
+    """A line along 90 degrees with a stop of eight frames in it, by positions good to 0.2 m."""
+    rng = np.random.default_rng(4)
+    east_m = np.r_[np.arange(6) * 20.0, np.full(8, 100.0), 100.0 + np.arange(1, 7) * 20.0]
+    at_m = np.column_stack([east_m, np.zeros(20)]) + rng.normal(0.0, 0.2, (20, 2))
+    course = courses_deg(at_m, (0,) * 20)
+    assert course[:5] == pytest.approx(np.full(5, 90.0), abs=3.0)
+    assert np.isnan(course[7:13]).all() and not np.isnan(course[-5:]).any()
+    assert np.isnan(courses_deg(rng.normal(0.0, 0.1, (20, 2)), (0,) * 20)).all()
+
+
+def test_the_frames_of_a_capture_lie_in_one_line() -> None:
+    """Five cameras, 1 cm apart by their tags, each 20 m."""
+    rng = np.random.default_rng(5)
+    at_m = np.repeat(np.column_stack([np.arange(30) * 20.0, np.zeros(30)]), 5, axis=0)
+    assert max(flight_lines(at_m + rng.normal(0.0, 0.01, (150, 2)))) == 0
