@@ -61,7 +61,7 @@ NO_SIDECARS: Final = {"GDAL_PAM_ENABLED": "NO", "GDAL_DISABLE_READDIR_ON_OPEN": 
 FRAME: Final = Purpose(
     ("GTiff", "PNG"), "is no readable TIFF or PNG file", "copy it again, or take it out of the folder"
 )
-MASK: Final = Purpose(("PNG", "GTiff"), "the mask can't be read", "write it as 8 bit PNG or TIFF")
+MASK: Final = Purpose(("PNG", "GTiff", "JPEG"), "the mask can't be read", "write it as 8 bit PNG or TIFF")
 STRIP: Final = Purpose(("GTiff",), "is no raster file that can be read", "give a strip such as a GeoTIFF")
 OWN: Final = Purpose(("GTiff",), "can't be read as a raster", "run the recipe again")
 DEM: Final = Purpose(

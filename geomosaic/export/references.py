@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 
 from geomosaic.arrays import Floats
+from geomosaic.camera.rotation import Rotation, about_z
 from geomosaic.export.orientation import Orientations
-from geomosaic.geodesy.mapcrs import MapProjection
+from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
 from geomosaic.survey.model import ControlPoint
 
 _DEGREES: Final = 9
@@ -34,8 +35,18 @@ def write_metashape(path: Path, o: Orientations) -> None:
 
 
 def write_pix4d(path: Path, o: Orientations) -> None:
-    """Pix4D's image geolocation with omega, phi, kappa in the map's axes; WGS 84, no head."""
-    _write(path, None, _rows(o, [1, 0, 2], o.omega_phi_kappa_deg, accuracy_last=True), ",")
+    """Pix4D's image geolocation with omega, phi, kappa in the axes of the UTM zone of the first frame, since
+    the file names no system; WGS 84, no head."""
+    lon, lat = o.lon_lat_height[:, 0], o.lon_lat_height[:, 1]
+    known = np.flatnonzero(np.isfinite(lon))
+    angles_deg = o.omega_phi_kappa_deg
+    if known.size:
+        utm = MapProjection(utm_crs(float(lon[known[0]]), float(lat[known[0]])))
+        north = about_z(utm.grid_convergence_rad(lon, lat))
+        yaw, pitch, roll = np.radians(np.add(o.yaw_pitch_roll_deg, [0.0, _NADIR_DEG, 0.0])).T
+        turned = Rotation(north @ Rotation.from_yaw_pitch_roll(yaw, pitch, roll).matrix)
+        angles_deg = np.degrees(np.stack(turned.omega_phi_kappa(), axis=-1))
+    _write(path, None, _rows(o, [1, 0, 2], angles_deg, accuracy_last=True), ",")
 
 
 def write_odm_geo(path: Path, o: Orientations) -> None:

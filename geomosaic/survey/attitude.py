@@ -49,7 +49,10 @@ def read_angles(
     if convention != "auto" and not has_ypr:
         raise _lacks(table, convention, "yaw, pitch and roll")
     prefix = "gimbal_" if "gimbal_pitch" in has else ""
-    angles = np.column_stack([table.numbers(f"{prefix}{c}") for c in ("yaw", "pitch", "roll")])
+    names = [f"{prefix}{c}" for c in ("yaw", "pitch", "roll")]
+    if "gimbal_yaw" not in has:
+        names[0] = "yaw"  # a gimbal follows the aircraft's heading
+    angles = np.column_stack([table.numbers(c) for c in names])
     notes: list[Warn] = []
     if convention == "auto":
         convention, notes = _convention(table, angles[:, 1])

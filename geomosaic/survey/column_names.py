@@ -89,6 +89,9 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
     column = by_name.get(stem)
     if column is None:
         return None, ""
+    if column in ("lon", "lat") and {"w", "s"} & {*inside}:
+        fix = "name it longitude or latitude, and give western and southern degrees a minus sign"
+        raise InputError(f"column {shown(name)} counts to the west or the south", file=path, fix=fix)
     if unit and unit not in UNITS:
         raise InputError(
             f"column {shown(name)} has the unknown unit {shown(unit)}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,8 +234,8 @@ def _once_an_image(
 
 
 def _is_check(kind: str | None, name: str, line: int, path: Path) -> bool:
-    kind = (kind or "").lower()
-    if kind not in ("", "check", "checkpoint", "check point", "control", "gcp"):
+    kind = re.sub(r"[\s_-]+", " ", (kind or "").lower()).removeprefix("3d ").removeprefix("2d ")
+    if kind not in ("", "check", "checkpoint", "check point", "control", "control point", "gcp"):
         raise InputError(
             f"line {line}: kind {shown(kind)} is unknown", file=path, fix="write control or check"
         )

@@ -17,7 +17,10 @@ from geomosaic.survey.pos import ALIASES as POS_ALIASES
 from geomosaic.survey.table import Line, ParsedTable, is_number, read_lines, read_table, split
 
 ALIASES: Final[Aliases] = {
-    "name": ("name", "point", "point_name", "point_number", "gcp", "gcp_name", "label", "id"),
+    "name": (
+        "name", "point", "point_name", "point_number", "gcp", "gcp_name", "label", "id", "point_id",
+        "pointid", "gcp_label", "gcp_id", "pt", "station",
+    ),
     **{
         c: POS_ALIASES[c]
         for c in (

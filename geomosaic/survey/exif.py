@@ -158,12 +158,13 @@ def _time_s(text: Any) -> float | None:
             moment = datetime(*(int(part) for part in match.groups()), tzinfo=UTC)  # type: ignore[misc,arg-type]
         except ValueError:
             continue
-        offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", text(name.replace("DateTime", "OffsetTime")))
+        zone = text(name.replace("DateTime", "OffsetTime")) or text("OffsetTime")
+        offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", zone)
         if offset:
             minutes = int(offset[2]) * 60 + int(offset[3])
             if minutes < 24 * 60:
                 east = timedelta(minutes=minutes if offset[1] == "+" else -minutes)
                 moment = moment.replace(tzinfo=timezone(east))
-        fraction = re.fullmatch(r"\d+", text(name.replace("DateTime", "SubSecTime")))
+        fraction = re.fullmatch(r"\d+", text(name.replace("DateTime", "SubSecTime")) or text("SubSecTime"))
         return moment.timestamp() + (float(f"0.{fraction[0]}") if fraction else 0.0)
     return None

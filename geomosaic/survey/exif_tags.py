@@ -107,6 +107,8 @@ def _value(data: bytes, kind: int, order: str) -> str | tuple[float, ...] | None
     parts = np.frombuffer(data, dtype=f"{order}{_KINDS[kind][0]}").astype(np.float64)
     numbers, *below = parts.reshape(-1, len(_KINDS[kind])).T
     for divisor in below:
+        if len(divisor) == 3 and divisor[2] == numbers[2] == 0.0:
+            divisor[2] = 1.0  # seconds of degrees or hours that nobody knows
         if (divisor == 0.0).any():
             return None
         numbers = numbers / divisor

@@ -32,7 +32,7 @@ _HOMES: Final = ("images", "dcim")
 _PROJECT_FILES: Final = {"pos": "geo.txt", "gcp": "gcp_list.txt"}
 _DEEPEST = tuned(4, "folders", "DCIM has two, MicaSense three: deeper ones are another survey's")
 _MOST_FOLDERS = tuned(2000, "folders", "1000 flights of two: more is a whole disk, searched for minutes")
-_MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff"})
+_MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff", *JPEG_SUFFIXES})
 
 
 def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:

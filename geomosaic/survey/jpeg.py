@@ -91,7 +91,7 @@ def parse_structure(data: bytes | mmap.mmap, path: Path, whole: bool = True) -> 
         elif marker == 0xE1 and body.startswith(_EXIF):
             exif = exif or body[len(_EXIF) :]
         elif marker == 0xE1 and body.startswith(_XMP):
-            xmp = xmp or body[len(_XMP) :]
+            xmp += body[len(_XMP) :]
         at += 2 + int.from_bytes(head[2:4], "big")
     if size is None or 0 in size:
         raise FileError("the JPEG's header states no size", file=path, fix=_TRUNCATED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
 
 import numpy as np
 from pyproj import CRS
@@ -115,6 +116,12 @@ def _with_missing(own: Sequence[Position | None], anywhere: tuple[float, float])
     ]
 
 
+def _of_another_file(written: str, frame: str) -> bool:
+    """Whether a line names a file with another extension than the frame it is taken for."""
+    name = PurePosixPath(written.replace("\\", "/"))
+    return bool(name.suffix) and name.suffix.casefold() != PurePosixPath(frame).suffix.casefold()
+
+
 def _matched(
     headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[str], *, strict: bool
 ) -> tuple[list[PosRow | None], list[Warn]]:
@@ -131,7 +138,10 @@ def _matched(
         if frame is None:
             strangers.append(row)
             continue
-        if frame in rows:
+        if frame in rows and _of_another_file(row.name, frame):
+            strangers.append(row)  # such as a raw image next to it
+            continue
+        if frame in rows and not _of_another_file(rows[frame].name, frame):
             raise InputError(
                 f"frame {frame} stands in line {rows[frame].line} and again in line {row.line}",
                 file=pos.path,

@@ -115,7 +115,7 @@ def _read_raster(path: Path, whole_rows: int | None) -> tuple[NDArray[Any], Byte
 
 
 def _read_mask(path: Path, shape: tuple[int, int]) -> Bytes:
-    """255 where any colour is above 0; an alpha band says nothing."""
+    """255 where any colour is above 0, or bright in a JPEG; an alpha band says nothing."""
     with open_raster(path, MASK) as mask, reading(path, MASK.problem, MASK.fix):
         if mask.shape != shape:
             raise mask_size_error(path, (mask.width, mask.height), (shape[1], shape[0]))
@@ -124,9 +124,10 @@ def _read_mask(path: Path, shape: tuple[int, int]) -> Bytes:
             lit = np.array([any(colours.get(i, (i,))[:3]) for i in range(256)])
             return np.where(lit[mask.read(1)], np.uint8(255), np.uint8(0))
         valid = np.zeros(shape, dtype=np.uint8)
+        dark = 127 if mask.driver == "JPEG" else 0  # black is not quite so in JPEG
         for i, colour in zip(mask.indexes, mask.colorinterp, strict=True):
             if colour != ColorInterp.alpha:
-                valid[mask.read(i) > 0] = 255
+                valid[mask.read(i) > dark] = 255
         return valid
 
 

@@ -104,7 +104,8 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     Raises: `AmbiguousCrsError` where systems are left that put the items at different places; `InputError`
     naming the line of a value out of range, or columns that are swapped.
     """
-    if {"lon", "lat"} <= table.factors.keys():
+    filled = all(np.isfinite(table.numbers(c)).any() for c in ("lon", "lat"))
+    if {"lon", "lat"} <= table.factors.keys() and (filled or not {"x", "y"} <= table.factors.keys()):
         lonlat = np.column_stack([_signed(table, "lon", "w"), _signed(table, "lat", "s")])
         _check_range(table, lonlat)
         return TablePlaces(lonlat, None, None, [])
@@ -257,12 +258,11 @@ def heights_of(
     Raises: `InputError` when orthometric heights need a geoid grid that isn't installed.
     """
     has, name = table.factors, table.path.name
-    column = next((c for c in ("height_ellipsoidal", "height_orthometric", "height") if c in has), None)
+    columns = [c for c in ("height_ellipsoidal", "height_orthometric", "height") if c in has]
+    column = next((c for c in columns if np.isfinite(table.numbers(c)).any()), None)
     if column is None:
         return np.full(len(table.lines), np.nan), []
     values = table.numbers(column)
-    if np.isnan(values).all():
-        return values, []
     offset, notes = 0.0, []
     own = vertical_crs(crs) if crs is not None and "lon" not in has else None
     in_feet = crs is not None and crs.is_projected and "lon" not in has and unit_m(crs) != 1.0

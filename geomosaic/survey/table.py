@@ -69,7 +69,7 @@ class ParsedTable:
             plain = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
             value = float(plain) if _NUMBER.fullmatch(plain) else math.inf
             if not math.isfinite(value):
-                fix = "write decimal numbers such as -12.5; leave the field empty where nothing is known"
+                fix = "write decimal numbers such as -12.5 (exiftool -n does); leave unknown fields empty"
                 raise self.error(i, f"{shown(text)} is no number for {column}", fix)
             values.append(value)
         return np.array(values) * self.factors[column]

@@ -27,38 +27,39 @@ _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
 
 def parse_xmp(data: bytes) -> Xmp | None:
-    """The properties of the first XMP packet in some bytes: {} without a packet, None if unreadable.
+    """The properties of the XMP packets in some bytes, of a repeated one the first: {} without a packet, None
+    if one is unreadable. Programs that edit an image may add a packet to the camera's.
 
     Simple properties count, written as attributes or as elements; an ordered list as its items between
     commas, of other lists the first item. Prefixes
     that the packet uses but never declares (seen in drones' firmware) are declared for it.
     """
-    packet = _packet(data[:SHORT_BYTES])
-    if packet is None:
-        return {}
-    if packet.count(b"<") > MOST_PARTS or _LONG_NAMESPACE.search(packet):
-        return None
-    try:
-        root = fromstring(_declared(packet), forbid_dtd=True)
-    except (ParseError, DefusedXmlException, ValueError, LookupError):
-        return None
     found: Xmp = {}
-    for description in root.iter(f"{{{_RDF}}}Description"):
-        for name, value in description.attrib.items():
-            found.setdefault(_flat(name), printable(value.strip()))
-        for child in description:
-            found.setdefault(_flat(child.tag), _text(child))
+    rest = data[:SHORT_BYTES]
+    while (at := _packet(rest)) is not None:
+        packet, rest = rest[at], rest[at.stop :]
+        if packet.count(b"<") > MOST_PARTS or _LONG_NAMESPACE.search(packet):
+            return None
+        try:
+            root = fromstring(_declared(packet), forbid_dtd=True)
+        except (ParseError, DefusedXmlException, ValueError, LookupError):
+            return None
+        for description in root.iter(f"{{{_RDF}}}Description"):
+            for name, value in description.attrib.items():
+                found.setdefault(_flat(name), printable(value.strip()))
+            for child in description:
+                found.setdefault(_flat(child.tag), _text(child))
     return found
 
 
-def _packet(data: bytes) -> bytes | None:
+def _packet(data: bytes) -> slice | None:
     """From the first opening mark to its end mark; each is looked for once, whatever else stands there."""
     for opening in _OPENINGS:
         if start := opening.search(data):
             end = data.find(b"</" + start[1], start.end())
             close = data.find(b">", end)
             if min(end, close) > 0:
-                return data[start.start() : close + 1]
+                return slice(start.start(), close + 1)
     return None
 
 
