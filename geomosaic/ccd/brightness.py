@@ -6,6 +6,7 @@ and whether its offsets agree with the curves of the rest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -28,8 +29,8 @@ class Suspect:
     brighter: bool = True
 
     def hides(self, grey: Floats) -> Bools:
-        """Where greys (any shape) are of that part."""
-        return np.asarray((grey > self.grey) == self.brighter)
+        """Where greys (any shape) are of that part; unknown ones are of none."""
+        return np.asarray(((grey > self.grey) == self.brighter) & np.isfinite(grey))
 
     def pixels(self, cells: Floats, shape: tuple[int, int]) -> Bools:
         """Pixels of `shape` under cells (2, h, w), of either strip, of that part, or next to it."""
@@ -39,10 +40,25 @@ class Suspect:
         return np.asarray(grown[np.ix_(*at)])
 
 
-def grey_cells(image: Floats32) -> Floats:
-    """Mean greys of cells of CELL_PX by CELL_PX pixels."""
-    h, w = (max(n // CELL_PX, 1) for n in image.shape)
-    return np.asarray(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), dtype=np.float64)
+def grey_cells(image: Floats32, valid: Bools) -> Floats:
+    """Mean greys of the valid pixels in cells of CELL_PX by CELL_PX, NaN where less than half are."""
+    size = tuple(max(n // CELL_PX, 1) for n in image.shape[::-1])
+    share = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    sums = cv2.resize(image * valid, size, interpolation=cv2.INTER_AREA)
+    return np.where(share >= 0.5, sums / np.maximum(share, 0.5), np.nan).astype(np.float64)
+
+
+def of_one_response(greys: Sequence[Floats]) -> list[Floats]:
+    """Greys (2, h, w) of the left and right strips of pairs in order, as if all CCDs responded alike: the
+    median ratio of two strips, which see the same ground, leads from one to the next."""
+    out, response = [], 1.0
+    for left, right in greys:
+        n = min(len(left), len(right))
+        known = np.isfinite(left[:n]) & np.isfinite(right[:n]) & (left[:n] > 0.0) & (right[:n] > 0.0)
+        ratio = float(np.median(right[:n][known] / left[:n][known])) if known.any() else 1.0
+        out.append(np.stack([left / response, right / (response * ratio)]))
+        response *= ratio
+    return out
 
 
 def bright_part(brightness: Floats) -> Suspect | None:
@@ -50,7 +66,10 @@ def bright_part(brightness: Floats) -> Suspect | None:
 
     The groups are Otsu's (1979); what lies between them counts as bright: rows that are in part so.
     """
-    eight = np.asarray(cv2.normalize(brightness, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U))  # type: ignore[call-overload]
+    brightness = brightness[np.isfinite(brightness)]
+    if not brightness.size:
+        return None
+    eight = np.asarray(cv2.normalize(brightness, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)).ravel()  # type: ignore[call-overload]
     split, _ = cv2.threshold(eight, 0, 255, cv2.THRESH_OTSU)
     if (eight > split).all() or (eight <= split).all():
         return None

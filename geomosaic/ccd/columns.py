@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from geomosaic.arrays import Bools, Floats32
+from geomosaic.arrays import Bools, Floats32, Ints
 from geomosaic.constants import tuned
 
 BOX_PX = tuned(17, "px", "three boxes make a Gaussian of 8.5 px: smaller removes detail that matching needs")
@@ -14,15 +14,24 @@ BOX_PX = tuned(17, "px", "three boxes make a Gaussian of 8.5 px: smaller removes
 def column_gains(image: Floats32, valid: Bools) -> Floats32:
     """Each column's response against the columns about it (w,): the middle of the ratios over all lines.
 
-    Args: image, valid (n, w). Lines that aren't valid throughout are left out; 1 where there are none.
+    Args: image, valid (n, w). Lines that aren't valid throughout are left out, but for columns that hardly
+    ever are; 1 where there are none.
     """
-    lines = np.flatnonzero(valid.all(axis=1))
+    out, (lines, columns) = np.ones(image.shape[1], dtype=np.float32), _whole(valid)
     if not lines.size:
-        return np.ones(image.shape[1], dtype=np.float32)
-    some = image[lines[:: max(1, lines.size // 2048)]].astype(np.float32)
+        return out
+    some = image[lines[:: max(1, lines.size // 2048)]][:, columns].astype(np.float32)
     around = cv2.GaussianBlur(some, (0, 0), sigmaX=6.0, sigmaY=1e-3, borderType=cv2.BORDER_REFLECT)
-    gains = np.median((some + 1.0) / (around + 1.0), axis=0)
-    return np.asarray(np.clip(gains, 0.5, 2.0), dtype=np.float32)
+    out[columns] = np.clip(np.median((some + 1.0) / (around + 1.0), axis=0), 0.5, 2.0)
+    return out
+
+
+def _whole(valid: Bools) -> tuple[Ints, Ints]:
+    """Columns of valid (n, w) that are valid in most lines, and the lines in which all these are. A stuck
+    column would leave no line."""
+    columns = np.flatnonzero(valid.mean(axis=0) > 0.5)
+    lines = np.flatnonzero(valid[:, columns].all(axis=1)) if columns.size else columns
+    return lines, columns
 
 
 def flattened(image: Floats32, valid: Bools) -> Floats32:
@@ -39,15 +48,17 @@ def flattened(image: Floats32, valid: Bools) -> Floats32:
 def even_columns(image: Floats32, valid: Bools) -> Floats32:
     """An image (n, w) without its columns' own response: their mean share of the lines' brightness.
 
-    Lines count by the inverse of their variance, as faint ground shows the response best. Lines that are not
-    valid throughout are left out.
+    Lines count by the inverse of their variance, as faint ground shows the response best. Lines and columns
+    as in `column_gains`.
     """
-    share = image[valid.all(axis=1)] + np.float32(1.0)
-    if not len(share):
+    lines, columns = _whole(valid)
+    if not lines.size:
         return image
+    share = image[lines][:, columns] + np.float32(1.0)
     share /= share.mean(axis=1, keepdims=True)
     weight = 1.0 / np.maximum(share.var(axis=1), np.finfo(np.float32).eps)
-    response = np.clip((weight / weight.sum()) @ share, 0.5, 2.0)
+    response = np.ones(image.shape[1], dtype=np.float32)
+    response[columns] = np.clip((weight / weight.sum()) @ share, 0.5, 2.0)
     return np.asarray(image / response, dtype=np.float32)
 
 

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.ccd.brightness import CELL_PX
+from geomosaic.ccd.brightness import CELL_PX, of_one_response
 from geomosaic.ccd.expected import Expected
 from geomosaic.ccd.least_squares_matching import (
     MISFIT_PX,
@@ -164,13 +164,27 @@ def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expec
     volumes = np.stack(each(evidence, pairs))
     rows = blocks * BLOCK_LINES
     cells = rows // CELL_PX
-    brightness = np.stack([p.grey[0, :cells].mean(axis=1).reshape(blocks, -1).mean(axis=1) for p in pairs])
+    sides = [slice(None, None, 1 if p.nominal_col <= 0 else -1) for p in pairs]  # to left and right, and back
+    even = of_one_response([p.grey[side] for p, side in zip(pairs, sides, strict=True)])
+    greys = [grey[side] for grey, side in zip(even, sides, strict=True)]
+    brightness = np.stack([_block_means(grey[0, :cells], blocks) for grey in greys])
     coarse = coarse_offsets(volumes, brightness, likely)
     nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)
     known = volumes.max(axis=(2, 3)) > 2.0
     weight = np.where(known[:, nearest], 0.5 * _COARSE_SD_PX**-2, 1e-6)
-    suspect = [coarse.suspect.pixels(p.grey, p.valid.shape) for p in pairs] if coarse.suspect else []
+    suspect = []
+    if coarse.suspect:
+        hidden = zip(greys, pairs, strict=True)
+        suspect = [coarse.suspect.pixels(grey, p.valid.shape) for grey, p in hidden]
     return WindowStart(coarse.offsets_px[:, nearest], weight[..., None, None] * np.eye(2), suspect)
+
+
+def _block_means(grey: Floats, blocks: int) -> Floats:
+    """Mean greys of blocks of lines by cells (h, w), NaN where less than half are known."""
+    cells = grey.reshape(blocks, -1)
+    known = np.isfinite(cells)
+    sums = np.where(known, cells, 0.0).sum(axis=1)
+    return np.where(known.mean(axis=1) >= 0.5, sums / np.maximum(known.sum(axis=1), 1), np.nan)
 
 
 def _off_curves(

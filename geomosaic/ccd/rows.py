@@ -55,7 +55,7 @@ def row_pair(strips: Strips, pair: int, first: int, last: int, known_px: Floats)
     overlap = strips.overlap(pair, first + start, last + start)
     lead, trail = (overlap.left, overlap.right)[:: overlap.side]
     lead, trail = (image.astype(np.float32) for image in (lead, trail))
-    grey = np.stack([grey_cells(image) for image in (lead, trail)])
+    grey = np.stack([grey_cells(image, overlap.valid) for image in (lead, trail)])
     full = 2.0**g.bit_depth - 1.0
     valid = overlap.valid & (lead < full) & (trail < full)
     lead, trail = (even_columns(image, valid) for image in (lead, trail))
