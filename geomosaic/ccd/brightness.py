@@ -49,8 +49,8 @@ def grey_cells(image: Floats32, valid: Bools) -> Floats:
 
 
 def of_one_response(greys: Sequence[Floats]) -> list[Floats]:
-    """Greys (2, h, w) of the left and right strips of pairs in order, as if all CCDs responded alike: the
-    median ratio of two strips, which see the same ground, leads from one to the next."""
+    """Greys (2, h, w) of the left and right strips of pairs in order, as if all CCDs responded alike. Two
+    strips see the same ground: their median ratio leads from one CCD to the next."""
     out, response = [], 1.0
     for left, right in greys:
         n = min(len(left), len(right))

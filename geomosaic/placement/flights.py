@@ -48,8 +48,8 @@ def _not_at_hand(names: Sequence[str], passed_s: Floats) -> Floats:
 
 
 def _clocks(numbers: NDArray[np.str_], passed_s: Floats) -> Bools:
-    """Which numbers of names (n, k) tell the time: in the longest pause they rise by the seconds that pass,
-    as seconds, milliseconds, or hours, minutes and seconds of the day."""
+    """Which numbers of names (n, k) tell the time. In the longest pause these rise by what passes: in seconds,
+    in milliseconds, or as hours, minutes and seconds of the day."""
     pause = int(passed_s.argmax())
     out = np.zeros(numbers.shape[1], dtype=bool)
     for k, (before, after) in enumerate(zip(numbers[pause], numbers[pause + 1], strict=True)):
