@@ -17,7 +17,7 @@ def column_gains(image: Floats32, valid: Bools) -> Floats32:
     Args: image, valid (n, w). Lines that aren't valid throughout are left out, but for columns that hardly
     ever are; 1 where there are none.
     """
-    out, (lines, columns) = np.ones(image.shape[1], dtype=np.float32), _whole(valid)
+    out, (lines, columns) = np.ones(image.shape[1], dtype=np.float32), _mostly_valid(valid)
     if not lines.size:
         return out
     some = image[lines[:: max(1, lines.size // 2048)]][:, columns].astype(np.float32)
@@ -26,7 +26,7 @@ def column_gains(image: Floats32, valid: Bools) -> Floats32:
     return out
 
 
-def _whole(valid: Bools) -> tuple[Ints, Ints]:
+def _mostly_valid(valid: Bools) -> tuple[Ints, Ints]:
     """Columns of valid (n, w) that are valid in most lines, and the lines in which all these are. A stuck
     column would leave no line."""
     columns = np.flatnonzero(valid.mean(axis=0) > 0.5)
@@ -51,7 +51,7 @@ def even_columns(image: Floats32, valid: Bools) -> Floats32:
     Lines count by the inverse of their variance, as faint ground shows the response best. Lines and columns
     as in `column_gains`.
     """
-    lines, columns = _whole(valid)
+    lines, columns = _mostly_valid(valid)
     if not lines.size:
         return image
     share = image[lines][:, columns] + np.float32(1.0)

@@ -164,9 +164,8 @@ def first_offsets(pairs: Sequence[RowPair], settings: CcdSettings, likely: Expec
     volumes = np.stack(each(evidence, pairs))
     rows = blocks * BLOCK_LINES
     cells = rows // CELL_PX
-    sides = [slice(None, None, 1 if p.nominal_col <= 0 else -1) for p in pairs]  # to left and right, and back
-    even = of_one_response([p.grey[side] for p, side in zip(pairs, sides, strict=True)])
-    greys = [grey[side] for grey, side in zip(even, sides, strict=True)]
+    alike = of_one_response([p.grey[p.to_left_right] for p in pairs])
+    greys = [grey[p.to_left_right] for grey, p in zip(alike, pairs, strict=True)]
     brightness = np.stack([_block_means(grey[0, :cells], blocks) for grey in greys])
     coarse = coarse_offsets(volumes, brightness, likely)
     nearest = np.clip(np.rint((centres - block_centres(blocks)[0]) / BLOCK_LINES).astype(int), 0, blocks - 1)

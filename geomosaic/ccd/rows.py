@@ -38,6 +38,11 @@ class RowPair:
     def __len__(self) -> int:
         return len(self.lead)
 
+    @property
+    def to_left_right(self) -> slice:
+        """What orders leading and trailing as left and right, and back."""
+        return slice(None, None, 1 if self.nominal_col <= 0 else -1)
+
     def detail(self, lines: slice = slice(None)) -> tuple[Floats32, Floats32]:
         """Fine detail of lead and trail at some lines, 0 where not valid."""
         seen = self.valid[lines].astype(np.float32)

@@ -108,10 +108,10 @@ class FrameCells:
     def as_fine(self, finest: Floats32, at: tuple[slice, slice] = (slice(None), slice(None))) -> Bools:
         """Where the frame sees these of them about as finely as the one that does so best, see
         `finest_pixels`."""
-        return np.asarray(self.pixels[at] <= _AS_FINE * finest)
+        return np.asarray(self.pixel_sizes[at] <= _AS_FINE * finest)
 
     @property
-    def pixels(self) -> Floats32:
+    def pixel_sizes(self) -> Floats32:
         """The side of a frame's pixel on the ground, over that of a cell; by area, so that oblique views see
         coarsely."""
         if min(self.cols_px.shape) < 2:
@@ -231,8 +231,8 @@ def nearest_nadir(scene: Scene, used: Sequence[bool], cell_px: int) -> tuple[Own
 
 
 def finest_pixels(scene: Scene, cell_px: int) -> Floats32 | None:
-    """The least `FrameCells.pixels` of all frames that see a cell well, infinite where none does. None where
-    all frames see the ground about as finely."""
+    """The least `FrameCells.pixel_sizes` of all frames that see a cell well, infinite where none does. None
+    where all frames see the ground about as finely."""
     gsd_m = [view.gsd_m for view in scene.views]
     if not gsd_m or max(gsd_m) <= _AS_FINE * min(gsd_m):
         return None
@@ -241,7 +241,7 @@ def finest_pixels(scene: Scene, cell_px: int) -> Floats32 | None:
     for view in scene.views:
         cells = frame_cells(scene, view, cell_px, smooth=True)
         of = finest[cells.of_all]
-        np.fmin(of, cells.pixels, out=of, where=_shows(cells, cell_px))
+        np.fmin(of, cells.pixel_sizes, out=of, where=_shows(cells, cell_px))
     return finest
 
 

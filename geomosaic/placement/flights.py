@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import DAY_S, tuned
+from geomosaic.constants import DAY_S, sourced, tuned
 from geomosaic.placement.velocity import PAUSE
 
-_CLOCK_S = tuned(2.0, "s", "between a name's and a tag's clock: both tell whole seconds; more takes counts")
+_CLOCK_S = sourced(
+    2.0, "s", "of two spans by clocks of whole seconds", "definition: each is off by less than 1 s"
+)
 _PAUSE_S = tuned(120.0, "s", "between two flights: less parts a hover; more joins quick changes of battery")
 
 
@@ -48,8 +50,8 @@ def _not_at_hand(names: Sequence[str], passed_s: Floats) -> Floats:
 
 
 def _clocks(numbers: NDArray[np.str_], passed_s: Floats) -> Bools:
-    """Which numbers of names (n, k) tell the time. In the longest pause these rise by what passes: in seconds,
-    in milliseconds, or as hours, minutes and seconds of the day."""
+    """Which numbers of names (n, k) are times. In the longest pause these rise by what passes: in seconds, in
+    milliseconds, or as hours, minutes and seconds of the day."""
     pause = int(passed_s.argmax())
     out = np.zeros(numbers.shape[1], dtype=bool)
     for k, (before, after) in enumerate(zip(numbers[pause], numbers[pause + 1], strict=True)):

@@ -12,6 +12,7 @@ from pyproj import Geod
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import ASSUMED_SD_SHARE as ASSUMED_SD_SHARE
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
+from geomosaic.estimation.robust import LEAST_OBSERVATIONS
 from geomosaic.placement.flights import flights_of
 from geomosaic.placement.graph import HOVER, usual_step_m
 from geomosaic.survey.model import ControlPoint, Frame, Survey
@@ -19,9 +20,6 @@ from geomosaic.survey.model import ControlPoint, Frame, Survey
 ASSUMED_HEIGHT_M = sourced(120.0, "m", "over ground, where none is reported", "EU 2019/947: the most allowed")
 LEAST_HEIGHT_M = tuned(1.0, "m", "nobody surveys lower, and unset cameras write 0; more loses low flights")
 _ON_THE_GROUND = tuned(0.05, "share", "of the usual height, impossible below: more doubts summits")
-_COMPANY = tuned(3, "frames", "as high make a flight of its own: fewer keep jumps, more lose short flights")
-_ALIKE = tuned(0.2, "share", "of a height, within which frames fly as high: less parts hills, more joins")
-_OTHER_TAKE_OFF_M = tuned(15.0, "m", "between flights' levels: GNSS differs by less; more misses take-offs")
 _FAR = tuned(
     2.5, "usual heights", "ratio in doubt next to an impossible one: less drops good, more keeps bad"
 )
@@ -45,7 +43,7 @@ def frame_heights_m(survey: Survey, ground_heights_m: Floats) -> Floats:
 
     Heights above the ground count from the take-off point, whose height is taken as the median of the
     ground below the frames. They have priority over an absolute height of worse than 3 m. Flights that took
-    off from another level, as their absolute heights show, count from there.
+    off from another level, by more than their absolute heights are off, count from there.
 
     Args: ground_heights_m (n,) ellipsoidal heights of the ground below the frames.
     """
@@ -57,13 +55,14 @@ def frame_heights_m(survey: Survey, ground_heights_m: Floats) -> Floats:
     if not relative.any():
         return absolute
     flights = flights_of(survey.clock_times_s, [f.name for f in frames])
-    level = np.median(ground_heights_m[relative]) + _take_offs_m(absolute - above, flights)
+    sd_m = np.array([f.position.sd_vertical_m for f in frames])
+    level = np.median(ground_heights_m[relative]) + _take_offs_m(absolute - above, sd_m, flights)
     return np.where(weak & relative, level + above, absolute)
 
 
-def _take_offs_m(level_m: Floats, flights: Ints) -> Floats:
+def _take_offs_m(level_m: Floats, sd_m: Floats, flights: Ints) -> Floats:
     """How far each frame's (n,) take-off point lies above the usual one, by absolute less relative heights
-    (n,); 0 within what receivers differ by between flights."""
+    (n,). It is 0 within the deviation of absolute heights (n,), which a flight's frames share."""
     out, known = np.zeros(len(level_m)), np.isfinite(level_m)
     if not known.any():
         return out
@@ -71,7 +70,7 @@ def _take_offs_m(level_m: Floats, flights: Ints) -> Floats:
     for flight in np.unique(flights[known]):
         its = flights == flight
         above_m = float(np.median(level_m[its & known])) - usual_m
-        out[its] = above_m if abs(above_m) > _OTHER_TAKE_OFF_M else 0.0
+        out[its] = above_m if abs(above_m) > float(np.median(sd_m[its & known])) else 0.0
     return out
 
 
@@ -105,16 +104,20 @@ def possible_heights(heights: FrameHeights, ground_heights_m: Floats) -> tuple[F
     if not usual > 0.0 or not np.any(above <= _ON_THE_GROUND * usual):
         return heights, np.zeros(len(above), dtype=bool)
     implausible = (above < usual / _FAR) | (above > usual * _FAR)
-    implausible &= (above <= _ON_THE_GROUND * usual) | (_as_high(above) < _COMPANY)
+    implausible &= (above <= _ON_THE_GROUND * usual) | (_as_high(above) < LEAST_OBSERVATIONS - 1)
     used_m = np.where(implausible, ground_heights_m + usual, heights.m)
     sd_m = np.where(implausible, np.maximum(heights.sd_m, usual / 2.0), heights.sd_m)
     return FrameHeights(used_m, sd_m), implausible
 
 
 def _as_high(above_m: Floats) -> Ints:
-    """How many other frames flew about as high above the ground as each, (n,)."""
+    """How many other frames flew as high above the ground as each, within twice what a height is assumed to
+    be off by, (n,)."""
     order = np.sort(above_m[above_m > 0.0])
-    first, end = (np.searchsorted(order, above_m * of) for of in (1.0 - _ALIKE, 1.0 + _ALIKE))
+    first, end = (
+        np.searchsorted(order, above_m * of)
+        for of in (1.0 - 2.0 * ASSUMED_SD_SHARE, 1.0 + 2.0 * ASSUMED_SD_SHARE)
+    )
     return np.where(above_m > 0.0, end - first - 1, 0)
 
 

@@ -258,7 +258,8 @@ def _between_places_m(places: GroundPlaces, joint_m2: Floats, over_m: float, loc
     weights_at = BlockErrors(places).weights_at
     apart = weights_at(at_m[far] + over_m * along) - weights_at(at_m[far])
     rows = (apart[:, :, None] * along[:, None]).reshape(len(along), -1)
-    return float(np.sqrt(np.einsum("nk,nk->n", rows @ joint_m2, rows).mean() + local_m2))
+    variance_m2 = np.einsum("nk,nk->n", rows @ joint_m2, rows)
+    return float(np.sqrt(np.maximum(variance_m2, 0.0).mean() + local_m2))
 
 
 def metres(length_m: float) -> str:

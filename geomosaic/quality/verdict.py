@@ -193,7 +193,7 @@ def _connection(
         well = [bool(np.median(off_m[list(part)]) <= local_m) for part in parts]
         main = int(np.argmax(shares))
         apart -= sum(s for k, s in enumerate(shares) if k != main and well[k] and well[main])
-    alone = sum(land.values()) - sum(tied.values())
+    alone = sum(share for i, share in land.items() if i not in tied)
     return {"frames not tied": alone, "frames in other parts": max(apart, 0.0)}
 
 

@@ -34,7 +34,6 @@ CovarianceOf = Callable[[Ints, Floats, Floats], Floats]
 Free = Callable[[Block], tuple[Poses, tuple[Camera, ...]]]
 """Poses and the camera of each frame, of a block adjusted without control points."""
 _BY_CHANCE = tuned(1e-6, "probability", "of marks all near the first corner, if spread over whole images")
-_MOST_REDUCED = tuned(32.0, "times", "images are reduced for marking: beyond, no mark is good to a pixel")
 _STEP = tuned(0.01, "share", "between the scales that are tried first; then a twentieth of it")
 _DOUBT_RAD = tuned(0.1, "rad", "of a turn about a line of points: more turns blocks over")
 
@@ -201,9 +200,8 @@ def with_marks_of_whole_images(block: Block, free: Free) -> tuple[Block, tuple[W
         miss_px = np.concatenate([_miss_px(poses, cameras, c, scale) for c in several])
         return float(cauchy_cost(miss_px / scale / WITHIN_PX).sum()) / 2.0
 
-    most = min(1.0 / share, _MOST_REDUCED)
-    count = int(np.ceil(np.log(most) / np.log1p(_STEP))) + 1
-    best = min(np.geomspace(1.0, most, count).tolist(), key=cost)
+    count = int(np.ceil(-np.log(share) / np.log1p(_STEP))) + 1
+    best = min(np.geomspace(1.0, 1.0 / share, count).tolist(), key=cost)
     best = min((best * (1.0 + np.linspace(-_STEP, _STEP, 41))).tolist(), key=cost)
     if best < 1.0 + _STEP or cost(1.0) - cost(best) < np.log(STRONG):
         return block, ()

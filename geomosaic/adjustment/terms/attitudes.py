@@ -89,22 +89,22 @@ class Attitudes(FrameTerm):
             miss[part, 2] = apart - common_mean(apart, sd[part, 2])
         return miss
 
-    def _telling(self) -> Bools:
+    def _informative(self) -> Bools:
         """Which numbers (f, 3) tell about the deviations: assumptions tell nothing about observed ones."""
         assumed = np.column_stack([tilt_assumed(self.reported)] * 2 + [heading_assumed(self.reported)])
         return np.asarray(~assumed | assumed.all(axis=0))
 
     def components(self, at: Estimate, components: Components, variances: Floats) -> Iterator[Component]:
         share = variances * self.information(components)
-        own, sd, telling = self.own_miss(at, components), self.sd(components), self._telling()
+        own, sd, informative = self.own_miss(at, components), self.sd(components), self._informative()
         for name, numbers, common in ((TILT, [0, 1], 0.0), (YAW, [2], 1.0)):
-            counted = np.isin(np.arange(3), numbers) & telling
+            counted = np.isin(np.arange(3), numbers) & informative
             group = FrameGroup(name, counted, sd, self.weight, own, self.parts, common)
             yield group.component(components[name], share)
 
     def reweighted(self, image: ImageObservations, at: Estimate, components: Components) -> Self:
         own = self.own_miss(at, components) / self.sd(components)
-        weight = robust_weights(own, self._telling(), self.parts, ([0, 1], [2]))
+        weight = robust_weights(own, self._informative(), self.parts, ([0, 1], [2]))
         return replace(self, weight=weight)
 
     def without(self, frames: Bools, at: Estimate) -> Self:

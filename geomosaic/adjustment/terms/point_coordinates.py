@@ -18,7 +18,7 @@ from geomosaic.adjustment.terms.frame_components import common_similarity, commo
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.term import MEASURED_SD_PX, Components, Term
 from geomosaic.arrays import Bools, Floats, Ints
-from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS, tuned
+from geomosaic.constants import MEDIAN_LENGTH, MEDIAN_ONE, ROUNDS
 from geomosaic.estimation.linear import inverse_each, paraboloid_design
 from geomosaic.estimation.robust import (
     LEAST_OBSERVATIONS,
@@ -30,7 +30,6 @@ from geomosaic.estimation.robust import (
 from geomosaic.survey.accuracy import POSITION
 
 CONTROL_PLAN, CONTROL_HEIGHT = "control plan", "control height"
-_MOST_FACTOR = tuned(1e8, "times a stated deviation", "millimetres that are off by 100 km: beyond all files")
 
 
 @dataclass(frozen=True)
@@ -219,9 +218,9 @@ def _root(excess: Callable[[float], float]) -> float:
     """The factor, at least 1, at which something that falls with it comes down to 1."""
     if not excess(1.0) > 1.0:
         return 1.0
-    if excess(_MOST_FACTOR) >= 1.0:
-        return _MOST_FACTOR
-    most = float(np.log(_MOST_FACTOR))
+    most = 1.0
+    while excess(float(np.exp(most))) > 1.0:  # it falls to 0
+        most *= 2.0
     return float(np.exp(brentq(lambda log: excess(float(np.exp(log))) - 1.0, 0.0, most)))
 
 
