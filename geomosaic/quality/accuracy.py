@@ -20,6 +20,7 @@ from geomosaic.quality.figures import circle_of, interval_of
 NOT_STATED: Final = float("nan")
 _ASPRS = "ASPRS Positional Accuracy Standards, edition 2 (2023)"
 LEAST_CHECK_POINTS = sourced(30, "check points", "of a test; fewer: a reservation is stated", _ASPRS)
+_NO_DATUM_M = sourced(107.0, "m", "largest undulation: beyond, heights have no datum", "EGM96: -107 m")
 LEAST_POINTS = tuned(3, "check or control points", "fewer say less than the covariance does")
 _SURE = sourced(0.9875, "probability", "of two axes to a side", "Fisher 1925, section 12: 5 % of both sides")
 _OVER_M = tuned(100.0, "m", "length of the distances that are stated with the whole map's")
@@ -40,6 +41,11 @@ class AbsoluteAccuracy:
     check_points: int
     shift_m: Floats
     scatter_m: Floats
+
+    @property
+    def without_datum(self) -> bool:
+        """Whether heights are worse known than any datum is off, as those above the take-off."""
+        return self.rmse_v_m > _NO_DATUM_M and not self.check_points
 
     @property
     def ce90_m(self) -> float:

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from geomosaic.constants import sourced
 from geomosaic.quality.accuracy import (
     LEAST_CHECK_POINTS,
     AbsoluteAccuracy,
@@ -20,7 +19,6 @@ from geomosaic.quality.accuracy import (
 from geomosaic.quality.seam_check import SeamCheck
 
 _STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
-_NO_DATUM_M = sourced(107.0, "m", "largest undulation: beyond, heights have no datum", "EGM96: -107 m")
 NO_RELATIVE: Final = "not stated by this adjustment method"
 NO_ABSOLUTE: Final = "not stated: no positions, no control points, or an adjustment method without deviations"
 
@@ -75,7 +73,7 @@ def _absolute(absolute: AbsoluteAccuracy) -> str:
     if not math.isfinite(absolute.rmse_h_m):
         return NO_ABSOLUTE
     words = [f"horizontal RMSE {metres(absolute.rmse_h_m)}, CE90 {metres(absolute.ce90_m)}"]
-    if absolute.rmse_v_m > _NO_DATUM_M and not absolute.check_points:
+    if absolute.without_datum:
         words.append("heights not known: they may count from the take-off; give --gcp with heights")
     elif math.isfinite(absolute.rmse_v_m):
         words.append(f"vertical RMSE {metres(absolute.rmse_v_m)}, LE90 {metres(absolute.le90_m)}")

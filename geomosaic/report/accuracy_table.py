@@ -79,19 +79,22 @@ def _places(absolute: AbsoluteAccuracy, required: Requirement) -> list[AccuracyR
     title = "Absolute"
     if not math.isfinite(absolute.rmse_h_m):
         return [AccuracyRow(title, NO_ABSOLUTE, UNKNOWN)]
+    typical, most = f"RMSE {metres(absolute.rmse_v_m)}", f"LE90 {metres(absolute.le90_m)}"
+    if absolute.without_datum:
+        typical, most = "not known: heights may count from the take-off", ""
+    of_plan = f"RMSE {metres(absolute.rmse_h_m)}", f"CE90 {metres(absolute.ce90_m)}"
     figures = (
-        ("horizontal", absolute.rmse_h_m, f"CE90 {metres(absolute.ce90_m)}", required.rmse_h_m),
-        ("vertical", absolute.rmse_v_m, f"LE90 {metres(absolute.le90_m)}", required.rmse_v_m),
+        ("horizontal", absolute.rmse_h_m, of_plan, required.rmse_h_m),
+        ("vertical", absolute.rmse_v_m, (typical, most), required.rmse_v_m),
     )
     return [
         AccuracyRow(
             title if name == "horizontal" else "",
             f"{name}, {absolute.how}",
-            f"RMSE {metres(rmse_m)}",
-            most,
+            *words,
             *_required(rmse_m, asked_m),
         )
-        for name, rmse_m, most, asked_m in figures
+        for name, rmse_m, words, asked_m in figures
         if math.isfinite(rmse_m)
     ]
 

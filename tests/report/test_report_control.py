@@ -244,6 +244,17 @@ def test_at_400_px_nothing_is_cut_and_text_is_readable(window, page):
     assert window.run(cells)
 
 
+def test_heights_above_the_take_off_have_no_figure_in_the_table(run):
+    """Land may lie 800 m above the sea, which is no accuracy of a map."""
+    verdict = run["verdict"]
+    nowhere = replace(verdict.accuracy.absolute, rmse_v_m=800.0, check_points=0)
+    accuracy = replace(verdict.accuracy, absolute=nowhere)
+    table = accuracy_table(accuracy, replace(verdict.required, rmse_v_m=0.1), verdict.seams, 0.1)
+    row = table.rows[-1]
+    assert row.figure.startswith("vertical") and row.missed
+    assert "take-off" in row.usual and "800" not in row.usual + row.most
+
+
 @pytest.mark.parametrize("width", [400, 700, 900, 1280])
 def test_the_accuracy_table_keeps_off_the_picture(window, page, width):
     window.open(page.as_uri(), width, 800)
