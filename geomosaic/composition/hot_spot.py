@@ -13,9 +13,9 @@ from scipy.special import chdtri
 
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.tone_equations import ToneDesign
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import sourced, tuned
-from geomosaic.estimation.linear import SparseFactors
 from geomosaic.geodesy.sun import sun_direction
 from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.survey.model import Survey
@@ -86,29 +86,25 @@ def hot_spot(rays: Floats, away: Floats, width_rad: float) -> Floats:
 @dataclass(frozen=True)
 class TonesLeft:
     """What evened frames differ by: logs (k, b) of sightings less their places' means, with their weights
-    (k, b); frame (k,); known (m,): which sightings these are; of_place (k, p). design (k, u): by which all
-    unknowns show; normals: each band's normal equations (u, u), which account for the places' brightness."""
+    (k, b); known (m,): which sightings these are. design: of these sightings; priors: each band's part of
+    the normal equations."""
 
     logs: Floats
     weight: Floats
-    frame: Ints
     known: Bools
-    of_place: csr_matrix
-    design: csr_matrix
-    normals: Sequence[csr_matrix]
+    design: ToneDesign
+    priors: Sequence[csr_matrix]
 
     def some(self) -> TonesLeft:
         """Those of every n-th place, as many as tell; known (k,): which of these sightings."""
-        step = -(-len(self.frame) // _MOST)
-        mine = np.asarray(self.of_place.indices % step == 0)
+        step = -(-len(self.logs) // _MOST)
+        mine = np.asarray(self.design.place % step == 0)
         return replace(
             self,
             logs=self.logs[mine],
             weight=self.weight[mine],
-            frame=self.frame[mine],
             known=mine,
-            of_place=self.of_place[mine],
-            design=self.design[mine],
+            design=self.design.of(mine),
         )
 
 
@@ -119,32 +115,34 @@ def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | Non
     All time zones and widths are tried: chance has as many goes. A spot is partly absorbed by gains, slopes
     and vignettes, wide ones most. The width of the zone's spot accounts for this.
     """
-    if not len(left.frame):
+    if not len(left.logs):
         return None
     rays, some = behind.rays[left.known], left.some()
-    up = [away for away in behind.away if not np.isnan(away[some.frame]).any()]
+    up = [away for away in behind.away if not np.isnan(away[some.design.frame]).any()]
     spots = [(away, width) for away in up for width in _WIDTHS_RAD]
-    gains = [_gain(hot_spot(rays[some.known], away[some.frame], width), some) for away, width in spots]
+    gains = [_gain(hot_spot(rays[some.known], away[some.design.frame], width), some) for away, width in spots]
     if not any(gains):
         return None
     best = int(np.argmax(gains))
     least = chdtri(left.logs.shape[1], _BY_CHANCE / np.count_nonzero(gains))
-    if gains[best] * len(left.frame) / len(some.frame) <= least:
+    if gains[best] * len(left.logs) / len(some.logs) <= least:
         return None
     away = spots[best][0]
-    return away, _width_rad(rays, away[left.frame], left)
+    return away, _width_rad(rays, away[left.design.frame], left)
 
 
 def _width_rad(rays: Floats, away: Floats, left: TonesLeft) -> float:
     """The width of the spot about directions (k, 3) that lessens what frames differ by most, with all other
     unknowns free."""
-    factors = [SparseFactors(normal) for normal in left.normals]
+
+    each = zip(left.weight.T, left.priors, strict=True)
+    normals = [left.design.normal(weight, priors) for weight, priors in each]
 
     def left_over(log_width: float) -> float:
         spot, gain = hot_spot(rays, away, math.exp(log_width)), 0.0
-        for logs, weight, of_band in zip(left.logs.T, left.weight.T, factors, strict=True):
+        for logs, weight, of_band in zip(left.logs.T, left.weight.T, normals, strict=True):
             own, square = _own(spot, weight, left)
-            along = left.design.T @ (weight * own)
+            along = left.design.summed(weight * own)
             square -= float(along @ of_band.solve(along))
             gain += float((weight * own * logs).sum()) ** 2 / square if square > 0.0 else 0.0
         return -gain
@@ -166,6 +164,5 @@ def _gain(spot: Floats, left: TonesLeft) -> float:
 
 def _own(spot: Floats, weight: Floats, left: TonesLeft) -> tuple[Floats, float]:
     """What sightings (k,) see of the spot beyond their place's mean, and its weighted square."""
-    total = np.maximum(left.of_place.T @ weight, 1e-12)
-    own = spot - left.of_place @ ((left.of_place.T @ (weight * spot)) / total)
+    own = spot - left.design.means(weight, spot)
     return own, float((weight * own * own).sum())

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix, diags, eye, hstack
 from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
-from geomosaic.estimation.linear import SparseFactors
+from geomosaic.estimation.nested_dissection import Bordered
 from geomosaic.survey.model import Frame
 
 GAIN_SD = tuned(0.2, "log brightness", "prior, half a stop: less forbids exposure; more follows noise")
@@ -79,7 +79,7 @@ class Scatter:
         """What they add to the right-hand side, (u,)."""
         return np.asarray(self.combination.T @ self.expected / self.deviation**2)
 
-    def estimated(self, found: Floats, normal: SparseFactors) -> Scatter:
+    def estimated(self, found: Floats, normal: Bordered) -> Scatter:
         """With the deviation that the unknowns found (u,) and their covariance make more likely (Dempster,
         Laird and Rubin 1977, Maximum likelihood from incomplete data, section 4.4)."""
         k = self.combination.shape[0]

@@ -8,14 +8,15 @@ from typing import Final
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags, hstack
+from scipy.sparse import csr_matrix, diags
 
 from geomosaic.arrays import Floats, Floats32
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
 from geomosaic.composition.tone_deviations import GAIN_SD, Exposures, Scatter
+from geomosaic.composition.tone_equations import OF_A_FRAME, ToneDesign
 from geomosaic.composition.tones import ACROSS, GREYS, Tones, ToneSightings, powers
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
-from geomosaic.estimation.linear import SparseFactors, least_squares
+from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import cauchy_weight
 from geomosaic.matching.tracks import frame_by_frame
 
@@ -92,7 +93,7 @@ def _by_response(
     n, bands = len(of_frame), values.shape[1]
     known = np.isfinite(values).all(axis=1)
     known &= np.bincount(places.place[known], minlength=len(places.nodes))[places.place] > 1
-    place, frame, offset = (a[known] for a in (places.place, places.frame, places.offset))
+    place, frame, offset = places.place[known], places.frame[known], places.offset[known]
     grey = values[known].astype(np.float64)
     below = np.maximum(1.0 - grey / white, 1.0 / _WHITE)
     logs = np.log(grey / below)
@@ -101,86 +102,67 @@ def _by_response(
     share = np.minimum(1.0, _INDEPENDENT / np.maximum(seen, 1))[frame]
     cameras, radius2 = int(of_frame.max(initial=0)) + 1, (offset**2).sum(axis=1)
     nothing = np.zeros(len(frame))
-    terms = (
-        (frame, np.ones(len(frame)), n, np.inf),
+    shared = (
         (camera, nothing, cameras, _LINEAR),
         (camera, nothing, cameras, _SHARED_SD),
-        (frame, offset[:, 0], n, _SLOPE_SD),
-        (frame, offset[:, 1], n, _SLOPE_SD),
         (camera, radius2, cameras, _SHARED_SD),
         (camera, radius2**2, cameras, _SHARED_SD),
         *([] if spot is None else [(np.zeros_like(frame), spot[known], 1, _SHARED_SD)]),
     )
-    at = np.arange(len(frame))
-    design = hstack([coo_matrix((by, (at, of)), shape=(len(at), count)) for of, by, count, _ in terms], "csr")
-    design.eliminate_zeros()
-    of_place = coo_matrix((np.ones(len(at)), (at, place)), shape=(len(at), len(places.nodes))).tocsr()
-    bent = float(np.median(1.0 / below)) if len(at) else 1.0
-    deviations = np.concatenate([np.full(count, sd * bent) for _, _, count, sd in terms])
-    unknowns = len(deviations)
-    ends = np.cumsum([count for _, _, count, _ in terms])
-    errors, reported = exposures.gain_errors(), np.isfinite(exposures.log_exposure)
-    errors.resize(n, unknowns)
+    by_shared = [(np.arange(count) == of[:, None]) * by[:, None] for of, by, count, _ in shared]
+    own = np.column_stack([np.ones(len(frame)), offset])
+    design = ToneDesign(frame, place, own, np.concatenate(by_shared, axis=1), n, len(places.nodes))
+    bent = float(np.median(1.0 / below)) if len(frame) else 1.0
+    of_frames = np.tile([np.inf, _SLOPE_SD * bent, _SLOPE_SD * bent], n)
+    deviations = np.concatenate([of_frames, *(np.full(count, sd * bent) for _, _, count, sd in shared)])
+    errors, reported = design.of_gains(exposures.gain_errors()), np.isfinite(exposures.log_exposure)
     linear = _LINEAR * bent * exposures.about_mean
     scatters = [
-        Scatter(diags(1.0 / deviations, format="csr"), np.zeros(unknowns), 1.0, True),
+        Scatter(diags(1.0 / deviations, format="csr"), np.zeros(design.unknowns), 1.0, True),
         *(
             Scatter(errors[of], linear[of], GAIN_SD * bent, not its)
             for of, its in ((reported, True), (~reported, False))
         ),
     ]
-    found, left, weight = np.zeros((bands, unknowns)), np.zeros_like(logs), np.zeros_like(logs)
-    normals: list[csr_matrix] = []
-    for b in range(bands if len(at) else 0):
-        found[b], left[:, b], weight[:, b], normal = _solved(design, of_place, logs[:, b], share, scatters)
-        normals.append(normal)
-    gain, contrast, _, across, along, second, fourth, *rest = np.split(found.T, ends[:-1])
-    seen_at_all = (seen > 0)[:, None]
+    found = np.zeros((bands, design.unknowns))
+    left, weight = np.zeros_like(logs), np.zeros_like(logs)
+    priors: list[csr_matrix] = []
+    for b in range(bands if len(frame) else 0):
+        found[b], left[:, b], weight[:, b], its = _solved(design, logs[:, b], share, scatters)
+        priors.append(its)
+    of_frame_itself, of_all = np.split(found.T, [OF_A_FRAME * n])
+    itself = np.where((seen > 0)[:, None, None], of_frame_itself.reshape(n, OF_A_FRAME, bands), 0.0)
+    contrast, _, second, fourth, *rest = np.split(of_all, cameras * np.arange(1, 5))
     tones = Tones(
-        np.where(seen_at_all, gain, 0.0),
-        np.where(seen_at_all[..., None], np.stack([across, along], axis=-1), 0.0),
+        itself[:, 0],
+        np.swapaxes(itself[:, 1:], 1, 2),
         np.stack([second[of_frame], fourth[of_frame]], axis=-1),
         white,
-        spot=rest[0][0] if rest else None,
+        spot=None if spot is None else rest[0][0],
         reported=exposures.about_mean[:, None] * (_LINEAR * bent + contrast[of_frame]),
     )
-    before = logs - _means(of_place, np.ones(len(at)), logs)
+    before = logs - design.means(np.ones(len(frame)), logs)
     evenness = _evenness(grey * below, before, left)
-    return tones, evenness, TonesLeft(left, weight, places.frame[known], known, of_place, design, normals)
+    return tones, evenness, TonesLeft(left, weight, known, design, priors)
 
 
 def _solved(
-    design: csr_matrix,
-    of_place: csr_matrix,
-    logs: Floats,
-    share: Floats,
-    scatters: Sequence[Scatter],
+    design: ToneDesign, logs: Floats, share: Floats, scatters: Sequence[Scatter]
 ) -> tuple[Floats, Floats, Floats, csr_matrix]:
     """One band's unknowns, what they leave of the differences to each place's mean, the weights, and the
-    last normal equations."""
-    left = logs - _means(of_place, share, logs)
+    priors' part of the last normal equations."""
+    left = logs - design.means(share, logs)
     for _ in range(_ROUNDS):
         sd = max(NORMAL_PER_MAD * float(np.median(np.abs(left))), _LEAST_SD)
         weight = share / sd**2 * cauchy_weight(left / sd)
-        weighed = diags(weight) @ design
-        coupling = of_place.T @ weighed
-        per = diags(1.0 / np.maximum(of_place.T @ weight, 1e-12))
-        normal = design.T @ weighed - coupling.T @ per @ coupling
-        normal += sum(scatter.normal for scatter in scatters)
-        side = weighed.T @ logs - coupling.T @ (per @ (of_place.T @ (weight * logs)))
-        factors = SparseFactors(normal)
-        found = factors.solve(side + sum(scatter.side for scatter in scatters))
-        scatters = [scatter.estimated(found, factors) for scatter in scatters]
-        off = logs - design @ found
-        left = off - _means(of_place, weight, off)
-    return found, left, weight, normal
-
-
-def _means(of_place: csr_matrix, weight: Floats, values: Floats) -> Floats:
-    """Each sighting's place's weighted mean of values (m,) or (m, b)."""
-    total = np.maximum(of_place.T @ weight, 1e-12)
-    sums = of_place.T @ (diags(weight) @ values)
-    return np.asarray(of_place @ (sums / (total if values.ndim == 1 else total[:, None])))
+        priors = sum(scatter.normal for scatter in scatters)
+        normal = design.normal(weight, priors)
+        side = design.summed(weight * (logs - design.means(weight, logs)))
+        found = normal.solve(side + sum(scatter.side for scatter in scatters))
+        scatters = [scatter.estimated(found, normal) for scatter in scatters]
+        off = logs - design.logs(found)
+        left = off - design.means(weight, off)
+    return found, left, weight, priors
 
 
 def reports_tell(tones: Tones) -> bool:

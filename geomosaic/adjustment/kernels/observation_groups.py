@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.adjustment.kernels.nested_dissection import Dissection, matrix_of_pairs
 from geomosaic.arrays import Ints
 from geomosaic.constants import tuned
+from geomosaic.estimation.nested_dissection import Dissection, matrix_of_pairs
 
 Numbers = NDArray[np.int32]
 AT_ONCE = tuned(8192, "image observations", "linearised at once; fewer: more calls; more leave the cache")

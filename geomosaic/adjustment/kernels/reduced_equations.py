@@ -11,13 +11,13 @@ from scipy.linalg import block_diag
 from scipy.sparse import bsr_matrix
 
 from geomosaic.adjustment.kernels.ahead import ahead
-from geomosaic.adjustment.kernels.nested_dissection import Dissected
 from geomosaic.adjustment.kernels.normal_equations import SQUARE, Normals
 from geomosaic.adjustment.kernels.observation_groups import Group
 from geomosaic.adjustment.kernels.pose_jacobian import Levers
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import inverse_roots, multiply_each, solve_scaled
+from geomosaic.estimation.nested_dissection import Dissected
 
 _LEAST_OF_POINTS = tuned(1e-12, "share of the diagonal", "with less, a point at a camera has no inverse")
 

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.kernels.nested_dissection import Dissected, Dissection, matrix_of_pairs
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.paper.misalignment import OffsetNet
 from geomosaic.adjustment.procedure.georeference_parts import Fixes, PlanPriors, georeferenced
@@ -16,6 +15,7 @@ from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
 from geomosaic.constants import ROUNDS, SLIGHT, tuned
+from geomosaic.estimation.nested_dissection import Dissected, Dissection, matrix_of_pairs
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.relative import MOST_TIES, averaged, joints_of
 from geomosaic.placement.graph import connected_parts

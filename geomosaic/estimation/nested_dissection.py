@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -15,12 +16,12 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, dijk
 from geomosaic.arrays import Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
-from geomosaic.estimation.linear import cholesky, inverse_of_factor, square_of_factor
+from geomosaic.estimation.linear import cholesky, inverse_of_factor, solve_scaled, square_of_factor
 
 _LEAST_FRAMES = tuned(32, "frames", "that are not cut any further: below, a dense matrix is as fast")
 _MIDDLE: tuple[float, float] = tuned((0.3, 0.7), "share of the frames", "to cut at; farther out: small parts")
 _MOST_WORK = tuned(0.7, "share of a dense matrix's", "operations; with more, dissection takes longer")
-_UNDETERMINED = "the block does not determine the poses of its frames"
+_UNDETERMINED = "the equations do not determine the unknowns of these frames"
 
 
 @dataclass(frozen=True)
@@ -223,3 +224,31 @@ class Dissected:
                     beyond[part][here] = inverse[there]
             beyond.pop(k, None)
         return out
+
+
+@dataclass(frozen=True)
+class Bordered:
+    """A symmetric positive definite system: f frames' blocks (b, b), bordered by a few unknowns that all of
+    them meet: border (f b, s), corner (s, s). order: in which frames are eliminated, where that is known."""
+
+    blocks: bsr_matrix
+    border: Floats
+    corner: Floats
+    order: Dissection | None = None
+
+    @cached_property
+    def _factors(self) -> Dissected:
+        return Dissected(self.blocks, self.order)
+
+    @cached_property
+    def _by_border(self) -> Floats:
+        return self._factors.solve(self.border)
+
+    def solve(self, side: Floats) -> Floats:
+        """Solutions (f b + s,) or (f b + s, r) for right sides of that shape. Raises: NotSolvableError."""
+        n = len(self.border)
+        alone = self._factors.solve(side[:n])
+        left = side[n:] - self.border.T @ alone
+        shared = solve_scaled(self.corner - self.border.T @ self._by_border, left.reshape(len(left), -1))
+        shared = shared.reshape(left.shape)
+        return np.concatenate([alone - self._by_border @ shared, shared])

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import bsr_matrix
 
-from geomosaic.adjustment.kernels.nested_dissection import Dissected, Dissection
 from geomosaic.adjustment.procedure.initialisation import _normals, _Ties
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import (
@@ -16,6 +15,7 @@ from geomosaic.estimation.linear import (
     multiply_each,
     square_of_factor,
 )
+from geomosaic.estimation.nested_dissection import Bordered, Dissected, Dissection
 from geomosaic.estimation.similarity import similarity_design
 
 
@@ -65,6 +65,19 @@ def test_solutions_and_the_inverse_are_those_of_the_whole(shape: str) -> None:
     for _ in range(2):
         assert factors.inverse_blocks() == pytest.approx(own, rel=1e-9, abs=1e-13)
     assert factors.solve(side) == pytest.approx(inverse @ side, rel=1e-9, abs=1e-13)
+
+
+def test_a_bordered_system_has_the_solution_of_the_whole() -> None:
+    matrix, dense = _system(SHAPES["six lines"], 4, 3)
+    rng = np.random.default_rng(6)
+    border = rng.normal(0.0, 1.0, (len(dense), 5))
+    corner = np.diag(rng.uniform(1.0, 2.0, 5)) + border.T @ np.linalg.solve(dense, border)
+    whole = np.block([[dense, border], [border.T, corner]])
+    order = Dissection.of(matrix.indices, matrix.indptr)
+    for side in (rng.normal(0.0, 1.0, len(whole)), rng.normal(0.0, 1.0, (len(whole), 3))):
+        wanted = np.linalg.solve(whole, side)
+        for system in (Bordered(matrix, border, corner), Bordered(matrix, border, corner, order)):
+            assert system.solve(side) == pytest.approx(wanted, rel=1e-9, abs=1e-12)
 
 
 def test_a_block_that_is_dense_in_the_graph_is_factorised_as_one_matrix() -> None:
