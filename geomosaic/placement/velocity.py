@@ -67,7 +67,7 @@ class _Way:
 def _way(positions_m: Floats, times_s: Floats) -> _Way:
     at = np.flatnonzero(np.isfinite(times_s))
     at = at[np.argsort(times_s[at], kind="stable")]
-    passed, moved = np.diff(times_s[at]), np.diff(positions_m[at], axis=0)
+    passed, moved = np.diff(_apart(times_s[at])), np.diff(positions_m[at], axis=0)
     is_step = (passed > 0.0) & (np.linalg.norm(moved, axis=1) <= _FASTEST * passed)
     if is_step.any():
         is_step &= passed <= PAUSE * float(np.median(passed[is_step]))
@@ -135,6 +135,14 @@ def unsteady_m_per_s(positions_m: Floats, times_s: Floats) -> Floats:
     change = np.nan_to_num(np.where(ends, next_to_it, change))
     out[way.at] = np.where(ends | (change > THREE_SIGMA * np.median(change)), 0.5 * change, 0.0)
     return out
+
+
+def _apart(times_s: Floats) -> Floats:
+    """Times in order; by a clock of whole seconds, frames of one second share it evenly."""
+    if len(set(times_s.tolist())) < 2 or _exact(times_s):
+        return times_s
+    _, first, second, count = np.unique(times_s, return_index=True, return_inverse=True, return_counts=True)
+    return times_s + (np.arange(len(times_s)) - first[second] + 0.5) / count[second]
 
 
 def _exact(times_s: Floats) -> bool:

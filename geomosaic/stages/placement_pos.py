@@ -44,7 +44,7 @@ def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "placement.pos", "Place frames by POS", group="Placement", version=14, outputs="prior_placement",
+    "placement.pos", "Place frames by POS", group="Placement", version=15, outputs="prior_placement",
     plans=_plans,
 )  # fmt: skip
 def placement_pos(

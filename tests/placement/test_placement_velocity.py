@@ -55,6 +55,14 @@ def test_a_clock_of_whole_seconds_tells_the_speed_of_some_steps() -> None:
     assert off[1:-1].max() < 1.6
 
 
+def test_frames_of_one_whole_second_share_it() -> None:
+    """Two frames a second and more: by such a clock no time passes between some."""
+    times = 1000.2 + 0.7 * np.arange(30)
+    at = np.column_stack([9.0 * times, 2.0 * times, np.full(30, 80.0)])
+    for known, off in ((velocities_m_per_s, 1.5), (flown_m_per_s, 0.3)):
+        np.testing.assert_allclose(known(at, np.floor(times)), np.tile([9.0, 2.0, 0.0], (30, 1)), atol=off)
+
+
 def test_flown_lines_end_as_they_were_flown() -> None:
     east = np.concatenate([np.arange(11.0), np.arange(10.0, -1.0, -1.0)]) * 10.0
     at = np.column_stack([east, np.repeat([0.0, 40.0], 11), np.zeros(22)])
