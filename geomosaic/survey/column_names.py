@@ -12,6 +12,7 @@ from geomosaic.constants import sourced
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.heights import LENGTHS_M
+from geomosaic.survey.column_languages import DEGREES, ENGLISH, METRES, plain
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Column -> the names it goes by, in lower case with underscores and without units."""
@@ -75,13 +76,16 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
     """Which column a header's name means, None where unknown, and its unit, "" where it states none.
 
     A unit stands in brackets or parentheses, or at the name's end: `Yaw [degrees]`, `omega_rad`. Other words
-    in brackets belong to the name, or say nothing: `Altitude (AMSL) [m]`, `Latitude (WGS84)`.
+    in brackets belong to the name, or say nothing: `Altitude (AMSL) [m]`, `Latitude (WGS84)`. Names of other
+    languages are those of `column_languages`.
     """
-    by_name = {alias: column for column, names in aliases.items() for alias in names}
-    inside = [_plain(text) for text in _BRACKETS.findall(name)]
+    english = {alias: column for column, names in aliases.items() for alias in names}
+    others = {name: english[its] for name, its in ENGLISH.items() if its in english}
+    by_name = {**others, **english}
+    inside = [plain(text) for text in _BRACKETS.findall(name)]
     unit = next((text for text in inside if text not in _NO_UNITS), "")
-    bare = _plain(_BRACKETS.sub(" ", name))
-    whole = _plain("_".join([bare, *(text for text in inside if text in _NO_UNITS)]))
+    bare = plain(_BRACKETS.sub(" ", name))
+    whole = plain("_".join([bare, *(text for text in inside if text in _NO_UNITS)]))
     stem = whole if whole in by_name else bare
     if stem not in by_name and not unit:
         ends = ((stem.removesuffix(f"_{u}"), u) for u in UNITS)
@@ -89,6 +93,8 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
     column = by_name.get(stem)
     if column is None:
         return None, ""
+    if unit in METRES or (unit in DEGREES and (stem not in english or unit not in UNITS)):
+        unit = "m" if unit in METRES else "deg"
     if column in ("lon", "lat") and {"w", "s"} & {*inside}:
         fix = "name it longitude or latitude, and give western and southern degrees a minus sign"
         raise InputError(f"column {shown(name)} counts to the west or the south", file=path, fix=fix)
@@ -114,13 +120,9 @@ def columns_of(names: Sequence[str], aliases: Aliases, path: Path) -> list[tuple
     for column in {its for its, _ in found if its is not None}:
         which = [i for i, (its, _) in enumerate(found) if its == column]
         if column in _SECOND_NAMES:
-            best = min(which, key=lambda i: [*aliases[column], _plain(names[i])].index(_plain(names[i])))
+            best = min(which, key=lambda i: [*aliases[column], plain(names[i])].index(plain(names[i])))
             found = [(None, "") if i in which and i != best else its for i, its in enumerate(found)]
         elif len(which) > 1:
             fix = f"rename or remove '{names[which[1]]}'"
             raise InputError(f"two columns for {column}", file=path, fix=fix)
     return found
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")

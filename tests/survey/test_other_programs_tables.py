@@ -104,9 +104,9 @@ def test_empty_headings_do_not_hide_omega_phi_and_kappa(tmp_path: Path) -> None:
     assert row.yaw_deg == pytest.approx(90.0) and row.attitude_source == "pos-omega-phi-kappa"
 
 
-def test_a_header_that_is_not_english_names_those_that_are(tmp_path: Path) -> None:
+def test_a_header_in_an_unknown_language_names_the_english_words(tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
-        pos(tmp_path, "Bild;Breite;Länge\na.jpg;48,25;9,5\n")
+        pos(tmp_path, "Kuva;Leveysaste;Pituusaste\na.jpg;48,25;9,5\n")
     assert "name the columns in English, such as frame,lon,lat,height" in error.value.fix
 
 

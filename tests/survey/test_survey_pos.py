@@ -250,7 +250,7 @@ BAD = {
     "infinite": ("frame,lon,lat,z\na,9,48,inf\n", r"line 2: 'inf' is no number for height"),
     "huge": ("frame,lon,lat,z\na,9,48,1e999\n", r"'1e999' is no number"),
     "nan position": ("frame,lon,lat\na,9,nan\n", r"line 2: no lat; fill it in"),
-    "degrees and minutes": ("frame,lon,lat\na,9,48°30'\n", r"is no number for lat; write decimal numbers"),
+    "minutes": ("frame,lon,lat\na,9,48°72'\n", r"is no number for lat; write decimal numbers"),
     "decimal commas": ("frame,lon,lat\na,9,5,48,7\n", r"line 2 has 5 fields under 3 columns; with decimal"),
     "no crs": ("frame,x,y\na,500000,5400000\n", r"no coordinate reference system; .*--pos-crs, such as EPSG:n"),
     "unit": ("frame,lon,lat,z [furlong]\na,9,48,1\n", r"unknown unit 'furlong'"),

@@ -1,0 +1,35 @@
+"""Longitudes and latitudes as text: with minutes and seconds, or with the letter of a direction."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+_LETTERS: Final = {"lon": {"E": 1.0, "W": -1.0}, "lat": {"N": 1.0, "S": -1.0}}
+_NUMBER: Final = r"\d+(?:\.\d*)?"
+_TEXT: Final = re.compile(
+    rf"([NSEW]?)\s*([-+]?)({_NUMBER})\s*"
+    rf"(?:(?:[°º:]|deg(?![a-z])|d(?![a-z])|\s)\s*(?:({_NUMBER})\s*(?:['′’:]|min(?![a-z])|m(?![a-z])|\s|$)\s*"
+    rf"(?:({_NUMBER})\s*(?:[\"″”]|''|′′|sec|s)?)?)?)?\s*([NSEW]?)",
+    re.ASCII | re.IGNORECASE,
+)
+
+
+def degrees_of(text: str, column: str) -> float | None:
+    """Decimal degrees of a longitude or latitude such as `48 deg 12' 30.5" N`; None if it is neither.
+
+    Args: column: `lon` or `lat`; a letter of the other one is none of its own.
+    """
+    found = _TEXT.fullmatch(text.strip().replace(",", "."))
+    if found is None or column not in _LETTERS:
+        return None
+    before, sign, *numbers, behind = found.groups()
+    letter = (before + behind).upper()
+    degrees, minutes, seconds = (float(number or 0.0) for number in numbers)
+    parts = [number for number in numbers if number]
+    if minutes >= 60.0 or seconds >= 60.0 or any("." in part for part in parts[:-1]) or (letter and sign):
+        return None
+    turned = _LETTERS[column].get(letter, None if letter else 1.0)
+    if turned is None:
+        return None
+    return turned * (-1.0 if sign == "-" else 1.0) * (degrees + minutes / 60.0 + seconds / 3600.0)

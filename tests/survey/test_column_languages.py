@@ -1,0 +1,55 @@
+"""Tables whose columns are named in other languages than English."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from geomosaic.survey.column_languages import ENGLISH
+from geomosaic.survey.column_names import column_of
+from geomosaic.survey.control import read_control
+from geomosaic.survey.control_table import ALIASES as CONTROL_COLUMNS
+from geomosaic.survey.names import FrameNames
+from geomosaic.survey.pos import ALIASES, read_pos
+
+HEADERS = [
+    "Bildname;Breite [°];Länge [°];Höhe [m];Gierwinkel [Grad]",
+    "Nom de l'image;Latitude;Longitude;Hauteur ellipsoïdale (mètres);Lacet (degrés)",
+    "Imagen;Latitud;Longitud;Altura elipsoidal (metros);Guiñada (grados)",
+    "Nazwa pliku;Szerokość geograficzna;Długość geograficzna;Wysokość;Odchylenie",
+    "Имя файла;Широта;Долгота;Высота (м);Курс (град)",
+    "照片名;纬度;经度;大地高(米);航向角(度)",
+    "ファイル名;緯度;経度;楕円体高;ヨー",
+]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+def test_positions(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "pos.csv"
+    path.write_text(f"{header}\nb.jpg;47,5;8,25;512,5;33\n", encoding="utf-8")
+    (row,) = read_pos(path).rows
+    assert (row.name, row.lon_deg, row.lat_deg, row.yaw_deg) == ("b.jpg", 8.25, 47.5, pytest.approx(33.0))
+
+
+def test_control_points_of_a_table_that_a_spreadsheet_wrote(tmp_path: Path) -> None:
+    path = tmp_path / "passpunkte.csv"
+    path.write_bytes("Punktnr;Rechtswert;Hochwert;Höhe\nP7;576677,25;5188320,5;214,1\n".encode("cp1252"))
+    (point,) = read_control(path, FrameNames(()), crs="EPSG:26915").points
+    assert point.name == "P7"
+    assert point.lat_deg == pytest.approx(46.8440, abs=1e-3)
+
+
+def test_degrees_of_a_german_name_are_no_gons() -> None:
+    assert column_of("Gier [Grad]", ALIASES) == ("yaw", "deg")
+    assert column_of("yaw [grad]", ALIASES) == ("yaw", "grad")
+
+
+def test_english_names_keep_their_meaning() -> None:
+    for aliases in (ALIASES, CONTROL_COLUMNS):
+        for column, names in aliases.items():
+            for name in names:
+                assert column_of(name, aliases)[0] == column
+    assert {*ENGLISH.values()} <= {
+        name for names in (*ALIASES.values(), *CONTROL_COLUMNS.values()) for name in names
+    }
