@@ -18,6 +18,7 @@ from geomosaic.doors.files import MOST_PARTS, TEXT_BYTES, decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.column_names import UNITS, Aliases, columns_of
+from geomosaic.survey.degrees import degrees_of
 
 _MOST_LINES = tuned(200_000, "lines", "the largest blocks have 50,000 frames: more is a log, or another file")
 _MOST_COLUMNS = tuned(500, "columns", "of a header; each is looked up under every name")
@@ -57,7 +58,10 @@ class ParsedTable:
         return self.cells.get(column) or [None] * len(self.lines)
 
     def numbers(self, column: str) -> Floats:
-        """A column (n,) in degrees or metres, NaN where unknown; `InputError` names a line without one."""
+        """A column (n,) in degrees or metres, NaN where unknown; `InputError` names a line without one.
+
+        Longitudes and latitudes may have minutes and seconds.
+        """
         cells = self.cells.get(column)
         if cells is None:
             return np.full(len(self.lines), np.nan)
@@ -67,8 +71,8 @@ class ParsedTable:
                 values.append(math.nan)
                 continue
             plain = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
-            value = float(plain) if _NUMBER.fullmatch(plain) else math.inf
-            if not math.isfinite(value):
+            value = float(plain) if _NUMBER.fullmatch(plain) else degrees_of(text, column)
+            if value is None or not math.isfinite(value):
                 fix = "write decimal numbers such as -12.5 (exiftool -n does); leave unknown fields empty"
                 raise self.error(i, f"{shown(text)} is no number for {column}", fix)
             values.append(value)
@@ -135,10 +139,15 @@ def _other_kind(start: bytes) -> str | None:
 
 
 def split(text: str, like: str) -> list[str]:
-    """Fields of a line, separated as the line `like` is: semicolon, tab, comma, or blanks."""
-    separator = next((s for s in ";\t," if s in like), " ")
-    if separator == "," and _has_decimal_commas(like):
+    """Fields of a line, separated as the line `like` is: semicolon, tab, comma, or blanks.
+
+    Where blanks separate, tabs count as such, and a line without tabs in a table of tabs is one of blanks.
+    """
+    separator = _separator(like)
+    if separator == "\t" and "\t" not in text:
         separator = " "
+    if separator == " ":
+        text = text.replace("\t", " ")
     quote = "'" if like.lstrip().startswith("'") else '"'
     if quote not in text:
         fields = text.split(separator)
@@ -148,6 +157,28 @@ def split(text: str, like: str) -> list[str]:
     except (csv.Error, StopIteration):
         return [text]
     return [field.strip().strip(quote) for field in fields]
+
+
+def _separator(like: str) -> str:
+    """What separates the fields of a line."""
+    separator = next((s for s in ";\t," if s in like), " ")
+    return " " if separator == "," and _has_decimal_commas(like) else separator
+
+
+def _fields(text: str, like: str, count: int) -> list[str]:
+    """Fields of one of a table's lines, of which some may have tabs and others blanks.
+
+    A line with tabs has its fields between them where these are as many as the columns. Else blanks separate
+    too if they do so in the line `like`, or where that gives as many and parts numbers only.
+    """
+    separator = _separator(like)
+    if separator not in "\t " or "\t" not in text:
+        return split(text, like)
+    by_tabs = split(text, "\t")
+    by_both = split(text, " ")
+    joined = any(" " in field and all(map(is_number, field.split())) for field in by_tabs)
+    blanks = len(by_tabs) != count and (separator == " " or (joined and len(by_both) == count))
+    return by_both if blanks else by_tabs
 
 
 def _has_decimal_commas(text: str) -> bool:
@@ -197,7 +228,7 @@ def read_table(
     for line in lines:
         if line.comment:
             continue
-        fields = split(line.text, like)
+        fields = _fields(line.text, like, len(known))
         while len(fields) > len(known) and not fields[-1]:
             fields.pop()
         if columns is None and len(fields) > len(known):

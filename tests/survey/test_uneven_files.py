@@ -11,12 +11,14 @@ from survey_files import dji_xmp, exif_block, gps, image, segment, write_jpeg, x
 
 from geomosaic.errors import InputError
 from geomosaic.survey.column_names import column_of
+from geomosaic.survey.control import read_control
 from geomosaic.survey.control_table import ALIASES as CONTROL_COLUMNS
 from geomosaic.survey.exif import exif_from_block
 from geomosaic.survey.exif_tags import tags_from_block
 from geomosaic.survey.folder import masks
 from geomosaic.survey.header import read_header
 from geomosaic.survey.inputs import SurveyInputs
+from geomosaic.survey.names import FrameNames
 from geomosaic.survey.pixels import _read_mask
 from geomosaic.survey.pos import ALIASES, read_pos
 from geomosaic.survey.read import read_survey
@@ -111,3 +113,33 @@ def test_a_table_may_list_raw_images_next_to_the_frames(tmp_path: Path, order: t
     table.write_text("\n".join(["frame,lon,lat,height", *lines]) + "\n")
     survey = read_survey(SurveyInputs(tmp_path, pos=table))
     assert [f.position.lat_deg for f in survey.frames] == [48.0, 48.0]
+
+
+@pytest.mark.parametrize(
+    ("head", "lines"),
+    [
+        ("frame lon lat height_m", ["a.jpg\t15\t48\t300", "b.jpg 15 48 300", "my c.jpg\t15\t48\t300"]),
+        ("frame\tlon\tlat\theight_m", ["a.jpg 15   48 300", "b.jpg\t15\t48\t300", "my c.jpg\t15\t48\t300"]),
+        ("frame\tlon\tlat\theight_m", ["a.jpg\t15 48\t300", "b.jpg\t15\t48 300", "my c.jpg\t15\t48\t300"]),
+        ("EPSG:4326", ["a.jpg\t15\t48\t300", "b.jpg 15 48 300", "my c.jpg\t15\t48\t300"]),
+    ],
+    ids=["blanks above", "tabs above", "both in a line", "no names of columns"],
+)
+def test_lines_of_tabs_and_lines_of_blanks_in_one_table(tmp_path: Path, head: str, lines: list[str]) -> None:
+    rows = rows_of(tmp_path, "\n".join([head, *lines]) + "\n")
+    assert [row.name for row in rows] == ["a.jpg", "b.jpg", "my c.jpg"]
+    assert {(row.lon_deg, row.lat_deg, row.height_ellipsoidal_m) for row in rows} == {(15.0, 48.0, 300.0)}
+
+
+def test_a_name_with_blanks_between_tabs_stays_whole(tmp_path: Path) -> None:
+    """Its height is missing: there are as many words as columns."""
+    (row,) = rows_of(tmp_path, "frame\tlon\tlat\theight_m\nmy a.jpg\t15\t48\n")
+    assert (row.name, row.lon_deg, row.height_ellipsoidal_m) == ("my a.jpg", 15.0, None)
+
+
+@pytest.mark.parametrize("tabs_first", [True, False])
+def test_marks_of_control_in_lines_of_tabs_and_of_blanks(tmp_path: Path, tabs_first: bool) -> None:
+    lines = ["15\t48\t300\t100\t200\ta.jpg\tP", "15 48 300 101 201 b.jpg P"][:: 1 if tabs_first else -1]
+    (tmp_path / "gcp.txt").write_text("\n".join(["EPSG:4326", *lines]) + "\n")
+    (point,) = read_control(tmp_path / "gcp.txt", FrameNames(["a.jpg", "b.jpg"])).points
+    assert {*point.images} == {("a.jpg", 100.0, 200.0), ("b.jpg", 101.0, 201.0)}
