@@ -55,13 +55,15 @@ class AmbiguousCrsError(InputError):
 class StatedCrs:
     """What a text says of a CRS: codes or WKT of all systems it may mean, in groups, the likeliest first.
 
-    vertical: of its heights where the text names it apart. by_name: it is no code, PROJ string or WKT.
+    vertical: of its heights where the text names it apart. by_name: it is no code, PROJ string or WKT. line:
+    of the table that states it, None where it is given otherwise.
     """
 
     text: str
     groups: tuple[tuple[str, ...], ...]
     vertical: str | None = None
     by_name: bool = False
+    line: int | None = None
 
     def meant(self, group: Iterable[str]) -> list[CRS]:
         """The systems of a group, with heights where the text names their datum."""

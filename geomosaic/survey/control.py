@@ -22,10 +22,11 @@ from geomosaic.survey.accuracy import CONTROL, POSITION
 from geomosaic.survey.control_table import GIVE_CRS, control_table
 from geomosaic.survey.model import ControlPoint, Warn
 from geomosaic.survey.names import FrameNames, some
-from geomosaic.survey.places import NOWHERE, heights_of, places_of
+from geomosaic.survey.places import NOWHERE, places_of
 from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import ParsedTable
+from geomosaic.survey.table_heights import heights_of
 
 LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")

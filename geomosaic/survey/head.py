@@ -71,9 +71,10 @@ def _names_columns(line: Line, aliases: Aliases, path: Path) -> bool:
 def _crs(path: Path, line: Line, fix: str) -> StatedCrs | None:
     """What a line says of a CRS; of a comment only a code, PROJ string or WKT counts."""
     try:
-        return coded_crs(line.text) if line.comment else stated_crs(line.text)
+        found = coded_crs(line.text) if line.comment else stated_crs(line.text)
     except InputError as error:
         raise InputError(f"line {line.number}: {error.problem}", file=path, fix=fix) from error
+    return None if found is None else replace(found, line=line.number)
 
 
 def _whole_wkt(lines: list[Line], first: int) -> tuple[str, int]:

@@ -1,9 +1,9 @@
-"""Where a table's items lie: longitude, latitude and ellipsoidal height out of any columns and CRS."""
+"""Where a table's items lie: longitude and latitude out of any columns and CRS."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,9 @@ from geomosaic.constants import ENOUGH, sourced, tuned
 from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
-from geomosaic.geodesy.crs_names import AmbiguousCrsError, StatedCrs, label, required_crs
+from geomosaic.geodesy.crs_names import AmbiguousCrsError, StatedCrs, crs_of, label, required_crs
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, sea_level, unit_m, vertical_crs
+from geomosaic.geodesy.heights import unit_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection, outside_area_m
 from geomosaic.survey.accuracy import CONTROL
 from geomosaic.survey.column_names import Aliases
@@ -32,8 +32,8 @@ NOWHERE: Floats = np.column_stack([[], []])
 
 @dataclass(frozen=True)
 class TablePlaces:
-    """Longitudes and latitudes (n, 2) of a table, the CRS they were given in (None where it has those), the
-    projection of x and y, and what was assumed."""
+    """Longitudes and latitudes (n, 2) of a table in WGS 84, the CRS that it states of them or of its heights
+    (None without one), the projection of x and y, and what was assumed."""
 
     lonlat: Floats
     crs: CRS | None
@@ -99,19 +99,59 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
 
     Of several systems that a name may mean, and of both orders of x and y, the first that puts the items near
     the frames is taken. Where these have no position, it is the first in whose area of use the items lie.
+    Longitudes and latitudes are in the geographic CRS that is stated, else in WGS 84. Columns of these names
+    that hold eastings and northings are read as such.
 
     Args: near: longitudes and latitudes (k, 2) of the frames; fix: how a CRS is given, for errors.
     Raises: `AmbiguousCrsError` where systems are left that put the items at different places; `InputError`
-    naming the line of a value out of range, or columns that are swapped.
+    naming the line of a value out of range, columns that are swapped, or degrees in a map projection.
     """
+    has = table.factors.keys()
+    by_axes = {"x", "y"} <= has
     filled = all(np.isfinite(table.numbers(c)).any() for c in ("lon", "lat"))
-    if {"lon", "lat"} <= table.factors.keys() and (filled or not {"x", "y"} <= table.factors.keys()):
+    if {"lon", "lat"} <= has and (filled or not by_axes):
         lonlat = np.column_stack([_signed(table, "lon", "w"), _signed(table, "lat", "s")])
-        _check_range(table, lonlat)
-        return TablePlaces(lonlat, None, None, [])
+        meant = None if stated is None else _of_degrees(table, stated, lonlat)
+        if stated is None or by_axes or meant is None:
+            _check_range(table, lonlat)
+            heights = None if stated is None or stated.line is None else _with_heights(stated)
+            return TablePlaces(lonlat, heights, None, [])
+        return _in_crs(table, meant, lonlat, near, fix)
     if stated is None:
         raise InputError("x and y have no coordinate reference system", file=table.path, fix=fix)
-    xy = _in_its_unit(table, stated)
+    return _in_crs(table, stated, _in_its_unit(table, stated), near, fix)
+
+
+def _of_degrees(table: ParsedTable, stated: StatedCrs, lonlat: Floats) -> StatedCrs | None:
+    """What a stated CRS means for columns of longitude and latitude (n, 2); None where it is of others.
+
+    Raises: `InputError` where the table states a map projection and holds degrees.
+    """
+    degrees = bool((np.abs(lonlat) <= 180.0).all())
+    alike = [[c for c in group if crs_of(c).is_geographic == degrees] for group in stated.groups]
+    groups = tuple(tuple(group) for group in alike if group)
+    if groups:
+        if degrees:
+            _check_range(table, lonlat)
+        return replace(stated, groups=groups)
+    if degrees and stated.line is not None and not {"x", "y"} <= table.factors.keys():
+        raise InputError(
+            f"line {stated.line} states the map projection {shown(stated.text)}, and longitude and latitude "
+            "are in degrees",
+            file=table.path,
+            fix="take that line out if they are in WGS 84, else state a system in degrees such as EPSG:4326",
+        )
+    return None
+
+
+def _with_heights(stated: StatedCrs) -> CRS | None:
+    """The stated CRS where it says what heights count from."""
+    crs = stated.meant(stated.groups[0])[0]
+    return None if vertical_crs(crs) is None else crs
+
+
+def _in_crs(table: ParsedTable, stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> TablePlaces:
+    """Where x and y (n, 2) lie, in the unit of the CRS that is stated."""
     try:
         crs, swapped = _chosen(stated, xy, near, fix)
     except AmbiguousCrsError as error:
@@ -246,54 +286,3 @@ def _check_range(table: ParsedTable, lonlat: Floats) -> None:
             row = int(np.argmax(bad))
             fix = "correct it (decimal degrees), or name the columns x and y and give their CRS"
             raise table.error(row, f"{name} {lonlat[row, axis]:g} is outside -{limit} to {limit}", fix)
-
-
-def heights_of(
-    table: ParsedTable, crs: CRS | None, lonlat: Floats, datum: CRS | None
-) -> tuple[Floats, list[Warn]]:
-    """Ellipsoidal heights (n,), NaN where unknown, and what was assumed; an unstated datum counts as theirs.
-
-    Args: crs: that x and y are given in, None where the table has longitude and latitude. datum: what
-    heights count from that state nothing else.
-    Raises: `InputError` when orthometric heights need a geoid grid that isn't installed.
-    """
-    has, name = table.factors, table.path.name
-    columns = [c for c in ("height_ellipsoidal", "height_orthometric", "height") if c in has]
-    column = next((c for c in columns if np.isfinite(table.numbers(c)).any()), None)
-    if column is None:
-        return np.full(len(table.lines), np.nan), []
-    values = table.numbers(column)
-    offset, notes = 0.0, []
-    own = vertical_crs(crs) if crs is not None and "lon" not in has else None
-    in_feet = crs is not None and crs.is_projected and "lon" not in has and unit_m(crs) != 1.0
-    vertical, counts = own or datum, own or (crs if in_feet else datum)
-    if counts is not None and column in table.unstated and (foot_m := unit_m(counts)) != 1.0:
-        values = values * foot_m
-        unit = counts.axis_info[-1].unit_name
-        if own is None and in_feet:
-            text = (
-                f"{name}: heights state no unit and count as {unit}, as x and y do: if they are metres, "
-                "the map lies too low; name the column height_m or height_ft"
-            )
-            notes.append(Warn("height-unit-assumed", "", text))
-    if column == "height_orthometric" and (vertical is None or not vertical.is_vertical):
-        vertical = sea_level(*np.median(lonlat, axis=0))
-        text = (
-            f"{name}: orthometric heights without a stated geoid are taken as {vertical.name}s: the map may "
-            "lie too high or low by decimetres; name the geoid with --height-datum"
-        )
-        notes.append(Warn("geoid-assumed", "", text))
-    if column != "height_ellipsoidal" and vertical is not None:
-        try:
-            offset = ellipsoidal_offset_m(vertical, *np.median(lonlat, axis=0))
-        except InputError as error:
-            fix = f"give ellipsoidal heights in a column height_ellipsoidal_m, or {error.fix}"
-            raise InputError(error.problem, file=table.path, fix=fix) from error
-    elif column == "height":
-        text = (
-            f"{name}: heights have no stated datum and are taken as ellipsoidal: the map may lie "
-            "too high or low by a constant; name what they count from with --height-datum, or the column "
-            "height_ellipsoidal or height_orthometric"
-        )
-        notes.append(Warn("height-datum-assumed", "", text))
-    return values + offset, notes

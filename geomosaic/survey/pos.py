@@ -18,10 +18,11 @@ from geomosaic.survey.column_names import Aliases
 from geomosaic.survey.head import has_numbers, names_known, read_head
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import NO_NAMES, FrameNames, some
-from geomosaic.survey.places import NOWHERE, check_columns, given_crs, heights_of, places_of
+from geomosaic.survey.places import NOWHERE, check_columns, given_crs, places_of
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.rtklib_events import is_rtklib_events, read_rtklib_events
 from geomosaic.survey.table import Line, ParsedTable, read_lines, read_table, split
+from geomosaic.survey.table_heights import heights_of
 from geomosaic.survey.timestamp_mrk import is_timestamp_mrk, read_timestamp_mrk
 
 ALIASES: Final[Aliases] = {
