@@ -27,6 +27,7 @@ from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import ParsedTable
 from geomosaic.survey.table_heights import heights_of
+from geomosaic.survey.table_heights import heights_of
 
 LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
@@ -79,7 +80,6 @@ def read_control(
     seen, absent = _measurements(table, of, frames)
     marks, repeated = _once_an_image(path, seen)
     stated_m = _stated_deviations_m(table)
-    kinds = table.texts("kind")
     known_m = [place[2] for place, _ in merged.values() if not math.isnan(place[2])]
     stand_in_m = float(np.median(known_m)) if known_m else 0.0
     points = []
@@ -97,7 +97,7 @@ def read_control(
             sd_vertical_m=POSITION["none"].sd_vertical_m
             if plan_only
             else math.hypot(usual_m[1], spread[1] / 2.0),
-            check=_is_check(kinds[rows[0]], name, table.lines[rows[0]], path),
+            check=_is_check(name, table, rows),
             images=marks.get(name, ()),
             plan_only=plan_only,
             sd_assumed=bool(np.isnan(sd_m).all()),
@@ -234,10 +234,20 @@ def _once_an_image(
     return once, [Warn("control-mark-repeated", "", text)]
 
 
-def _is_check(kind: str | None, name: str, line: int, path: Path) -> bool:
-    kind = re.sub(r"[\s_-]+", " ", (kind or "").lower()).removeprefix("3d ").removeprefix("2d ")
-    if kind not in ("", "check", "checkpoint", "check point", "control", "control point", "gcp"):
-        raise InputError(
-            f"line {line}: kind {shown(kind)} is unknown", file=path, fix="write control or check"
-        )
-    return kind.startswith("check") or (not kind and name.upper().startswith("CHK"))
+def _is_check(name: str, table: ParsedTable, rows: Sequence[int]) -> bool:
+    """Whether a point is a check point, by the kind in any of its lines, else by its name.
+
+    Raises: `InputError` naming the line of an unknown kind, or of one that contradicts another line's.
+    """
+    kinds = table.texts("kind")
+    lines: dict[bool, int] = {}
+    for i in rows:
+        kind = re.sub(r"[\s_-]+", " ", (kinds[i] or "").lower()).removeprefix("3d ").removeprefix("2d ")
+        if kind not in ("", "check", "checkpoint", "check point", "control", "control point", "gcp"):
+            raise table.error(i, f"kind {shown(str(kinds[i]))} is unknown", "write control or check")
+        if kind:
+            lines.setdefault(kind.startswith("check"), i)
+    if len(lines) > 1:
+        problem = f"point {shown(name)} is for check here and for control in line {table.lines[lines[False]]}"
+        raise table.error(lines[True], problem, "give it the same kind in all its lines")
+    return next(iter(lines)) if lines else name.upper().startswith("CHK")

@@ -377,3 +377,18 @@ def test_the_maps_system_by_name() -> None:
     with pytest.raises(AmbiguousCrsError, match=r"may be any of EPSG:3003 .*, EPSG:3004"):
         map_crs("Gauss-Boaga")
     assert stated_crs("no such thing") is None
+
+
+def test_an_unknown_kind_is_refused_in_any_line_of_a_point(read: Read) -> None:
+    head = "EPSG:4326\nname,lon,lat,height,image,col,row,type\n"
+    first, second = "P,9.5,48.5,410,a.jpg,1,2,{}\n", "P,9.5,48.5,410,IMG_4881.JPG,1,2,{}\n"
+    for known in ("", "GCP", "3D GCP"):
+        with pytest.raises(
+            InputError, match=r"gcp_list\.txt: line 4: kind 'Pole' is unknown; write control or"
+        ):
+            read(head + first.format(known) + second.format("Pole"))
+    with pytest.raises(InputError, match="line 4: point 'P' is for check here and for control in line 3"):
+        read(head + first.format("control") + second.format("check"))
+    for kinds in (("", "check"), ("check", "")):
+        (point,), _ = read(head + first.format(kinds[0]) + second.format(kinds[1]))
+        assert point.check
