@@ -89,6 +89,15 @@ class SurveyDraft:
         return (*self.usable.left_out, *(out for _, out in self.strays))
 
     @property
+    def other_images(self) -> dict[str, str]:
+        """The folder's images that are no frames, each with the frame that it was taken with, '' for none."""
+        rig = self.rig
+        found = {header.name: "" for header in rig.incomplete} if rig else {}
+        for files in rig.others.values() if rig else ():
+            found |= {file.header.name: own for own, file in files.items()}
+        return found | {image.name: "" for image in self.left_out}
+
+    @property
     def located(self) -> list[Position]:
         """The positions that were observed."""
         return [position for position in self.observed.positions if position.known]

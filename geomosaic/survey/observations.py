@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
@@ -40,7 +40,7 @@ class Observations:
 def observe(
     headers: Sequence[FrameHeader],
     pos: PosFile | None,
-    left_out: Sequence[str] = (),
+    others: Mapping[str, str] | None = None,
     anywhere: tuple[float, float] = (0.0, 0.0),
     *,
     strict: bool = False,
@@ -48,9 +48,12 @@ def observe(
     """Put EXIF, XMP and the POS file together.
 
     The POS file's position counts; a height or an attitude it doesn't have is the frame's own. Rows without a
-    frame (or an image that is left out) are warned of, and so are frames without a row, whose own tags count.
-    strict: neither may be. A frame that has no position is taken to be between those before and after it, or
-    `anywhere` (longitude, latitude) where none has one. Its deviation says how little that is worth.
+    frame (or another image) are warned of, and so are frames without a row, whose own tags count. A frame
+    that has no position is taken to be between those before and after it, or `anywhere` (longitude, latitude)
+    where none has one. Its deviation says how little that is worth.
+
+    Args: others: the folder's images that are no frames, each with the frame that it was taken with, '' for
+    none. Their rows stand in for a frame's own. strict: no row without an image, no frame without a row.
 
     Heights and attitudes that can't be are taken as not given, see `survey.plausible`.
 
@@ -63,7 +66,7 @@ def observe(
         rows: list[PosRow | None] = [None] * len(headers)
         warnings: list[Warn] = []
     else:
-        rows, unmatched = _matched(headers, pos, left_out, strict=strict)
+        rows, unmatched = _matched(headers, pos, others or {}, strict=strict)
         warnings = [*pos.warnings, *unmatched, *against_tags([h.name for h in headers], own, rows, pos)]
         positions = _with_missing(
             [
@@ -123,12 +126,13 @@ def _of_another_file(written: str, frame: str) -> bool:
 
 
 def _matched(
-    headers: Sequence[FrameHeader], pos: PosFile, left_out: Sequence[str], *, strict: bool
+    headers: Sequence[FrameHeader], pos: PosFile, others: Mapping[str, str], *, strict: bool
 ) -> tuple[list[PosRow | None], list[Warn]]:
     """Each frame's row, and what is said of rows and frames that have none of the other."""
     own = [h.name for h in headers]
-    names = FrameNames([*own, *left_out])
+    names = FrameNames([*own, *others])
     rows: dict[str, PosRow] = {}
+    of_others: dict[str, PosRow] = {}
     strangers = []
     for row in pos.rows:
         try:
@@ -137,6 +141,9 @@ def _matched(
             raise InputError(f"line {row.line}: {error.problem}", file=pos.path, fix=error.fix) from error
         if frame is None:
             strangers.append(row)
+            continue
+        if frame in others:
+            of_others.setdefault(others[frame], replace(row, camera=None))
             continue
         if frame in rows and _of_another_file(row.name, frame):
             strangers.append(row)  # such as a raw image next to it
@@ -148,6 +155,7 @@ def _matched(
                 fix="remove one of them",
             )
         rows[frame] = row
+    rows = of_others | rows
     lacking = [name for name in own if name not in rows]
     if strangers and (strict or not rows):
         row = strangers[0]

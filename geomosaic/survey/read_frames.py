@@ -130,8 +130,8 @@ def _strays(draft: SurveyDraft) -> list[Stray]:
         rest = without(draft.headers, out)
     out += blurred(rest, [looks[h.name] for h in rest])
     rest = without(draft.headers, out)
-    unused = [image.name for image in (*draft.left_out, *(image for _, image in out))]
-    observed = observe(rest, draft.pos, unused)
+    others = draft.other_images | {image.name: "" for _, image in out}
+    observed = observe(rest, draft.pos, others)
     if draft.inputs.strict:
         check_extent(rest, observed.positions)
     return out + misplaced(rest, observed.positions)
@@ -155,8 +155,7 @@ def _check_alike(headers: Sequence[FrameHeader]) -> None:
 
 def with_observations(draft: SurveyDraft) -> SurveyDraft:
     """Position and attitude of every frame. Raises: `InputError` where positions lie too far apart."""
-    unused = [image.name for image in draft.left_out]
-    observed = observe(draft.headers, draft.pos, unused, strict=draft.inputs.strict)
+    observed = observe(draft.headers, draft.pos, draft.other_images, strict=draft.inputs.strict)
     check_extent(draft.headers, observed.positions)
     datum = draft.inputs.datum
     return replace(draft, observed=observed if datum is None else on_datum(observed, datum))

@@ -133,6 +133,27 @@ def test_files_of_captures_without_the_first_band_are_named(tmp_path: Path) -> N
     assert survey.band == "Red" or (len(lost) == 1 and "1Red.jpg" in lost[0])
 
 
+@pytest.mark.parametrize("strict", [True, False])
+def test_a_pos_file_may_list_all_files_of_a_rig(tmp_path: Path, strict: bool) -> None:
+    """Where the frame's own line is missing, that of another band of its capture stands in."""
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    lines = ["frame,lon,lat,height_m,camera"]
+    for capture in range(3):
+        for k, band in enumerate(("Green", "Red", "NIR")):
+            name = f"IMG_000{capture}_{k + 1}.jpg"
+            grey_frame(folder / name, capture, rig_xmp(f"A{capture}", band, k, 550.0 + 100.0 * k))
+            if (capture, band) != (1, "Green"):
+                lines.append(f"{name},{9.1 + 1e-4 * capture + 1e-6 * k:.6f},48.8,500,{band}")
+    (tmp_path / "pos.csv").write_text("\n".join(lines) + "\n")
+    survey = read_survey(SurveyInputs(folder, pos=tmp_path / "pos.csv", strict=strict))
+    assert not {"pos-line-without-frame", "pos-frame-without-line"} & {w.code for w in survey.warnings}
+    assert [f.name for f in survey.frames] == ["IMG_0000_1.jpg", "IMG_0001_1.jpg", "IMG_0002_1.jpg"]
+    lon = [f.position.lon_deg for f in survey.frames]
+    assert lon == pytest.approx([9.1, 9.100101, 9.1002], abs=1e-9)
+    assert {f.position.source for f in survey.frames} == {"pos"}
+
+
 def test_a_band_that_shows_nothing_is_left_as_reported(tmp_path: Path) -> None:
     survey, poses, ground = make_survey(tmp_path / "own", lines=1, per_line=2, bands=1)
     frames = []
