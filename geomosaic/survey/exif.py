@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.files import printable
-from geomosaic.survey.exif_tags import LONGEST_BYTES, Tags, tags_from_block
+from geomosaic.survey.exif_tags import LONGEST_BYTES, Block, Tags, tags_from_block
 
 _FLOAT: Final = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _FIRST_YEAR = tuned(1900, "year", "an earlier one is of an unset clock and would order frames wrongly")
@@ -70,7 +70,7 @@ _OF_GDAL: Final = {
 """Names of tags that GDAL writes in its own way."""
 
 
-def exif_from_block(block: bytes) -> Exif:
+def exif_from_block(block: Block) -> Exif:
     """From an EXIF segment's bytes or a whole TIFF file's: a TIFF header and its directories."""
     return _exif(tags_from_block(block))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
+from mmap import mmap
 from typing import Final
 
 import numpy as np
@@ -12,6 +13,9 @@ from geomosaic.constants import tuned
 
 Tags = dict[str, str | tuple[float, ...]]
 """EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
+
+Block = bytes | mmap
+"""The bytes of an EXIF segment, or of a whole TIFF file."""
 
 _TAGS: Final[Mapping[str, Mapping[int, str]]] = {
     "": {
@@ -42,7 +46,7 @@ _KINDS: Final[Mapping[int, tuple[str, ...]]] = {
 LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
 
 
-def tags_from_block(block: bytes) -> Tags:
+def tags_from_block(block: Block) -> Tags:
     """The tags of use here, without those that are damaged; empty where the block is no EXIF.
 
     Three directories are read, each once: no loop of pointers, no count and no length makes it long.
@@ -58,7 +62,7 @@ def tags_from_block(block: bytes) -> Tags:
     return tags
 
 
-def xmp_from_block(block: bytes, most_bytes: int) -> bytes:
+def xmp_from_block(block: Block, most_bytes: int) -> bytes:
     """The XMP packet of a TIFF's main directory, empty without one or where it is longer than most_bytes."""
     order = _byte_order(block)
     if not order:
@@ -70,12 +74,12 @@ def xmp_from_block(block: bytes, most_bytes: int) -> bytes:
     return b""
 
 
-def _byte_order(block: bytes) -> str:
+def _byte_order(block: Block) -> str:
     """Of a TIFF's numbers as struct has it, '' for what is none."""
     return {b"II*\x00": "<", b"MM\x00*": ">"}.get(bytes(block[:4]), "") if len(block) >= 8 else ""
 
 
-def _entries(block: bytes, at: int, order: str) -> Iterator[tuple[int, int, int, int]]:
+def _entries(block: Block, at: int, order: str) -> Iterator[tuple[int, int, int, int]]:
     """Place, number, type and count of each entry of the directory at a place."""
     if at + 2 <= len(block):
         count = min(struct.unpack_from(f"{order}H", block, at)[0], (len(block) - at - 2) // 12)
@@ -83,7 +87,7 @@ def _entries(block: bytes, at: int, order: str) -> Iterator[tuple[int, int, int,
             yield entry, *struct.unpack_from(f"{order}HHI", block, entry)
 
 
-def _directory(block: bytes, at: int, order: str, names: Mapping[int, str]) -> Tags:
+def _directory(block: Block, at: int, order: str, names: Mapping[int, str]) -> Tags:
     found: Tags = {}
     for entry, number, kind, count in _entries(block, at, order):
         name = names.get(number)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +14,7 @@ from rasterio.enums import ColorInterp
 
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.camera_formats import camera_format, camera_image
-from geomosaic.doors.files import PIECE_BYTES, SHORT_BYTES
+from geomosaic.doors.files import SHORT_BYTES
 from geomosaic.doors.raster import FRAME, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
@@ -92,12 +94,11 @@ def _jpeg_header(path: Path) -> FrameHeader:
 def _camera_header(path: Path) -> FrameHeader:
     image = camera_image(path)
     _check_packing(path, (image.width_px, image.height_px), [image.dtype] * image.bands)
-    block, xmp = image.exif, image.xmp
-    if not block and not xmp:
-        with path.open("rb") as file:  # a DNG is a TIFF
-            block = file.read(PIECE_BYTES)
-        xmp = xmp_from_block(block, SHORT_BYTES)
-    exif = exif_from_block(block) if block else Exif()
+    xmp = image.xmp
+    exif = exif_from_block(image.exif) if image.exif else Exif()
+    if not image.exif and not xmp:
+        with _mapped(path) as block:  # a DNG is a TIFF
+            exif, xmp = exif_from_block(block), xmp_from_block(block, SHORT_BYTES)
     size = image.width_px, image.height_px
     return FrameHeader(path, *size, image.bands, image.dtype, None, exif, parse_xmp(xmp))
 
@@ -117,8 +118,7 @@ def _raster_header(path: Path) -> FrameHeader:
         if len(dtypes) != 1 or bands < 1:
             raise InputError("has bands of several types", file=path, fix="convert them to one type")
         items = {**tiff.tags(), **tiff.tags(ns="EXIF")}
-        block, packet = _tags(tiff, path)
-        exif = exif_from_block(block) if block else Exif()
+        exif, packet = _tags(tiff, path)
         if not exif.make and exif.lon_deg is None and exif.focal_length_mm is None:
             exif = exif_from_gdal({k: v for k, v in items.items() if k.startswith("EXIF_")})
         return FrameHeader(
@@ -126,12 +126,20 @@ def _raster_header(path: Path) -> FrameHeader:
         )
 
 
-def _tags(raster: Raster, path: Path) -> tuple[bytes, bytes]:
-    """The bytes in which EXIF is, and the XMP packet."""
+def _tags(raster: Raster, path: Path) -> tuple[Exif, bytes]:
+    """EXIF's facts and the XMP packet."""
     if raster.driver == "PNG":
-        return png_tags(path)
-    with path.open("rb") as file:
-        return file.read(PIECE_BYTES), "".join(raster.tags(ns="xml:XMP").values()).encode()
+        exif, packet = png_tags(path)
+        return exif_from_block(exif), packet
+    with _mapped(path) as block:
+        return exif_from_block(block), "".join(raster.tags(ns="xml:XMP").values()).encode()
+
+
+@contextmanager
+def _mapped(path: Path) -> Iterator[mmap]:
+    """A whole file without reading it: a TIFF's directories may lie anywhere, often behind its pixels."""
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        yield data
 
 
 def _bytes_of(kind: str) -> int:

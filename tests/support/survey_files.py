@@ -34,12 +34,13 @@ GPS = {
 }  # fmt: skip
 
 
-def exif_block(order: str = "<", **tags: object) -> bytes:
-    """A TIFF header with IFD0, Exif and GPS directories."""
+def exif_block(order: str = "<", pixels: bytes = b"", **tags: object) -> bytes:
+    """A TIFF header with IFD0, Exif and GPS directories, behind the bytes of pixels."""
     rooms = [{n: tags[n] for n in room if n in tags} for room in (IFD0, EXIF, GPS)]
     sizes = [2 + 12 * (len(r) + (2 if i == 0 else 0)) + 4 for i, r in enumerate(rooms)]
-    starts = [8, 8 + sizes[0], 8 + sizes[0] + sizes[1]]
-    data_at, data, out = sum(sizes) + 8, b"", b""
+    first = 8 + len(pixels)
+    starts = [first, first + sizes[0], first + sizes[0] + sizes[1]]
+    data_at, data, out = sum(sizes) + first, b"", b""
     for i, (names, tags_of) in enumerate(zip((IFD0, EXIF, GPS), rooms, strict=True)):
         entries = [(*names[n], v) for n, v in tags_of.items()]
         if i == 0:
@@ -53,7 +54,7 @@ def exif_block(order: str = "<", **tags: object) -> bytes:
             out += struct.pack(order + "HHI", tag, kind, count) + payload.ljust(4, b"\0")
         out += struct.pack(order + "I", 0)
     mark = b"II*\0" if order == "<" else b"MM\0*"
-    return mark + struct.pack(order + "I", 8) + out + data
+    return mark + struct.pack(order + "I", first) + pixels + out + data
 
 
 def _payload(kind: int, value: object, order: str) -> tuple[bytes, int]:
