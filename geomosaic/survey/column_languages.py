@@ -88,3 +88,27 @@ DEGREES: Final = frozenset(
 )
 """Degrees in other languages. `grad` next to an English name is a gon."""
 METRES: Final = frozenset(map(plain, ("Meter", "mètres", "metros", "metri", "metry", "м", "米", "メートル")))
+_CODE_PAGES: Final = ("latin-1", "gb18030", "cp1251", "cp1250", "cp1254", "shift_jis", "euc_kr")
+"""Encodings of tables that spreadsheets write where Windows has no Unicode set."""
+
+
+def in_unicode(content: bytes) -> bytes:
+    """A table in UTF-8, if one of these code pages gives its header more known names than Latin-1 does."""
+    try:
+        content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8")
+    except UnicodeDecodeError:
+        header = next((line for line in content.splitlines() if line.strip()), b"")
+        counts = [_known_names(header, page) for page in _CODE_PAGES]
+        if max(counts) > counts[0]:
+            page = _CODE_PAGES[counts.index(max(counts))]
+            return content.decode(page, "replace").encode()
+    return content
+
+
+def _known_names(header: bytes, page: str) -> int:
+    """How many names of a header are known in other languages."""
+    try:
+        text = header.decode(page)
+    except UnicodeDecodeError:
+        return -1
+    return sum(plain(re.sub(r"[\[(].*", "", name)) in ENGLISH for name in re.split(r"[;,\t]", text))

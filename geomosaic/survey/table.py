@@ -17,6 +17,7 @@ from geomosaic.constants import tuned
 from geomosaic.doors.files import MOST_PARTS, TEXT_BYTES, decoded, read_bytes
 from geomosaic.doors.plain import shown
 from geomosaic.errors import FileError, InputError
+from geomosaic.survey.column_languages import in_unicode
 from geomosaic.survey.column_names import UNITS, Aliases, columns_of
 from geomosaic.survey.degrees import degrees_of
 
@@ -107,12 +108,12 @@ class Line:
 
 
 def read_lines(path: Path, item: str) -> list[Line]:
-    """Lines with content of a text file, in any of the encodings of `doors.files.read_text`.
+    """Lines with content of a text file, in any of the encodings of `doors.files.read_text` and `in_unicode`.
 
     Args: item: what a line is of, as in `lines of frames`.
     Raises: `FileError`, saying what it is instead of a table.
     """
-    content = read_bytes(path, TEXT_BYTES, "a table", _WANTED)
+    content = in_unicode(read_bytes(path, TEXT_BYTES, "a table", _WANTED))
     if kind := _other_kind(content[:4096]):
         raise FileError(f"is {kind}, no table", file=path, fix=_WANTED)
     found = decoded(content, path, _WANTED).splitlines()

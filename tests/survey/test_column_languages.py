@@ -40,6 +40,24 @@ def test_control_points_of_a_table_that_a_spreadsheet_wrote(tmp_path: Path) -> N
     assert point.lat_deg == pytest.approx(46.8440, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("page", "header"),
+    [
+        ("gb18030", "照片名,纬度,经度,高程(米)"),
+        ("cp1251", "Имя файла;Широта;Долгота;Высота (м)"),
+        ("cp1250", "Nazwa zdjęcia;Szerokość;Długość;Wysokość"),
+        ("shift_jis", "写真名,緯度,経度,標高"),
+        ("euc_kr", "사진,위도,경도,고도"),
+    ],
+)
+def test_code_pages_of_spreadsheets(tmp_path: Path, page: str, header: str) -> None:
+    path = tmp_path / "pos.csv"
+    line = "b.jpg;47.5;8.25;512.5".replace(";", ";" if ";" in header else ",")
+    path.write_bytes(f"{header}\n{line}\n".encode(page))
+    (row,) = read_pos(path).rows
+    assert (row.name, row.lon_deg, row.lat_deg) == ("b.jpg", 8.25, 47.5)
+
+
 def test_degrees_of_a_german_name_are_no_gons() -> None:
     assert column_of("Gier [Grad]", ALIASES) == ("yaw", "deg")
     assert column_of("yaw [grad]", ALIASES) == ("yaw", "grad")
