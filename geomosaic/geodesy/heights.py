@@ -29,6 +29,10 @@ LENGTHS_M = sourced(
     "units of length, as files, GDAL and PROJ call them",
     "definitions; international foot of 1959, US survey foot of 1893",
 )
+_FOOT: Final = re.compile(
+    r"(?P<before>((us|u_s|survey|international|intl)_)*)(foot|feet|ft)(?P<behind>(_(us|u_s|survey|international|intl))*)"
+)
+"""A foot's name with which of the two it is before or behind."""
 GEOIDS = sourced({"EGM96": 5773, "EGM2008": 3855}, "EPSG", "vertical CRSs by their names", "EPSG dataset")
 
 
@@ -75,8 +79,12 @@ def unit_m(crs: CRS) -> float:
 
 
 def length_m(unit: str) -> float | None:
-    """Metres a unit of length of this name, None for another."""
-    return LENGTHS_M.get(re.sub(r"[^a-z]+", "_", unit.lower()).strip("_"))
+    """Metres a unit of length of this name, None for another: `metre`, `us-ft`, `Foot_US`, `feet (US)`."""
+    name = re.sub(r"[^a-z]+", "_", unit.lower()).strip("_")
+    if name not in LENGTHS_M and (foot := _FOOT.fullmatch(name)):
+        of_survey = any(foot[side] and "int" not in foot[side] for side in ("before", "behind"))
+        name = "us_survey_foot" if of_survey else "foot"
+    return LENGTHS_M.get(name)
 
 
 def sea_level(lon_deg: float, lat_deg: float) -> CRS:

@@ -27,7 +27,6 @@ from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import ParsedTable
 from geomosaic.survey.table_heights import heights_of
-from geomosaic.survey.table_heights import heights_of
 
 LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
 _HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")

@@ -104,11 +104,31 @@ def test_scale_offset_and_unit_of_the_band_count(tmp_path: Path) -> None:
             check_dem(path)
     with pytest.raises(InputError, match=r"old\.tif: the DEM's heights are in fathom; convert them"):
         check_dem(write(tmp_path / "old.tif", hills(), units="fathom"))
-    for unit, metres in (("ft", 0.3048), ("US survey foot", 1200.0 / 3937.0), ("metre", 1.0)):
+    us_m = 1200.0 / 3937.0
+    feet = [(name, 0.3048) for name in ("ft", "Foot", "foot (International)")]
+    feet += [(name, us_m) for name in ("US survey foot", "us-ft", "Foot_US", "feet (US)", "U.S. survey feet")]
+    for unit, metres in (*feet, ("metre", 1.0)):
         path = write(tmp_path / "unit.tif", hills() / metres, units=unit)
         np.testing.assert_allclose(read(path).height_ellipsoidal_m, hills(), atol=1e-3)
     with pytest.raises(InputError, match=r"wave\.tif: the DEM's values are complex64"):
         check_dem(write(tmp_path / "wave.tif", hills().astype(np.complex64)))
+
+
+@pytest.mark.parametrize(("vertical", "metres"), [(6360, 1200.0 / 3937.0), (8228, 0.3048), (5703, 1.0)])
+def test_the_unit_of_the_vertical_system_counts(tmp_path: Path, vertical: int, metres: float) -> None:
+    """NAVD88 in US survey feet, in international feet and in metres; the band states no unit."""
+    path = write(tmp_path / "dem.tif", hills() / metres)
+    (tmp_path / "dem.vrt").write_text(
+        f'<VRTDataset rasterXSize="160" rasterYSize="120"><SRS>{UTM}+{vertical}</SRS>'
+        f"<GeoTransform>{EAST}, 10, 0, {NORTH}, 0, -10</GeoTransform>"
+        '<VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="1">dem.tif'
+        "</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    for file in (
+        path.with_suffix(".vrt"),
+        write(tmp_path / "own.tif", hills() / metres, crs=f"{UTM}+{vertical}"),
+    ):
+        np.testing.assert_allclose(read(file).height_ellipsoidal_m, hills(), atol=1e-3)
 
 
 @pytest.mark.parametrize(
