@@ -194,6 +194,7 @@ def _blank(header: FrameHeader) -> Camera:
     exif, width, height = header.exif, header.width_px, header.height_px
     mm, mm_35 = exif.focal_length_mm, exif.focal_length_35mm
     zoom = f" {mm:g} mm" if mm else f" {mm_35:g} mm (35 mm)" if mm_35 else ""
+    zoom += f" x {exif.digital_zoom:g}" if zoom and (exif.digital_zoom or 1.0) > 1.0 else ""
     by_rows = shutter(header)
     return Camera(
         f"{label(header)} {width} x {height}{zoom}",

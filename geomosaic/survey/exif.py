@@ -31,7 +31,7 @@ class Exif:
     stated datum. time_s is seconds since 1970; a local time without its offset is taken as UTC.
     hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken. serial: of the
     camera's body. position_error_m: of the position in plan. iso: sensitivity; black_level: of a value, the
-    mean over a sensor's colours.
+    mean over a sensor's colours. digital_zoom: how many times the image shows a part of the sensor enlarged.
     """
 
     make: str = ""
@@ -44,6 +44,7 @@ class Exif:
     time_s: float | None = None
     focal_length_mm: float | None = None
     focal_length_35mm: float | None = None
+    digital_zoom: float | None = None
     pixels_per_mm: float | None = None
     hemisphere_assumed: bool = False
     serial: str = ""
@@ -129,6 +130,7 @@ def _exif(tags: Tags) -> Exif:
         time_s=_time_s(text),
         focal_length_mm=number("FocalLength"),
         focal_length_35mm=number("FocalLengthIn35mmFilm"),
+        digital_zoom=number("DigitalZoomRatio"),  # 0: it was not used
         pixels_per_mm=None if per_unit is None or mm is None else per_unit / mm,
         hemisphere_assumed=lat is not None and not (text("GPSLatitudeRef") and text("GPSLongitudeRef")),
         serial=text("BodySerialNumber") or text("SerialNumber"),

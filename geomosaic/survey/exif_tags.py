@@ -28,7 +28,8 @@ _TAGS: Final[Mapping[str, Mapping[int, str]]] = {
         0x9011: "OffsetTimeOriginal", 0x9012: "OffsetTimeDigitized", 0x9290: "SubSecTime",
         0x9291: "SubSecTimeOriginal", 0x9292: "SubSecTimeDigitized", 0x920A: "FocalLength",
         0xA002: "PixelXDimension", 0xA003: "PixelYDimension", 0xA20E: "FocalPlaneXResolution",
-        0xA210: "FocalPlaneResolutionUnit", 0xA405: "FocalLengthIn35mmFilm", 0xA431: "BodySerialNumber",
+        0xA210: "FocalPlaneResolutionUnit", 0xA404: "DigitalZoomRatio", 0xA405: "FocalLengthIn35mmFilm",
+        0xA431: "BodySerialNumber",
     },
     "GPS": {
         1: "GPSLatitudeRef", 2: "GPSLatitude", 3: "GPSLongitudeRef", 4: "GPSLongitude",

@@ -92,6 +92,11 @@ def reported_focal_lengths(header: FrameHeader) -> Reported:
     `sensor-table`: the lens in mm with the sensor's width. `exif-35mm`: the 35 mm equivalent, which compares
     diagonals (CIPA DCG-001). For frames wider than 3:2 the diagonal is that of the 4:3 sensor they are cut
     from. The longer side is the sensor's width: an upright frame is one whose pixels were turned.
+
+    A digital zoom enlarges a part of the sensor and leaves the lens in mm as it is: what follows from that is
+    multiplied by it. Most cameras count it in the 35 mm equivalent, which is never multiplied. A focal length
+    that agrees with the equivalent better as it is stays so. `sensor-pitch` stays as well, since the zoom may
+    be of another camera of the same drone.
     """
     exif, height, width = header.exif, *sorted((header.width_px, header.height_px))
     if exif.model.lower().strip() in _ONE_LENGTH:
@@ -114,7 +119,18 @@ def reported_focal_lengths(header: FrameHeader) -> Reported:
     if exif.focal_length_35mm is not None:
         diagonal = math.hypot(width, height) if width <= 1.55 * height else 1.25 * width
         focals["exif-35mm"] = exif.focal_length_35mm * diagonal / FILM_DIAGONAL_MM
-    return Reported(focals, per_mm_by_tag or per_mm_by_table)
+    return Reported(_zoomed(focals, exif.digital_zoom or 1.0), per_mm_by_tag or per_mm_by_table)
+
+
+def _zoomed(focals: dict[str, float], zoom: float) -> dict[str, float]:
+    """Focal lengths in pixels by source, those that lack the digital zoom multiplied by it."""
+    equivalent = focals.get("exif-35mm")
+    found = dict(focals)
+    for source, focal in focals.items():
+        if source != "exif-35mm" and zoom > 1.0:
+            lacks = equivalent is None or equivalent > focal * math.sqrt(zoom)
+            found[source] = zoom * focal if lacks else focal
+    return found
 
 
 def _sensor(header: FrameHeader) -> Sensor | None:

@@ -25,7 +25,7 @@ EXIF = {
     "SubSecTimeOriginal": (0x9291, ASCII),
     "FocalLength": (0x920A, RATIONAL), "PixelXDimension": (0xA002, LONG), "PixelYDimension": (0xA003, LONG),
     "FocalPlaneXResolution": (0xA20E, RATIONAL), "FocalPlaneResolutionUnit": (0xA210, SHORT),
-    "FocalLengthIn35mmFilm": (0xA405, SHORT), "BodySerialNumber": (0xA431, ASCII),
+    "DigitalZoomRatio": (0xA404, RATIONAL), "FocalLengthIn35mmFilm": (0xA405, SHORT), "BodySerialNumber": (0xA431, ASCII),
 }  # fmt: skip
 GPS = {
     "GPSLatitudeRef": (1, ASCII), "GPSLatitude": (2, RATIONAL), "GPSLongitudeRef": (3, ASCII),

@@ -611,3 +611,23 @@ def test_of_a_shutter_that_a_camera_file_does_not_tell_of_the_frames_do(
     choice = cameras_from_file([frame], [camera], Path("c.json"), [None])
     assert (choice.cameras[0].readout_s, choice.cameras[0].readout_sd_s) == pytest.approx(expected)
     assert [w.code for w in choice.warnings] == words
+
+
+@pytest.mark.parametrize(
+    ("equivalent_mm", "zoom", "times"),
+    [(None, 2.0, 2.0), (48, 2.0, 2.0), (24, 2.0, 1.0), (None, 1.0, 1.0), (None, 0.0, 1.0), (24, 1.0, 1.0)],
+    ids=["no equivalent", "in the equivalent", "in none", "none", "not used", "none in the equivalent"],
+)
+def test_a_digital_zoom_counts_once(
+    tmp_path: Path, equivalent_mm: int | None, zoom: float, times: float
+) -> None:
+    """The lens of 8.8 mm is 24 mm in 35 mm film; the zoom shows half of its sensor of 13.2 mm."""
+    equivalent = {} if equivalent_mm is None else {"FocalLengthIn35mmFilm": equivalent_mm}
+    exif = exif_block(
+        Make="DJI", Model="FC6310", FocalLength=Fraction("8.8"), DigitalZoomRatio=Fraction(zoom), **equivalent
+    )
+    found = read_header(write_jpeg(tmp_path / "a.jpg", image(120, 80), exif))
+    camera, source = camera_from_header(found)
+    assert source == "sensor-table"
+    assert camera.focal_length_px == pytest.approx(times * 120 * 8.8 / 13.2)
+    assert camera.name == "DJI FC6310 120 x 80 8.8 mm" + (" x 2" if zoom == 2.0 else "")
