@@ -93,8 +93,8 @@ def reported_focal_lengths(header: FrameHeader) -> Reported:
     diagonals (CIPA DCG-001). For frames wider than 3:2 the diagonal is that of the 4:3 sensor they are cut
     from. The longer side is the sensor's width: an upright frame is one whose pixels were turned.
 
-    A digital zoom enlarges a part of the sensor and leaves the lens in mm as it is: what follows from that is
-    multiplied by it. Most cameras count it in the 35 mm equivalent, which is never multiplied. A focal length
+    A digital zoom enlarges a part of the sensor and leaves the lens in mm as it is. Focal lengths that follow
+    from the lens are multiplied by it. Most cameras count it in the 35 mm equivalent, which is never multiplied. A focal length
     that agrees with the equivalent better as it is stays so. `sensor-pitch` stays as well, since the zoom may
     be of another camera of the same drone.
     """

@@ -32,8 +32,8 @@ NOWHERE: Floats = np.column_stack([[], []])
 
 @dataclass(frozen=True)
 class TablePlaces:
-    """Longitudes and latitudes (n, 2) of a table in WGS 84, the CRS that it states of them or of its heights
-    (None without one), the projection of x and y, and what was assumed."""
+    """lonlat: longitudes and latitudes (n, 2) of a table, degrees in WGS 84. crs: that its coordinates or its
+    heights are in, None where none is stated. projection: of x and y. notes: what was assumed."""
 
     lonlat: Floats
     crs: CRS | None
@@ -103,7 +103,7 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     that hold eastings and northings are read as such.
 
     Args: near: longitudes and latitudes (k, 2) of the frames; fix: how a CRS is given, for errors.
-    Raises: `AmbiguousCrsError` where systems are left that put the items at different places; `InputError`
+    Raises: `AmbiguousCrsError` where systems are left that put the items at different places. `InputError`
     naming the line of a value out of range, columns that are swapped, or degrees in a map projection.
     """
     has = table.factors.keys()
