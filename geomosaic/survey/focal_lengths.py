@@ -94,9 +94,9 @@ def reported_focal_lengths(header: FrameHeader) -> Reported:
     from. The longer side is the sensor's width: an upright frame is one whose pixels were turned.
 
     A digital zoom enlarges a part of the sensor and leaves the lens in mm as it is. Focal lengths that follow
-    from the lens are multiplied by it. Most cameras count it in the 35 mm equivalent, which is never multiplied. A focal length
-    that agrees with the equivalent better as it is stays so. `sensor-pitch` stays as well, since the zoom may
-    be of another camera of the same drone.
+    from the lens are multiplied by it. Most cameras count it in the 35 mm equivalent, which is never
+    multiplied. A focal length that agrees with the equivalent better as it is stays so. `sensor-pitch` stays
+    as well, since the zoom may be of another camera of the same drone.
     """
     exif, height, width = header.exif, *sorted((header.width_px, header.height_px))
     if exif.model.lower().strip() in _ONE_LENGTH:
