@@ -7,11 +7,11 @@ import json
 import os
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from geomosaic import __version__
-from geomosaic.doors.files import RUN_MARKER
+from geomosaic.doors.files import RUN_MARKER, check_name
 from geomosaic.errors import OutputError
 from geomosaic.pipeline import files
 
@@ -32,7 +32,7 @@ class RunFolder:
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:
         self.path = path.absolute()
         self.overwrite = overwrite
-        self._made = self._listed()
+        self._made = self._marker() or set()
         self._listing = threading.RLock()
 
     @classmethod
@@ -40,8 +40,10 @@ class RunFolder:
         """The folder, made where missing, marked, and proven to be writable.
 
         Raises `OutputError`, before anything is made, if it holds files and no marker, or if one of the
-        results to be written is there and not in the marker's list.
+        results to be written is there and not in the marker's list. Raises `FileError` for a path that is
+        not in UTF-8.
         """
+        check_name(path.absolute())
         folder = cls(path, overwrite=overwrite)
         if any(c < " " or c == "\x7f" for c in str(folder.path)):
             problem = "has a line break or another control character in its path, which GDAL leaves out"
@@ -55,7 +57,7 @@ class RunFolder:
         for name in results:
             folder._check_free(name)
         files.make_folder(folder.path)
-        folder._save()
+        folder._change()
         return folder
 
     @property
@@ -73,18 +75,17 @@ class RunFolder:
         Raises `OutputError` if a file of that name is there that geomosaic did not make.
         """
         with self._listing:
-            self._check_free(name)
             if name not in self._made:
-                self._made.add(name)
-                self._save()
+                self._made |= self._marker() or set()
+                self._check_free(name)
+                self._change(listed={name})
         return self.within(name)
 
     def note(self, names: Iterable[str]) -> None:
         """Lists files that a stage wrote by itself."""
         with self._listing:
             if not self._made.issuperset(more := set(names)):
-                self._made |= more
-                self._save()
+                self._change(listed=more)
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
@@ -100,8 +101,7 @@ class RunFolder:
         """Removes a file or folder that the marker lists, and forgets it; another one is left alone."""
         if name in self._made:
             files.remove(self.within(name))
-            self._made.discard(name)
-            self._save()
+            self._change(dropped={name})
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -136,19 +136,39 @@ class RunFolder:
             return
         raise OutputError("is in the way, and geomosaic did not make it", file=path, fix=_OVERWRITE)
 
-    def _listed(self) -> set[str]:
+    def _marker(self) -> set[str] | None:
+        """The marker's names of files; None where it can't be read."""
         try:
             data = files.read_own(self.within(MARKER), _MOST_MARKER_BYTES)
             names = json.loads(data)["files"]
             return {name for name in names if isinstance(name, str) and _stays_inside(name)}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):  # none, or cut by a power failure
-            return set()
+            return None
 
-    def _save(self) -> None:
-        marker = {"made_by": f"geomosaic {__version__}", "files": sorted(self._made)}
-        files.write_json(self.within(MARKER), marker)
+    def _change(self, listed: Iterable[str] = (), dropped: Iterable[str] = ()) -> None:
+        """Adds names to the marker's list and takes others out. Names that another process listed stay."""
+        path = self.within(MARKER)
+        with self._listing, _locked(path):
+            there = self._marker()
+            self._made = ((self._made if there is None else there) | set(listed)) - set(dropped)
+            files.write_json(path, {"made_by": f"geomosaic {__version__}", "files": sorted(self._made)})
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Only one process at a time replaces a file, which others may have replaced while this one waited."""
+    with ExitStack() as stack:
+        with suppress(OSError):  # there is none yet, or the file system has no locks
+            while True:
+                handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+                stack.callback(os.close, handle)
+                fcntl.flock(handle, fcntl.LOCK_EX)
+                if os.path.samestat(os.fstat(handle), path.lstat()):
+                    break
+        yield
 
 
 def _stays_inside(name: str) -> bool:
     path = PurePosixPath(name)
-    return not path.is_absolute() and ".." not in path.parts
+    inside = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+    return inside and "\\" not in name and "\0" not in name

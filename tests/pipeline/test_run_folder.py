@@ -10,7 +10,7 @@ import pytest
 from small_surveys import geomosaic
 from test_pipeline_runner import Toys, toys  # noqa: F401
 
-from geomosaic.errors import LinkError, OutputError
+from geomosaic.errors import FileError, LinkError, OutputError
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.runner import run
 
@@ -148,3 +148,37 @@ def test_an_export_does_not_read_through_a_link(toys: Toys, capsys: pytest.Captu
     (toys.run_folder / "run.json").symlink_to(theirs)
     assert geomosaic("export", "vrt", toys.run_folder) == 2
     assert "run.json: is a link, and links are not followed there" in capsys.readouterr().err
+
+
+def test_two_commands_that_write_at_once_both_list_what_they_made(tmp_path: Path) -> None:
+    """As two exports of a finished run do."""
+    RunFolder.opened(tmp_path)
+    one, other = RunFolder(tmp_path), RunFolder(tmp_path)
+    for folder, name in ((one, "tiles"), (other, "mosaic.kmz"), (one, "mosaic.vrt")):
+        with folder.writing(name) as path:
+            path.write_text("x")
+    other.remove("tiles")
+    one.note(["work/more"])
+    assert RunFolder(tmp_path).made() == {"mosaic.kmz", "mosaic.vrt", "work/more"}
+    with RunFolder(tmp_path).writing("mosaic.kmz") as path:
+        path.write_text("again")
+
+
+def test_names_that_no_file_here_can_have_do_not_count(toys: Toys) -> None:  # noqa: F811
+    toys.run()
+    listed = json.loads((toys.run_folder / MARKER).read_text())
+    listed["files"] += ["work/a\\b", "work/\0", ""]
+    (toys.run_folder / MARKER).write_text(json.dumps(listed))
+    toys.run()
+    assert RunFolder(toys.run_folder).made().isdisjoint({"work/a\\b", "work/\0", ""})
+
+
+def test_a_folder_whose_name_is_not_utf_8_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / os.fsdecode(b"b\xff")
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    with pytest.raises(FileError, match="its name is not in UTF-8; rename it"):
+        RunFolder.opened(Path("run"))
+    assert not list(folder.iterdir())
