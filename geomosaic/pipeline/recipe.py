@@ -11,6 +11,7 @@ stages:
 
 from __future__ import annotations
 
+import types
 import typing
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ UNFINISHED = "run.unfinished.mcap"
 _MAX_BYTES = 1 << 20
 _FIX = "write a list of stages (stages: [survey.read, ...]); geomosaic stages names them"
 _CORRECT = "correct it"
+_NOTHING = ("", "~", "null", "Null", "NULL")
 _KEYS = ("name", "description", "seed", "stages")
 
 
@@ -208,7 +210,15 @@ def _absolute(stage: type[Stage], name: str, value: Any, base: Path) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         value = str(value)
     words = [w for a in typing.get_args(field.annotation) for w in typing.get_args(a)]
-    return base / Path(value).expanduser() if isinstance(value, str | Path) and value not in words else value
+    return base / _expanded(Path(value)) if isinstance(value, str | Path) and value not in words else value
+
+
+def _expanded(path: Path) -> Path:
+    """A path with the home folder for `~`; as it is where there is no such user."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        return path
 
 
 def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[str, Any]]) -> None:
@@ -228,11 +238,19 @@ def _override(override: str, stages: Sequence[type[Stage]], values: list[dict[st
                 raise UnknownNameError(
                     f"parameter of stage {id}", name, stage.Params.model_fields, file=f"--set {override}"
                 )
-            value = plain_yaml(text, f"--set {override}", _CORRECT)
-            as_text = isinstance(value, str | int | float) and not isinstance(value, bool)
-            if as_text and (accepts(field.annotation, Path) or accepts(field.annotation, str)):
-                value = text
+            stands = _stands_for_itself(field.annotation, text)
+            value = text if stands else plain_yaml(text, f"--set {override}", _CORRECT)
             params[name] = _absolute(stage, name, value, Path.cwd())
+
+
+def _stands_for_itself(annotation: Any, text: str) -> bool:
+    """Whether an override's text is the value, whatever YAML would make of it: a folder may be named
+    `2024-05-01` or `a: b`. A list is YAML, and so is nothing: an empty text, or null where it is allowed."""
+    kinds = (annotation, *typing.get_args(annotation))
+    if any(typing.get_origin(kind) in (list, tuple) for kind in kinds):
+        return False
+    nothing = text.strip() in (_NOTHING if types.NoneType in kinds else _NOTHING[:1])
+    return not nothing and any(kind in (Path, str) for kind in kinds)
 
 
 def check_wiring(stages: Sequence[type[Stage]], file: str | None = None) -> None:

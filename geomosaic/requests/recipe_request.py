@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from geomosaic.requests.of_frames import FramesRequest, crs_of
 from geomosaic.requests.option import INPUTS, Option, asked, required
-from geomosaic.requests.run_request import default_folder
+from geomosaic.requests.run_request import default_folder, override
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
@@ -51,7 +51,8 @@ class RecipeRequest(FramesRequest):
             strict=False,
         )
         given = asked.parameters()
-        return [f"{stage}.{name}={value}" for stage, of in given.items() for name, value in of.items()]
+        values = [(f"{id}.{name}", value) for id, of in given.items() for name, value in of.items()]
+        return [override(parameter, value) for parameter, value in values]
 
     def recipe(self) -> Recipe:
         """The checked recipe. Raises: `InputError` for what cannot be used."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.requests.option import OUTPUT, RUNNING, Option, asked, folder_given, required
-from geomosaic.requests.run_request import DASK, Job, RunRequest
+from geomosaic.requests.run_request import DASK, Job, RunRequest, override
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.recipe import Recipe
@@ -67,7 +67,7 @@ class ReplayRequest(RunRequest):
         if not recorded.recipe_yaml:
             raise FileError("it holds no recipe", file=path, fix="run the recipe itself")
         places = found_frames(recorded, self.frames) if self.frames is not None else {}
-        moved = [f"survey.read.frames={self.frames}"] if self.frames is not None else []
+        moved = [override("survey.read.frames", self.frames)] if self.frames is not None else []
         sets = [*self.set, *moved]
         recipe = _until(_recipe(recorded, sets), self.until, path)
         first = _first_stage(recipe, self.start, list(self.set), path)

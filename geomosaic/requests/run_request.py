@@ -226,6 +226,14 @@ def recipe_of(
     return recipe_from(plain, installed(), sets)
 
 
+def override(parameter: str, value: Any) -> str:
+    """STAGE.PARAMETER=VALUE as `--set` takes it. A relative path becomes absolute, so that no name of a file
+    means anything else."""
+    if isinstance(value, Path) and not str(value).startswith("~"):
+        value = value.absolute()
+    return f"{parameter}={value}"
+
+
 def default_folder(given: Path, what: str) -> Path:
     """The run folder where none is given: `FRAMES-mosaic` next to `FRAMES`."""
     place = given if given.name not in ("", "..") else given.resolve()

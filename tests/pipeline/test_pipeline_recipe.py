@@ -119,6 +119,17 @@ def test_overrides_win_and_are_checked(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
+    "name", ["2024-05-01", "a: b", "#5", "yes", "[x]", "@x", "null", "~nobody-here/x", "x #y"]
+)
+def test_a_file_may_have_any_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever YAML would make of it."""
+    path = recipe_file(tmp_path / "recipes")
+    monkeypatch.chdir(tmp_path)
+    recipe = load_recipe(path, registry(), [f"toy.read.file={name}"])
+    assert recipe.steps[0].params.model_dump()["file"] == tmp_path / name
+
+
+@pytest.mark.parametrize(
     ("override", "line"),
     [
         ("toy.power", "--set toy.power: not understood; write --set stage.id.parameter=value"),
