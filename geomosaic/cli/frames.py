@@ -44,15 +44,17 @@ def frames(
     from geomosaic.video.subtitles import read_subtitle_tracks, read_subtitles, tracks_readable
 
     check_regular(video, "give the path of a video")
+    folder = output or default_folder(video, "frames")
+    if folder.resolve() == Path.cwd():
+        raise OutputError("is the current folder", file=folder, fix="choose a new or empty folder with -o")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise OutputError("the folder holds files", file=folder, fix="choose a new or empty folder with -o")
     there = [p for p in (video.with_suffix(".SRT"), video.with_suffix(".srt")) if p.is_file()]
     srt = srt or next(iter(there), None)
     if srt is not None:
         positions = read_subtitles(srt)
     else:
         positions = read_subtitle_tracks(video) if tracks_readable() else []
-    folder = output or default_folder(video, "frames")
-    if folder.is_dir() and any(folder.iterdir()):
-        raise OutputError("the folder holds files", file=folder, fix="choose a new or empty folder with -o")
     with progress(quiet=quiet) as reporter, writing(folder) as part:
         part.mkdir()
         names = extract_frames(video, part, VideoOptions(overlap, positions), reporter.progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import gc
 import os
 import sys
@@ -13,6 +14,8 @@ from geomosaic.cli.memory import keep_freed_memory
 from geomosaic.cli.stopping import Stop, stoppable
 from geomosaic.errors import GeomosaicError
 
+_SHOWN = 60
+"""Characters of a name that is too long."""
 _OPTIONAL = {
     "rerun": "pip install 'geomosaic-ortho[view]'",
     "rerun_cli": "pip install 'geomosaic-ortho[view]'",
@@ -84,8 +87,22 @@ def _failed(error: Exception, stop: Stop) -> int:
     if isinstance(error, MemoryError):
         text = f"out of memory ({error}): take fewer --workers or a coarser --gsd; finished work is kept"
         return _fail(text, 1, error)
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        name = max(str(error.filename or "").rsplit("/"), key=len)[:_SHOWN]
+        return _fail(f"{name}...: the name is too long for the file system; give a shorter one", 2, error)
+    if isinstance(error, FileNotFoundError) and _nowhere():
+        return _fail("the current folder was removed; change to another one (cd) and run again", 2, error)
     text = f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
     return _fail(text, 1, error)
+
+
+def _nowhere() -> bool:
+    """Whether the current folder is gone."""
+    try:
+        os.getcwd()  # noqa: PTH109 - without pathlib, which the first moments do not load
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def _fail(text: str, exit_code: int, error: Exception | None = None) -> int:

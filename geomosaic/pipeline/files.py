@@ -27,6 +27,7 @@ _FIXES = {
     errno.EEXIST: ("a file stands where a folder is needed", "choose another output folder"),
     errno.EISDIR: ("a folder stands where the file is to go", "move it away"),
     errno.EFBIG: ("the file is too large for the disk", "choose another output folder"),
+    errno.ENAMETOOLONG: ("the name is too long for the file system", "choose a shorter one"),
     errno.ENOENT: ("the folder can't be made", "choose another output folder"),
 }
 
@@ -109,9 +110,9 @@ def writing(path: Path) -> Iterator[Path]:
         _remove_temporary(temporary)
 
 
-def sweep(folder: Path) -> None:
-    """Removes what killed runs left half-written in a folder that no other run is writing to."""
-    for path in folder.iterdir():
+def sweep(*folders: Path) -> None:
+    """Removes what killed runs left half-written in folders that no other run is writing to."""
+    for path in (path for folder in folders for path in folder.iterdir()):
         if _LEFTOVER.fullmatch(path.name):
             _remove_temporary(path)
 
