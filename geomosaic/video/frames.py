@@ -19,6 +19,7 @@ from geomosaic.video.subtitles import VideoPosition
 _LOOKS_PER_S = tuned(6.0, "looks/s", "fewer miss fast drones' overlap; more only take time")
 _LOOK_PX = tuned(320, "px", "longer side of a look: sharpness and motion to a hundredth of the frame show")
 _WINDOW = tuned(0.3, "of a frame's step", "about its end, in which the sharpest is taken")
+_REACH_S = tuned(2.0, "s", "from a written position: more outlasts a loss of GNSS; less needs many a second")
 _LOST = tuned(0.05, "peak of the phase correlation", "less: unrelated images, such as after a cut")
 _QUALITY: Final = 95
 POSITIONS: Final = "pos.csv"
@@ -48,9 +49,11 @@ def extract_frames(video: Path, folder: Path, options: VideoOptions, report: Rep
     """Writes frames as JPEG into the folder, and their positions to pos.csv; returns the frames' names.
 
     A frame is due once the image has moved on by what the overlap leaves since the last one; of the frames
-    about that moment the sharpest is taken. Standing still gives none.
+    about that moment the sharpest is taken. Standing still gives none. A frame has the position between those
+    written before and after it, and none where these are more than `_REACH_S` away.
 
-    Raises: `FileError` for what is no video, `InputError` where no two frames are to be had.
+    Raises: `FileError` for what is no video, `InputError` where no two frames can be chosen, or no frame has
+    any of the positions.
     """
     chosen = {look.number: look.time_s for look in _chosen(_looks(video, report), 1.0 - options.overlap)}
     if len(chosen) < 2:
@@ -65,7 +68,11 @@ def extract_frames(video: Path, folder: Path, options: VideoOptions, report: Rep
             raise FileError("a frame cannot be written as JPEG", file=video, fix="convert the video to MP4")
         (folder / names[number]).write_bytes(data.tobytes())
     if options.positions:
-        rows = [(names[n], _at(options.positions, chosen[n])) for n in sorted(names)]
+        places = {n: _at(options.positions, chosen[n]) for n in sorted(names)}
+        rows = [(names[n], place) for n, place in places.items() if place is not None]
+        if not rows:
+            fix = "give the SRT file of this video with --srt"
+            raise InputError("no frame was taken while positions were written", file=video, fix=fix)
         _write_positions(folder / POSITIONS, rows)
     return [names[n] for n in sorted(names)]
 
@@ -96,12 +103,15 @@ def _looks(video: Path, report: Report) -> Iterator[_Look]:
     rate = reader.get(cv2.CAP_PROP_FPS)
     rate = rate if 1.0 <= rate <= 1000.0 else 30.0
     step, total = max(round(rate / _LOOKS_PER_S), 1), int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
-    number = 0
+    number, time_s = 0, 0.0
     while reader.grab():
+        # The time that the file states: phones and some drones do not keep their rate.
+        stated_s = reader.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+        time_s = stated_s if stated_s > time_s or number == 0 else time_s + 1.0 / rate
         if number % step == 0:
             good, image = reader.retrieve()
             if good:
-                yield _look(number, number / rate, image)
+                yield _look(number, time_s, image)
             report(number, max(total, number + 1), "motion in the video")
         number += 1
 
@@ -145,10 +155,28 @@ def _moved(one: _Look, other: _Look) -> float:
     return float(1.0 - max(1.0 - abs(right) / width, 0.0) * max(1.0 - abs(down) / height, 0.0))
 
 
-def _at(positions: Sequence[VideoPosition], time_s: float) -> VideoPosition:
-    """The last one written before, or the first."""
+def _at(positions: Sequence[VideoPosition], time_s: float) -> VideoPosition | None:
+    """Between the last one written before and the next; None where neither is near."""
     times = np.array([one.time_s for one in positions])
-    return positions[max(int(np.searchsorted(times, time_s + 1e-6)) - 1, 0)]
+    k = int(np.searchsorted(times, time_s, side="right"))
+    near = [one for one in positions[max(k - 1, 0) : k + 1] if abs(one.time_s - time_s) <= _REACH_S]
+    if not near:
+        return None
+    first, last = near[0], near[-1]
+    span_s = last.time_s - first.time_s
+    share = (time_s - first.time_s) / span_s if span_s > 0.0 else 0.0
+
+    def between(a: float | None, b: float | None) -> float | None:
+        return None if a is None or b is None else a + share * (b - a)
+
+    east_deg = (last.lon_deg - first.lon_deg + 180.0) % 360.0 - 180.0
+    return VideoPosition(
+        time_s,
+        (first.lon_deg + share * east_deg + 180.0) % 360.0 - 180.0,
+        first.lat_deg + share * (last.lat_deg - first.lat_deg),
+        between(first.height_m, last.height_m),
+        between(first.above_take_off_m, last.above_take_off_m),
+    )
 
 
 def _write_positions(path: Path, rows: Sequence[tuple[str, VideoPosition]]) -> None:

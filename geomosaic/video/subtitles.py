@@ -1,4 +1,4 @@
-"""Subtitles in which drones write where they were, by DJI's formats: an SRT file, or a track of the video."""
+"""Subtitles with a drone's positions, by DJI's formats: an SRT file, or a track of the video."""
 
 from __future__ import annotations
 
@@ -14,15 +14,21 @@ from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.errors import FileError, InputError
 
 _BEGIN: Final = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{3})\s*-->")
-_NUMBER: Final = r"\s*:?\s*([-+]?\d{1,7}(?:\.\d{1,15})?)"
+_FIGURE: Final = r"([-+]?\d{1,7}(?:[.,]\d{1,15})?)"
+"""With a point or, by the language of some controllers, a comma."""
+_NUMBER: Final = r"\s*:?\s*" + _FIGURE
 _NAMED: Final = {
     "lat": re.compile(r"\blatitude" + _NUMBER, re.IGNORECASE),
     "lon": re.compile(r"\blongt?itude" + _NUMBER, re.IGNORECASE),
     "height": re.compile(r"\b(?:abs_alt|altitude)" + _NUMBER, re.IGNORECASE),
-    "above": re.compile(r"\brel_alt" + _NUMBER, re.IGNORECASE),
+    "above": re.compile(rf"\b(?:rel_alt{_NUMBER}|BAROMETER{_NUMBER}|H\s+{_FIGURE}\s*m\b)", re.IGNORECASE),
 }
-_GPS: Final = re.compile(r"\bGPS\s*\(([-+]?\d{1,3}\.\d{1,12}),\s*([-+]?\d{1,2}\.\d{1,12})\b", re.IGNORECASE)
-"""Older drones: longitude, latitude, and the number of satellites."""
+_GPS: Final = re.compile(
+    r"\bGPS\s*\(([-+]?\d{1,3}\.\d{1,12}),\s*([-+]?\d{1,3}\.\d{1,12}),\s*[-+]?\d{1,6}(?:\.\d{1,6})?\s*(M?)\)",
+    re.IGNORECASE,
+)
+"""Older drones: longitude, latitude, number of satellites. Where the third is a height in metres, latitude
+stands first (Matrice 300)."""
 _TRACK_HEAD: Final = 2
 """Bytes of a text's length before it: 3GPP TS 26.245 (timed text), section 5.17."""
 _FIX: Final = "give the SRT file that the drone wrote, or leave out --srt"
@@ -103,10 +109,14 @@ def _positions(texts: Iterable[tuple[float, str]]) -> list[VideoPosition]:
 
 
 def _position(time_s: float, words: str) -> VideoPosition | None:
-    found = {name: float(m[1]) for name, pattern in _NAMED.items() if (m := pattern.search(words))}
+    matches = {name: m for name, pattern in _NAMED.items() if (m := pattern.search(words))}
+    found = {name: float(next(filter(None, m.groups())).replace(",", ".")) for name, m in matches.items()}
     if (gps := _GPS.search(words)) is not None:
-        found |= {"lon": float(gps[1]), "lat": float(gps[2])}
-    lon, lat = found.get("lon", 0.0), found.get("lat", 0.0)
+        first, second = float(gps[1]), float(gps[2])
+        found["lon"], found["lat"] = (second, first) if gps[3] else (first, second)
+    if not {"lon", "lat"} <= found.keys():
+        return None
+    lon, lat = found["lon"], found["lat"]
     if not (-180.0 <= lon <= 180.0 and -90.0 <= lat <= 90.0) or (lon == 0.0 and lat == 0.0):
         return None  # no fix yet
     return VideoPosition(time_s, lon, lat, found.get("height"), found.get("above"))

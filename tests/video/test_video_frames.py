@@ -77,6 +77,80 @@ def test_sharp_frames_a_quarter_apart_with_their_positions(tmp_path: Path) -> No
     assert {(row["altitude_m"], row["relative_altitude_m"]) for row in rows} == {("512.300", "50.100")}
 
 
+def _rows(folder: Path) -> dict[int, dict[str, str]]:
+    """pos.csv by the frames' numbers."""
+    with (folder / "pos.csv").open(encoding="utf-8") as file:
+        return {int(row["frame"][-10:-4]): row for row in csv.DictReader(file)}
+
+
+def _east_m(rows: dict[int, dict[str, str]]) -> np.ndarray:
+    return np.array(
+        [(float(row["lon_deg"]) - 11.0) * 111_320.0 * np.cos(np.radians(48.0)) for row in rows.values()]
+    )
+
+
+def _subtitles_at(path: Path, times_s: np.ndarray, east_m: np.ndarray) -> None:
+    lons = 11.0 + east_m / (111_320.0 * np.cos(np.radians(48.0)))
+    path.write_text(
+        "".join(
+            f"1\n00:00:{t:06.3f} --> 00:00:{t + 1.0:06.3f}\n[latitude: 48.0] [longitude: {lon:.9f}]\n\n"
+            for t, lon in zip(times_s, lons, strict=True)
+        ),
+        encoding="utf-8",
+    )
+
+
+def test_a_frame_lies_between_the_positions_of_two_seconds_and_nowhere_after_the_last(tmp_path: Path) -> None:
+    """3 m a second, one subtitle a second, and none after the fifth; the video has ten seconds."""
+    video = tmp_path / "a.mp4"
+    _video(video, np.linspace(0.0, 1800.0, 10 * RATE, endpoint=False))
+    times_s = np.arange(5.0)
+    _subtitles_at(tmp_path / "a.srt", times_s, 3.0 * times_s)
+    assert main(["frames", str(video), "-q"]) == 0
+    folder = tmp_path / "a-frames"
+    rows, taken = _rows(folder), sorted(int(p.stem[-6:]) for p in folder.glob("*.jpg"))
+    assert list(rows) == [n for n in taken if n / RATE <= 6.0] and len(rows) < len(taken)
+    np.testing.assert_allclose(_east_m(rows), [min(3.0 * n / RATE, 12.0) for n in rows], atol=0.01)
+
+
+def test_positions_of_another_time_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    video = tmp_path / "a.mp4"
+    _video(video, np.linspace(0.0, 960.0, 100))
+    _subtitles_at(tmp_path / "a.srt", np.array([40.0, 41.0]), np.zeros(2))
+    assert main(["frames", str(video), "-q"]) == 2
+    assert "no frame was taken while positions were written" in capsys.readouterr().err
+
+
+def test_frames_of_a_variable_rate_have_the_time_that_the_video_states(tmp_path: Path) -> None:
+    """30 frames a second for two seconds, then 10 for eight: 15 in the mean. 40 px and 4 m a second."""
+    av = pytest.importorskip("av")
+    times_s = np.concatenate([np.arange(60) / 30.0, 2.0 + np.arange(80) / 10.0])
+    texture, video = _texture(), tmp_path / "a.mp4"
+    with av.open(str(video), "w") as file:
+        stream = file.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = WIDTH, HEIGHT, "yuv420p", 8_000_000
+        stream.codec_context.time_base = Fraction(1, 3000)
+        for t in times_s:
+            at = round(120.0 * t)
+            image = np.ascontiguousarray(texture[200 : 200 + HEIGHT, at : at + WIDTH])
+            frame = av.VideoFrame.from_ndarray(image, format="bgr24")
+            frame.pts, frame.time_base = round(3000 * t), Fraction(1, 3000)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    _subtitles_at(tmp_path / "a.srt", np.arange(11.0), 12.0 * np.arange(11.0))
+    assert main(["frames", str(video), "-q"]) == 0
+    rows = _rows(tmp_path / "a-frames")
+    assert len(rows) > 5
+    np.testing.assert_allclose(_east_m(rows), 12.0 * times_s[list(rows)], atol=0.05)
+
+
+def test_a_latitude_without_a_longitude_is_no_place(tmp_path: Path) -> None:
+    srt = tmp_path / "a.srt"
+    srt.write_text("1\n00:00:00,000 --> 00:00:01,000\n[latitude: 48.1] [longitude: n/a]\n\n")
+    with pytest.raises(InputError, match="no subtitle has a latitude and a longitude"):
+        read_subtitles(srt)
+
+
 def _with_track(video: Path, srt: Path, out: Path) -> None:
     """The video with its subtitles as a track, after one without positions."""
     av = pytest.importorskip("av")
@@ -149,8 +223,10 @@ def test_a_mosaic_comes_of_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("GPS(11.5731,48.1372,19) BAROMETER:45.2", (11.5731, 48.1372, None, None)),
-        ("F/2.8, SS 320, ISO 100, GPS (-8.1, 52.25, 16), D 24.9m, H 6.0m", (-8.1, 52.25, None, None)),
+        ("GPS(11.5731,48.1372,19) BAROMETER:45.2", (11.5731, 48.1372, None, 45.2)),
+        ("GPS(36.6146,-6.1120,0.0M) BAROMETER:0.3M", (-6.112, 36.6146, None, 0.3)),
+        ("F/2.8, SS 320, ISO 100, GPS (-8.1, 52.25, 16), D 24.9m, H 6.0m", (-8.1, 52.25, None, 6.0)),
+        ("[latitude: 48,5] [longitude: 11,567] [rel_alt: 1,3 abs_alt: 512,3]", (11.567, 48.5, 512.3, 1.3)),
         ("[latitude : -33.5] [longitude : 151.25] [altitude: 61.5]", (151.25, -33.5, 61.5, None)),
     ],
 )
