@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import shapely
 from pyproj import CRS
 
@@ -157,7 +158,7 @@ def _band(tiff: Raster, number: int) -> dict[str, Any]:
     band_fields = {
         "name": tiff.descriptions[k] or tiff.colorinterp[k].name,
         "data_type": tiff.dtypes[k],
-        "nodata": tiff.nodatavals[k],
+        "nodata": _nodata(tiff.nodatavals[k]),
         "unit": tiff.units[k],
     }
     statistics = {
@@ -168,9 +169,14 @@ def _band(tiff: Raster, number: int) -> dict[str, Any]:
     return {k: v for k, v in {**band_fields, "statistics": statistics}.items() if v not in (None, "", {})}
 
 
+def _nodata(value: float | None) -> float | str | None:
+    """As STAC has it: JSON has no number for NaN and infinity."""
+    return value if value is None or np.isfinite(value) else str(value)
+
+
 def write_stac(path: Path, item: dict[str, Any]) -> None:
     """The item as JSON."""
-    path.write_text(json.dumps(item, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(item, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _utc(time_s: float) -> datetime:

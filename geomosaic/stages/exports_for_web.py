@@ -123,7 +123,7 @@ def export_vrt(mosaic_file: RunFile, context: Context) -> RunFile:
 
 
 @stage(
-    "export.stac", "Write a STAC item", group="Export", version=3, outputs="stac_file", results=(ITEM,),
+    "export.stac", "Write a STAC item", group="Export", version=4, outputs="stac_file", results=(ITEM,),
     cached=False,
 )  # fmt: skip
 def export_stac(

@@ -16,7 +16,7 @@ from stac_schema import check_schema
 
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
-from geomosaic.export.stac import coverage_of_scene, stac_item
+from geomosaic.export.stac import coverage_of_scene, stac_item, write_stac
 from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
@@ -109,6 +109,24 @@ def test_assets_of_one_stem_stand_next_to_each_other(tmp_path):
         "mosaic_RPC": "./mosaic_RPC.TXT",
         "mosaic_pmtiles": "./mosaic.pmtiles",
     }
+
+
+def test_a_stac_item_is_json_where_nodata_is_nan(tmp_path):
+    """accuracy.tif has NaN, for which JSON has no number."""
+    with rasterio.open(
+        tmp_path / "accuracy.tif", "w", driver="GTiff", width=2, height=2, count=1, dtype="float32",
+        nodata=float("nan"), crs="EPSG:32632", transform=rasterio.Affine(1, 0, 500000, 0, -1, 5000000),
+    ) as raster:  # fmt: skip
+        raster.write(np.ones((1, 2, 2), np.float32))
+    coverage = coverage_of_scene(np.array([[9.0, 45.0], [9.1, 45.0], [9.1, 45.1]]), 1.0, 2, 2)
+    write_stac(tmp_path / "i.json", stac_item("x", coverage, [], 0.0, tmp_path))
+
+    def no_number(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    item = json.loads((tmp_path / "i.json").read_text(), parse_constant=no_number)
+    assert item["assets"]["accuracy"]["bands"][0]["nodata"] == "nan"
+    check_schema(item)
 
 
 def test_the_stac_item_lists_what_is_there(run):
