@@ -28,8 +28,9 @@ class Orientations:
     pitch -90 at the nadir, roll the body's. omega_phi_kappa_deg (n, 3): relative to the map grid's east and
     north at the frame, in the order of `Rotation.from_omega_phi_kappa`. covariance_m2 (n, 3, 3): of easting,
     northing, up; sd_m (n, 3): the same as deviations. sd_omega_phi_kappa_deg (n, 3). Frames that no
-    adjustment moved keep the deviations of their POS. moved_m (n,): distance in space from the prior
-    position. turned_deg (n,): angle between prior and adjusted rotation.
+    adjustment moved keep the deviations of their POS; those in plan are unknown where nobody reported the
+    position. moved_m (n,): distance in space from the prior position. turned_deg (n,): angle between prior
+    and adjusted rotation.
     """
 
     names: tuple[str, ...]
@@ -57,6 +58,7 @@ def orientations(survey: Survey, prior: Poses, adjusted: Adjusted) -> Orientatio
     turned = np.arccos(np.clip(cosine, -1.0, 1.0))
     still = (moved_m < SLIGHT) & (np.abs(turn - np.eye(3)).max(axis=(-1, -2)) < SLIGHT)
     place, axes = _covariances(adjusted, prior, still)
+    place[still & position_assumed(prior), :2] = np.nan
     covariance_m2 = _turned_covariance(grid, place)
     angles = _turned_covariance(_angles_from_axes(omega, phi) @ grid, axes)
     return Orientations(

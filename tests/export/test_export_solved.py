@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from osgeo import ogr
 from osgeo_utils.samples import validate_gpkg
+from pyogrio import read_info
 from pyproj import Transformer
 from solved_block import ALONE, WORK, solved_block
 
@@ -112,6 +113,28 @@ def test_deviations_are_those_of_finite_differences(solved):
     independent = replace(adjusted, pose_covariance=covariance * np.eye(6))
     other = orientations(solved.survey, solved.placement.poses, independent)
     assert np.abs(other.sd_omega_phi_kappa_deg / o.sd_omega_phi_kappa_deg - 1.0).max() > 0.2
+
+
+def test_a_position_that_nobody_reported_has_no_ellipse(solved, tmp_path):
+    """Its prior of 100 km made an ellipse of the size of a continent."""
+    sd_m = solved.placement.poses.positions_sd_m.copy()
+    sd_m[ALONE] = (1e5, 1e5, 5.0)
+    prior = replace(solved.placement.poses, positions_sd_m=sd_m)
+    positions_m = solved.adjusted.poses.positions_m.copy()
+    positions_m[ALONE] = prior.positions_m[ALONE]
+    rotations = solved.adjusted.poses.rotations.copy()
+    rotations[ALONE] = prior.rotations[ALONE]
+    poses = replace(solved.adjusted.poses, positions_m=positions_m, rotations=rotations)
+    adjusted = replace(solved.adjusted, poses=poses)
+    o = orientations(solved.survey, prior, adjusted)
+    assert np.isnan(o.sd_m[ALONE, :2]).all() and o.sd_m[ALONE, 2] == pytest.approx(5.0)
+    assert np.isfinite(np.delete(o.sd_m, ALONE, axis=0)).all()
+    placement = replace(solved.placement, poses=prior)
+    path = tmp_path / "l.gpkg"
+    write_layers(path, SolvedSurvey(solved.survey, placement, solved.ties, adjusted, solved.mosaic))
+    read = read_info(str(path), layer="error_ellipses", force_total_bounds=True)
+    west, south, east, north = read["total_bounds"]
+    assert max(east - west, north - south) < 1000.0
 
 
 def test_an_untied_frame_has_the_deviations_of_its_prediction(solved, tmp_path):
