@@ -15,6 +15,7 @@ from geomosaic.composition.model import Mosaic
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.on_map import map_from_work
 from geomosaic.export.orientation import Orientations
+from geomosaic.geodesy.mapcrs import is_local
 from geomosaic.matching.model import TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import footprint, ground_from_images
@@ -22,7 +23,7 @@ from geomosaic.quality.compare import Comparison
 from geomosaic.quality.seam_check import SeamCheck
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
 from geomosaic.report.layers import MapLayer, arrows, flat, labels_of, outlines, thinned, thinning_note
-from geomosaic.report.numbers import short, whole
+from geomosaic.report.numbers import on_ground, short, whole
 from geomosaic.survey.model import Survey
 
 _MOST_ARROWS: Final = 2500
@@ -86,6 +87,14 @@ class FrameLayers:
     @property
     def _odd(self) -> list[int]:
         return [i for i, status in enumerate(self.adjusted.status) if status != "tied"]
+
+    @property
+    def _unscaled_px_m(self) -> float | None:
+        """The ground pixel of a map without a scale."""
+        return self.placement.ground_pixel_m if is_local(self.survey.map_crs) else None
+
+    def _on_ground(self, length_m: float) -> str:
+        return on_ground(length_m, self._unscaled_px_m)
 
     def _footprints(self) -> MapLayer:
         return MapLayer(
@@ -154,7 +163,7 @@ class FrameLayers:
         vectors *= np.minimum(1.0, longest / np.maximum(length, 1e-9))[:, None]
         factor = exaggeration(length, self._at_m, _ARROWS_OF_SPACING)
         thin = thinning_note(len(taken), len(usable))
-        cut = f", cut at {short(longest, 'm')}" if np.nanmax(length, initial=0.0) > longest else ""
+        cut = f", cut at {self._on_ground(longest)}" if np.nanmax(length, initial=0.0) > longest else ""
         note = f"of tie points that count, left to right frame, {_larger(factor)}{cut}{thin}"
         lines = arrows(start, vectors, factor, self.origin)
         return MapLayer("residuals", "Residuals", "#ff6b6b", lines=lines, weight=1.1, note=note)
@@ -193,7 +202,7 @@ class FrameLayers:
         ellipses = error_ellipses(self.orientation.covariance_m2[:, :2, :2])
         factor = exaggeration(ellipses.semi_major_m, self._at_m)
         rings = ellipses.outlines_m(self._at_m, factor)[:, ::2]
-        usual = short(float(np.nanmedian(ellipses.semi_major_m)), "m")
+        usual = self._on_ground(float(np.nanmedian(ellipses.semi_major_m)))
         note = f"of 1 σ, {_larger(factor)}; median semi-axis {usual}"
         return MapLayer(
             "ellipses", "Error ellipses", "#b388ff", areas=outlines(rings, self.origin),
@@ -220,10 +229,13 @@ class FrameLayers:
 
     def _holes(self, mosaic: Mosaic) -> MapLayer:
         holes = mosaic.holes.largest
+        px_m = self._unscaled_px_m
+        areas = [short(h.area_m2 if px_m is None else h.area_m2 / px_m**2) for h in holes]
+        unit = "m²" if px_m is None else "px²"
         return MapLayer(
             "holes", "Holes", "#ff1744",
             points=[flat(np.array([h.easting_m, h.northing_m]), self.origin) for h in holes],
-            labels=[f"no frame shows {short(h.area_m2, 'm²')} here" for h in holes], shown=True,
+            labels=[f"no frame shows {area} {unit} here" for area in areas], shown=True,
         )  # fmt: skip
 
 

@@ -100,6 +100,7 @@ def render_report(report: FramesReport) -> str:
     scale = arrow_scale(mapped, mosaic.grid.gsd_m * max(mosaic.grid.width_px, mosaic.grid.height_px))
     drawn = FrameLayers(survey, placement, ties, adjusted, orientation, footprints_m, origin, pixel_m)
     on_earth = not is_local(mosaic.grid.crs)
+    unscaled_px_m = None if on_earth else placement.ground_pixel_m
     begin = PageHead(
         title="Mosaic of " + plural(len(survey.frames), "frame"),
         run=report.name,
@@ -133,13 +134,15 @@ def render_report(report: FramesReport) -> str:
         surface_script=part("surface_profile.js"),
         judged=judged,
         trimmed_rows=parts.trimmed_rows(mosaic.trimmed, mosaic.grid.crs),
-        composition_rows=parts.composition_rows(report.summary.get("metrics", {})),
+        composition_rows=parts.composition_rows(report.summary.get("metrics", {}), unscaled_px_m),
         comparison=comparison,
         comparison_rows=comparison_rows(comparison) if comparison else [],
-        before=parts.misaligned_px(adjusted, 0, placement.ground_pixel_m) if adjusted.rounds else None,
+        before=parts.misaligned_px(adjusted, 0, placement.ground_pixel_m)
+        if adjusted.rounds and on_earth
+        else None,
         rounds=markup(parts.rounds_plot(adjusted, placement.ground_pixel_m)),
         residuals=markup(parts.residuals_plot(adjusted, placement.ground_pixel_m)),
-        worst_pairs=parts.worst_pairs(survey, pair_misalignments(ties, adjusted.residuals_m)),
+        worst_pairs=parts.worst_pairs(survey, pair_misalignments(ties, adjusted.residuals_m), unscaled_px_m),
         control=points,
         solved=solved_section(survey, placement, adjusted, ground),
         cameras=parts.camera_rows(survey, adjusted),

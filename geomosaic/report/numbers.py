@@ -53,6 +53,11 @@ def length(metres: float) -> str:
     return short(metres * 100.0, "cm") if metres < 1.0 else short(metres, "m")
 
 
+def on_ground(metres: float, pixel_m: float | None) -> str:
+    """A length on the map in metres; where it has no scale, in its pixels of this side."""
+    return short(metres, "m") if pixel_m is None else short(metres / pixel_m, "px")
+
+
 def cm(metres: float) -> str:
     """A residual or a deviation in cm, to a millimetre below a metre."""
     if not math.isfinite(metres):

@@ -17,7 +17,7 @@ from geomosaic.placement.model import Placement
 from geomosaic.quality import ranking
 from geomosaic.quality.misalignment import PairMisalignments
 from geomosaic.quality.solved_tables import DOWN_WEIGHTED, tie_weights
-from geomosaic.report.numbers import UNKNOWN, percent, short
+from geomosaic.report.numbers import UNKNOWN, on_ground, percent, short
 from geomosaic.report.plots import Axis, Series, histogram, line_plot
 from geomosaic.report.table import Cell, ReportTable, TableRow, count, number
 from geomosaic.survey.model import Survey
@@ -39,7 +39,10 @@ def frame_table(
     warned: Mapping[str, int],
 ) -> ReportTable:
     """Frames in order of the survey: how far each was moved (3D) and turned from its POS, what is left at its
-    tie points, how sure its place is. warned: how often each is named in a warning."""
+    tie points, how sure its place is. Lengths are in ground pixels in a local frame.
+
+    warned: how often each is named in a warning.
+    """
     n = len(orientation.names)
     points, taken = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     squares = np.zeros(n)
@@ -52,6 +55,8 @@ def frame_table(
         taken[[pair.left, pair.right]] += int(counts.sum())
     left_m = np.where(taken > 0, np.sqrt(squares / np.maximum(taken, 1)), np.nan)
     sd_m = np.linalg.norm(orientation.sd_m[:, :2], axis=1)
+    local = bool(np.isnan(orientation.lon_lat_height[:, 0]).all())
+    unit, unit_m = ("px", placement.ground_pixel_m) if local else ("m", 1.0)
     rows = [
         TableRow(
             i,
@@ -60,9 +65,9 @@ def frame_table(
                 Cell(name),
                 Cell(orientation.status[i]),
                 number(float(left_m[i] / placement.ground_pixel_m), "px"),
-                number(float(orientation.moved_m[i]), "m"),
+                number(float(orientation.moved_m[i] / unit_m), unit),
                 number(float(orientation.turned_deg[i]), "°"),
-                number(float(sd_m[i]), "m"),
+                number(float(sd_m[i] / unit_m), unit),
                 count(int(points[i])),
                 count(warned.get(name, 0)),
                 count(placement.lines[i]),
@@ -115,16 +120,18 @@ def residuals_plot(adjusted: Adjusted, ground_pixel_m: float) -> str | None:
     return histogram(length, Axis("residual", "ground px"), label="residuals of the tie points on the ground")
 
 
-def worst_pairs(survey: Survey, pairs: PairMisalignments) -> list[dict[str, object]]:
-    """The pairs with the largest residuals."""
+def worst_pairs(
+    survey: Survey, pairs: PairMisalignments, pixel_m: float | None = None
+) -> list[dict[str, object]]:
+    """The pairs with the largest residuals. pixel_m: what these are stated in, in a local frame."""
     return [
         {
             "left": survey.frames[pairs.left[i]].name,
             "right": survey.frames[pairs.right[i]].name,
             "points": int(pairs.points[i]),
-            "mean_m": float(pairs.length_m[i]),
-            "rms_m": float(pairs.rms_m[i]),
-            "max_m": float(pairs.max_m[i]),
+            "mean": on_ground(float(pairs.length_m[i]), pixel_m),
+            "rms": on_ground(float(pairs.rms_m[i]), pixel_m),
+            "largest": on_ground(float(pairs.max_m[i]), pixel_m),
         }
         for i in ranking.worst_pairs(pairs.rms_m, _WORST_PAIRS)
         if np.isfinite(pairs.rms_m[i])
@@ -181,9 +188,11 @@ def trimmed_rows(trimmed: Trimmed | None, map_crs: str) -> list[tuple[str, str, 
     ]
 
 
-def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+def composition_rows(
+    metrics: Mapping[str, Any], pixel_m: float | None = None
+) -> list[tuple[str, str, str, str]]:
     """How frames were evened and where their seams lie: name, before, after, what it means. None where frames
-    stayed as they are."""
+    stayed as they are. pixel_m: what lengths are stated in, in a local frame."""
     out = []
     if (grey := metrics.get("tones", {}).get("difference_grey")) is not None:
         out.append(
@@ -210,8 +219,8 @@ def composition_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str, str, st
         out.append(
             (
                 "length of seams",
-                short(nearest["length_m"], "m"),
-                short(cut["length_m"], "m"),
+                on_ground(nearest["length_m"], pixel_m),
+                on_ground(cut["length_m"], pixel_m),
                 "in steps of the cells they are cut in",
             )
         )

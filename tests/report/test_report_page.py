@@ -18,6 +18,7 @@ import geomosaic
 from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.export.orientation import orientations
+from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.pipeline.stage import Context
 from geomosaic.report import warnings
 from geomosaic.report.frames import FramesReport, render_report
@@ -178,6 +179,31 @@ def test_severities_are_of_codes_that_there_are():
     }
     assert not (warnings._SEVERE | warnings._ROUTINE) - said
     assert not warnings._SEVERE & warnings._ROUTINE
+
+
+def test_a_map_without_a_scale_has_no_metres(run):
+    """Frames without positions: lengths are in ground pixels, as nothing says how long a metre is."""
+    seams = {"nearest_nadir": {"length_m": 972.5, "difference_mean": 1.0, "difference_90": 2.0}}
+    seams["least_difference"] = seams["nearest_nadir"]
+    poses = run["placement"].poses
+    unknown = replace(poses, positions_sd_m=np.full((12, 3), 1e5))
+    grid = replace(run["mosaic"].grid, crs=LOCAL_CRS)
+    local = {
+        "survey": replace(run["survey"], map_crs=LOCAL_CRS, control=()),
+        "placement": replace(run["placement"], poses=unknown),
+        "adjusted": replace(run["adjusted"], control=()),
+        "mosaic": replace(run["mosaic"], grid=grid),
+        "summary": {"metrics": {"seams": seams}},
+        "comparison": None,
+        "verdict": None,
+    }
+    html = render_report(FramesReport(**{**run, **local}))
+    assert not re.findall(r".{40}\d\u00a0(?:m|cm|m²|ha)\b", html)
+    words = " ".join(Page(html).words.split())
+    assert (
+        "9 725 px" in words.replace("\u202f", " ").replace("\u00a0", " ")
+        and "As POS placed them" not in words
+    )
 
 
 def test_the_plain_run_without_reference_rounds_or_ties(run):
