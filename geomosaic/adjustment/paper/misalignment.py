@@ -107,5 +107,5 @@ def offset_net(block: Block) -> OffsetNet:
     hit: Bools = np.asarray(np.isfinite(plan_m).all(axis=1))
     ends = all_ends if hit.all() else tuple(its[:, hit[its[0]] & hit[its[1]]] for its in all_ends)
     seen = [k for k, its in enumerate(ends) if its.size]
-    pairs = np.array([block.ties.frames[k] for k in seen], dtype=np.intp).reshape(-1, 2)
+    pairs = np.array(block.ties.frames, dtype=np.intp).reshape(-1, 2)[np.array(seen, dtype=np.intp)]
     return OffsetNet(len(block.names), pairs, plan_m, tuple(ends[k] for k in seen), block.ground_pixel_m)
