@@ -64,14 +64,19 @@ def tags_from_block(block: Block) -> Tags:
 
 
 def xmp_from_block(block: Block, most_bytes: int) -> bytes:
-    """The XMP packet of a TIFF's main directory, empty without one or where it is longer than most_bytes."""
+    """The XMP packet of a TIFF's main directory, else of its Exif one, where FLIR's cameras have it. It is
+    empty without one or where it is longer than most_bytes."""
     order = _byte_order(block)
     if not order:
         return b""
-    for entry, number, kind, count in _entries(block, struct.unpack_from(f"{order}I", block, 4)[0], order):
-        if number == 700 and kind in (1, 7) and count <= most_bytes:  # Adobe XMP, part 3, TIFF
+    directories = [struct.unpack_from(f"{order}I", block, 4)[0]]
+    for at in directories:
+        for entry, number, kind, count in _entries(block, at, order):
             start = struct.unpack_from(f"{order}I", block, entry + 8)[0]
-            return bytes(block[start : start + count])
+            if number == 700 and kind in (1, 7) and count <= most_bytes:  # Adobe XMP, part 3, TIFF
+                return bytes(block[start : start + count])
+            if _TAGS[""].get(number) == "Exif" and len(directories) == 1:
+                directories.append(start)
     return b""
 
 

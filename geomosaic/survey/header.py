@@ -87,8 +87,9 @@ def _jpeg_header(path: Path) -> FrameHeader:
     if jpeg.bits != 8:
         raise InputError(f"a JPEG of {jpeg.bits} bits isn't handled", file=path, fix="convert it to TIFF")
     exif = exif_from_block(jpeg.exif) if jpeg.exif else Exif()
+    xmp = jpeg.xmp or xmp_from_block(jpeg.exif, SHORT_BYTES)  # FLIR's cameras have it among their tags
     bands = 1 if jpeg.bands == 1 else 3
-    return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(jpeg.xmp))
+    return FrameHeader(path, jpeg.width_px, jpeg.height_px, bands, "uint8", None, exif, parse_xmp(xmp))
 
 
 def _camera_header(path: Path) -> FrameHeader:

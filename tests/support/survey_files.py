@@ -21,7 +21,7 @@ IFD0 = {
     "AsShotNeutral": (0xC628, RATIONAL), "CalibrationIlluminant1": (0xC65A, SHORT),
 }  # fmt: skip
 EXIF = {
-    "DateTimeOriginal": (0x9003, ASCII), "OffsetTimeOriginal": (0x9011, ASCII),
+    "XmpOfExif": (0x02BC, BYTE), "DateTimeOriginal": (0x9003, ASCII), "OffsetTimeOriginal": (0x9011, ASCII),
     "SubSecTimeOriginal": (0x9291, ASCII),
     "FocalLength": (0x920A, RATIONAL), "PixelXDimension": (0xA002, LONG), "PixelYDimension": (0xA003, LONG),
     "FocalPlaneXResolution": (0xA20E, RATIONAL), "FocalPlaneResolutionUnit": (0xA210, SHORT),

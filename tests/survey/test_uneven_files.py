@@ -143,3 +143,12 @@ def test_marks_of_control_in_lines_of_tabs_and_of_blanks(tmp_path: Path, tabs_fi
     (tmp_path / "gcp.txt").write_text("\n".join(["EPSG:4326", *lines]) + "\n")
     (point,) = read_control(tmp_path / "gcp.txt", FrameNames(["a.jpg", "b.jpg"])).points
     assert {*point.images} == {("a.jpg", 100.0, 200.0), ("b.jpg", 101.0, 201.0)}
+
+
+@pytest.mark.parametrize("where", ["Xmp", "XmpOfExif"])
+def test_xmp_among_the_tags_of_a_jpeg(tmp_path: Path, where: str) -> None:
+    """FLIR's thermal cameras write DJI's packet as a tag of the Exif directory."""
+    exif = exif_block(Make="DJI", Model="XT2", **{where: tuple(dji_xmp(GimbalPitchDegree="-90.0"))})
+    header = read_header(write_jpeg(tmp_path / "a.jpg", image(), exif))
+    assert header.xmp is not None
+    assert header.xmp["drone-dji:GimbalPitchDegree"] == "-90.0"
