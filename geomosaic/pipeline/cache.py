@@ -231,7 +231,9 @@ class StageCache:
             for folder in _folders(stage):
                 if folder.name == _ITEMS:
                     _prune_items(folder, kept)
-                elif _KEY.fullmatch(folder.name) and folder not in kept:
+                elif _KEY.fullmatch(folder.name) and folder in kept:
+                    files.sweep(folder)
+                elif _KEY.fullmatch(folder.name):
                     _remove_entry(folder)
             files.sweep(stage)
             files.remove(stage / _SPOOL)

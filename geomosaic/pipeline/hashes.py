@@ -123,6 +123,11 @@ class FileHashes:
         """Whether the run reads a file, given by its normalised absolute path."""
         return path in self._inputs
 
+    def reads_within(self, place: Path) -> bool:
+        """Whether the run reads a file, or one in a folder, by whatever path."""
+        place = place.resolve()
+        return any(place in (path, *path.parents) for path in (given.resolve() for given in self._inputs))
+
     def manifest(self, path: Path, progress: Callable[[int, int], None] | None = None) -> dict[str, str]:
         """Names and hashes of what a file parameter stands for.
 

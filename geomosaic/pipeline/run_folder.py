@@ -32,7 +32,8 @@ class RunFolder:
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:
         self.path = path.absolute()
         self.overwrite = overwrite
-        self._made = self._marker() or set()
+        there = self._marker()
+        self._made, self._results = (set(), set()) if there is None else there
         self._listing = threading.RLock()
 
     @classmethod
@@ -76,7 +77,7 @@ class RunFolder:
         """
         with self._listing:
             if name not in self._made:
-                self._made |= self._marker() or set()
+                self._made |= (self._marker() or (set(), set()))[0]
                 self._check_free(name)
                 self._change(listed={name})
         return self.within(name)
@@ -92,6 +93,17 @@ class RunFolder:
         """A temporary path that takes a claimed name if the block succeeds; see `files.writing`."""
         with files.writing(self.claim(name)) as temporary:
             yield temporary
+
+    def expect(self, results: Iterable[str], *, passing: bool = False) -> None:
+        """Notes what a run may write. passing: its results and those of other runs leave each other alone."""
+        if passing:
+            self._results = set(results)
+        else:
+            self._change(results=results)
+
+    def stale(self, made: Iterable[str]) -> frozenset[str]:
+        """Results of earlier runs, whatever their recipes, that are not among those made now."""
+        return frozenset(self._made & self._results - set(made))
 
     def made(self) -> frozenset[str]:
         """The names in the marker's list."""
@@ -136,22 +148,39 @@ class RunFolder:
             return
         raise OutputError("is in the way, and geomosaic did not make it", file=path, fix=_OVERWRITE)
 
-    def _marker(self) -> set[str] | None:
-        """The marker's names of files; None where it can't be read."""
+    def _marker(self) -> tuple[set[str], set[str]] | None:
+        """The marker's names of files, and of what runs may write; None where it can't be read."""
         try:
             data = files.read_own(self.within(MARKER), _MOST_MARKER_BYTES)
-            names = json.loads(data)["files"]
-            return {name for name in names if isinstance(name, str) and _stays_inside(name)}
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):  # none, or cut by a power failure
+            marker = json.loads(data)
+            made, results = (
+                {name for name in names if isinstance(name, str) and _stays_inside(name)}
+                for names in (marker["files"], marker.get("results", ()))
+            )
+            return made, results
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+        ):  # none, or cut by a power failure
             return None
 
-    def _change(self, listed: Iterable[str] = (), dropped: Iterable[str] = ()) -> None:
-        """Adds names to the marker's list and takes others out. Names that another process listed stay."""
+    def _change(
+        self, listed: Iterable[str] = (), dropped: Iterable[str] = (), results: Iterable[str] = ()
+    ) -> None:
+        """Adds names to the marker's lists and takes others out. Names that another process listed stay."""
         path = self.within(MARKER)
         with self._listing, _locked(path):
-            there = self._marker()
-            self._made = ((self._made if there is None else there) | set(listed)) - set(dropped)
-            files.write_json(path, {"made_by": f"geomosaic {__version__}", "files": sorted(self._made)})
+            made, known = self._marker() or (self._made, self._results)
+            self._made = (made | set(listed)) - set(dropped)
+            known = known | set(results)
+            if results:
+                self._results = known
+            marker = {"made_by": f"geomosaic {__version__}", "files": sorted(self._made)}
+            files.write_json(path, {**marker, "results": sorted(known)})
 
 
 @contextmanager

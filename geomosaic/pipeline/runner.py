@@ -55,8 +55,8 @@ def run(
 ) -> dict[str, Any]:
     """Runs every stage, from the cache in RUN/work where nothing it depends on has changed.
 
-    What the finished run did not use is then deleted from RUN/work, and results of an earlier run that
-    this one did not make are deleted too. The recording of an unfinished run stays next to the new one.
+    What the finished run did not use is then deleted from RUN/work, and results of earlier runs of any
+    recipe that this one did not make are deleted too. The recording of an unfinished run stays.
 
     given: outcomes of steps (by index) that are not to be run, as taken from a recording.
     Returns what run.json holds. Raises `CancelledError` on Ctrl-C, and whatever a stage raises; the
@@ -68,7 +68,8 @@ def run(
     workers = Workers(options.workers, options.dask)
     with files.in_one_wording(folder.path), folder.locked(), workers as team:
         earlier = begun(folder, recipe, options)
-        files.sweep(folder.path)
+        folder.expect(recipe.results(), passing=options.preview)
+        files.sweep(folder.path, folder.within(WORK))
         bring_files(recipe, given, folder)
         if record.level == "off":
             folder.remove(RECORDING)
@@ -112,6 +113,8 @@ class _Run:
             self._begin(given)
             for i, step in enumerate(self._recipe.steps):
                 stage = step.stage.id
+                if not step.stage.cached:  # it may look into the folder
+                    self._remove_stale(self._recipe.steps[i:])
                 started = time.monotonic()
                 self._start_step(i, given.get(i))
                 self._begin_concurrent(i, given)
@@ -195,9 +198,14 @@ class _Run:
     def _tidy(self) -> None:
         """Removes what earlier runs left and this one did not make or use."""
         self._cache.prune(self._used)
+        self._remove_stale()
+
+    def _remove_stale(self, left: Sequence[RecipeStep] = ()) -> None:
+        """Removes results of earlier runs, of any recipe. left: steps to come, whose results stay."""
         made = {RUN_JSON, RECORDING, *(path.relative_to(self._folder.path).as_posix() for path in self._used)}
-        for name in (self._folder.made() & self._recipe.results()) - made:
-            self._folder.remove(name)
+        for name in self._folder.stale(made.union(*(step.stage.results for step in left))):
+            if not self._hashes.reads_within(self._folder.within(name)):
+                self._folder.remove(name)
 
     def _hashing(self, done: int, total: int) -> None:
         if self._log.cancelled():

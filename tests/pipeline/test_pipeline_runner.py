@@ -255,6 +255,16 @@ def test_what_a_killed_run_left_half_written_goes(toys: Toys) -> None:
         (toys.run_folder / name).write_text("half")
     (toys.run_folder / ".tiles.4711.geomosaic.part").mkdir()
     toys.run()
+    (entry,) = (toys.run_folder / "work" / "toy.read").iterdir()
+    half = [
+        toys.run_folder / "work" / ".hashes.4711.geomosaic.part.json",
+        toys.run_folder / "work" / ".disk.4711.geomosaic.part",
+        entry / ".numbers.4711.geomosaic.part.artefact",
+    ]
+    for path in half:
+        path.write_text("half")
+    toys.run()
+    assert not any(path.exists() for path in half) and entry.is_dir()
     assert sorted(p.name for p in toys.run_folder.glob(".*")) == [MARKER, ".mine.12.part.txt", ".x.part.txt"]
 
 

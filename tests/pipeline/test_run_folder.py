@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from test_pipeline_runner import Toys, toys  # noqa: F401
 
 from geomosaic.errors import FileError, LinkError, OutputError
 from geomosaic.pipeline.run_folder import MARKER, RunFolder
+from geomosaic.pipeline.run_options import RunOptions
 from geomosaic.pipeline.runner import run
 
 
@@ -162,6 +164,30 @@ def test_two_commands_that_write_at_once_both_list_what_they_made(tmp_path: Path
     assert RunFolder(tmp_path).made() == {"mosaic.kmz", "mosaic.vrt", "work/more"}
     with RunFolder(tmp_path).writing("mosaic.kmz") as path:
         path.write_text("again")
+
+
+def test_results_of_another_recipe_do_not_outlive_its_run(toys: Toys) -> None:  # noqa: F811
+    """A dense surface would be measured under a mosaic of other poses. What commands made of the run stays."""
+    toys.run()
+    RunFolder(toys.run_folder).note(["tiles.txt"])
+    for name in ("tiles.txt", "mine.txt"):
+        (toys.run_folder / name).write_text("x")
+    whole = toys.recipe()
+    short = replace(whole, steps=whole.steps[:1])
+    run(short, toys.run_folder, RunOptions(preview=True))
+    assert (toys.run_folder / "total.txt").exists()
+    run(short, toys.run_folder)
+    there = {p.name for p in toys.run_folder.iterdir()}
+    assert there == {MARKER, "mine.txt", "tiles.txt", "run.json", "run.mcap", "work"}
+
+
+def test_a_result_of_another_recipe_that_is_read_stays(toys: Toys) -> None:  # noqa: F811
+    toys.run()
+    given = toys.run_folder / "total.txt"
+    given.write_text("5")
+    whole = toys.recipe(f"toy.read.file={given}")
+    run(replace(whole, steps=whole.steps[:1]), toys.run_folder)
+    assert given.read_text() == "5"
 
 
 def test_names_that_no_file_here_can_have_do_not_count(toys: Toys) -> None:  # noqa: F811
