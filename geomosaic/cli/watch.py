@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from geomosaic.errors import FileError, GeomosaicError, InputError
+from geomosaic.errors import CancelledError, FileError, GeomosaicError, InputError
 
 if TYPE_CHECKING:
     from geomosaic.requests.watch_request import WatchRequest
@@ -45,6 +45,8 @@ def _preview(request: WatchRequest, count: int) -> str:
     job = request.preview()
     try:
         perform(job, Silent())
+    except CancelledError:
+        raise
     except GeomosaicError as error:
         return f"waiting    {count} frames there: {error}"
     page = job.folder / "preview.html"

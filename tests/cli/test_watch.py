@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -62,3 +63,20 @@ def test_previews_while_frames_arrive_and_then_the_mosaic_of_one_go(tmp_path: Pa
 def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["watch", str(tmp_path / "none"), "-o", str(tmp_path / "run")]) == 2
     assert "give the folder that holds the frames" in capsys.readouterr().err
+
+
+def test_ctrl_c_during_a_preview_ends_it_at_once(tmp_path: Path) -> None:
+    survey = small_survey(tmp_path / "simulated", lines=1, frames_per_line=3, width_px=320, height_px=240)
+    command = [sys.executable, "-m", "geomosaic.cli.main", "watch", survey.frames, "-o", tmp_path / "run"]
+    watching = subprocess.Popen(
+        [*map(str, command), "--workers", "1"], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    try:
+        end = time.monotonic() + LIMIT_S
+        while not (tmp_path / "run" / "work" / "survey.read").is_dir() and time.monotonic() < end:
+            time.sleep(0.02)
+        watching.send_signal(signal.SIGINT)
+        out, err = watching.communicate(timeout=LIMIT_S)
+    finally:
+        watching.kill()
+    assert (watching.returncode, out, err) == (130, "", "geomosaic: stopped\n")
