@@ -88,6 +88,8 @@ def writing(path: Path) -> Iterator[Path]:
     file or a whole folder; a folder takes the place of an older one. A full disk or a missing
     permission becomes an `OutputError` that names the final path.
     """
+    if path.name in ("", ".."):
+        raise output_error(IsADirectoryError(errno.EISDIR, "a folder"), path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.geomosaic.part{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from geomosaic.cli.main import main
+from geomosaic.errors import OutputError
+from geomosaic.pipeline.files import write_bytes
 from geomosaic.requests.recipe_request import RecipeRequest
 
 LONG = "a" * 300
@@ -63,6 +65,12 @@ def test_a_recipe_s_input_may_have_any_name(
     recipe = RecipeRequest(name="quick-look", input=Path(name), workers=1).recipe()
     wanted = Path.home() if name == "~" else tmp_path / name
     assert recipe.steps[0].params.model_dump()["frames"] == wanted
+
+
+@pytest.mark.parametrize("name", [".", "..", "/"])
+def test_a_folder_that_has_no_name_is_no_file_to_write(name: str) -> None:
+    with pytest.raises(OutputError, match="a folder stands where the file is to go"):
+        write_bytes(Path(name), b"x")
 
 
 def test_frames_of_a_video_do_not_take_the_place_of_the_current_folder(
