@@ -172,13 +172,14 @@ class Run:
         return f"Run({str(self.folder)!r}{f', {judged.grade}: {judged.text}' if judged else ''})"
 
     def _repr_html_(self) -> str:
-        """A notebook's view: the mosaic, and whether it can be trusted."""
+        """A notebook's view: the mosaic where there is one, and whether it can be trusted."""
         from geomosaic.report.glance import glance
 
-        picture = glance(self._file("mosaic")).uri
-        judged = self.verdict
-        line = f"<b>{html.escape(judged.grade)}</b>: {html.escape(judged.text)}" if judged else ""
-        image = f'<img src="{picture}" style="max-width:100%;max-height:40em" alt="the mosaic">'
+        its = self.verdict
+        line = f"<b>{html.escape(its.grade)}</b>: {html.escape(its.text)}" if its else ""
+        if "mosaic" not in self.files:
+            return f"<p>{html.escape(str(self.folder))} {line}</p>"
+        image = f'<img src="{glance(self.files["mosaic"]).uri}" alt="the mosaic" style="max-width:100%">'
         return f"<figure>{image}<figcaption>{line}</figcaption></figure>"
 
 
@@ -217,8 +218,8 @@ def replay(recording: Name | Run, output: Name, *, progress: bool = False, **opt
     >>> again.summary["recorded_stages"][-1]
     'matching.sift'
     """
-    source = recording.folder if isinstance(recording, Run) else recording
-    return _made(ReplayRequest, {"recording": source, "output": output, **options}, progress)
+    given = {"recording": getattr(recording, "folder", recording), "output": output, **options}
+    return _made(ReplayRequest, given, progress)
 
 
 def _made(kind: type[RunRequest], options: Mapping[str, Any], progress: bool) -> Run:
@@ -260,8 +261,7 @@ def _with_options(function: Callable[..., Run], kind: type[RunRequest]) -> None:
             more.append(inspect.Parameter(its.name, keyword, default=its.default, annotation=kinds))
             lines.append(f"    {its.name}: {in_python(option.help, kind)}")
     function.__signature__ = inspect.Signature([*own, *more], return_annotation="Run")  # type: ignore[attr-defined]
-    said = inspect.getdoc(function) or ""
-    first, example, rest = said.partition("\n\n>>>")
+    first, example, rest = (inspect.getdoc(function) or "").partition("\n\n>>>")
     listed = "\n".join(lines)
     raised = "Raises: what the command says in one line, as one of `geomosaic.errors`."
     function.__doc__ = f"{first}\n\nOptions:\n{listed}\n\n{raised}{example}{rest}"
@@ -296,4 +296,5 @@ def _sets(values: Any) -> Any:
     """STAGE.PARAMETER=VALUE of a mapping; else the values themselves."""
     if not isinstance(values, Mapping):
         return values
-    return [f"{k}={v if isinstance(v, str | Path) else json.dumps(v)}" for k, v in values.items()]
+    plain = {k: v.tolist() if isinstance(v, np.generic | np.ndarray) else v for k, v in values.items()}
+    return [f"{k}={v if isinstance(v, str | Path) else json.dumps(v)}" for k, v in plain.items()]

@@ -84,6 +84,8 @@ def checked(name: str, option: Option, kind: Any, value: Any) -> Any:
     """A value as its field takes it. Raises: `InputError` for one of another type or out of bounds."""
     if value is None:
         return None
+    if type(value).__module__ == "numpy" and getattr(value, "ndim", None) == 0:  # a number out of an array
+        value = value.item()
     if isinstance(value, str) and option.parse is not None:
         try:
             return option.parse(value)

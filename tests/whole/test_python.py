@@ -54,6 +54,25 @@ def test_a_run_holds_its_products(run: gm.Run) -> None:
         gm.open_run(run.folder.parent)
 
 
+def test_numbers_out_of_arrays_are_numbers() -> None:
+    keypoints, every, workers = np.array([3000, 2, 1])
+    request = MosaicRequest(frames=Path("f"), every=every, workers=workers, strict=np.bool_(True))
+    assert (request.every, request.workers, request.strict) == (2, 1, True)
+    sets = {
+        "matching.sift.keypoints": keypoints,
+        "matching.sift.ratio": np.float32(0.5),
+        "a.b.c": np.arange(2),
+    }
+    assert runs._sets(sets) == ["matching.sift.keypoints=3000", "matching.sift.ratio=0.5", "a.b.c=[0, 1]"]
+
+
+def test_a_run_without_a_mosaic_is_shown_too(run: gm.Run, tmp_path: Path) -> None:
+    shutil.copytree(run.folder, tmp_path / "a&b")
+    (tmp_path / "a&b" / "mosaic.tif").unlink()
+    shown = gm.open_run(tmp_path / "a&b")._repr_html_()
+    assert shown.startswith(f"<p>{tmp_path}/a&amp;b <b>good</b>: ")
+
+
 def test_errors_are_those_of_the_command(few_survey: SimulatedSurvey, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no JPEG, TIFF or PNG frames"):
         gm.mosaic(tmp_path)
