@@ -72,7 +72,8 @@ def _distances(relative: RelativeAccuracy, required: Requirement, pixel_m: float
             over = f"distances over {length_m:.0f} m" if required.scaled else whole
             rows.append(AccuracyRow("" if rows else title, over, words, "", *_required(rmse_m, asked_m)))
     scale = f"±\u202f{relative.scale_permille:.2f} ‰" if required.scaled else UNKNOWN
-    return [*rows, AccuracyRow("" if rows else title, "scale of the map", scale)]
+    named = "scale of the map" if required.scaled else "scale of the map: not known"
+    return [*rows, AccuracyRow("" if rows else title, named, scale)]
 
 
 def _places(absolute: AbsoluteAccuracy, required: Requirement) -> list[AccuracyRow]:

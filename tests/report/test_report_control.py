@@ -114,6 +114,17 @@ def test_what_is_not_known_is_not_stated(run):
     assert table.notes == ["Required: no frame has a position."]
 
 
+def test_nothing_required_takes_no_column_and_an_unknown_scale_is_named(run):
+    """An empty last column pushed the table over the picture."""
+    heading = "<th>required</th>"
+    assert heading in render_report(FramesReport(**run))
+    verdict = run["verdict"]
+    nothing = dict.fromkeys(("rmse_h_m", "rmse_v_m", "permille"), np.nan)
+    unscaled = replace(verdict.required, **nothing, scaled=False)
+    html = render_report(FramesReport(**{**run, "verdict": replace(verdict, required=unscaled)}))
+    assert heading not in html and "scale of the map: not known" in html
+
+
 def test_programs_find_the_points_and_their_figures_next_to_the_page(run, tmp_path):
     folder = run["mosaic_file"].parent
     summary = {**run["summary"], "accuracy": {"class": "a"}, "verdict": {"grade": "doubtful"}}
