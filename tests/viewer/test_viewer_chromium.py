@@ -203,6 +203,15 @@ def test_clicks_measure_what_is_true(window: Page, flight: Flight) -> None:
         assert profile["Height difference"] == pytest.approx((HEAP_UP_M, 0.05 * np.sqrt(2.0)), abs=0.01)
         assert profile["Lowest, highest"] == pytest.approx((GROUND_M, GROUND_M + HEAP_UP_M))
         assert window.run("document.querySelectorAll('.measure svg polyline').length") == 1
+
+        found = (
+            "{area: {value: 9, sd: 1, ellipsoidal: 9.1}, volume: {above: 7, below: 2, sd: 1}, surface: true}"
+        )
+        window.run(
+            f"import('./measures.js').then(m => {{ window.said = m.headline('volume', {found}); }}), 0"
+        )
+        window.until("window.said")
+        assert window.run("window.said").startswith("5.0 "), "above less below, whatever rows stand before it"
         assert not window.errors
         assert all(url.startswith(server.url) for url in window.requests if not url.startswith("data:"))
 

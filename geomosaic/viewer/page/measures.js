@@ -8,6 +8,8 @@ export const KINDS = [
   { name: "volume", title: "Volume", key: "v", least: 3, closed: true },
 ];
 
+const BALANCE = "Above less below";
+
 // A value with as many digits as two of its deviation.
 export function withDeviation(value, sd, unit) {
   if (value === null || value === undefined) return "unknown";
@@ -38,10 +40,16 @@ export function lines(kind, found, flat) {
     if (found.area.ellipsoidal !== null) rows.push(["On the ellipsoid", `${number(found.area.ellipsoidal, 3)} m²`]);
     if (kind === "volume" && found.volume) {
       const { above, below, sd } = found.volume;
-      rows.push(["Above the rim", withDeviation(above, sd, "m³")], ["Below the rim", withDeviation(below, sd, "m³")], ["Above less below", withDeviation(above - below, sd, "m³")]);
+      rows.push(["Above the rim", withDeviation(above, sd, "m³")], ["Below the rim", withDeviation(below, sd, "m³")], [BALANCE, withDeviation(above - below, sd, "m³")]);
     } else if (kind === "volume") rows.push(["Volume", found.surface ? "unknown: the surface has gaps there" : "unknown: the run has no surface"]);
   }
   return rows;
+}
+
+// The value that is shown while points are still being added.
+export function headline(kind, found) {
+  const rows = lines(kind, found), [, words] = rows.find(([label]) => label === BALANCE) ?? rows[0];
+  return words;
 }
 
 const SVG = "http://www.w3.org/2000/svg";

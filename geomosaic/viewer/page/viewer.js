@@ -1,7 +1,7 @@
 // The page: what is shown of a run or two, and what is measured. Every measure is the server's, by the runs' own rasters.
 
 import { MapCanvas } from "./map_canvas.js";
-import { KINDS, lines, profilePlot } from "./measures.js";
+import { KINDS, headline, lines, profilePlot } from "./measures.js";
 
 const $ = id => document.getElementById(id);
 const COLOURS = ["#ffd23f", "#5cc8ff", "#ff8ad8", "#8be36b", "#ffa45c", "#c9a6ff"];
@@ -56,8 +56,7 @@ async function hint() {
   if (least > 0) return;
   const [found] = await measure(kind.name === "profile" ? "distance" : kind.name, draft);
   if (number !== asked) return;
-  const [, words] = lines(kind.name, found)[kind.name === "volume" && found.volume ? 3 : 0];
-  $("hint").textContent = words;
+  $("hint").textContent = headline(kind.name, found);
   $("hint").classList.toggle("error", Boolean(found.error));
 }
 
