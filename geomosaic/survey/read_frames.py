@@ -93,8 +93,7 @@ def without_other_cameras(draft: SurveyDraft) -> SurveyDraft:
         strays = (*draft.strays, *other_cameras(draft.headers, kinds))
         return replace(draft, rig=together, headers=headers, in_time=in_time, strays=strays)
     others = [] if inputs.leave_out == "none" else other_kinds(draft.headers, inputs.camera_kind)
-    headers = tuple(without(draft.headers, others))
-    draft = replace(draft, headers=headers, strays=(*draft.strays, *others))
+    draft = _without(draft, others)
     rig = captures(draft.headers)
     if rig is None:
         return draft
@@ -105,9 +104,7 @@ def without_other_cameras(draft: SurveyDraft) -> SurveyDraft:
 def without_strays(draft: SurveyDraft) -> SurveyDraft:
     """Frames that belong to the survey. Raises: `InputError` where these are of several kinds."""
     if draft.inputs.leave_out != "none":
-        out = _strays(draft)
-        headers = tuple(without(draft.headers, out))
-        draft = replace(draft, headers=headers, strays=(*draft.strays, *out))
+        draft = _without(draft, _strays(draft))
     _check_alike(draft.headers)
     return draft
 
@@ -235,6 +232,14 @@ def _in_band(frame: Frame, header: FrameHeader, camera: str) -> Frame:
         nodata=header.nodata,
         exposure=header.exif.exposure,
     )
+
+
+def _without(draft: SurveyDraft, strays: Sequence[Stray]) -> SurveyDraft:
+    """The survey without some frames, in order of capture if these alone had no time."""
+    headers, in_time = tuple(without(draft.headers, strays)), draft.in_time
+    if strays and not in_time and draft.rig is None:
+        headers, in_time = _in_order(headers)
+    return replace(draft, headers=headers, in_time=in_time, strays=(*draft.strays, *strays))
 
 
 def _in_order(headers: Sequence[FrameHeader]) -> tuple[tuple[FrameHeader, ...], bool]:

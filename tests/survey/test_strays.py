@@ -56,6 +56,16 @@ def left_out(folder: Path) -> dict[str, str]:
     }
 
 
+def test_a_logo_does_not_take_the_order_of_capture(folder: Path) -> None:
+    """It has no time, nor has it any other tag."""
+    (folder / "DJI_0011.JPG").rename(folder / "A_last.JPG")
+    write_jpeg(folder / "logo.jpg", image(100, 60))
+    survey = read_survey(SurveyInputs(folder))
+    assert [out.name for out in survey.left_out] == ["logo.jpg"]
+    assert survey.frames[-1].name == "A_last.JPG"
+    assert "order-by-name" not in {w.code for w in survey.warnings}
+
+
 def test_good_frames_stay(folder: Path) -> None:
     (folder / "._DJI_0001.JPG").write_bytes(b"\0\5\x16\7 of another system")
     (folder / "Thumbs.db").write_bytes(b"junk")
