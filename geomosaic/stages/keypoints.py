@@ -12,10 +12,11 @@ from functools import partial
 
 import numpy as np
 
-from geomosaic.arrays import Bools, Bytes, Floats, Ints64
+from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints64
 from geomosaic.matching.affine_matching import TEMPLATE_PX, find, templates
 from geomosaic.matching.contrast import raised
 from geomosaic.matching.features import Features, reduction_for, shrunk, sift_features, stretched
+from geomosaic.matching.fixed_pattern import MOST_PX, RUN, SAMPLE, fixed_pattern, without_pattern
 from geomosaic.matching.match import Matching, MatchKeypoints, PairMatch, match_pair
 from geomosaic.matching.planes import Guess
 from geomosaic.pipeline.stage import Context, StageParams, param
@@ -71,13 +72,42 @@ class Brightness:
     faint: float = 0.0
 
 
-def frame_brightness(sight: FrameReduction, unseen: FrameToDecode) -> Brightness:
+@dataclass(frozen=True)
+class FixedPattern:
+    """values (rows, cols) of `fixed_pattern`, (0, 0) without one."""
+
+    values: Floats32
+
+
+@dataclass(frozen=True)
+class UnseenFrame:
+    """A frame to be decoded, and the pattern of its sensor."""
+
+    to_decode: FrameToDecode
+    pattern: StoredResult[FixedPattern] | None = None
+
+
+def frame_brightness(sight: FrameReduction, unseen: UnseenFrame) -> Brightness:
     """Decodes a frame."""
-    reduction, luma = sight.reduction(unseen.frame), sight.band is None
-    pixels, valid = read_pixels(unseen.frame, reduction, luma=luma, spare=unseen.spare)
-    image, levels = stretched(pixels, valid, sight.band)
+    image, valid, levels = _grey(sight, unseen.to_decode)
+    if unseen.pattern is not None:
+        image = without_pattern(image, unseen.pattern.recall().values)
     image, faint = raised(image, valid, sight.keypoints_px, levels)
     return Brightness(image, valid, faint)
+
+
+def frames_pattern(sight: FrameReduction, some: tuple[FrameToDecode, ...]) -> FixedPattern:
+    """What some frames of a sensor have in common."""
+    found = fixed_pattern([_grey(sight, one)[0] for one in some])
+    return FixedPattern(np.zeros((0, 0), np.float32) if found is None else found)
+
+
+def _grey(sight: FrameReduction, one: FrameToDecode) -> tuple[Bytes, Bytes | None, float | None]:
+    """A frame as `stretched`, where it is valid, and its levels."""
+    luma = sight.band is None
+    pixels, valid = read_pixels(one.frame, sight.reduction(one.frame), luma=luma, spare=one.spare)
+    image, levels = stretched(pixels, valid, sight.band)
+    return image, valid, levels
 
 
 @dataclass(frozen=True)
@@ -86,13 +116,13 @@ class Picture:
     others."""
 
     sight: FrameReduction
-    unseen: FrameToDecode
+    unseen: UnseenFrame
     decoded: OptionalCache[Brightness]
 
     @property
     def reduction(self) -> int:
         """Pixels of the frame in one of the image, along each side."""
-        return self.sight.reduction(self.unseen.frame)
+        return self.sight.reduction(self.unseen.to_decode.frame)
 
     def brightness(self) -> Brightness:
         """The frame as it is looked at."""
@@ -108,11 +138,32 @@ def pictured(context: Context, sight: FrameReduction, frames: Sequence[Frame]) -
     """Frames, each decoded once at most for all that is done in the block, and not at all where all that is
     wanted of it is there from before. Then they go: a few MB each, and decoded again sooner than so much is
     kept; if the block fails, the next run finds them."""
-    unseen = [FrameToDecode(frame, spare_of(context, frame.path)) for frame in frames]
+    unseen = _unseen(context, sight, frames)
     decoded = context.optional_caches("brightness", partial(frame_brightness, sight), unseen)
     yield [Picture(sight, one, cache) for one, cache in zip(unseen, decoded, strict=True)]
     for cache in decoded:
         cache.forget()
+
+
+def _unseen(context: Context, sight: FrameReduction, frames: Sequence[Frame]) -> list[UnseenFrame]:
+    """Frames to be decoded; those as small as a thermal sensor's with its pattern, if it shows one."""
+    to_decode = [FrameToDecode(frame, spare_of(context, frame.path)) for frame in frames]
+    small: dict[tuple[str, int, int], list[int]] = {}
+    for i, frame in enumerate(frames):
+        if frame.width_px * frame.height_px <= MOST_PX:
+            small.setdefault((frame.camera, frame.width_px, frame.height_px), []).append(i)
+    runs = [its[k : k + RUN] for its in small.values() for k in range(0, len(its), RUN)]
+    runs = [run for run in runs if len(run) >= SAMPLE]
+    chosen = [np.linspace(0, len(run) - 1, SAMPLE).round().astype(int) for run in runs]
+    samples = [tuple(to_decode[run[k]] for k in some) for run, some in zip(runs, chosen, strict=True)]
+    found = context.stored("fixed patterns", partial(frames_pattern, sight), samples)
+    pattern_of = {
+        i: pattern
+        for run, pattern in zip(runs, found, strict=True)
+        if pattern.load().values.size
+        for i in run
+    }
+    return [UnseenFrame(one, pattern_of.get(i)) for i, one in enumerate(to_decode)]
 
 
 def frame_features(keypoints_px: int, most: int, picture: Picture) -> Features:

@@ -21,7 +21,7 @@ _LONGEST_PX = 750
 
 
 @stage(
-    "matching.flying_height", "Measure the flying height", group="Matching", version=3,
+    "matching.flying_height", "Measure the flying height", group="Matching", version=4,
     outputs="flying_height", wants_frames=True,
 )  # fmt: skip
 def matching_flying_height(survey: Survey, context: Context) -> FlyingHeight:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-_LETTERS: Final = {"lon": {"E": 1.0, "W": -1.0}, "lat": {"N": 1.0, "S": -1.0}}
+_LETTERS: Final = {"lon": "EW", "lat": "NS"}
+"""Of the positive and the negative direction."""
 _NUMBER: Final = r"\d+(?:\.\d*)?"
 _TEXT: Final = re.compile(
     rf"([NSEW]?)\s*([-+]?)({_NUMBER})\s*"
@@ -29,7 +30,7 @@ def degrees_of(text: str, column: str) -> float | None:
     parts = [number for number in numbers if number]
     if minutes >= 60.0 or seconds >= 60.0 or any("." in part for part in parts[:-1]) or (letter and sign):
         return None
-    turned = _LETTERS[column].get(letter, None if letter else 1.0)
-    if turned is None:
+    if letter and letter not in _LETTERS[column]:
         return None
-    return turned * (-1.0 if sign == "-" else 1.0) * (degrees + minutes / 60.0 + seconds / 3600.0)
+    size = degrees + minutes / 60.0 + seconds / 3600.0
+    return -size if sign == "-" or _LETTERS[column].endswith(letter or "+") else size
