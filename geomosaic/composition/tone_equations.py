@@ -58,7 +58,7 @@ class ToneDesign:
 
     def means(self, weight: Floats, values: Floats) -> Floats:
         """The weighted mean of values (m,) or (m, b) over each sighting's place, of their shape."""
-        columns = values.reshape(len(values), -1)
+        columns = values if values.ndim > 1 else values[:, None]
         sums = self._of_place @ (columns * weight[:, None]) / self._total(weight)[:, None]
         return np.asarray(sums[self.place].reshape(values.shape))
 

@@ -64,3 +64,9 @@ def test_some_of_the_sightings_keep_their_unknowns() -> None:
     mine = design.place % 2 == 0
     unknowns = np.arange(float(design.unknowns))
     assert design.of(mine).logs(unknowns) == pytest.approx(design.logs(unknowns)[mine])
+
+
+def test_without_sightings_there_are_no_means() -> None:
+    design = _design(0)
+    none = design.of(np.zeros(len(design.frame), dtype=bool))
+    assert none.means(np.zeros(0), np.zeros((0, 3))).shape == (0, 3)
