@@ -203,10 +203,12 @@ class SharedFunction(Generic[Item, Result]):
         if sum(len(part) for part in parts) <= _SHARED_BYTES:
             return function
         pieces: list[bytes | memoryview] = [_LENGTH.pack(len(parts)), *(_LENGTH.pack(len(p)) for p in parts)]
-        ends = []
+        ends, size = [], sum(map(len, pieces))
         for part in parts:
-            pieces.extend((bytes(-sum(map(len, pieces)) % _ALIGNED_BYTES), part))
-            ends.append(sum(map(len, pieces)))
+            gap = bytes(-size % _ALIGNED_BYTES)
+            pieces.extend((gap, part))
+            size += len(gap) + len(part)
+            ends.append(size)
         files.write_bytes(path, *pieces)
         return cls(path, fingerprint_of_bytes(*pieces), ends[0])
 
