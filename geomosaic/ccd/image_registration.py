@@ -27,6 +27,7 @@ from geomosaic.ccd.model import (
 )
 from geomosaic.ccd.overlaps import PIECE_LINES, Strips
 from geomosaic.ccd.sift_chains import ABNORMAL_PX, LEAST_POINTS, NEAR_PX, bridging_sd, pieces
+from geomosaic.ccd.volumes import within_overlap
 from geomosaic.constants import tuned
 from geomosaic.matching.displacement import LEAST_CORRELATION
 from geomosaic.survey.strips import StripGeometry
@@ -52,6 +53,7 @@ def mean_offset(strips: Strips, settings: CcdSettings, progress: Progress) -> tu
 def _all_patches(strips: Strips, settings: CcdSettings, progress: Progress) -> dict[int, Floats]:
     """The patches (p, 4) of every pair, as `patches` returns them."""
     found: dict[int, list[Floats]] = {pair: [] for pair in strips.pairs}
+    settings = within_overlap(settings, strips.geometry.overlap_px)
     spare = settings.search_lines_px + 3 * (BOX_PX // 2)
     for done, (pair, first, stop, total) in enumerate(pieces(strips, PIECE_LINES)):
         overlap = strips.overlap(pair, first - spare, stop + spare)

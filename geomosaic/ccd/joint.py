@@ -33,6 +33,7 @@ from geomosaic.ccd.model import (
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
+from geomosaic.ccd.volumes import within_overlap
 from geomosaic.constants import tuned
 from geomosaic.survey.strips import StripGeometry
 
@@ -51,6 +52,7 @@ def joint(
     before and added after. Lines whose ground only one strip has keep the nearest offset, `unreliable`.
     """
     likely = expected(strips.geometry, settings.knot_lines)
+    settings = within_overlap(settings, strips.geometry.overlap_px)
     step = likely.knot_lines
     lines = max((shared_lines(strips, pair) for pair in strips.pairs), default=0)
     if lines < LEAST_KNOTS * step:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,15 @@ from geomosaic.constants import tuned
 
 BLOCK_LINES = tuned(32, "lines", "of joint evidence: fewer fail at low contrast; more include clouds")
 _PIXELS_PER_FACT = tuned(24.0, "px", "that are one fact: fewer saturate fair matches; more mute low contrast")
+
+
+_LEAST_COLS = tuned(8, "half px", "compared at any shift: fewer match by chance; more narrow the search")
+
+
+def within_overlap(settings: CcdSettings, overlap_px: int) -> CcdSettings:
+    """The settings with as wide a search across as leaves enough columns of the overlap to compare."""
+    widest_px = 2 * max((overlap_px // 2 - _LEAST_COLS) // 2, 0)
+    return replace(settings, search_cols_px=min(settings.search_cols_px, widest_px))
 
 
 def halved(image: Floats32) -> Floats32:
@@ -37,7 +48,7 @@ def volume(pair: RowPair, blocks: int, settings: CcdSettings) -> Floats:
     w = lead.shape[1]
     begin, end = max(0, reach_c - shift), min(w, w - reach_c - shift)
     out = np.zeros((blocks, 2 * reach_l + 1, 2 * reach_c + 1))
-    if end - begin < 8:
+    if end - begin < _LEAST_COLS:
         return out
     half = BLOCK_LINES // 2
     moved = np.rint(pair.known_px[: blocks * BLOCK_LINES].reshape(blocks, -1).mean(axis=1) / 2).astype(int)

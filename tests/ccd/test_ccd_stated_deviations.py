@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from geomosaic.ccd.joint import joint
-from geomosaic.ccd.model import UNRELIABLE, CcdSettings
+from geomosaic.ccd.model import MEASURED, UNRELIABLE, CcdSettings
 from geomosaic_simulate.strip_overlaps import simulate_overlaps, strips_in_memory
 from geomosaic_simulate.strip_plan import StripPlan
 
@@ -22,6 +22,19 @@ def solved(strips, knot_lines=0):
     return joint(strips, CcdSettings(knot_lines=knot_lines), lambda done, of: None)
 
 
+def errors(plan, found):
+    """Offsets less truth (n, 2), deviations (n, 2) and labels (n,) of the lines that both strips have."""
+    geometry, _, truths = scene(plan)
+    parts = []
+    for pair, truth in zip(found, truths, strict=True):
+        there = np.arange(len(pair.label)) + geometry.side(pair.pair) * geometry.row_separation_lines
+        shared = (there + truth.dline_px >= 3) & (there + truth.dline_px < plan.lines - 3)
+        off = np.stack([pair.dcol_px - truth.dcol_px, pair.dline_px - truth.dline_px], axis=1)
+        sd = np.stack([pair.sd_col_px, pair.sd_line_px], axis=1)
+        parts.append((off[shared], sd[shared], pair.label[shared]))
+    return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
+
+
 def test_terraces_of_a_dem_are_no_lost_lines():
     geometry, edges, _ = scene(PLAN)
     rise = (np.arange(PLAN.lines) // 300) % 2
@@ -34,3 +47,20 @@ def test_terraces_of_a_dem_are_no_lost_lines():
     shared = slice(0, PLAN.lines - round(geometry.row_separation_lines) - 40)
     assert (found.label[shared] != UNRELIABLE).all()
     assert found.sd_line_px[shared].max() < 0.1
+
+
+def test_narrow_overlaps_are_searched_as_far_as_they_reach():
+    plan = StripPlan(
+        width_px=256,
+        lines=2500,
+        ccds=3,
+        seed=71,
+        overlap_px=24,
+        read_px=32,
+        row_separation_lines=700.0,
+        parallax_m_per_line=704.0,
+    )
+    geometry, edges, _ = scene(plan)
+    off, _, label = errors(plan, solved(strips_in_memory(geometry, edges)))
+    assert (label == MEASURED).mean() > 0.95
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.05
