@@ -227,9 +227,8 @@ def recipe_of(
 
 
 def override(parameter: str, value: Any) -> str:
-    """STAGE.PARAMETER=VALUE as `--set` takes it. A relative path becomes absolute, so that no name of a file
-    means anything else."""
-    if isinstance(value, Path) and not str(value).startswith("~"):
+    """STAGE.PARAMETER=VALUE as `--set` takes it. A path that YAML takes for nothing becomes absolute."""
+    if isinstance(value, Path) and str(value).lower() == "null":
         value = value.absolute()
     return f"{parameter}={value}"
 
