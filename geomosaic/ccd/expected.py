@@ -53,13 +53,15 @@ _MOST_PX = tuned(1e3, "px", "cap: an odd geometry file would give any deviation;
 class Expected:
     """A camera's pixels and lines; pairs of numbers are columns and lines, trailing minus leading.
 
-    knot_lines: between knots, even. ground_sd_px: of the ground's level about the nominal geometry; far_px:
-    what is further off is rather a cloud. clouds_px, clouds_sd_px: clouds against the ground.
+    knot_lines: between knots, even; jitter_lines: the most that follow jitter. ground_sd_px: of the ground's
+    level about the nominal geometry; far_px: what is further off is rather a cloud. clouds_px, clouds_sd_px:
+    clouds against the ground.
     moves_px_per_line, bends_px_per_line, steep_px_per_line, steepest_px_per_line: usual change of the
     motion; usual, large and utmost change of what pairs have for themselves, by relief.
     """
 
     knot_lines: int
+    jitter_lines: int
     ground_sd_px: Floats
     far_px: float
     clouds_px: Floats
@@ -82,9 +84,11 @@ def expected(geometry: StripGeometry, knot_lines: int = 0, priors: ScenePriors |
     line_m = min(1.0 / g.height_m_per_line if g.height_m_per_line > 0.0 else 0.0, _MOST_PX)
     drift_px, wind_px = n.drift_rad_per_s * rows_s * px_per_rad, n.wind_sd_m_per_s * rows_s / g.ground_pixel_m
     ground_sd = np.hypot(np.hypot(NOMINAL_SD_PX, drift_px), [0.0, n.ground_sd_m * line_m])
+    jitter_lines = _even(n.knot_s * g.line_rate_hz)
     clouds_sd = np.hypot(np.hypot(1.0, wind_px), [0.0, n.cloud_height_sd_m * line_m])
     return Expected(
-        knot_lines=max(knot_lines // 2 * 2, 4) if knot_lines else _even(n.knot_s * g.line_rate_hz),
+        knot_lines=max(knot_lines // 2 * 2, 4) if knot_lines else jitter_lines,
+        jitter_lines=jitter_lines,
         ground_sd_px=np.minimum(ground_sd, _MOST_PX),
         far_px=THREE_SIGMA * float(ground_sd[0]),
         clouds_px=np.array([0.0, -n.cloud_height_m * line_m]),

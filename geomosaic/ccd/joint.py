@@ -14,7 +14,6 @@ from geomosaic.ccd.joint_window import (
     LEAST_KNOTS,
     KnotOffsets,
     WindowStart,
-    curve_of,
     first_offsets,
     solved_window,
 )
@@ -32,6 +31,7 @@ from geomosaic.ccd.model import (
 )
 from geomosaic.ccd.overlaps import Strips
 from geomosaic.ccd.parallel import each
+from geomosaic.ccd.prepared_pairs import curve_of
 from geomosaic.ccd.rows import left_offsets, relief_of, row_pair, shared_lines
 from geomosaic.ccd.volumes import within_overlap
 from geomosaic.constants import tuned

@@ -12,17 +12,16 @@ from functools import partial
 from typing import Final, Self
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
 from geomosaic.arrays import Bools, Floats
 from geomosaic.ccd.brightness import CELL_PX, of_one_response
 from geomosaic.ccd.expected import Expected
+from geomosaic.ccd.interpolation_sd import between_knots_variance
 from geomosaic.ccd.least_squares_matching import (
     MISFIT_PX,
     NEARBY_KNOTS,
     KnotOffsetsMeasured,
-    PairImages,
     measure,
     pair_images,
 )
@@ -30,6 +29,7 @@ from geomosaic.ccd.model import SURE_SD_PX, UNKNOWN_SD_PX, CcdSettings
 from geomosaic.ccd.motion import MotionPriors, Smoothed, first_priors, learned, smooth, smooth_with_shift
 from geomosaic.ccd.parallel import each
 from geomosaic.ccd.paths import block_centres, coarse_offsets
+from geomosaic.ccd.prepared_pairs import PreparedPairs, curve_of
 from geomosaic.ccd.rows import RowPair
 from geomosaic.ccd.second_layers import widest_step
 from geomosaic.ccd.volumes import BLOCK_LINES, volume
@@ -94,16 +94,6 @@ class WindowStart:
         return [replace(p, valid=p.valid & ~hidden) for p, hidden in zip(pairs, self.suspect, strict=True)]
 
 
-@dataclass(frozen=True)
-class _PreparedPairs:
-    """Pairs, their images at one scale, coarse offsets (pairs, knots, 2) and the knots' centres (knots,)."""
-
-    pairs: Sequence[RowPair]
-    images: Sequence[PairImages]
-    coarse_px: Floats
-    centres: Floats
-
-
 def solved_window(
     pairs: Sequence[RowPair], start: WindowStart, likely: Expected
 ) -> tuple[KnotOffsets, list[RowPair]]:
@@ -122,7 +112,7 @@ def solved_window(
     for scale, rounds in _ROUNDS:
         clear = list(pairs)
         images = each(partial(pair_images, scale=scale), pairs)
-        ready = _PreparedPairs(pairs, images, coarse, centres)
+        ready = PreparedPairs(pairs, images, coarse, centres)
         if start.suspect:
             off, seen = _off_curves(ready, now, start.suspect, priors)
             cloudy |= off
@@ -140,6 +130,8 @@ def solved_window(
         information * np.stack([c.scatter for c in cells])[..., None], NEARBY_KNOTS, axis=1
     )
     variance = variance + np.where(used[..., None], _LASTING_SHARE / np.maximum(nearby, 1e-9), 0.0)
+    if likely.knot_lines > likely.jitter_lines:
+        variance = variance + between_knots_variance(ready, now.offsets_px, used, likely.jitter_lines)
     sd_px = np.maximum(information, np.diag(_ANCHOR)) ** -0.5
     own: Bools = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
@@ -187,7 +179,7 @@ def _block_means(grey: Floats, blocks: int) -> Floats:
 
 
 def _off_curves(
-    ready: _PreparedPairs, now: Smoothed, suspect: Sequence[Bools], priors: MotionPriors
+    ready: PreparedPairs, now: Smoothed, suspect: Sequence[Bools], priors: MotionPriors
 ) -> tuple[bool, bool]:
     """Whether the suspect part lies off the curves that the rest draws; and whether that can be decided."""
     cells, offset, measured = _measured(ready, now)
@@ -216,7 +208,7 @@ def _off_curves(
 
 
 def _refined(
-    ready: _PreparedPairs, now: Smoothed, priors: MotionPriors, last: bool
+    ready: PreparedPairs, now: Smoothed, priors: MotionPriors, last: bool
 ) -> tuple[Smoothed, list[KnotOffsetsMeasured], Bools, MotionPriors]:
     """One round: cells measured along the curves, implausible ones set back, curves drawn anew.
 
@@ -238,7 +230,7 @@ def _refined(
     return final, cells, found, priors
 
 
-def _measured(ready: _PreparedPairs, now: Smoothed) -> tuple[list[KnotOffsetsMeasured], Floats, Floats]:
+def _measured(ready: PreparedPairs, now: Smoothed) -> tuple[list[KnotOffsetsMeasured], Floats, Floats]:
     """Cells along the curves, their offsets (the coarse ones where there are none) and their information."""
     centres, coarse = ready.centres, ready.coarse_px
     step = round(centres[1] - centres[0])
@@ -257,13 +249,6 @@ def _measured(ready: _PreparedPairs, now: Smoothed) -> tuple[list[KnotOffsetsMea
         np.where(found[..., None], np.stack([cell.offset_px for cell in cells]), coarse),
         information,
     )
-
-
-def curve_of(centres: Floats, knots_px: Floats, at: Floats) -> Floats:
-    """Curves (2, n) through values (knots, 2) at the knots' centres; straight on beyond them."""
-    curve = CubicSpline(centres, knots_px, axis=0, bc_type="natural")
-    inside = np.clip(at, centres[0], centres[-1])
-    return np.asarray(curve(inside) + (at - inside)[:, None] * curve(inside, 1)).T
 
 
 def _level(offset_px: Floats, found: Bools, now: Smoothed) -> Floats:

@@ -35,6 +35,19 @@ def errors(plan, found):
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
+def honest(off, sd):
+    return float((np.abs(off) < 1.645 * sd).mean())
+
+
+def test_what_curves_between_far_knots_miss_is_stated():
+    geometry, edges, _ = scene(PLAN)
+    off, sd, label = errors(PLAN, solved(strips_in_memory(geometry, edges), knot_lines=96))
+    measured = label == MEASURED
+    assert measured.mean() > 0.9
+    assert honest(off[measured], sd[measured]) > 0.85
+    assert np.sqrt((sd[measured] ** 2).mean()) < 2.0 * np.sqrt((off[measured] ** 2).mean())
+
+
 def test_terraces_of_a_dem_are_no_lost_lines():
     geometry, edges, _ = scene(PLAN)
     rise = (np.arange(PLAN.lines) // 300) % 2
