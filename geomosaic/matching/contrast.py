@@ -95,9 +95,14 @@ def _tile_sums(values: NDArray[Any]) -> Floats:
     return np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), cols, axis=1)
 
 
+def window_px(shape: tuple[int, ...]) -> int:
+    """Side of the window of an image's local statistics, odd."""
+    return 2 * max(1, round(0.5 * _WINDOW_SHARE * max(shape))) + 1
+
+
 def _local(values: Floats32, valid: Bytes | None) -> tuple[Floats32, Floats32]:
     """Mean and standard deviation of the valid pixels about each pixel."""
-    side = 2 * max(1, round(0.5 * _WINDOW_SHARE * max(values.shape))) + 1
+    side = window_px(values.shape)
     weight = np.ones_like(values) if valid is None else (valid > 0).astype(np.float32)
     first, second, whole = (
         cv2.blur(v, (side, side), borderType=cv2.BORDER_REFLECT)

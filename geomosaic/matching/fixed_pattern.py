@@ -10,6 +10,7 @@ import numpy as np
 from geomosaic.arrays import Bytes, Floats32
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
+from geomosaic.matching.contrast import window_px
 
 MOST_PX = sourced(
     1280 * 1024,
@@ -19,8 +20,12 @@ MOST_PX = sourced(
 )
 RUN = tuned(100, "frames", "with one pattern: shutters renew it every few minutes; fewer leave ground in it")
 SAMPLE = tuned(24, "frames", "of a run: fewer leave ground in the pattern; more take time")
-_FINE = tuned(0.02, "share", "of the longer side: detail below it; more takes vignetting for a pattern")
-_ALIKE = tuned(0.3, "correlation", "of the patterns of two halves, at least: chance gives a tenth of it")
+_ALIKE = sourced(
+    1.0 / 3.0,
+    "correlation",
+    "of two halves' medians, at least: then half of the variance of the whole's is the pattern's",
+    "Spearman 1910, Brown 1910: reliability 2 r / (1 + r)",
+)
 
 
 def fixed_pattern(images: Sequence[Bytes]) -> Floats32 | None:
@@ -48,4 +53,5 @@ def without_pattern(image: Bytes, pattern: Floats32) -> Bytes:
 
 def _detail(image: Bytes) -> Floats32:
     whole = image.astype(np.float32)
-    return np.asarray(whole - cv2.GaussianBlur(whole, (0, 0), _FINE * max(image.shape)))
+    side = window_px(image.shape)
+    return np.asarray(whole - cv2.blur(whole, (side, side), borderType=cv2.BORDER_REFLECT))
