@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -92,6 +93,18 @@ class UnknownLayout:
     def names(self) -> list[tuple[str, str]]:
         """Owner and name of each number."""
         return [(part.owner, name) for part in self.parts for name in part.names]
+
+    def begun_from(self, known: Mapping[str, tuple[Floats, Bools]]) -> tuple[Floats, Bools]:
+        """Values (s,) to begin with, and which are fixed: those of another solution by the name of the part.
+
+        A part that it does not have, or has with another number of unknowns, begins at its prior values. By
+        now a flight may hang together in other parts, each with an error of its headings.
+        """
+        values, fixed = self.given.copy(), np.zeros(self.size, dtype=bool)
+        for name, its in self.slices.items():
+            if name in known and len(known[name][0]) == its.stop - its.start:
+                values[its], fixed[its] = known[name]
+        return values, fixed
 
     def of_readouts(self, values: Floats) -> Floats:
         """The cameras' readout times among values (s,), (c,)."""

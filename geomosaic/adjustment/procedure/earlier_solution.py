@@ -110,10 +110,8 @@ def start_from_earlier(block: Block, settings: Settings, tracks: Tracks, poses: 
     earlier = block.earlier
     assert earlier is not None
     layout = block_problem(block, settings, tracks, np.zeros((tracks.points, 3))).layout
-    shared, fixed = layout.given.copy(), np.zeros(layout.size, dtype=bool)
-    for name, its in layout.slices.items():
-        if name in earlier.shared and len(earlier.shared[name]) == its.stop - its.start:
-            shared[its], fixed[its] = earlier.shared[name], earlier.fixed[name]
+    known = {name: (values, earlier.fixed[name]) for name, values in earlier.shared.items()}
+    shared, fixed = layout.begun_from(known)
     at = {name: k for k, name in enumerate(earlier.names)}
     rows = np.array([at.get(name, -1) for name in block.names])
     rotation_terms_rad = np.where((rows >= 0)[:, None, None], earlier.rotation_terms_rad[rows], 0.0)

@@ -162,14 +162,9 @@ class Start:
         return replace(start, cameras=cameras, estimate=estimate, local=None)
 
     def shared_in(self, layout: UnknownLayout) -> tuple[Floats, Bools]:
-        """Values of the shared unknowns, else prior values, and whether fixed, in the order of a layout.
-        A part with another number of unknowns, as of other groups of headings, begins at its prior values."""
-        values, fixed = layout.given.copy(), np.zeros(layout.size, dtype=bool)
-        for name, mine in self.estimate.layout.slices.items():
-            its = layout.slices.get(name)
-            if its is not None and its.stop - its.start == mine.stop - mine.start:
-                values[its], fixed[its] = self.estimate.shared[mine], self.fixed[mine]
-        return values, fixed
+        """See `UnknownLayout.begun_from`."""
+        mine = self.estimate.layout.slices.items()
+        return layout.begun_from({name: (self.estimate.shared[at], self.fixed[at]) for name, at in mine})
 
 
 @dataclass(frozen=True)
