@@ -32,7 +32,8 @@ from geomosaic.adjustment.procedure.position_checks import shift_and_scale
 from geomosaic.adjustment.solver.solve import solve
 from geomosaic.adjustment.terms.image_observations import ImageObservations
 from geomosaic.adjustment.terms.interior_orientation import (
-    implausible_principal_points,
+    far_off,
+    implausible_interior,
     interior_deviations,
 )
 from geomosaic.camera.exterior import Poses, Turns
@@ -342,10 +343,30 @@ def test_a_principal_point_may_not_stray_and_a_makers_distortion_is_tight() -> N
     shared, layout = np.append(interior.ravel(), 0.0), layout_of((sure, loose), sds)
     one, none = np.zeros((1, 3)), np.zeros((0, 3))
     at = Estimate(layout, one, np.eye(3)[None], none, shared, np.zeros((1, 0, 3)), one)
-    strayed = implausible_principal_points(at, (sure, loose))
+    strayed = implausible_interior(at, (sure, loose))
     assert np.flatnonzero(strayed).tolist() == [10, 11]
     (warning,) = implausible_lenses((sure, loose), strayed)
     assert (warning.code, warning.text[:7]) == ("lens-strayed", "loose: ")
+
+
+def test_a_focal_length_stays_near_the_reported_one() -> None:
+    """Reported to 5 %, 25 % is five deviations; one that is good to half a per cent may be off by 10 %."""
+    rough = Camera("rough", 640, 512, 750.0, 320.0, 256.0, focal_length_sd_px=37.5)
+    sure = replace(rough, name="sure", focal_length_sd_px=3.75)
+    assumed = replace(rough, name="assumed", focal_length_sd_px=375.0)
+    assert [far_off(rough, f) for f in (565.0, 561.0, 935.0, 939.0)] == [False, True, False, True]
+    assert [far_off(sure, f) for f in (676.0, 674.0, 824.0, 826.0)] == [False, True, False, True]
+    cameras = (rough, sure, assumed)
+    interior = np.stack([interior_of(replace(c, focal_length_px=1810.0)) for c in cameras])
+    shared = np.append(interior.ravel(), 0.0)
+    layout = layout_of(cameras, np.stack([interior_deviations(c) for c in cameras]))
+    one, none = np.zeros((1, 3)), np.zeros((0, 3))
+    at = Estimate(layout, one, np.eye(3)[None], none, shared, np.zeros((1, 0, 3)), one)
+    strayed = implausible_interior(at, cameras)
+    assert np.flatnonzero(strayed).tolist() == [0, 9]
+    codes = [(w.code, w.text.split(";")[0]) for w in implausible_lenses(cameras, strayed)]
+    text = "the images draw its focal length far from the reported one, without need"
+    assert codes == [("lens-strayed", f"rough: {text}"), ("lens-strayed", f"sure: {text}")]
 
 
 def test_ground_at_another_level_than_reported_leaves_the_scale_alone() -> None:

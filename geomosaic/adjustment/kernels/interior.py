@@ -13,6 +13,7 @@ from geomosaic.camera.interior import Camera
 from geomosaic.camera.lens import TERMS
 
 INTERIOR = ("focal_length_px", "principal_col_px", "principal_row_px", *TERMS, "readout_s")
+FOCAL = INTERIOR.index("focal_length_px")
 PRINCIPAL = [INTERIOR.index(name) for name in ("principal_col_px", "principal_row_px")]
 READOUT = INTERIOR.index("readout_s")
 

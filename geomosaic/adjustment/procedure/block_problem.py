@@ -200,8 +200,7 @@ def terrain_of(block: Block, image: ImageObservations) -> Terrain:
         return Terrain(block.ground, DEM_SD_M / height, _LEVEL_SD_M, bound, share)
     reported_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
     level_sd_m = float(max(_RELIEF * height, _LEVEL_SD_M, reported_sd_m))
-    relief = _RELIEF * float(np.sqrt(max(int(bound.sum()), 1)))
-    return Terrain(block.ground, relief, level_sd_m, bound, share)
+    return Terrain(block.ground, _RELIEF, level_sd_m, bound, share, as_one=True)
 
 
 def part_of_frames(block: Block) -> Ints:

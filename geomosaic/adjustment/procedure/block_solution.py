@@ -112,7 +112,7 @@ def block_solution(
     if ground.kind == "tie_surface":
         return free_points if rough else _at_last(free_points)
     off_m = off_ground_m(block, ground, _of_ties(solved, ties), part)
-    near = replace(terrain_of(block, controlled.image), sd_share=off_m / flying_height_m(block))
+    near = replace(terrain_of(block, controlled.image), sd_share=off_m / flying_height_m(block), as_one=False)
     bound_problem = replace(controlled, terrain=near)
     bound = solve(bound_problem, solved.poses, solved, last)
     steps += bound.steps

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from geomosaic.adjustment.kernels.interior import INTERIOR
+from geomosaic.adjustment.kernels.interior import FOCAL, INTERIOR, PRINCIPAL
 from geomosaic.adjustment.model import Block, SharedUnknowns
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.arrays import Bools, Floats
@@ -168,15 +168,20 @@ def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
 
 
 def implausible_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:
-    """Warnings of estimated principal points (by `implausible_principal_points`) where no lens has them."""
+    """Warnings of lenses that have estimated numbers that no lens has (by `implausible_interior`)."""
     rows = strayed[: len(cameras) * len(INTERIOR)].reshape(len(cameras), -1)
-    text = (
-        "the images draw its principal point farther off than a lens can have it; kept as given. Something "
-        "else bends the block: check the positions in --pos, or give a calibrated lens with --camera"
+    kept = (
+        "kept as given. Something else bends the block: check the positions in --pos, or give a calibrated "
+        "lens with --camera"
     )
+    texts = {
+        "the images draw its principal point farther off than a lens can have it": rows[:, PRINCIPAL],
+        "the images draw its focal length far from the reported one, without need": rows[:, [FOCAL]],
+    }
     return [
-        Warn("lens-strayed", "", f"{c.name}: {text}")
-        for c, row in zip(cameras, rows, strict=True)
+        Warn("lens-strayed", "", f"{camera.name}: {text}; {kept}")
+        for text, its in texts.items()
+        for camera, row in zip(cameras, its, strict=True)
         if row.any()
     ]
 

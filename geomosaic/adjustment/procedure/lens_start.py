@@ -27,11 +27,10 @@ from geomosaic.adjustment.procedure.cross_validation import (
 from geomosaic.adjustment.procedure.initialisation import placed_by_images, start_poses
 from geomosaic.adjustment.procedure.model_selection import contradicts
 from geomosaic.adjustment.solver.solve import SolveOptions, solved_start
-from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL
+from geomosaic.adjustment.terms.interior_orientation import WIDE_FOCAL, far_off
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
-from geomosaic.estimation.robust import FAR
 from geomosaic.matching.tracks import FEW_CELLS, FEW_PER_FRAME, chosen_tracks, join_tracks, thin_tracks
 from geomosaic.placement.prior import position_assumed
 from geomosaic.spread import Spread
@@ -71,7 +70,7 @@ def lens_notes(block: Block, cameras: Sequence[Camera]) -> tuple[list[str], list
         if unsure(given):
             kind = "a fisheye lens" if found[given.name].kind == "fisheye" else "a lens"
             notes.append(f"{given.name}: {kind} of {focal_px:.0f} px by the images")
-        elif _far_off(given, focal_px):
+        elif far_off(given, focal_px):
             text = (
                 f"{given.name}: the images contradict the reported focal length of "
                 f"{given.focal_length_px:.0f} px; solved anew, {focal_px:.0f} px; the map's scale rests on "
@@ -79,12 +78,6 @@ def lens_notes(block: Block, cameras: Sequence[Camera]) -> tuple[list[str], list
             )
             warnings.append(Warn("focal-length-contradicted", "", text))
     return notes, warnings
-
-
-def _far_off(camera: Camera, focal_px: float) -> bool:
-    """Whether a focal length is none that a camera can have, by what was reported of it."""
-    off, sd = abs(focal_px / camera.focal_length_px - 1.0), camera.focal_length_sd_px / camera.focal_length_px
-    return off > max(FAR * sd, WIDE_FOCAL)
 
 
 def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> Camera:
@@ -122,7 +115,7 @@ def _begun(block: Block, settings: Settings, spread: Spread, camera: Camera) -> 
         as_given, freed = judged(f"lens of {camera.name}", [camera, free])
         if freed.solved is None or not freed.beats(as_given) or contradicts(freed.solved, as_given.solved):
             return camera
-        if not _far_off(camera, freed.solved.cameras[0].focal_length_px):
+        if not far_off(camera, freed.solved.cameras[0].focal_length_px):
             return camera
         camera = free
     longer, blank = (

@@ -157,7 +157,7 @@ def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) 
     problem, ground = found.problem, earlier.adjusted.ground
     if ground.kind != "tie_surface":
         off_m = off_ground_m(part, ground, found, part_of_frames(part)[ties.frame[_first(ties)]])
-        near = replace(terrain_of(part, problem.image), sd_share=off_m / flying_height_m(part))
+        near = replace(terrain_of(part, problem.image), sd_share=off_m / flying_height_m(part), as_one=False)
         problem = replace(problem, terrain=near)
     return converged_solution(_weighed(problem, found), found), ties
 

@@ -16,7 +16,7 @@ from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.constants import tuned
 from geomosaic.estimation.linear import eigen_each, inverse_roots
-from geomosaic.estimation.robust import INFORMATION, cauchy_cost, student_bend, student_cost, student_weight
+from geomosaic.estimation.robust import INFORMATION, student_bend, student_cost, student_weight
 from geomosaic.matching.tracks import Tracks, frame_by_frame
 
 _NEAREST = tuned(0.05, "share of a frame's usual distance to its points", "more: tall trees are pulled down")
@@ -161,9 +161,9 @@ class _Own:
         bends: Floats = sums[:, 4:].reshape(-1, 3, 3)
         bends[:, [0, 1, 2], [0, 1, 2]] += self._weight
         if self._terrain is not None:
-            at = points_m, self._bound, self._ground_sd_m, self._at.level_m
-            pull, miss, normal = self._terrain.rows(*at)
-            cost = cost + self._bound * cauchy_cost(miss / self._ground_sd_m)
+            sd_m, level_m = self._ground_sd_m, self._at.level_m
+            pull, miss, normal = self._terrain.rows(points_m, self._bound, sd_m, level_m)
+            cost = cost + self._bound * self._terrain.cost_of(points_m, sd_m, level_m)
             sides += (pull * miss)[:, None] * normal
             bends = bends + pull[:, None, None] * normal[:, :, None] * normal[:, None, :]
         return cost, sides, bends

@@ -31,7 +31,7 @@ from geomosaic.adjustment.solver.steps import (
     with_fixed,
 )
 from geomosaic.adjustment.terms.image_observations import IMAGE
-from geomosaic.adjustment.terms.interior_orientation import implausible_principal_points
+from geomosaic.adjustment.terms.interior_orientation import implausible_interior
 from geomosaic.adjustment.terms.rolling_shutter_rotation import RollingShutterRotation
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Bools
@@ -148,7 +148,7 @@ def _solved(
         progress = with_fixed(replace(progress, problem=replace(progress.problem, fixed=fixed)))
         progress = iterate(progress, rough=True, image_converged=image_converged, near=options.near)
         problem, at = progress.problem, progress.at
-        implausible = implausible | implausible_principal_points(at, problem.cameras)
+        implausible = implausible | implausible_interior(at, problem.cameras)
         more = implausible | undetermined(problem, at, progress.components)
         more = more if may_free else fixed | more
         if np.array_equal(more, fixed):

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomosaic.adjustment.kernels.interior import INTERIOR, PRINCIPAL, interior_of
+from geomosaic.adjustment.kernels.interior import FOCAL, INTERIOR, PRINCIPAL, interior_of
 from geomosaic.adjustment.problem.estimate import Estimate, Unknowns
 from geomosaic.arrays import Bools, Floats
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced, tuned
+from geomosaic.estimation.robust import FAR
 from geomosaic.survey.accuracy import FOCAL_LENGTH
 from geomosaic.survey.plausible import OFF_CENTRE
 
@@ -57,11 +58,19 @@ def interior_unknowns(camera: Camera, *, readout: bool = False, free_lens: bool 
     return Unknowns(part_of_camera(camera.name), camera.name, INTERIOR, interior_of(camera), sd)
 
 
-def implausible_principal_points(at: Estimate, cameras: Sequence[Camera]) -> Bools:
-    """Which shared unknowns are coordinates of a principal point that no lens has so far off centre, (s,)."""
+def far_off(camera: Camera, focal_px: float) -> bool:
+    """Whether a focal length is none that a camera can have, by what was reported of it."""
+    off, sd = abs(focal_px / camera.focal_length_px - 1.0), camera.focal_length_sd_px / camera.focal_length_px
+    return off > max(FAR * sd, WIDE_FOCAL)
+
+
+def implausible_interior(at: Estimate, cameras: Sequence[Camera]) -> Bools:
+    """Which shared unknowns have values that no lens has, (s,): principal points too far off, and focal
+    lengths that are none by what was reported."""
     given = at.layout.given[at.layout.interior].reshape(len(cameras), -1)
     off_px = (given - at.interior)[:, PRINCIPAL]
     longer_px = np.array([max(c.width_px, c.height_px) for c in cameras])
     out = np.zeros(at.interior.shape, dtype=bool)
     out[:, PRINCIPAL] = (np.linalg.norm(off_px, axis=1) > OFF_CENTRE.value * longer_px)[:, None]
+    out[:, FOCAL] = [far_off(c, focal_px) for c, focal_px in zip(cameras, at.interior[:, FOCAL], strict=True)]
     return np.concatenate([out.ravel(), np.zeros(at.layout.size - out.size, dtype=bool)])

@@ -29,13 +29,15 @@ class Terrain(Term):
     """Tie points lie on a surface, up to one common level. Cauchy's function outweighs trees and roofs.
     sd_share: deviation of a point from the surface by the frames' mean height above it (in metres it would be
     smaller for a shrinking block). level_sd_m: of the surface as a whole. bound (p,): which points lie on it.
-    frame_share (f,): each frame's share of all observations, its weight in the mean height."""
+    frame_share (f,): each frame's share of all observations, its weight in the mean height. as_one: all
+    points together count as one."""
 
     ground: GroundSurface
     sd_share: float
     level_sd_m: float
     bound: Bools
     frame_share: Floats
+    as_one: bool = False
 
     name: ClassVar[str] = "terrain"
 
@@ -52,9 +54,17 @@ class Terrain(Term):
         """Deviation of a point from the surface."""
         return self.sd_share * self.height_m(at)
 
+    @property
+    def point_weight(self) -> float:
+        """What the cost of a point counts for."""
+        return 1.0 / max(int(self.bound.sum()), 1) if self.as_one else 1.0
+
     def cost(self, at: Estimate, components: Components) -> float:
-        miss = self.miss_m(at.points_m[self.bound], at.level_m) / self.sd_m(at)
-        return float(cauchy_cost(miss).sum())
+        return float(self.cost_of(at.points_m[self.bound], self.sd_m(at), at.level_m).sum())
+
+    def cost_of(self, points_m: Floats, sd_m: float, level_m: float) -> Floats:
+        """Of each of some points (p, 3) on the surface, (p,)."""
+        return self.point_weight * cauchy_cost(self.miss_m(points_m, level_m) / sd_m)
 
     def add_to(self, normals: Normals, at: Estimate, components: Components) -> Normals:
         """Adds each point's equation: up minus slope times place minus level, observed as the surface. The
@@ -105,7 +115,7 @@ class Terrain(Term):
     ) -> tuple[Floats, Floats, Floats]:
         """Weights (p,), residuals in m (p,) and the surface's normals with up 1 (p, 3)."""
         miss = self.miss_m(points_m, level_m)
-        weight = np.where(bound, cauchy_weight(miss / sd_m) / sd_m**2, 0.0)
+        weight = np.where(bound, self.point_weight * cauchy_weight(miss / sd_m) / sd_m**2, 0.0)
         step, (e, n) = self.ground.spacing_m, points_m[:, :2].T
         up = self.ground.up_at
         normal = np.column_stack(
