@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geomosaic.arrays import Floats
 from geomosaic.camera.lens import LENSES, TERMS, Lens
+from geomosaic.constants import tuned
 from geomosaic.errors import UnknownNameError
+
+_SAME_PLACES_BYTES = tuned(1 << 15, "bytes", "of places whose rays are kept; more: keys cost as much")
+_KEPT: Final = 128
+"""Arrays of rays: outlines and lattices of a handful of cameras, which are asked for frame by frame."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +135,19 @@ class Camera:
     def ray_from_image(self, image_px: ArrayLike) -> Floats:
         """Viewing directions in camera axes with z = -1, shape (..., 3), of cols and rows."""
         px = np.asarray(image_px, dtype=np.float64)
-        xy = (px - [self.principal_col_px, self.principal_row_px]) / self.focal_length_px
-        ideal = self.lens.straightened(self.terms, xy, self.radius_limit)
-        return np.stack([ideal[..., 0], -ideal[..., 1], -np.ones(ideal.shape[:-1])], axis=-1)
+        if px.nbytes > _SAME_PLACES_BYTES:
+            return _rays(self, px)
+        return _rays_again(self, px.tobytes(), px.shape).copy()
+
+
+def _rays(camera: Camera, px: Floats) -> Floats:
+    """See `Camera.ray_from_image`."""
+    xy = (px - [camera.principal_col_px, camera.principal_row_px]) / camera.focal_length_px
+    ideal = camera.lens.straightened(camera.terms, xy, camera.radius_limit)
+    return np.stack([ideal[..., 0], -ideal[..., 1], -np.ones(ideal.shape[:-1])], axis=-1)
+
+
+@lru_cache(maxsize=_KEPT)
+def _rays_again(camera: Camera, px: bytes, shape: tuple[int, ...]) -> Floats:
+    """The same of places that frames of one camera have in common."""
+    return _rays(camera, np.frombuffer(px).reshape(shape))

@@ -11,7 +11,7 @@ from geomosaic.arrays import Complexes, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import Rotation
 from geomosaic.constants import tuned
-from geomosaic.matching.model import TiePoints
+from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.matching.tracks import Tracks, nearest_to_rays
 from geomosaic.projection.footprint import ground_from_images
 from geomosaic.quality.misalignment import pair_misalignments
@@ -27,16 +27,15 @@ def tie_weights(ties: TiePoints, image: ImageResiduals | None) -> tuple[Floats, 
         return tuple(np.full(len(t), np.nan) for t in ties.pairs)
     order = np.lexsort((*image.image_px.T[::-1], image.frame))
     frames, marks, weights = image.frame[order], _marks(image.image_px[order]), image.weight[order]
-    out = []
-    for t in ties.pairs:
-        sides = []
-        for frame, px in ((t.left, t.left_px), (t.right, t.right_px)):
-            first, end = np.searchsorted(frames, (frame, frame + 1))
-            mine = _marks(px)
-            at = np.minimum(first + np.searchsorted(marks[first:end], mine), len(marks) - 1)
-            sides.append(np.where(marks[at] == mine, weights[at], np.nan))
-        out.append(np.fmin(*sides))
-    return tuple(out)
+    pairs = TiePairs.of(ties.pairs)
+    own, weight = _marks(pairs.image_px), np.empty(len(pairs.frame))
+    changes = np.flatnonzero(np.diff(pairs.frame)) + 1
+    for mine in np.split(np.arange(len(own)), changes) if len(own) else ():
+        first, end = np.searchsorted(frames, pairs.frame[mine[0]] + np.arange(2))
+        at = np.minimum(first + np.searchsorted(marks[first:end], own[mine]), len(marks) - 1)
+        weight[mine] = np.where(marks[at] == own[mine], weights[at], np.nan)
+    lesser = np.fmin(*weight[pairs.keypoints])
+    return tuple(np.split(lesser, pairs.first[1:-1])) if len(pairs) else ()
 
 
 def _marks(px: Floats) -> Complexes:

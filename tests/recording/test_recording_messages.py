@@ -48,7 +48,7 @@ LEFT = np.array([[10.5, 20.25], [30.0, 40.0], [50.0, 60.0]])
 TIES = TiePoints(
     (
         TiePair(0, 1, LEFT, LEFT + 5.0, NUMBERS, NUMBERS),
-        TiePair(1, 2, LEFT[:1], LEFT[:1], NUMBERS[:1], NUMBERS[:1]),
+        TiePair(1, 2, LEFT[:1], LEFT[:1], NUMBERS[:1] + np.int32(7), NUMBERS[:1]),
     )
 )
 
