@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -82,29 +82,43 @@ def stretched(plane: Floats, px: Floats) -> Floats:
 
 
 class SeenPlanes:
-    """The planes of tied pairs, and through one common neighbour those of others."""
+    """The planes of tied pairs, and through one common neighbour those of others, each estimated when asked
+    for. Args: places: the tie points of a pair (k, 2), in the left and the right image."""
 
-    def __init__(self) -> None:
-        self._planes: dict[Pair, Floats] = {}
+    def __init__(self, places: Callable[[int, int], tuple[Floats, Floats]]) -> None:
+        self._places = places
+        self._counts: dict[Pair, int] = {}
+        self._planes: dict[Pair, Floats | None] = {}
         self._ties: dict[int, dict[int, int]] = defaultdict(dict)
 
-    def add(self, a: int, b: int, left_px: Floats, right_px: Floats) -> None:
-        """A tied pair's frames and its tie points (k, 2) in the left and the right image."""
-        plane = plane_through(left_px, right_px)
-        back = None if plane is None else inverse_each(plane)
-        if plane is not None and back is not None and np.isfinite(back).all():
-            self._planes[a, b], self._planes[b, a] = plane, back
-            self._ties[a][b] = self._ties[b][a] = len(left_px)
+    def add(self, a: int, b: int, count: int) -> None:
+        """A tied pair's frames, left and right, and how many tie points it has now."""
+        self._counts[a, b] = self._ties[a][b] = self._ties[b][a] = count
+        self._planes.pop((a, b), None)
 
     def between(self, a: int, b: int) -> Floats | None:
         """The plane that takes places of frame a to frame b; None if neither ties nor a neighbour say it."""
-        if (a, b) in self._planes:
-            return self._planes[a, b]
+        plane = self._of_pair(a, b)
+        if plane is not None:
+            return plane
         common = self._ties[a].keys() & self._ties[b].keys()
-        if not common:
+        for c in sorted(common, key=lambda c: (-min(self._ties[a][c], self._ties[b][c]), c)):
+            first, second = self._of_pair(a, c), self._of_pair(c, b)
+            if first is not None and second is not None:
+                return np.asarray(second @ first)
+        return None
+
+    def _of_pair(self, a: int, b: int) -> Floats | None:
+        """The plane of a tied pair; None of another, and of one whose tie points lie on none."""
+        left, right = pair = (a, b) if (a, b) in self._counts else (b, a)
+        if pair not in self._counts:
             return None
-        best = max(common, key=lambda c: (min(self._ties[a][c], self._ties[b][c]), -c))
-        return np.asarray(self._planes[best, b] @ self._planes[a, best])
+        if pair not in self._planes:
+            plane = plane_through(*self._places(left, right))
+            back = None if plane is None else inverse_each(plane)
+            whole = back is not None and np.isfinite(back).all()
+            self._planes[left, right], self._planes[right, left] = (plane, back) if whole else (None, None)
+        return self._planes[a, b]
 
     def guess(self, a: int, b: int, sizes_px: Sequence[Size]) -> Guess | None:
         """What a neighbour lets expect of a pair; None where none does, or they show no ground in common."""

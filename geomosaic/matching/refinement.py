@@ -45,9 +45,7 @@ class Refinement:
         """Args: pairs, in any order; sizes_px: width and height of each frame."""
         joined, n = join(pairs), len(sizes_px)
         standing = references(joined, np.array(sizes_px, np.float64))
-        planes = SeenPlanes()
-        for t in pairs:
-            planes.add(t.left, t.right, t.left_px, t.right_px)
+        planes = _planes(TiePairs.of(pairs))
         own = np.arange(len(standing))
         stand = np.flatnonzero((standing == own) & joined.once)
         shown = np.split(stand, np.searchsorted(joined.frame[stand], np.arange(1, n)))
@@ -82,3 +80,18 @@ class Refinement:
             px[keypoints[good]] = places[good]
             sure[keypoints[good]] = True
         return self.joined.thinned(sure, px, least)
+
+
+def _planes(pairs: TiePairs) -> SeenPlanes:
+    """The planes of all pairs."""
+    frames = [(int(a), int(b)) for a, b in pairs.frames]
+    number = {pair: k for k, pair in enumerate(frames)}
+
+    def places(left: int, right: int) -> tuple[Floats, Floats]:
+        t = pairs[number[left, right]]
+        return t.left_px, t.right_px
+
+    planes = SeenPlanes(places)
+    for pair, count in zip(frames, pairs.counts.tolist(), strict=True):
+        planes.add(*pair, count)
+    return planes

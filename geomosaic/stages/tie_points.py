@@ -49,7 +49,10 @@ class Pairing:
     expected: Callable[[int, int], Guess]
     sequence: Sequence[int]
     looks: dict[Pair, PairMatch] = field(default_factory=dict)
-    _planes: SeenPlanes = field(default_factory=SeenPlanes)
+    _planes: SeenPlanes = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._planes = SeenPlanes(self._tie_points)
 
     def match(self, pairs: Iterable[Pair]) -> TiePairs:
         """The pairs that tie points connect. Each is matched about where it is expected to match, then where
@@ -141,9 +144,14 @@ class Pairing:
         for ((a, b), _), match in zip(pairs, found, strict=True):
             self.looks[a, b] = match
             if len(match.left):
-                self._planes.add(a, b, self._places_of(a)[match.left], self._places_of(b)[match.right])
+                self._planes.add(a, b, len(match.left))
                 tied += 1
         return tied
+
+    def _tie_points(self, a: int, b: int) -> tuple[Floats, Floats]:
+        """Of a pair as it is now, in the left and the right frame."""
+        match = self.looks[a, b]
+        return self._places_of(a)[match.left], self._places_of(b)[match.right]
 
     def _places_of(self, frame: int) -> Floats:
         """In its file, which stays open as long as this is in use."""

@@ -178,10 +178,10 @@ def test_planes_of_untied_pairs_come_through_the_best_common_neighbour() -> None
     rng = np.random.default_rng(0)
     shift = {(0, 1): [300.0, 7.0], (1, 2): [290.0, -3.0], (0, 3): [10.0, 0.0], (2, 3): [0.0, 0.0]}
     count = {(0, 1): 30, (1, 2): 40, (0, 3): 50, (2, 3): 10}
-    planes = SeenPlanes()
-    for (a, b), off in shift.items():
-        px = rng.uniform(0.0, 1000.0, (count[a, b], 2))
-        planes.add(a, b, px, px - off)
+    places = {pair: rng.uniform(0.0, 1000.0, (n, 2)) for pair, n in count.items()}
+    planes = SeenPlanes(lambda a, b: (places[a, b], places[a, b] - shift[a, b]))
+    for pair, n in count.items():
+        planes.add(*pair, n)
     found = planes.between(0, 2)
     assert found is not None
     assert through(found, np.array([[700.0, 50.0]])) == pytest.approx(np.array([[110.0, 46.0]]), abs=1e-4)
