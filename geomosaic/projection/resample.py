@@ -13,6 +13,7 @@ from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import sourced
 from geomosaic.projection.warp import GroundWindow, frame_from_map
+from geomosaic.survey.header import MOST_SIDE_PX
 
 RESAMPLING: Final = {
     "bilinear": cv2.INTER_LINEAR,
@@ -32,8 +33,11 @@ _MOST_CHANNELS = sourced(4, "bands", "in one call; it fails beyond", "cv2.remap 
 def resample(pixels: NDArray[Any], cols: Floats32, rows: Floats32, resampling: str) -> NDArray[Any]:
     """Pixels (h, w, bands) at cols and rows with corner origin; the outer half pixel repeats the edge.
 
-    Only the part of the frame in use is handed to cv2, whose images end at 32767 px.
+    Only the part of the frame in use is handed to cv2, and no more rows of places at once than it takes.
     """
+    if len(cols) > MOST_SIDE_PX:
+        parts = (slice(k, k + MOST_SIDE_PX) for k in range(0, len(cols), MOST_SIDE_PX))
+        return np.concatenate([resample(pixels, cols[part], rows[part], resampling) for part in parts])
     height, width, bands = pixels.shape
     x, y = (_before_middle(*of) for of in ((cols, width), (rows, height)))
     reach = KERNEL_RADIUS_PX[resampling] + 1

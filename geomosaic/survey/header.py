@@ -28,7 +28,7 @@ JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 TIFF_SUFFIXES: Final = frozenset({".tif", ".tiff"})
 PNG_SUFFIXES: Final = frozenset({".png"})
 DTYPES: Final = frozenset({"uint8", "uint16", "int16", "float32"})
-_MOST_SIDE_PX = sourced(32_766, "px", "of a frame: cv2.remap fails beyond", "OpenCV, remap: less than 32,767")
+MOST_SIDE_PX = sourced(32_766, "px", "of a frame: cv2.remap fails beyond", "OpenCV, remap: less than 32,767")
 _MOST_BYTES = tuned(4 << 30, "bytes", "of a decoded frame: the largest have 3.6e9; more fills the memory")
 _MOST_RATIO = sourced(4000, "ratio", "pixels to file: more is a damaged header", "LZW: 4096; DEFLATE: 1032")
 _SMALL_BYTES = tuned(64 << 20, "bytes", "of pixels that any file may state: images of one colour pack well")
@@ -70,8 +70,8 @@ def read_header(path: Path) -> FrameHeader:
         header = _raster_header(path) if camera_format(path) is None else _camera_header(path)
     size = f"{header.width_px} x {header.height_px} pixels"
     needed = header.width_px * header.height_px * header.bands * _bytes_of(header.dtype)
-    if max(header.width_px, header.height_px) > _MOST_SIDE_PX or needed > _MOST_BYTES:
-        fix = f"a frame has at most {_MOST_SIDE_PX:,} px a side and {_MOST_BYTES >> 30} GB of pixels"
+    if max(header.width_px, header.height_px) > MOST_SIDE_PX or needed > _MOST_BYTES:
+        fix = f"a frame has at most {MOST_SIDE_PX:,} px a side and {_MOST_BYTES >> 30} GB of pixels"
         raise FileError(f"{size} in {header.bands} bands are too many", file=path, fix=fix)
     if header.dtype not in DTYPES:
         raise InputError(

@@ -132,12 +132,13 @@ def fitted(trial: Trial) -> GroundSurface:
     at = (points_m[:, :2] - low_m) / spacing_m
     grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, trial.curving, off)
     trend = even_ground(points_m, sd_up_m, terms)
-    target, weight = points_m[:, 2] - trend(points_m[:, 0], points_m[:, 1]), 1.0 / sd_up_m**2
+    target = points_m[:, 2] - trend(points_m[:, 0], points_m[:, 1])
+    miss = np.abs(target)  # points far off at the rim, begun with, would bend the surface to themselves
     for _ in range(trial.rounds):
-        nodes = grid.fitted(target, weight, height_m)
-        miss = np.abs(target - grid.at_points(nodes))
         scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
         weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
+        nodes = grid.fitted(target, weight, height_m)
+        miss = np.abs(target - grid.at_points(nodes))
     east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
     up = grid.arranged(nodes) + trend(east, north[:, None])
     return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
