@@ -31,6 +31,7 @@ from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.small import Spare
 
 GREYS = float(np.iinfo(np.uint8).max)
+_FARTHEST = tuned(8, "frames' sides", "that one sees all nodes along; more: its nodes fill the memory")
 ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
 _LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field next to it")
 _TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may be saturated")
@@ -153,15 +154,19 @@ class ToneSightings:
 def lattice(
     views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface
 ) -> ToneSightings:
-    """Where each frame sees the nodes of a lattice on the map."""
+    """Where each frame sees the nodes of a lattice on the map; one that sees far more land than most, every
+    third, fifth and so on: odd steps have nodes in common."""
     spacing_m = float(np.median([v.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]))
     spacing_m /= ACROSS
     place, frame, offset, image = [], [], [], []
     for view in views:
-        west, south, east, north = view.bounds_m / spacing_m
+        extent_m = float(np.max(view.bounds_m[2:] - view.bounds_m[:2]))
+        every = int(np.ceil(extent_m / spacing_m / (_FARTHEST * ACROSS))) | 1
+        own_m = every * spacing_m
+        west, south, east, north = view.bounds_m / own_m
         first, last = (int(np.floor(west)), int(np.floor(-north))), (int(np.ceil(east)), int(np.ceil(-south)))
         across, down = last[0] - first[0], last[1] - first[1]
-        grid = MapGrid(crs, first[0] * spacing_m, -first[1] * spacing_m, spacing_m, across, down)
+        grid = MapGrid(crs, first[0] * own_m, -first[1] * own_m, own_m, across, down)
         window = ground_window(grid, work_frame, ground)
         cols, rows = frame_from_map(window, view.pose, view.camera)
         margin = _reduction(view.camera.width_px, view.camera.height_px)
@@ -170,7 +175,7 @@ def lattice(
         if (well := view.sees_well(cols, rows)) is not None:
             seen &= well
         j, i = np.nonzero(seen)
-        place.append(np.column_stack([j + first[1], i + first[0]]))
+        place.append(np.column_stack([j + first[1], i + first[0]]) * every + every // 2)
         frame.append(np.full(len(i), view.frame))
         offset.append(np.column_stack(_from_middle(view.camera, cols[seen], rows[seen])))
         image.append(np.column_stack([cols[seen], rows[seen]]))

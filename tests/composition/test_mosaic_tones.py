@@ -37,6 +37,7 @@ from geomosaic.composition.tones import (
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context
+from geomosaic.projection.footprint import ground_from_images
 from geomosaic.stages.mosaic_tones import mosaic_tones
 from geomosaic.survey.model import Band
 from geomosaic_simulate.plan import SurveyPlan
@@ -298,6 +299,27 @@ def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:
     true = np.log(gains) - np.log(gains).mean()
     off = tones.gain - tones.gain.mean(axis=0) - true[:, None]
     assert np.abs(off).max() < 0.03
+
+
+def test_a_frame_that_sees_far_more_land_is_sampled_at_fewer_nodes(tmp_path: Path) -> None:
+    """Twenty times as high, it saw 480 nodes a side; of a frame over a pit two million filled the memory."""
+    survey, poses, ground = make_survey(tmp_path, lines=1, per_line=3)
+    at_m = poses.positions_m.copy()
+    at_m[2, 2] += 19.0 * (at_m[2, 2] - float(np.median(ground.up_m)))
+    poses = replace(poses, positions_m=at_m)
+    cameras = [survey.camera_of(i) for i in range(3)]
+    views = frame_views(PosedFrames(survey, poses, cameras, [True] * 3, ground), CRS)
+    places = lattice(views, CRS, survey.work_frame, ground)
+    its = places.frame == 2
+    assert 8_000 < its.sum() < (8 * 24) ** 2
+    assert (places.nodes[places.place[its]] % 3 == 1).all()
+    both, low, high = np.intersect1d(places.place[~its], places.place[its], return_indices=True)
+    assert len(both) > 50
+    seen_m = [
+        ground_from_images(places.frame[mine][which], places.image_px[mine][which], poses, cameras, ground)
+        for mine, which in ((~its, low), (its, high))
+    ]
+    assert np.abs(seen_m[0] - seen_m[1]).max() < 0.02
 
 
 def test_a_rigs_bands_are_not_evened_by_one_bands_tones(tmp_path: Path) -> None:
