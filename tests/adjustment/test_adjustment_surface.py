@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from geomosaic.adjustment.ground.ground_choice import levelled, lies_flat, surface_of
 from geomosaic.adjustment.ground.tie_surface import tie_surface
-from geomosaic.adjustment.ground.trial_surface import Heights, Trial, fitted
+from geomosaic.adjustment.ground.trial_surface import Heights, Trial, even_ground, fitted
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.block_problem import block_problem
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
@@ -342,3 +342,18 @@ def test_a_few_points_far_below_the_rim_do_not_bend_the_ground_down(curving: flo
     heights = Heights(points_m, np.full(len(points_m), 0.1), np.full(2, -250.0), np.full(2, 250.0), 30.0)
     surface = fitted(Trial(heights, 5.0, curving, (3, 0.0)))
     assert np.abs(surface.up_m - 0.8).max() < 5.0
+
+
+@pytest.mark.parametrize("terms", [3, 6])
+def test_unknown_heights_do_not_tilt_even_ground(terms: int) -> None:
+    """One point in 13 lies up to 90 flying heights below, known to 10 to 4,000 m alone. By their residual over
+    their own deviation they counted as the others: the plane rose by 300 m along the block."""
+    rng = np.random.default_rng(3)
+    good = np.column_stack([rng.uniform(-100.0, 100.0, (8000, 2)), rng.normal(-0.8, 0.3, 8000)])
+    depth = rng.uniform(50.0, 2700.0, 650)
+    wild = np.column_stack([-100.0 - 0.05 * depth, rng.uniform(-250.0, 250.0, 650), -depth])
+    points_m = np.concatenate([good, wild])
+    sd_m = np.concatenate([np.full(8000, 0.08), 10.0 ** rng.uniform(1.0, 3.6, 650)])
+    east, north = np.meshgrid([-250.0, 0.0, 250.0], [-250.0, 0.0, 250.0])
+    up_m = even_ground(points_m, sd_m, terms)(east, north)
+    assert np.abs(up_m + 0.8).max() < (1.0 if terms == 3 else 3.0)

@@ -10,9 +10,9 @@ from math import comb
 import numpy as np
 
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import SLIGHT, sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, SLIGHT, sourced, tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
-from geomosaic.estimation.robust import irls
+from geomosaic.estimation.robust import FAR, cauchy_weight, irls
 from geomosaic.projection.ground import GroundSurface
 
 _PER_HEIGHT = tuned(20.0, "places a flying height", "where slopes count; less: points bend the land")
@@ -133,12 +133,14 @@ def fitted(trial: Trial) -> GroundSurface:
     grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, trial.curving, off)
     trend = even_ground(points_m, sd_up_m, terms)
     target = points_m[:, 2] - trend(points_m[:, 0], points_m[:, 1])
-    miss = np.abs(target)  # points far off at the rim, begun with, would bend the surface to themselves
+    miss = np.abs(target)
+    far_m = 2.0 * FAR * np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
+    weight = 1.0 / (1.0 + (miss / far_m) ** 2) / sd_up_m**2  # begun with far points, it would stay with them
     for _ in range(trial.rounds):
-        scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
-        weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
         nodes = grid.fitted(target, weight, height_m)
         miss = np.abs(target - grid.at_points(nodes))
+        scale = np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
+        weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2) / scale**2
     east, north = (low_m[k] + spacing_m * np.arange(n) for k, n in enumerate((cols, rows)))
     up = grid.arranged(nodes) + trend(east, north[:, None])
     return GroundSurface("tie_surface", float(low_m[0]), float(low_m[1]), spacing_m, up)
@@ -157,15 +159,18 @@ def even_ground(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floa
         return np.stack([np.ones_like(e), e, n, e * e, e * n, n * n][:terms], axis=-1)
 
     def asymmetric(left: Floats) -> Floats:
-        return np.where(left > 0.0, _ABOVE, 1.0 - _ABOVE)
+        scale = np.maximum(NORMAL_PER_MAD * float(np.median(np.abs(left))), SLIGHT)
+        known = cauchy_weight(left / scale) / (1.0 + (sd_up_m / scale) ** 2)
+        return np.asarray(np.where(left > 0.0, _ABOVE, 1.0 - _ABOVE) * known)
 
     def about_lowest(left: Floats) -> Floats:
         low = left[left <= np.quantile(left, _LOWEST)]
         scale = np.maximum(1.5 * float(np.median(np.abs(low - np.median(low)))), sd_up_m)
-        return np.asarray(1.0 / (1.0 + (left / scale) ** 2) ** 2)
+        return np.asarray(1.0 / (1.0 + (left / scale) ** 2) ** 2 / scale**2)
 
     design, up = powers(points_m[:, 0], points_m[:, 1]), points_m[:, 2]
-    found, _ = irls(design, up, np.ones_like, rounds=1)
+    found = np.zeros(terms)
+    found[0] = np.median(up)
     for weigh, rounds in ((asymmetric, 30), (about_lowest, 20)):
         found, _ = irls(design, up, weigh, found, rounds)
     return lambda east_m, north_m: np.asarray(powers(east_m, north_m) @ found)
