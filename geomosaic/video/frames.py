@@ -14,6 +14,7 @@ import numpy as np
 from geomosaic.arrays import Bytes, Floats32
 from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
+from geomosaic.video.container import require_video
 from geomosaic.video.subtitles import VideoPosition
 
 _LOOKS_PER_S = tuned(6.0, "looks/s", "fewer miss fast drones' overlap; more only take time")
@@ -78,6 +79,7 @@ def extract_frames(video: Path, folder: Path, options: VideoOptions, report: Rep
 
 
 def _opened(video: Path) -> Any:
+    require_video(video)
     reader = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
     if not reader.isOpened():
         raise FileError("is no video that can be read", file=video, fix="give an MP4 or MOV file")

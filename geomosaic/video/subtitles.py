@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.errors import FileError, InputError
+from geomosaic.video.container import require_video
 
 _BEGIN: Final = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{3})\s*-->")
 _FIGURE: Final = r"([-+]?\d{1,7}(?:[.,]\d{1,15})?)"
@@ -74,6 +75,7 @@ def read_subtitle_tracks(video: Path) -> list[VideoPosition]:
     """
     import av
 
+    require_video(video)
     try:
         with av.open(str(video)) as file:
             for track in range(len(file.streams.subtitles)):

@@ -14,7 +14,8 @@ import pytest
 from small_surveys import geomosaic, small_survey, summary
 
 from geomosaic.cli.main import main
-from geomosaic.errors import InputError
+from geomosaic.errors import FileError, InputError
+from geomosaic.video.container import require_video
 from geomosaic.video.subtitles import read_subtitle_tracks, read_subtitles
 
 WIDTH, HEIGHT, RATE = 480, 360, 30
@@ -236,6 +237,33 @@ def test_older_drones_subtitles(tmp_path: Path, text: str, found: tuple[float, .
     (one,) = read_subtitles(path)
     assert (one.lon_deg, one.lat_deg, one.height_m, one.above_take_off_m) == found
     assert one.time_s == 62.5
+
+
+@pytest.mark.parametrize("name", ["list.mp4", "list.ffconcat", "list.m3u8"])
+def test_a_list_of_files_is_no_video(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """FFmpeg opens what such a list names, whatever its name ends in: files that were not given."""
+    _video(tmp_path / "other.mp4", np.linspace(0.0, 400.0, 60))
+    texts = {".m3u8": "#EXTM3U\n#EXTINF:2,\nother.mp4\n"}
+    path = tmp_path / name
+    path.write_text(texts.get(path.suffix, "ffconcat version 1.0\nfile other.mp4\n"))
+    assert main(["frames", str(path), "-o", str(tmp_path / "out")]) == 2
+    assert "is no video that can be read" in capsys.readouterr().err
+    with pytest.raises(FileError, match="is no video"):
+        read_subtitle_tracks(path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "code"),
+    [(".mp4", "mp4v"), (".mov", "mp4v"), (".avi", "MJPG"), (".mkv", "mp4v"), (".ts", "mpg2")],
+)
+def test_containers_of_videos(tmp_path: Path, suffix: str, code: str) -> None:
+    path = tmp_path / f"video{suffix}"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (320, 240))
+    for k in range(50):
+        writer.write(np.full((240, 320, 3), 3 * k, np.uint8))
+    writer.release()
+    assert path.stat().st_size > 1000
+    require_video(path)
 
 
 def test_what_is_no_video_or_has_no_positions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
