@@ -235,4 +235,4 @@ def _taken(survey: Survey) -> tuple[str, str]:
     if not times:
         return "–", "the frames have no time"
     first, last = (datetime.fromtimestamp(t, tz=UTC) for t in (min(times), max(times)))
-    return f"{first:%Y-%m-%d}", f"{first:%H:%M:%S} to {last:%H:%M:%S} UTC"
+    return f"{first:%Y-%m-%d}", f"{first:%H:%M:%S} to {last:%H:%M:%S} (UTC, or the clock of the camera)"
