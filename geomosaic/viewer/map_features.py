@@ -69,6 +69,8 @@ def _drawn(layer: Any, label: str, px_from_layer: Callable[[Floats], Floats]) ->
             continue
         geometry.FlattenTo2D()
         shape = shapely.transform(shapely.from_wkb(bytes(geometry.ExportToWkb())), px_from_layer)
+        if shape.is_empty or not np.isfinite(shapely.get_coordinates(shape)).all():
+            continue  # such as a frame whose place nobody knows
         if shape.geom_type == "Point":
             name = str(feature.GetField(label)) if label and feature.GetFieldIndex(label) >= 0 else ""
             points.append([*_rounded(shape)[0], name])

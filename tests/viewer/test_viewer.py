@@ -12,11 +12,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from osgeo import gdal, osr
+from osgeo import gdal, ogr, osr
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.export.index import Index, write_index
 from geomosaic.pages.loopback_server import Answer, LoopbackServer
+from geomosaic.viewer.grid_raster import ViewGrid
+from geomosaic.viewer.map_features import map_features
 from geomosaic.viewer.run_view import run_views
 from geomosaic.viewer.viewer_pages import ViewerPages
 
@@ -184,3 +186,25 @@ def test_a_page_is_answered_even_where_a_measure_fails(tmp_path: Path) -> None:
         with failed.value as answer:
             assert answer.status == 500 and json.load(answer)["error"] == "failed: RuntimeError: no memory"
         server.shutdown()
+
+
+def test_a_frame_without_a_place_is_not_shown(tmp_path: Path) -> None:
+    """Empty points, and points at NaN, ended the page."""
+    run = finished(tmp_path / "run")
+    package = gdal.GetDriverByName("GPKG").Create(str(run / "layers.gpkg"), 0, 0, 0, gdal.GDT_Unknown)
+    reference = osr.SpatialReference()
+    reference.ImportFromEPSG(32632)
+    layer = package.CreateLayer("frames", reference, ogr.wkbPoint)
+    layer.CreateField(ogr.FieldDefn("frame", ogr.OFTString))
+    for name, (east, north) in {"A": (600_010.0, 5_300_090.0), "B": (float("nan"),) * 2}.items():
+        place, feature = ogr.Geometry(ogr.wkbPoint), ogr.Feature(layer.GetLayerDefn())
+        place.AddPoint_2D(east, north)
+        feature.SetGeometry(place)
+        feature.SetField("frame", name)
+        layer.CreateFeature(feature)
+    empty = ogr.Feature(layer.GetLayerDefn())
+    empty.SetGeometry(ogr.Geometry(ogr.wkbPoint))
+    layer.CreateFeature(empty)
+    del layer, feature, empty, package  # closes the file
+    (frames,) = map_features(run / "layers.gpkg", ViewGrid.of(run / "mosaic.tif"))
+    assert frames["points"] == [[100.0, 100.0, "A"]] and not frames["lines"]
