@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,8 +16,9 @@ from geomosaic.constants import tuned
 from geomosaic.errors import UnknownNameError
 
 _SAME_PLACES_BYTES = tuned(1 << 15, "bytes", "of places whose rays are kept; more: keys cost as much")
-_KEPT: Final = 128
-"""Arrays of rays: outlines and lattices of a handful of cameras, which are asked for frame by frame."""
+_KEPT = tuned(
+    128, "arrays of rays", "outlines and lattices of some cameras; fewer are made again by each frame"
+)
 
 
 @dataclass(frozen=True)

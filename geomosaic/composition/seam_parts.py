@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomosaic.arrays import Bools, Floats, Floats32, Ints
-from geomosaic.composition.ownership import Ownership, finest_pixels, frame_cells
+from geomosaic.composition.frame_cells import frame_cells
+from geomosaic.composition.ownership import Ownership, finest_pixels
 from geomosaic.composition.scene import Scene, bounds_window, distances_m
 from geomosaic.composition.tones import Tones, evened
 from geomosaic.composition.views import FrameView

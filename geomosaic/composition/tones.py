@@ -154,8 +154,8 @@ class ToneSightings:
 def lattice(
     views: Sequence[FrameView], crs: str, work_frame: LocalFrame, ground: GroundSurface
 ) -> ToneSightings:
-    """Where each frame sees the nodes of a lattice on the map; one that sees far more land than most, every
-    third, fifth and so on: odd steps have nodes in common."""
+    """Where each frame sees the nodes of a lattice on the map. One that sees far more land than most sees
+    every third, fifth and so on: odd steps have nodes in common."""
     spacing_m = float(np.median([v.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]))
     spacing_m /= ACROSS
     place, frame, offset, image = [], [], [], []

@@ -20,9 +20,10 @@ from geomosaic.camera.interior import Camera
 from geomosaic.composition import seam_cut
 from geomosaic.composition.blends import BLENDS, Blend, Piece
 from geomosaic.composition.compose import CompositionOptions, compose
+from geomosaic.composition.frame_cells import frame_cells
 from geomosaic.composition.grid import output_grid
 from geomosaic.composition.model import MapPixels, OutputGrid
-from geomosaic.composition.ownership import Ownership, cell_px_of, frame_cells, nearest_nadir
+from geomosaic.composition.ownership import Ownership, cell_px_of, nearest_nadir
 from geomosaic.composition.plan import windows
 from geomosaic.composition.plugins import BLENDS_GROUP, Named
 from geomosaic.composition.raster import MosaicFiles
