@@ -12,7 +12,7 @@ import numpy as np
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import NORMAL_PER_MAD, SLIGHT, sourced, tuned
 from geomosaic.estimation.linear import cholesky_of_band, solve_band
-from geomosaic.estimation.robust import FAR, cauchy_weight, irls
+from geomosaic.estimation.robust import cauchy_weight, irls
 from geomosaic.projection.ground import GroundSurface
 
 _PER_HEIGHT = tuned(20.0, "places a flying height", "where slopes count; less: points bend the land")
@@ -132,10 +132,7 @@ def fitted(trial: Trial) -> GroundSurface:
     at = (points_m[:, :2] - low_m) / spacing_m
     grid = SmoothedGrid(at, (rows, cols), spacing_m / height_m, trial.curving, off)
     trend = even_ground(points_m, sd_up_m, terms)
-    target = points_m[:, 2] - trend(points_m[:, 0], points_m[:, 1])
-    miss = np.abs(target)
-    far_m = 2.0 * FAR * np.maximum(sd_up_m, 1.5 * float(np.median(miss)))
-    weight = 1.0 / (1.0 + (miss / far_m) ** 2) / sd_up_m**2  # begun with far points, it would stay with them
+    target, weight = points_m[:, 2] - trend(points_m[:, 0], points_m[:, 1]), 1.0 / sd_up_m**2
     for _ in range(trial.rounds):
         nodes = grid.fitted(target, weight, height_m)
         miss = np.abs(target - grid.at_points(nodes))
