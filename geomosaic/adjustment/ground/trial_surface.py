@@ -146,7 +146,7 @@ def fitted(trial: Trial) -> GroundSurface:
 def even_ground(points_m: Floats, sd_up_m: Floats, terms: int) -> Callable[[Floats, Floats], Floats]:
     """Up by east and north of the ground's plane (3 terms) or paraboloid (6), below crowns; 0 without terms.
     Fitted by asymmetric least squares (Eilers and Boelens 2005), then with robust weights about the lowest
-    points."""
+    points; both weigh points by how well their heights are known."""
     if not terms:
         return lambda east_m, north_m: np.zeros(np.broadcast_shapes(np.shape(east_m), np.shape(north_m)))
     middle, size_m = points_m[:, :2].mean(axis=0), float(np.ptp(points_m[:, :2], axis=0).max()) or 1.0

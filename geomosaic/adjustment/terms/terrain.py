@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -54,7 +55,7 @@ class Terrain(Term):
         """Deviation of a point from the surface."""
         return self.sd_share * self.height_m(at)
 
-    @property
+    @cached_property
     def point_weight(self) -> float:
         """What the cost of a point counts for."""
         return 1.0 / max(int(self.bound.sum()), 1) if self.as_one else 1.0
