@@ -80,22 +80,17 @@ def _places(absolute: AbsoluteAccuracy, required: Requirement) -> list[AccuracyR
     title = "Absolute"
     if not math.isfinite(absolute.rmse_h_m):
         return [AccuracyRow(title, NO_ABSOLUTE, UNKNOWN)]
-    typical, most = f"RMSE {metres(absolute.rmse_v_m)}", f"LE90 {metres(absolute.le90_m)}"
-    if absolute.without_datum:
-        typical, most = "not known: heights may count from the take-off", ""
     of_plan = f"RMSE {metres(absolute.rmse_h_m)}", f"CE90 {metres(absolute.ce90_m)}"
+    up = f"vertical, {absolute.how}", f"RMSE {metres(absolute.rmse_v_m)}", f"LE90 {metres(absolute.le90_m)}"
+    if absolute.without_datum:
+        up = "vertical: not known, heights may count from the take-off", UNKNOWN, ""
     figures = (
-        ("horizontal", absolute.rmse_h_m, of_plan, required.rmse_h_m),
-        ("vertical", absolute.rmse_v_m, (typical, most), required.rmse_v_m),
+        (title, absolute.rmse_h_m, (f"horizontal, {absolute.how}", *of_plan), required.rmse_h_m),
+        ("", absolute.rmse_v_m, up, required.rmse_v_m),
     )
     return [
-        AccuracyRow(
-            title if name == "horizontal" else "",
-            f"{name}, {absolute.how}",
-            *words,
-            *_required(rmse_m, asked_m),
-        )
-        for name, rmse_m, words, asked_m in figures
+        AccuracyRow(group, *words, *_required(rmse_m, asked_m))
+        for group, rmse_m, words, asked_m in figures
         if math.isfinite(rmse_m)
     ]
 
