@@ -16,9 +16,6 @@ from geomosaic.constants import tuned
 from geomosaic.errors import UnknownNameError
 
 _SAME_PLACES_BYTES = tuned(1 << 15, "bytes", "of places whose rays are kept; more: keys cost as much")
-_KEPT = tuned(
-    128, "arrays of rays", "outlines and lattices of some cameras; fewer are made again by each frame"
-)
 
 
 @dataclass(frozen=True)
@@ -148,7 +145,7 @@ def _rays(camera: Camera, px: Floats) -> Floats:
     return np.stack([ideal[..., 0], -ideal[..., 1], -np.ones(ideal.shape[:-1])], axis=-1)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache
 def _rays_again(camera: Camera, px: bytes, shape: tuple[int, ...]) -> Floats:
     """The same of places that frames of one camera have in common."""
     return _rays(camera, np.frombuffer(px).reshape(shape))
