@@ -245,7 +245,7 @@ class SceneChoice:
         if limits is not None:
             seeing = tuple(view for view in frames.views(HORIZON) if view.frame not in flung)
             seeing = seeing if area is None else area.seen_by(seeing)
-            looks = ViewingGeometry(frames.poses, self._tied, seeing, limits, self.adjusted.ground, area)
+            looks = ViewingGeometry(frames.poses, seeing, limits, self.adjusted.ground, area)
             edges = mosaic_edges(scene, looks)
             if edges.kept.is_empty:
                 return None

@@ -91,13 +91,11 @@ class Edges:
 class ViewingGeometry:
     """How a survey's frames look at the ground.
 
-    tied: which of them have tie points. views: of all they see up to `HORIZON`. limits: of what they see
-    well. known: the ground before a surface was matched, the same without one. area: what the mosaic is cut
-    to.
+    views: of all they see up to `HORIZON`. limits: of what they see well. known: the ground before a surface
+    was matched, the same without one. area: what the mosaic is cut to.
     """
 
     poses: Poses
-    tied: Sequence[bool]
     views: tuple[FrameView, ...]
     limits: Limits
     known: GroundSurface
@@ -121,7 +119,7 @@ def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
     shown = (well.owner > 0) & ~outside
     why = np.where(outside | shown, 0, _why(seen, scene, looks)).astype(np.uint8)
     guessed = shown & (_off_px(well, scene, looks) > OFF_PX)
-    guessed &= ~_flown_over(scene, looks)
+    guessed &= ~_flown_over(scene)
     if not guessed[shown].all():
         why[guessed] = _Why.GUESSED
     inside = ~_outer(why > 0, outside)
@@ -181,15 +179,15 @@ def looked_at(
     return at_m, np.where(owner > 0, tangent, np.nan)
 
 
-def _flown_over(scene: Scene, looks: ViewingGeometry) -> Bools:
-    """Cells no farther from below a tied frame than a level frame would reach: seen by one frame alone, say,
-    but not extrapolated far."""
+def _flown_over(scene: Scene) -> Bools:
+    """Cells no farther from below a frame than a level frame would reach: seen by one frame alone, say, but
+    not extrapolated far. The frames need no tie points: positions alone place those without, metres off as
+    the verdict says, and a rim cut off makes them no better."""
     circles = []
-    for view in looks.views:
-        if looks.tied[view.frame]:
-            east, north, up = view.pose.position_m.tolist()
-            above_m = max(up - float(scene.ground.up_at(east, north)), 0.0)
-            circles.append(shapely.Point(view.nadir_m).buffer(half_extent_m(view.camera, above_m)))
+    for view in scene.views:
+        east, north, up = view.pose.position_m.tolist()
+        above_m = max(up - float(scene.ground.up_at(east, north)), 0.0)
+        circles.append(shapely.Point(view.nadir_m).buffer(half_extent_m(view.camera, above_m)))
     over = Area(rings_of(shapely.union_all(circles)))
     return over.cells(scene.grid, whole_of(scene.grid), cell_px_of(scene))
 

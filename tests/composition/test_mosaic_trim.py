@@ -129,6 +129,17 @@ def test_beyond_what_was_flown_over_guessed_ground_is_trimmed(tmp_path: Path, fl
     assert GUESSED not in reasons(seams(tmp_path / "sure", given)[0])
 
 
+def test_a_frame_without_tie_points_shows_all_it_sees_from_above(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    """On unknown ground as well, or a chip about the point below it would be left."""
+    ground = replace(flown["ground"], sd_m=np.full_like(flown["ground"].up_m, 50.0))
+    adjusted = replace(flown["adjusted"], ground=ground, status=("tied",) * 2 + ("placed",) * 6)
+    owned, _ = seams(tmp_path, {**flown, "ground": ground, "adjusted": adjusted})
+    assert owned.used[2:].any()
+    assert owned.trimmed.share < 0.02
+
+
 def test_pixels_end_where_the_mosaic_does(tmp_path: Path, flown: dict[str, Any]) -> None:
     given = turned(flown, {3: 62.0})
     owned, _ = seams(tmp_path, given)
