@@ -19,6 +19,7 @@ import os
 import platform
 import shlex
 import shutil
+import statistics
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -32,20 +33,27 @@ from tools.bench.bench_flights_sheet import SheetFlight, read_flights
 from tools.bench.bench_flights_table import tables
 from tools.bench.bench_speed_measure import measured
 from tools.bench.contact_sheet import write_page
-from tools.bench.result_rows import RowKind, add_options, commit, write_rows
-from tools.docs.results_page import FLIGHTS
+from tools.bench.result_rows import ResultRow, RowKind, add_options, commit, write_rows
+from tools.docs.results_page import FAST, FLIGHTS
 
 PROGRAM = Path(sys.executable).with_name("geomosaic")
 
 
 SCALE_WITHIN = 0.01
+DISK_MOST = 1.5
 ROWS = {
     "scale": RowKind(
         FLIGHTS,
         "{flight}: scale of the map over that of its GNSS positions",
         "1",
         "{scale:.3f}",
-    )
+    ),
+    "disk": RowKind(
+        FAST,
+        "real flights: run folder over the raw mosaic",
+        "{most:g}",
+        "{median:.2f} (median); {within} of {flights} flights within",
+    ),
 }
 
 
@@ -93,8 +101,8 @@ def missed(flight: SheetFlight, figures: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def merge(results: Path, rows: Mapping[str, Any]) -> None:
-    """Writes RESULTS.json and RESULTS.md: new rows replace those of the same flights."""
+def merge(results: Path, rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Writes RESULTS.json and RESULTS.md: new rows replace those of the same flights. Returns all."""
     path = results.with_suffix(".json")
     before = json.loads(path.read_text())["flights"] if path.exists() else {}
     flights = dict(sorted({**before, **rows}.items()))
@@ -105,6 +113,17 @@ def merge(results: Path, rows: Mapping[str, Any]) -> None:
         "# Flights\n\n`make bench-flights DATA=folder`; machine, date, command and seed are in the JSON.\n\n"
     )
     results.with_suffix(".md").write_text(head + tables(flights))
+    return flights
+
+
+def disk_rows(flights: Mapping[str, Any]) -> list[ResultRow]:
+    """What the run folders of all flights take; nothing where none is known."""
+    found = [row["folder_over_raw"] for row in flights.values() if row.get("folder_over_raw")]
+    if not found:
+        return []
+    within = sum(share <= DISK_MOST for share in found)
+    counts = {"median": statistics.median(found), "within": within, "flights": len(found)}
+    return [ROWS["disk"].row(within == len(found), most=DISK_MOST, **counts)]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -138,7 +157,7 @@ def main(argv: list[str] | None = None) -> int:
             print(f"skipped: {flight.name}: there is no folder {flight.frames}", flush=True)
             continue
         rows[flight.name] = run_flight(flight, data, asked)
-        merge(asked.results, rows)
+        flights_so_far = merge(asked.results, rows)
         wrong = "; ".join(rows[flight.name]["missed"])
         print(f"{flight.name}: {rows[flight.name]['wall_s']:.0f} s, {wrong or 'ok'}", flush=True)
     if not rows:
@@ -146,7 +165,8 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     scales = {name: row["scale_over_gnss"] for name, row in rows.items() if row.get("scale_over_gnss")}
     within = {name: abs(scale - 1.0) <= SCALE_WITHIN for name, scale in scales.items()}
-    write_rows(asked, [ROWS["scale"].row(within[n], flight=n, scale=s) for n, s in scales.items()], argv)
+    found = [ROWS["scale"].row(within[n], flight=n, scale=s) for n, s in scales.items()]
+    write_rows(asked, [*found, *disk_rows(flights_so_far)], argv)
     runs = [asked.out / name for name in rows]
     write_page(asked.out / "crops.html", [r for r in runs if (r / "run.json").is_file()], asked.before)
     print("\n" + tables(rows))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rasterio
 
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.adjustment.procedure.control_points import control_residuals, ground_control
@@ -25,6 +26,7 @@ from geomosaic.quality.figures import best_similarity
 from geomosaic.survey.control import read_control
 from geomosaic.survey.model import Survey
 from geomosaic.survey.names import FrameNames
+from tools.bench.bench_speed_measure import on_disk
 
 
 def figures_of(run: Path, check_points: Path | None) -> dict[str, Any]:
@@ -52,6 +54,7 @@ def figures_of(run: Path, check_points: Path | None) -> dict[str, Any]:
         "check": adjustment.get("check"),
         "mosaic": mosaic,
         "megapixels": mosaic["width"] * mosaic["height"] / 1e6,
+        "folder_over_raw": on_disk(run) / _raw_bytes(run / "mosaic.tif"),
         "trimmed_share": (summary.get("trimmed") or {}).get("share"),
         "scale_over_gnss": _scale_over_gnss(run, summary, tied),
         "stages_s": summary["timings_s"],
@@ -60,6 +63,12 @@ def figures_of(run: Path, check_points: Path | None) -> dict[str, Any]:
     if check_points is not None:
         figures["check"] = _check(run, summary, check_points)
     return figures
+
+
+def _raw_bytes(path: Path) -> int:
+    """Bytes of a raster's pixels without compression."""
+    with rasterio.open(path) as raster:
+        return int(raster.width * raster.height * sum(np.dtype(kind).itemsize for kind in raster.dtypes))
 
 
 def _scale_over_gnss(run: Path, summary: dict[str, Any], adjusted: Adjusted) -> float | None:

@@ -36,7 +36,7 @@ import rasterio
 from geomosaic.report.plots import Axis, Series, line_plot
 from tools.bench.bench_flights import PROGRAM, commit
 from tools.bench.bench_scale_rows import result_rows
-from tools.bench.bench_speed_measure import measured
+from tools.bench.bench_speed_measure import measured, on_disk
 from tools.bench.result_rows import add_options, write_rows
 
 BLOCKS = {
@@ -120,18 +120,6 @@ def folder_watched(folder: Path) -> Iterator[list[float]]:
         ended.set()
         watcher.join()
         sizes.append(on_disk(folder))
-
-
-def on_disk(folder: Path) -> float:
-    """Bytes that the files of a folder take; files that vanish meanwhile count nothing."""
-    size = 0
-    for base, _, names in os.walk(folder):
-        for name in names:
-            try:
-                size += 512 * (Path(base) / name).lstat().st_blocks
-            except FileNotFoundError:
-                continue
-    return float(size)
 
 
 def run(frames: int, flight: ScaleFlight, out: Path) -> ScaleRun:
