@@ -105,7 +105,7 @@ bench-speed: setup ## real and simulated frames against the floor and other prog
 bench-cluster: dev ## Dask workers without a shared disk: killed, slow, by an object store (about 15 minutes; root)
 	$(PY) -m tools.bench.bench_cluster --seed $(SEED) --out out/bench-cluster --results docs/results/cluster
 
-bench-incremental: setup ## a 21st line of 50 frames added by --incremental, against a whole run (about an hour); SIZE="--lines n --per-line n"
+bench-incremental: setup ## a 21st line of 50 frames added by --incremental, against a whole run (about an hour); SIZE="--lines n --per-line n" or "--frames FOLDER --added n"
 	$(PY) -m tools.bench.bench_incremental $(SIZE) --seed $(SEED) --out out/bench-incremental --results docs/results/incremental
 
 bench-peers: setup ## geomosaic against pycolmap, pyOrthomosaic, OpenCV and stitching on the same frames (an hour on two idle cores); FRAMES="24 100", DATA=../shared

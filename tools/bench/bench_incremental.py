@@ -2,6 +2,7 @@
 
     python -m tools.bench.bench_incremental [--lines 20] [--per-line 50] [--width 480] [--height 360]
                                             [--seed 1] [--workers 2] [--out DIR] [--results FILE]
+    python -m tools.bench.bench_incremental --frames FOLDER --added 12
 
 A block of so many lines and one more is simulated twice: with positions as RTK gives them (2 cm) and as
 consumers' GNSS does (1.5 m). Exposures differ by 5 %. All lines but the last are run whole, then the last one
@@ -17,11 +18,12 @@ import datetime
 import json
 import os
 import platform
+import re
 import shlex
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,8 @@ from tools.bench.bench_speed_measure import Taken, measured
 
 POSITIONS = {"RTK, 2 cm": (0.02, 0.03), "GNSS, 1.5 m": (1.5, 2.0)}
 TARGET_SHARE, TARGET_PX, TARGET_GREY = 0.1, 0.1, 1.0
+TARGETS = {"share_of_time": TARGET_SHARE, "shift_px": TARGET_PX, "grey": TARGET_GREY}
+IMAGES = {".jpg", ".jpeg", ".tif", ".tiff"}
 SQUARE_PX = 64
 EXPOSURE_SD = 0.05
 LEAST_GRADIENT = 4.0
@@ -44,9 +48,19 @@ LEAST_GRADIENT = 4.0
 Row = dict[str, Any]
 
 
-def run(frames: Path, survey: Path, target: Path, workers: int, *more: str) -> Taken:
-    """A mosaic of a folder, by the survey's positions and camera."""
-    given = ["--pos", survey / "pos.csv", "--camera", survey / "cameras.json", "--workers", workers]
+@dataclass(frozen=True)
+class Flight:
+    """Frames in a folder, the last of which are added, and options that say where they are."""
+
+    name: str
+    folder: Path
+    added: int
+    words: tuple[str | Path, ...] = ()
+
+
+def run(frames: Path, flight: Flight, target: Path, workers: int, *more: str) -> Taken:
+    """A mosaic of a folder of the flight's frames."""
+    given = [*flight.words, "--workers", workers]
     log = target.with_suffix(".log")
     taken = measured(list(map(str, [PROGRAM, "mosaic", frames, "-o", target, *given, *more])), log)
     if taken.failed:
@@ -54,29 +68,29 @@ def run(frames: Path, survey: Path, target: Path, workers: int, *more: str) -> T
     return taken
 
 
-def linked(survey: Path, names: Sequence[str], to: Path) -> Path:
-    """Frames as hard links in a folder, with those that it has."""
+def linked(frames: Sequence[Path], to: Path) -> Path:
+    """Frames as links in a folder, with those that it has."""
     to.mkdir(parents=True, exist_ok=True)
-    for name in names:
-        os.link(survey / "frames" / name, to / name)
+    for frame in frames:
+        (to / frame.name).symlink_to(frame)
     return to
 
 
-def case(name: str, survey: Path, lines: tuple[int, int], out: Path, workers: int) -> Row:
-    """A line added to a finished survey, against a whole run of all."""
-    frames = sorted(path.name for path in (survey / "frames").iterdir())
-    before = lines[0] * lines[1]
+def case(flight: Flight, out: Path, workers: int) -> Row:
+    """Frames added to a finished survey, against a whole run of all."""
+    frames = sorted(path for path in flight.folder.iterdir() if path.suffix.lower() in IMAGES)
+    before = len(frames) - flight.added
     shutil.rmtree(out, ignore_errors=True)
-    folder = linked(survey, frames[:before], out / "frames")
-    first = run(folder, survey, out / "run", workers)
-    linked(survey, frames[before:], folder)
-    added = run(folder, survey, out / "run", workers, "--incremental")
-    whole = run(folder, survey, out / "whole", workers)
+    folder = linked(frames[:before], out / "frames")
+    first = run(folder, flight, out / "run", workers)
+    linked(frames[before:], folder)
+    added = run(folder, flight, out / "run", workers, "--incremental")
+    whole = run(folder, flight, out / "whole", workers)
     summary, of_whole = (json.loads((out / r / "run.json").read_text()) for r in ("run", "whole"))
     row = {
-        "positions": name,
+        "positions": flight.name,
         "frames_before": before,
-        "frames_added": len(frames) - before,
+        "frames_added": flight.added,
         "share_of_time": added.processor_s / whole.processor_s,
         "share_of_wall_time": added.wall_s / whole.wall_s,
         "reused": summary["metrics"]["reused"],
@@ -122,58 +136,71 @@ def shifts_px(one: NDArray[Any], other: NDArray[Any], valid: NDArray[np.bool_]) 
                 yield float(np.hypot(*step))
 
 
-def main() -> int:
-    """Runs both cases and writes the results."""
-    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default in (
-        *(("lines", 20), ("per-line", 50), ("width", 480)),
-        *(("height", 360), ("seed", 1), ("workers", 2)),
-    ):
-        ask.add_argument(f"--{name}", type=int, default=default)
-    ask.add_argument("--positions", nargs="*", choices=POSITIONS, default=list(POSITIONS))
-    ask.add_argument("--out", type=Path, default=Path("out/bench-incremental"))
-    ask.add_argument("--results", type=Path, default=Path("docs/results/incremental"))
-    asked = ask.parse_args()
-    rows = []
+def simulated(asked: argparse.Namespace) -> Iterator[Flight]:
+    """Blocks of so many lines and one more, by how good their positions are."""
     for k, name in enumerate(asked.positions):
         plan = SurveyPlan(
             lines=asked.lines + 1, frames_per_line=asked.per_line, width_px=asked.width,
             height_px=asked.height, seed=asked.seed, position_sd_m=POSITIONS[name][0],
             height_sd_m=POSITIONS[name][1], exposure_sd=EXPOSURE_SD,
         )  # fmt: skip
-        out = asked.out.resolve() / str(k)
-        shutil.rmtree(out, ignore_errors=True)
-        simulate_frames(out / "survey", plan)
-        rows.append(case(name, out / "survey", (asked.lines, asked.per_line), out / "case", asked.workers))
-        print(json.dumps(rows[-1]), flush=True)
-    given = f"--lines {asked.lines} --per-line {asked.per_line} --seed {asked.seed} --workers {asked.workers}"
-    if set(asked.positions) != set(POSITIONS):
-        given += f" --positions {shlex.join(asked.positions)}"
-    results = {
-        "title": "One more line by --incremental",
-        "command": f"python -m tools.bench.bench_incremental {given}",
+        survey = asked.out.resolve() / str(k) / "survey"
+        shutil.rmtree(survey.parent, ignore_errors=True)
+        simulate_frames(survey, plan)
+        of = f"{asked.width} x {asked.height} px, {name}"
+        words = ("--pos", survey / "pos.csv", "--camera", survey / "cameras.json")
+        yield Flight(of, survey / "frames", asked.per_line, words)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs what is asked for and merges the results."""
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default in (
+        *(("lines", 20), ("per-line", 50), ("width", 480)),
+        *(("height", 360), ("seed", 1), ("workers", 2), ("added", 10)),
+    ):
+        ask.add_argument(f"--{name}", type=int, default=default)
+    ask.add_argument("--positions", nargs="*", choices=POSITIONS, default=list(POSITIONS))
+    ask.add_argument("--frames", type=Path, help="a real flight in place of simulated ones")
+    ask.add_argument("--out", type=Path, default=Path("out/bench-incremental"))
+    ask.add_argument("--results", type=Path, default=Path("docs/results/incremental"))
+    asked = ask.parse_args(argv)
+    if asked.frames is None:
+        flights = simulated(asked)
+    else:
+        name = asked.frames.parent.name if asked.frames.name == "images" else asked.frames.name
+        flights = iter([Flight(f"real, {name}", asked.frames.resolve(), asked.added)])
+    given = shlex.join(map(str, sys.argv[1:] if argv is None else argv))
+    made = {
+        "command": re.sub(r" --(?:out|results) \S+", "", f"python -m tools.bench.bench_incremental {given}"),
         "date": datetime.date.today().isoformat(),
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
         "commit": commit(),
         "seed": asked.seed,
-        "size_px": [asked.width, asked.height],
-        "targets": {"share_of_time": TARGET_SHARE, "shift_px": TARGET_PX, "grey": TARGET_GREY},
-        "rows": rows,
     }
-    write(results, asked.results)
-    return 0 if all(r[key] <= most for r in rows for key, most in results["targets"].items()) else 1
+    rows = []
+    for k, flight in enumerate(flights):
+        rows.append({**case(flight, asked.out.resolve() / str(k) / "case", asked.workers), **made})
+        print(json.dumps(rows[-1]), flush=True)
+    merge(rows, asked.results)
+    return 0 if all(r[key] <= most for r in rows for key, most in TARGETS.items()) else 1
 
 
-def write(results: Row, to: Path) -> None:
-    """RESULTS.json and RESULTS.md."""
+def merge(new: Sequence[Row], to: Path) -> None:
+    """RESULTS.json and RESULTS.md: new rows replace those of as many frames of the same flight."""
     to.parent.mkdir(parents=True, exist_ok=True)
-    to.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n")
-    rows, (width, height) = results["rows"], results["size_px"]
+    path = to.with_suffix(".json")
+    before = json.loads(path.read_text())["rows"] if path.exists() else []
+    by_flight = {(r["positions"], r["frames_before"], r["frames_added"]): r for r in (*before, *new)}
+    rows = list(by_flight.values())
+    of = {"title": "Frames added by --incremental", "command": "make bench-incremental"}
+    results = {**of, "date": max(r["date"] for r in rows), "targets": TARGETS, "rows": rows}
+    path.write_text(json.dumps(results, indent=1) + "\n")
     lines = [
         f"# {results['title']}",
         "",
-        f"`{results['command']}`, {results['date']}, {results['machine']}, while other programs ran, commit "
-        f"{results['commit']}. Simulated frames of {width} x {height} px; times are of the processors.",
+        "`make bench-incremental`; machine, date, command, commit and seed are in the JSON. Other programs "
+        "ran; times are of the processors.",
         "",
         f"| | target | {' | '.join(r['positions'] for r in rows)} |",
         f"|---|---|{'---|' * len(rows)}",

@@ -261,9 +261,10 @@ def of_cluster(data: Any, command: str, date: str) -> Iterator[Row]:
             yield Row(FAST, what, "1.7", f"{ratio:.2f}", ratio >= 1.7, command, date)
 
 
-def of_incremental(data: Any, command: str, date: str) -> Iterator[Row]:
+def of_incremental(data: Any, _command: str, _date: str) -> Iterator[Row]:
     wanted = data["targets"]
     for row in data["rows"]:
+        command, date = row["command"], row["date"]
         counts = f"{row['frames_added']} frames added to {row['frames_before']}"
         of = f"{counts} by --incremental, {row['positions']}"
         for name, what, into in (
