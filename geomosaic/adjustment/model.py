@@ -52,8 +52,7 @@ class SolvedBlock:
     names (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame.
     rotation_terms_rad (n, t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as
     assumed; cameras: as found. shared, fixed: values of the shared unknowns by the name of their part, and
-    which were kept as given. components: variance components by name. observations: number of image
-    observations. choice: how the model was chosen.
+    which were kept as given. components: variance components by name. choice: how the model was chosen.
     """
 
     FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad"}
@@ -68,7 +67,6 @@ class SolvedBlock:
     shared: dict[str, Floats]
     fixed: dict[str, Bools]
     components: dict[str, float]
-    observations: int
     choice: ModelChoice | None = None
 
     def __post_init__(self) -> None:

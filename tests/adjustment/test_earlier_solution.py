@@ -9,10 +9,11 @@ import pytest
 from adjustment_blocks import Flown, fly
 
 from geomosaic.adjustment.methods import METHODS
-from geomosaic.adjustment.model import Adjusted, Settings, SolvedBlock
+from geomosaic.adjustment.model import Adjusted, Block, Settings, SolvedBlock
 from geomosaic.adjustment.procedure.block_part import part_of_block
 from geomosaic.adjustment.procedure.earlier_solution import EARLIER
 from geomosaic.camera.rotation import about_z
+from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import TIMELESS, TREE, encode
 
@@ -72,6 +73,32 @@ def test_a_model_that_fits_no_more(flown: Flown, earlier: SolvedBlock, whole: Ad
     found = BUNDLE(replace(flown.block, earlier=replace(earlier, components=better)), Settings(model="given"))
     assert not begun(found)
     assert found.poses.positions_m.tobytes() == whole.poses.positions_m.tobytes()
+
+
+def blurred(block: Block) -> Block:
+    """Every third frame's keypoints are off by 0.5 px, the others' by 0.1 px, as where some are blurred."""
+    rng = np.random.default_rng(5)
+    off_px = rng.normal(0.0, 1.0, (len(block.names), 20_000, 2))
+    off_px *= np.where(np.arange(len(block.names)) % 3 == 2, 0.5, 0.1)[:, None, None]
+    pairs = [
+        replace(
+            pair,
+            left_px=pair.left_px + off_px[pair.left, pair.left_feature],
+            right_px=pair.right_px + off_px[pair.right, pair.right_feature],
+        )
+        for pair in block.ties.pairs
+    ]
+    return replace(block, ties=TiePoints(tuple(pairs)))
+
+
+def test_frames_differ_in_how_well_a_model_explains_them(flown: Flown) -> None:
+    """New frames more blurred than most contradict no model: 15 % more variance, as in a real flight."""
+    block = blurred(flown.block)
+    before = BUNDLE(part_of_block(block, np.arange(11)), Settings(model="given")).solved
+    found = BUNDLE(replace(block, earlier=before), Settings(model="given"))
+    assert before is not None and found.solved is not None
+    assert (found.solved.components["image"] / before.components["image"]) ** 2 > 1.05
+    assert begun(found)
 
 
 def test_few_frames_are_known(flown: Flown, earlier: SolvedBlock, whole: Adjusted) -> None:

@@ -71,10 +71,15 @@ def begun_from_earlier(
 
 
 def still_fits(work: BlockState, earlier: SolvedBlock) -> bool:
-    """Whether the earlier model explains an image observation as well as it did then, but for chance. The
-    deviation of a variance by r numbers is the root of 2 / r, and an observation has two."""
+    """Whether the earlier model explains image observations as well as it did then, but for chance. Frames
+    differ in how well any model explains them, by blur and relief. So a frame is the unit of chance, and two
+    blocks differ as means of so many frames do (cluster sampling: Cochran 1977, Sampling Techniques, section
+    9.2)."""
     now, before = work.found.solution.components[IMAGE], Components(earlier.components)[IMAGE]
-    chance = np.sqrt(1.0 / len(work.found.problem.tracks.frame) + 1.0 / earlier.observations)
+    image, solution = work.found.problem.image, work.found.solution
+    of_frames = image.frame_variances(solution.estimate, solution.components)
+    scatter = float(np.std(of_frames) / np.mean(of_frames))
+    chance = scatter * np.sqrt(1.0 / len(of_frames) + 1.0 / len(earlier.names))
     return bool((now / before) ** 2 <= _MOST_COST + THREE_SIGMA * chance)
 
 

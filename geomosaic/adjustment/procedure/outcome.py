@@ -249,7 +249,6 @@ def _solved(work: BlockState, rejected: Collection[int]) -> SolvedBlock:
         shared={name: at.shared[its] for name, its in slices.items()},
         fixed={name: solution.fixed[its] for name, its in slices.items()},
         components=dict(solution.components.values),
-        observations=len(work.found.problem.tracks.frame),
         choice=work.choice,
     )
 
