@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from geomosaic.cli.options import Quiet, output_option
-from geomosaic.errors import OutputError
+from geomosaic.errors import InputError, OutputError
 
 
 def frames(
@@ -50,11 +51,12 @@ def frames(
     if folder.is_dir() and any(folder.iterdir()):
         raise OutputError("the folder holds files", file=folder, fix="choose a new or empty folder with -o")
     there = [p for p in (video.with_suffix(".SRT"), video.with_suffix(".srt")) if p.is_file()]
-    srt = srt or next(iter(there), None)
-    if srt is not None:
-        positions = read_subtitles(srt)
-    else:
-        positions = read_subtitle_tracks(video) if tracks_readable() else []
+    positions = [] if srt is None else read_subtitles(srt)
+    for found in there if srt is None else ():
+        with suppress(InputError):  # a drone without a fix writes subtitles without places
+            positions = positions or read_subtitles(found)
+    if not positions and tracks_readable():
+        positions = read_subtitle_tracks(video)
     with progress(quiet=quiet) as reporter, writing(folder) as part:
         part.mkdir()
         names = extract_frames(video, part, VideoOptions(overlap, positions), reporter.progress)

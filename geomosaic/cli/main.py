@@ -12,7 +12,7 @@ from contextlib import suppress
 
 from geomosaic.cli.memory import keep_freed_memory
 from geomosaic.cli.stopping import Stop, stoppable
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, InputError
 
 _SHOWN = 60
 """Characters of a name that is too long."""
@@ -38,6 +38,8 @@ def _main(argv: Sequence[str] | None, stop: Stop) -> int:
     gc.set_threshold(100_000)  # imports make twice as many objects, and nearly all stay
     keep_freed_memory()
     try:
+        if "" in argv and argv[argv.index("") - 1] not in ("-o", "--output"):  # which says so itself
+            raise InputError("an argument is empty", fix="give it; a variable of the shell may be unset")
         import typer
 
         from geomosaic.cli.app import build_app

@@ -19,8 +19,9 @@ Files = frozenset[tuple[Path, int, int]]
 def until_all_have_come(request: WatchRequest, *, quiet: bool) -> None:
     """Shows previews of the frames that arrive, until none has for `request.after` seconds.
 
-    Raises: `FileError` for what is no folder.
+    Raises: `FileError` for what is no folder; `InputError` for what the whole run could not use.
     """
+    request.recipe().check_files(skip={0})  # the first reads the frames, which are to come
     shown, before, changed = Files(), Files(), time.monotonic()
     while True:
         there = _frames(request.frames)

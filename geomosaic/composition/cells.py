@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from hashlib import blake2b
 
 import numpy as np
 
@@ -27,6 +28,12 @@ class MosaicCells:
     row: int
     col: int
     flags: Bools
+
+    @property
+    def mark(self) -> tuple[int, int, str]:
+        """What tells them from others."""
+        shape = repr(self.flags.shape).encode()
+        return self.row, self.col, blake2b(shape + self.flags.tobytes(), digest_size=16).hexdigest()
 
     @property
     def window(self) -> Window:

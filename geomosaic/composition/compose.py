@@ -185,7 +185,7 @@ class _Walk:
     def windows(self, order: Sequence[Window]) -> Iterator[Sequence[SpooledResult[BlendedBlock]]]:
         """Windows of the grid, by the overview's tiles over them, blended by whoever is free of what frames
         give."""
-        plan, cells, kept = self._plan(order)
+        plan, cells, kept, notes = self._plan(order)
         blocks: dict[tuple[int, int], list[CompositionStep]] = {}
         for step in plan:
             blocks.setdefault(place_over(step.window), []).append(step)
@@ -196,9 +196,8 @@ class _Walk:
             def wanted() -> Iterator[WantedBlock]:
                 """Frames are brought onto the grid when the first window is to be blended."""
                 make = partial(frame_part, self.warping)
-                spooled = self.spread.spooled(
-                    "frames on the map", make, list(asked.values()), list(paths.values())
-                )
+                of = [(paths[number], *cells[number].mark) for number in asked]
+                spooled = self.spread.spooled("frames on the map", make, list(asked.values()), of)
                 gives = dict(zip(asked, parts.enter_context(spooled), strict=True))
                 for place, steps in blocks.items():
                     yield WantedBlock(
@@ -215,11 +214,13 @@ class _Walk:
             with self.spread.spooled("windows", partial(blended, self.blending), wanted(), keys) as made:
                 parts.close()
                 yield made
+        if notes is not None and self.keeping is not None:
+            self.keeping.noted(notes.tiles(), notes.kept)
 
     def _plan(
         self, order: Sequence[Window]
-    ) -> tuple[list[CompositionStep], dict[int, MosaicCells], dict[Window, KeptTile]]:
-        """The windows' steps, the cells that frames are asked for, and tiles of an earlier mosaic."""
+    ) -> tuple[list[CompositionStep], dict[int, MosaicCells], dict[Window, KeptTile], TileNotes | None]:
+        """The windows' steps, the cells that frames are asked for, tiles of an earlier mosaic, and notes."""
         scene, sources, reach_px = self.warping.scene, self.blending.sources, self.blending.reach_px
         halo_px = BLENDS[self.blending.blend].halo_px(reach_px)
         frames = [self._on_map(number) for number in sources]
@@ -239,9 +240,7 @@ class _Walk:
             else:
                 asking.add(planned)
                 plan.append(planned.step)
-        if notes is not None and self.keeping is not None:
-            self.keeping.noted(notes.tiles(), notes.kept)
-        return plan, asking.cells(), kept
+        return plan, asking.cells(), kept, notes
 
     def _notes(self, halo_px: int) -> TileNotes | None:
         """Of the tiles, if they are wanted."""
@@ -251,7 +250,7 @@ class _Walk:
         manner = f"{how.blend} {warping.resampling} {how.reach_px:.6g} {how.kind} {how.area is not None}"
         noting = Noting(
             *(warping.scene, self.ownership, warping.tones, self.keeping.frames),
-            *(manner, halo_px, how.kind.bands),
+            *(manner, halo_px, how.kind.bands, how.area),
         )
         return TileNotes(noting, self.keeping.earlier)
 

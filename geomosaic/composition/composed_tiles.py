@@ -18,6 +18,7 @@ import numpy as np
 
 from geomosaic.arrays import Bools, Floats, Floats32, Ints64
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.area import Area
 from geomosaic.composition.grid import SAME_CELL
 from geomosaic.composition.kept_tile import KeptTile
 from geomosaic.composition.model import OutputGrid
@@ -111,7 +112,7 @@ class EarlierMosaic:
 @dataclass(frozen=True)
 class Noting:
     """What notes are made by. frames: of the survey, by name and content; manner: see
-    `ComposedTiles`; halo_px: how far about a tile who gives what matters."""
+    `ComposedTiles`; halo_px: how far about a tile who gives what matters; area: what tiles are cut to."""
 
     scene: Scene
     ownership: Ownership
@@ -120,6 +121,7 @@ class Noting:
     manner: str
     halo_px: int
     bands: int
+    area: Area | None = None
 
     def none(self) -> ComposedTiles:
         """The mosaic's notes, of no tile."""
@@ -164,6 +166,8 @@ class Noting:
         rank[order] = np.arange(len(order), dtype=np.int32)
         mark = blake2b("\n".join(names[k] for k in order).encode(), digest_size=20)
         mark.update(rank[inverse.ravel()].tobytes())
+        if self.area is not None:
+            mark.update(np.packbits(self.area.mask(self.scene.grid, whole)).tobytes())
         return TileNote(mark.hexdigest(), parts)
 
     def alike(self, was: TileNote, now: TileNote, views: Mapping[str, FrameView]) -> bool:

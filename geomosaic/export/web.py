@@ -166,6 +166,11 @@ def _zooms(
     finest = math.ceil(_zoom(gsd_m, lat_deg) - 0.01) if max_zoom is None else max_zoom
     if min_zoom is None:
         min_zoom = min(finest, max(0, math.floor(_zoom(side_m / TILE_PX, lat_deg))))
+    if min_zoom > finest:
+        problem = f"tiles from zoom {min_zoom} to {finest} are none"
+        raise InputError(
+            problem, file=mosaic_file, fix=f"give a coarsest zoom (min_zoom) of at most {finest}"
+        )
     return (min_zoom, finest), (west, south, east, north)
 
 

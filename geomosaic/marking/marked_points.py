@@ -11,7 +11,7 @@ from typing import Final
 
 from pyproj import CRS
 
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, OutputError
 from geomosaic.export.references import write_odm_control
 from geomosaic.marking.oriented_frames import OrientedFrames
 from geomosaic.pipeline import files
@@ -40,6 +40,7 @@ def read_points(
     Args: datum: what heights of the file count from that state nothing else. crs: of x and y, where the file
     states none.
     Raises: `InputError` for a file that cannot be read, or marks of gcp.csv in frames that are not there.
+    Raises: `OutputError` where a file that this command did not write would be replaced.
     """
     names = FrameNames(frame.name for frame in frames.frames)
     positions = [frame.position for frame in frames.frames]
@@ -55,6 +56,7 @@ def read_points(
         text += "give the folder that holds these images to keep them"
         notes.append(Warn("control-image-missing", "", f"{path.name}: {text}"))
     points = {point.name: point for point in given.points}
+    _check_own(folder)
     if (folder / TABLE).is_file():
         saved = read_control(folder / TABLE, names, near)
         if saved.absent:
@@ -65,6 +67,19 @@ def read_points(
             known = points.get(point.name, point)
             points[point.name] = replace(known, images=point.images, check=point.check)
     return tuple(points.values()), tuple(notes)
+
+
+def _check_own(folder: Path) -> None:
+    """Raises `OutputError` where gcp.csv or gcp_list.txt is there and was not written by `save_points`."""
+    table = folder / TABLE
+    if table.is_file():
+        with table.open(encoding="utf-8", errors="replace") as file:
+            if file.readline().rstrip() == ",".join(_COLUMNS):
+                return
+    for path in (table, folder / LIST):
+        if path.exists():
+            fix = "give another folder for the marks with -o"
+            raise OutputError("is in the way, and geomosaic did not make it", file=path, fix=fix)
 
 
 def save_points(folder: Path, points: Sequence[ControlPoint], crs: str) -> None:

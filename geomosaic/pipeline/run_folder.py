@@ -35,6 +35,7 @@ class RunFolder:
         there = self._marker()
         self._made, self._results = (set(), set()) if there is None else there
         self._listing = threading.RLock()
+        self.passing = False
 
     @classmethod
     def opened(cls, path: Path, results: Iterable[str] = (), *, overwrite: bool = False) -> RunFolder:
@@ -96,6 +97,7 @@ class RunFolder:
 
     def expect(self, results: Iterable[str], *, passing: bool = False) -> None:
         """Notes what a run may write. passing: its results and those of other runs leave each other alone."""
+        self.passing = passing
         if passing:
             self._results = set(results)
         else:

@@ -16,7 +16,8 @@ class RunOptions:
     equal runs give equal bytes in run.mcap; clock times stand in run.json alone. overwrite: the folder may
     hold files of others, and results may replace them. record: how much is recorded, and for whom.
     incremental: it goes on from the finished run in its folder, and redoes what changed. cancelled: asked
-    again and again; the run ends once it is true. preview: results of other runs stay, and its own with them.
+    again and again; the run ends once it is true. preview: what other runs made stays, results
+    and cache alike.
     """
 
     workers: int = 1

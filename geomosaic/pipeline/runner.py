@@ -56,7 +56,8 @@ def run(
     """Runs every stage, from the cache in RUN/work where nothing it depends on has changed.
 
     What the finished run did not use is then deleted from RUN/work, and results of earlier runs of any
-    recipe that this one did not make are deleted too. The recording of an unfinished run stays.
+    recipe that this one did not make are deleted too. The recording of an unfinished run stays. A preview
+    deletes nothing and writes no run.json.
 
     given: outcomes of steps (by index) that are not to be run, as taken from a recording.
     Returns what run.json holds. Raises `CancelledError` on Ctrl-C, and whatever a stage raises; the
@@ -67,11 +68,11 @@ def run(
     folder = RunFolder.opened(run_folder, sorted(recipe.results()), overwrite=options.overwrite)
     workers = Workers(options.workers, options.dask)
     with files.in_one_wording(folder.path), folder.locked(), workers as team:
-        earlier = begun(folder, recipe, options)
+        earlier = None if options.preview else begun(folder, recipe, options)
         folder.expect(recipe.results(), passing=options.preview)
         files.sweep(folder.path, folder.within(WORK))
         bring_files(recipe, given, folder)
-        if record.level == "off":
+        if record.level == "off" and not options.preview:
             folder.remove(RECORDING)
         privacy = privacy_of(record, recipe, folder)
         path = None if record.level == "off" else folder.claim(RECORDING)
@@ -126,10 +127,11 @@ class _Run:
                 self._hashes.save()
                 self._log.reporter.stage_finished(seconds, source)
                 self._release(self._recipe.steps[i + 1 : i + 2])
-            with self._folder.writing(RUN_JSON) as path:
-                files.write_json(path, self._summary.plain)
-            self._tidy()
-            self._hashes.forget_unasked()
+            if not self._folder.passing:
+                with self._folder.writing(RUN_JSON) as path:
+                    files.write_json(path, self._summary.plain)
+                self._tidy()
+                self._hashes.forget_unasked()
             return self._summary.plain
         except KeyboardInterrupt:
             self._end_begun()

@@ -97,6 +97,8 @@ def checked(name: str, option: Option, kind: Any, value: Any) -> Any:
         raise InputError(f"{name} is {value!r}", fix="give a list of texts")
     kinds = set(get_args(kind)) or {kind}
     if Path in kinds and isinstance(value, str | os.PathLike):
+        if not os.fspath(value):
+            raise InputError(f"{name} is empty", fix="give a path; '.' is the current folder")
         return Path(value)
     if str in kinds and isinstance(value, str | int | float) and not isinstance(value, bool):
         return str(value)

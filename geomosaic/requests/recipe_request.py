@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from geomosaic.errors import InputError
 from geomosaic.requests.of_frames import FramesRequest, crs_of
 from geomosaic.requests.option import INPUTS, Option, asked, required
 from geomosaic.requests.run_request import default_folder, override
@@ -44,6 +45,11 @@ class RecipeRequest(FramesRequest):
     def _overrides(self) -> list[str]:
         """What the options set, before what `set` does."""
         of_strips = self.input is not None and self.input.suffix in (".yaml", ".yml")
+        flag, other = ("--strips", self.strips) if of_strips else ("--frames", self.frames)
+        if self.input is not None and other is not None:
+            raise InputError(
+                f"INPUT is {self.input}, and {flag} is {other}", fix=f"leave out INPUT or {flag}"
+            )
         asked = replace(
             self,
             frames=self.frames or (None if of_strips else self.input),

@@ -60,7 +60,7 @@ class ReplayRequest(RunRequest):
 
         path = self.recording / "run.mcap" if self.recording.is_dir() else self.recording
         recorded = read_recording(path)
-        if path.absolute().parent == self.output.absolute():
+        if path.resolve().parent == self.output.resolve():
             raise InputError(
                 "this is the run to be replayed", file=self.output, fix="give another folder with -o"
             )

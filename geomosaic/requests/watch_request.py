@@ -35,5 +35,7 @@ class WatchRequest(MosaicRequest):
         named = "preview", f"frames of {self.frames.name}"
         sets = [text for text in self.set if text.rpartition("=")[0].rpartition(".")[0] in _MATCHED]
         recipe = recipe_of(named, [*stages, "adjustment.solve", "mosaic.preview"], given, self.seed, sets)
-        how = replace(self.how(), record=replace(self.recorded(), level="off"), preview=True)
+        how = replace(
+            self.how(), record=replace(self.recorded(), level="off"), preview=True, incremental=False
+        )
         return Job(recipe, self.folder(recipe), how, strict=False)

@@ -161,15 +161,19 @@ def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Contex
 def _earlier_block(
     block: Block, survey: Survey, unchanged: frozenset[str], before: EarlierRun
 ) -> EarlierBlock | None:
-    """What the run before found, in this survey's work frame."""
+    """What the run before found, in this survey's work frame; None where its cameras were given otherwise."""
     was: Survey | None = before.artefact("survey", Survey)
     placed: Placement | None = before.artefact("placement", Placement)
     ties: TiePoints | None = before.artefact("ties", TiePoints)
     adjusted: Adjusted | None = before.artefact("adjusted", Adjusted)
+    ground: GroundSurface | None = before.artefact("prior_ground", GroundSurface)
     if was is None or placed is None or ties is None or adjusted is None or adjusted.solved is None:
         return None
+    given = {camera.name: camera for camera in survey.cameras}
+    if ground is None or any(given.get(c.name, c) != c for c in was.cameras):
+        return None
     names, bound_m = tuple(f.name for f in was.frames), MOST_MOVED_PX * block.ground_pixel_m
-    earlier = EarlierBlock(names, placed.poses, ties, adjusted, unchanged, bound_m)
+    earlier = EarlierBlock(names, placed.poses, ties, adjusted, unchanged, bound_m, ground)
     return earlier.in_frame(was.work_frame, survey.work_frame)
 
 

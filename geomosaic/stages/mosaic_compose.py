@@ -24,12 +24,12 @@ from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames
 from geomosaic.matching.band_registration import RigPoses
 from geomosaic.pipeline.artefact_reader import decode
-from geomosaic.pipeline.artefacts import encode
+from geomosaic.pipeline.artefacts import content_of, encode
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, RunFile, StageParams, param
 from geomosaic.projection.resample import RESAMPLING
 from geomosaic.stages.input_groups import AdjustedSurvey, FrameShares, plugged_blend
-from geomosaic.survey.model import Survey
+from geomosaic.survey.model import Frame, Survey
 
 RASTER = "work/mosaic.compose/mosaic.tif"
 SOURCES = "sources.tif"
@@ -72,7 +72,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=21, outputs=("mosaic", "raster_file"),
+    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=22, outputs=("mosaic", "raster_file"),
     results=(SOURCES,), plugged=plugged_blend, conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def mosaic_compose(
@@ -115,7 +115,7 @@ def mosaic_compose(
 
 def _keeping(survey: Survey, context: Context) -> TileKeeping:
     """Tiles of the run before are kept where they would be the same; notes of all lie next to the raster."""
-    frames = tuple(f"{frame.name} {context.content_of(Path(frame.path))}" for frame in survey.frames)
+    frames = tuple(f"{frame.name} {_shown_by(frame, context)}" for frame in survey.frames)
     before = context.earlier
 
     def noted(tiles: ComposedTiles, kept: int) -> None:
@@ -131,6 +131,13 @@ def _keeping(survey: Survey, context: Context) -> TileKeeping:
     if files and files[0] is not None and files[1] is not None and files[2] is not None:
         earlier = EarlierMosaic(files[0], files[1], decode(files[2].read_bytes(), ComposedTiles))
     return TileKeeping(frames, earlier, noted)
+
+
+def _shown_by(frame: Frame, context: Context) -> str:
+    """Names what a frame's pixels come from: its file, its mask, and how values become reflectance."""
+    paths = [frame.path] if frame.valid_mask is None else [frame.path, frame.valid_mask]
+    marks = [context.content_of(Path(path)) for path in paths]
+    return " ".join(marks if frame.calibration is None else [*marks, content_of(frame.calibration)[0]])
 
 
 def _report(context: Context, grid: OutputGrid, mosaic: Mosaic) -> None:

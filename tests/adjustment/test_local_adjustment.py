@@ -9,7 +9,12 @@ from adjustment_blocks import Flown, fly
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.block_part import part_of_block
-from geomosaic.adjustment.procedure.changed_part import EarlierBlock, changed_frames
+from geomosaic.adjustment.procedure.changed_part import (
+    SHIFT,
+    EarlierBlock,
+    changed_frames,
+    whole_block_shift_m,
+)
 from geomosaic.adjustment.procedure.local_adjustment import adjusted_in_part, kept_poses
 
 BUNDLE = METHODS["bundle"]
@@ -25,7 +30,7 @@ def of_earlier(block: Block, bound_m: float = 0.2 * PIXEL_M, without: tuple[str,
     """A block as an earlier run left it; frames in `without` are replaced by others of the same name."""
     adjusted = BUNDLE(block, Settings())
     unchanged = frozenset(block.names) - frozenset(without)
-    return EarlierBlock(block.names, block.poses, block.ties, adjusted, unchanged, bound_m)
+    return EarlierBlock(block.names, block.poses, block.ties, adjusted, unchanged, bound_m, block.ground)
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +98,42 @@ def test_a_whole_adjustment_is_needed(flown: Flown) -> None:
     far[22:] += [3.0, 0.0, 0.0]
     moved = replace(flown.block, poses=replace(flown.block.poses, positions_m=far))
     assert adjusted_in_part(moved, earlier) is None
+
+
+def test_corrected_positions_move_the_block(flown: Flown) -> None:
+    """Three of 24 are reported 3 m farther east. The fit to all would move every frame by decimetres."""
+    poses = flown.block.poses
+    block = replace(flown.block, poses=replace(poses, positions_sd_m=np.full_like(poses.positions_sd_m, 1.0)))
+    earlier = of_earlier(block, bound_m=0.05)
+    corrected = poses.positions_m.copy()
+    corrected[20:23, 0] += 3.0
+    moved = replace(block, poses=replace(block.poses, positions_m=corrected))
+    assert whole_block_shift_m(block, earlier.adjusted.poses, earlier) == pytest.approx(0.0, abs=1e-9)
+    assert whole_block_shift_m(moved, earlier.adjusted.poses, earlier) > 0.3
+    assert adjusted_in_part(moved, earlier) is None
+
+
+def test_small_steps_add_up(flown: Flown) -> None:
+    """What each run leaves undone counts for the next; a whole adjustment begins anew."""
+    earlier = of_earlier(part_of_block(flown.block, np.arange(22)))
+    found = adjusted_in_part(flown.block, earlier)
+    assert found is not None and 0.0 < found.figures[SHIFT] < earlier.bound_m
+    left = 1.5 * found.figures[SHIFT]
+    figures = earlier.adjusted.figures | {SHIFT: earlier.bound_m - left}
+    again = replace(earlier, adjusted=replace(earlier.adjusted, figures=figures))
+    found = adjusted_in_part(flown.block, again)
+    assert found is not None and found.figures[SHIFT] > earlier.bound_m - left
+    figures |= {SHIFT: earlier.bound_m - left / 2.0}
+    again = replace(earlier, adjusted=replace(earlier.adjusted, figures=figures))
+    assert adjusted_in_part(flown.block, again) is None
+    assert SHIFT not in BUNDLE(flown.block, Settings()).figures
+
+
+def test_another_dem_needs_a_whole_adjustment(flown: Flown) -> None:
+    """One of other heights, or that shows more land: part of a block keeps the ground of before."""
+    ground = replace(flown.block.ground, kind="dem")
+    block = replace(flown.block, ground=ground)
+    earlier = of_earlier(part_of_block(block, np.arange(22)))
+    assert adjusted_in_part(block, earlier) is not None
+    for other in (replace(ground, up_m=ground.up_m + 1.0), replace(ground, east_0_m=ground.east_0_m - 5.0)):
+        assert adjusted_in_part(replace(block, ground=other), earlier) is None

@@ -5,6 +5,9 @@ from __future__ import annotations
 import pytest
 
 from geomosaic.cli.main import main
+from geomosaic.errors import InputError
+from geomosaic.requests.mosaic_request import MosaicRequest
+from geomosaic.requests.recipe_request import RecipeRequest
 
 
 @pytest.mark.parametrize(
@@ -30,3 +33,18 @@ def test_options_that_may_be_given_twice(capsys: pytest.CaptureFixture[str]) -> 
     arguments = ("mosaic", "nowhere", "--set", "survey.read.crs=auto", "--set", "mosaic.seams.edges=keep")
     assert main((*arguments, "-q", "-q")) == 2
     assert "no such file or folder; give an existing one as FRAMES_DIR" in capsys.readouterr().err
+
+
+def test_a_variable_of_the_shell_that_is_unset(capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty path is the current folder to Python: whatever images lie there became a mosaic."""
+    assert main(["mosaic", "", "-o", "run"]) == 2
+    assert "an argument is empty" in capsys.readouterr().err
+    with pytest.raises(InputError, match="frames is empty"):
+        MosaicRequest(frames="")
+
+
+@pytest.mark.parametrize(("first", "flag"), [("A", "frames"), ("a.yaml", "strips")])
+def test_input_and_its_option(first: str, flag: str) -> None:
+    """The results went into a folder named by INPUT."""
+    with pytest.raises(InputError, match=f"leave out INPUT or --{flag}"):
+        RecipeRequest(name="none", input=first, **{flag: "B"}).recipe()

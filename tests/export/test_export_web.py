@@ -22,7 +22,7 @@ from stac_schema import check_schema
 from test_export_cog import raw_raster
 
 from geomosaic.composition.model import Mosaic, OutputGrid, Seamline
-from geomosaic.errors import CancelledError
+from geomosaic.errors import CancelledError, InputError
 from geomosaic.export.cog import write_cog
 from geomosaic.export.footprints import write_footprints
 from geomosaic.export.geopackage import MapFeatures, write_geopackage
@@ -341,3 +341,12 @@ def test_footprints_are_geojson_in_wgs_84(tmp_path):
     to_map = Transformer.from_crs("OGC:CRS84", "EPSG:32615", always_xy=True)
     back = shapely.transform(area, lambda xy: np.column_stack(to_map.transform(xy[:, 0], xy[:, 1])))
     assert back.symmetric_difference(ring).area < 0.2
+
+
+def test_zooms_in_the_wrong_order_are_refused(tmp_path):
+    raw_raster(tmp_path / "raw.tif", bands=3, dtype="uint8", side=400)
+    with pytest.raises(InputError, match="min_zoom"):
+        write_tiles(
+            tmp_path / "raw.tif", tmp_path / "tiles", TileOptions(max_zoom=10, min_zoom=20, threads=1)
+        )
+    assert not (tmp_path / "tiles").exists()

@@ -18,7 +18,7 @@ from marking_scene import MarkingScene, marking_scene, write_frames
 from target_survey import with_target
 
 from geomosaic.camera.rotation import Rotation
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, OutputError
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.marking.marked_points import LIST, TABLE, read_points, save_points
 from geomosaic.marking.oriented_frames import OrientedFrames
@@ -390,3 +390,16 @@ def test_tiles_are_the_frame_s_own_pixels(scene: MarkingScene, tmp_path: Path) -
         assert tile.shape == (512, width, 3)
         assert np.abs(tile.astype(int) - whole[:512, 512 * across : 512 * across + width]).mean() < 2.5
     assert tiles.tile(0, 4, 0, 0) and tiles.tile(0, 1, 2, 0) is None
+
+
+def test_files_that_are_not_its_own_are_not_replaced(scene: MarkingScene, tmp_path: Path) -> None:
+    """The file of points itself may lie where marks are saved, and OpenDroneMap's list of another program."""
+    points = rover(tmp_path, scene.points)
+    (tmp_path / LIST).write_text("EPSG:32632\n1 2 3 4 5 a.jpg gcp\n")
+    with pytest.raises(OutputError, match="-o") as error:
+        read_points(points, tmp_path, scene.frames)
+    assert error.value.file == str(tmp_path / LIST)
+    points.rename(tmp_path / TABLE)
+    with pytest.raises(OutputError, match="-o") as error:
+        read_points(tmp_path / TABLE, tmp_path, scene.frames)
+    assert error.value.file == str(tmp_path / TABLE)

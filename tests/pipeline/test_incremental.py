@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 import rasterio
 from numpy.typing import NDArray
+from rasterio.warp import transform
 from small_surveys import mosaic, small_survey, summary
 
+from geomosaic.composition import compose
+from geomosaic.composition.blended import BlendedBlock, Blending, WantedBlock
 from geomosaic.errors import InputError
 from geomosaic.pipeline.earlier_run import EARLIER
 from geomosaic.pipeline.reporter import Silent
@@ -173,3 +176,61 @@ def test_earlier_frames_stay(tmp_path: Path) -> None:
     assert again(count - 1) > count // 3
     sorted(frames.iterdir())[0].unlink()
     assert again(count - 1) > count // 3
+
+
+def test_another_lens_is_no_earlier_one(
+    finished: tuple[Path, Path], survey: SimulatedSurvey, tmp_path: Path
+) -> None:
+    """The file that --camera names was edited meanwhile: the earlier solution is of the old one."""
+    frames, run = finished
+    copy, camera = shutil.copytree(run, tmp_path / "run"), tmp_path / "cameras.json"
+    shutil.copy(survey.camera, camera)
+    options = ["--pos", survey.pos, "--camera", camera, "--fixed-time", "--set", FEWER]
+    assert mosaic(frames, copy, *options) == 0
+    lenses = json.loads(camera.read_text())
+    for lens in lenses.values():
+        lens["focal_x"] = lens["focal_y"] = 1.02 * lens["focal_x"]
+    camera.write_text(json.dumps(lenses))
+    assert mosaic(frames, copy, *options, "--incremental") == 0
+    assert summary(copy)["metrics"]["reused"]["adjustment"] is False
+
+
+def box(path: Path, ring: list[tuple[float, float]]) -> None:
+    """An area with corners in degrees."""
+    geometry = {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
+    feature = {"type": "Feature", "properties": {}, "geometry": geometry}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+
+
+def test_a_stopped_run_that_goes_on_has_no_holes(
+    survey: SimulatedSurvey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames on the map hold what a run asked for, and the run after a stopped one may ask for more. Here the
+    area has lost a corner, so that tiles away from it are of the run before."""
+    frames, run, aoi = (
+        copied(survey, tmp_path / "frames", 0, FIRST),
+        tmp_path / "run",
+        tmp_path / "aoi.geojson",
+    )
+    options = [*given(survey), "--aoi", aoi, "--gsd", "0.02"]
+    box(aoi, [(11.2, 48.0), (11.4, 48.0), (11.4, 48.2), (11.2, 48.2)])
+    assert mosaic(frames, run, *options) == 0
+    with rasterio.open(run / "mosaic.tif") as raster:
+        west, south, east, north = raster.bounds
+        cut = 0.3 * (east - west)
+        corners = [(west, south), (east - cut, south), (east - cut, south + cut), (east, south + cut)]
+        corners += [(east, north), (west, north)]
+        box(aoi, list(zip(*transform(raster.crs, "EPSG:4326", *zip(*corners, strict=True)), strict=True)))
+
+    def stopped(how: Blending, of: WantedBlock) -> BlendedBlock:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(compose, "blended", stopped)
+        assert mosaic(frames, run, *options, "--incremental") == 130
+    assert mosaic(frames, run, *options, "--incremental") == 0
+    assert mosaic(frames, tmp_path / "whole", *options) == 0
+    with rasterio.open(run / "mosaic.tif") as found, rasterio.open(tmp_path / "whole" / "mosaic.tif") as true:
+        missing = (true.dataset_mask() > 0) & (found.dataset_mask() == 0)
+    assert missing.mean() < 0.001
+    assert summary(run)["metrics"]["reused"]["tiles"] > 0

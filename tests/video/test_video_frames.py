@@ -281,3 +281,16 @@ def test_what_is_no_video_or_has_no_positions(tmp_path: Path, capsys: pytest.Cap
     survey = small_survey(tmp_path / "simulated", lines=1, frames_per_line=2)
     assert main(["frames", str(still), "-o", str(survey.frames)]) == 2
     assert "choose a new or empty folder" in capsys.readouterr().err
+
+
+def test_subtitles_that_were_found_and_have_no_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A drone without a fix writes them; given by --srt they are an error."""
+    _video(tmp_path / "a.mp4", np.linspace(0.0, 960.0, 100))
+    srt = tmp_path / "a.SRT"
+    srt.write_text("1\n00:00:00,000 --> 00:00:01,000\n[latitude: n/a] [longitude: n/a]\n\n")
+    assert geomosaic("frames", tmp_path / "a.mp4", "-o", tmp_path / "frames") == 0
+    assert "positions  none" in capsys.readouterr().out
+    assert geomosaic("frames", tmp_path / "a.mp4", "-o", tmp_path / "again", "--srt", srt) == 2
+    assert "leave out --srt" in capsys.readouterr().err

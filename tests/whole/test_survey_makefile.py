@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from small_surveys import small_survey
 
+import geomosaic
+
 MAKEFILE = """\
 north_FLAGS :=
 GEOMOSAIC := {geomosaic}
@@ -90,3 +92,16 @@ def test_three_surveys_are_made_side_by_side_and_then_up_to_date(desk: Path) -> 
         said.count("main run slim.yaml flights/north -o out/north") == said.count("main run slim.yaml") == 1
     )
     assert make(desk, "hello") == (0, "hello\n")
+
+
+def test_a_run_that_strict_refuses_is_tried_again(tmp_path: Path) -> None:
+    """It ends with 3, but has written run.json: make took it for made."""
+    (tmp_path / "flights" / "north").mkdir(parents=True)
+    (tmp_path / "flights" / "north" / "a.jpg").write_text("a frame")
+    writes = "mkdir -p out/north; touch out/north/run.json out/north/mosaic.tif; exit $(cat code)"
+    (tmp_path / "stub.sh").write_text(writes)
+    recipes = Path(geomosaic.__file__).parent / "recipes"
+    (tmp_path / "Makefile").write_text(f"GEOMOSAIC := sh stub.sh\ninclude {recipes}/survey.mk\n")
+    for code, ends in ((3, 2), (3, 2), (0, 0), (3, 0)):
+        (tmp_path / "code").write_text(str(code))
+        assert make(tmp_path, "mosaics")[0] == ends

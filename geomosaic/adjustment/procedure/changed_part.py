@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -17,14 +18,19 @@ from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import footprint
+from geomosaic.projection.ground import GroundSurface
+
+SHIFT: Final = "kept_shift_m"
+"""Of an outcome's figures: by how much reported positions would move frames that stayed, since the last whole
+adjustment."""
 
 
 @dataclass(frozen=True)
 class EarlierBlock:
     """An adjusted block of an earlier run. names (n,): its frames; given: where they were reported;
     unchanged: names of the frames whose files are as they were; bound_m: by how much a place on the ground
-    may differ from that of a whole adjustment; moved: turn (3, 3) and shift (3,) in m to the present work
-    frame, None where it is the same."""
+    may differ from that of a whole adjustment; prior_ground: before it was adjusted; moved: turn (3, 3) and
+    shift (3,) in m to the present work frame, None where it is the same."""
 
     names: tuple[str, ...]
     given: Poses
@@ -32,7 +38,7 @@ class EarlierBlock:
     adjusted: Adjusted
     unchanged: frozenset[str]
     bound_m: float
-
+    prior_ground: GroundSurface
     moved: tuple[Floats, Floats] | None = None
 
     @property
@@ -43,6 +49,11 @@ class EarlierBlock:
             return None
         solved = solved.of(self.unchanged)
         return solved if self.moved is None else solved.moved(*self.moved)
+
+    @property
+    def shift_m(self) -> float:
+        """By how much runs before this one would have moved its frames, see `SHIFT`."""
+        return self.adjusted.figures.get(SHIFT, 0.0)
 
     def in_frame(self, was: LocalFrame, now: LocalFrame) -> EarlierBlock:
         """From one work frame to another. Of another one, only `solved` is known."""
@@ -128,33 +139,56 @@ def moved_m(one: Adjusted, other: tuple[Poses, Ints], frames: Ints) -> Floats:
     return out
 
 
-def whole_block_shift_m(block: Block, poses: Poses, was: Ints) -> float:
-    """By how much, in m, the positions of new frames would move the earlier frames. In plan they move as a
+def whole_block_shift_m(block: Block, poses: Poses, earlier: EarlierBlock) -> float:
+    """By how much, in m, the positions reported now would move the earlier frames. In plan they move as a
     similarity, whose turn is bound by headings. In height they move by a level and a slope, which is bound by
-    attitudes. The fit to all reported positions is compared with the fit to those of the earlier frames, at
-    the earlier frames.
+    attitudes. The fit to all positions of now is compared with the fit to those of then, at the earlier
+    frames. Frames that are gone, and positions that were corrected, count as well as new ones.
 
-    Args: poses: all as found. was: see `ChangedPart`.
+    Args: poses: all as found.
     """
-    given, old = block.poses, was >= 0
-    known = ~position_assumed(given)
-    miss_m, before = given.positions_m - poses.positions_m, known & old
-    if not before.any():
+    solved = earlier.solved
+    certain = frozenset() if solved is None else frozenset(solved.names)
+    was = np.array([name in certain for name in earlier.names])
+    now, then = ~position_assumed(block.poses), was & ~position_assumed(earlier.given)
+    if not then.any():
         return np.inf
-    e, n = (poses.positions_m[:, :2] - poses.positions_m[before, :2].mean(axis=0)).T
-    zero, one = np.zeros(len(e)), np.ones(len(e))
-    plan = np.stack([np.stack([one, zero, -n, e], 1), np.stack([zero, one, e, n], 1)], 1)
-    height = np.stack([one, e, n], 1)[:, None]
-    sd_m, sd_rad = given.positions_sd_m, given.rotations_sd_rad
-    moves_m = []
-    for design, its, turns in ((plan, np.s_[:, :2], [(2, 2)]), (height, np.s_[:, 2:], [(1, 1), (2, 0)])):
-        found = []
-        for some in (known, before):
-            rows = [(design[some] / sd_m[its][some][..., None]).reshape(-1, design.shape[2])]
-            rows += [np.eye(design.shape[2])[k] / sd_rad[some, axis, None] for k, axis in turns]
-            side = np.zeros(sum(map(len, rows)))
-            side[: len(rows[0])] = (miss_m[its][some] / sd_m[its][some]).ravel()
-            found.append(least_squares(np.concatenate(rows), side))
-        moves_m.append(np.linalg.norm(design[old] @ (found[0] - found[1]), axis=1))
+    old_m = earlier.adjusted.poses.positions_m
+    middle_m, moves_m = old_m[then].mean(axis=0), []
+    for designs, turns in ((_plan, [(2, 2)]), (_heights, [(1, 1), (2, 0)])):
+        found = [
+            _fitted(designs(at_m - middle_m), (reported, at_m, some), turns)
+            for reported, at_m, some in (
+                (block.poses, poses.positions_m, now), (earlier.given, old_m, then)
+            )
+        ]  # fmt: skip
+        moves_m.append(np.linalg.norm(designs(old_m[was] - middle_m) @ (found[0] - found[1]), axis=1))
     aside = max(float(np.hypot(c.width_px, c.height_px)) / 2.0 / c.focal_length_px for c in block.cameras)
     return float((moves_m[0] + aside * moves_m[1]).max())
+
+
+def _plan(at_m: Floats) -> Floats:
+    """Rows (n, 2, 4) of a shift, a turn and a scale in plan."""
+    zero, one = np.zeros(len(at_m)), np.ones(len(at_m))
+    e, n = at_m[:, 0], at_m[:, 1]
+    return np.stack([np.stack([one, zero, -n, e], 1), np.stack([zero, one, e, n], 1)], 1)
+
+
+def _heights(at_m: Floats) -> Floats:
+    """Rows (n, 1, 3) of a level and a slope."""
+    return np.stack([np.ones(len(at_m)), at_m[:, 0], at_m[:, 1]], 1)[:, None]
+
+
+def _fitted(design: Floats, of: tuple[Poses, Floats, Bools], turns: list[tuple[int, int]]) -> Floats:
+    """Unknowns that reported positions, less those found (n, 3), ask for. of: what was reported, where it was
+    found, which frames count. turns: unknowns that an axis of the attitudes binds."""
+    reported, at_m, some = of
+    its = slice(0, 2) if design.shape[1] == 2 else slice(2, 3)
+    sd_m, sd_rad = reported.positions_sd_m[some, its], reported.rotations_sd_rad[some]
+    miss_m = (reported.positions_m - at_m)[some, its]
+    unknowns = design.shape[2]
+    rows = [(design[some] / sd_m[..., None]).reshape(-1, unknowns)]
+    rows += [np.eye(unknowns)[k] / sd_rad[:, axis, None] for k, axis in turns]
+    side = np.zeros(sum(map(len, rows)))
+    side[: len(rows[0])] = (miss_m / sd_m).ravel()
+    return least_squares(np.concatenate(rows), side)

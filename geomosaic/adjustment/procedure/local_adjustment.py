@@ -19,6 +19,7 @@ from geomosaic.adjustment.procedure.block_problem import block_problem, part_of_
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.blunder_detection import contradicted_frames, counted_shares
 from geomosaic.adjustment.procedure.changed_part import (
+    SHIFT,
     ChangedPart,
     EarlierBlock,
     changed_frames,
@@ -39,6 +40,7 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.tracks import Tracks, join_tracks, nearest_to_rays, thin_tracks
 from geomosaic.placement.prior import position_assumed
+from geomosaic.projection.ground import GroundSurface
 
 CHANGED: Final = "the changed part"
 """What the solve of it is called."""
@@ -46,10 +48,13 @@ CHANGED: Final = "the changed part"
 
 def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
     """The block with the earlier poses, but for frames whose tie points changed and as many about them as
-    move by more than the bound. None where a whole adjustment is needed. It is needed where the new positions
-    would move the earlier frames by more than the bound, or new images fit the earlier lenses badly. It is
-    also needed where control points, rolling shutters or unknowns of the platform tie all frames together."""
+    move by more than the bound. None where a whole adjustment is needed. It is needed where the positions
+    reported now would move the earlier frames by more than the bound, in this run and those before together.
+    It is also needed where new images fit the earlier lenses badly, or a DEM is another one or shows more
+    land. Control points, rolling shutters and unknowns of the platform tie all frames together."""
     if earlier.solved is None or earlier.moved is not None or _ties_all(block, earlier):
+        return None
+    if block.ground.kind == "dem" and not _alike(block.ground, earlier.prior_ground):
         return None
     was, changed = changed_frames(block, earlier)
     if position_assumed(block.poses)[was < 0].any():
@@ -61,14 +66,17 @@ def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
             if 2 * int(part.free.sum()) > len(block.names):
                 return None
             found = _adjusted(block, part, earlier)
-            if found is None or whole_block_shift_m(block, found.poses, was) > earlier.bound_m:
+            if found is None:
+                return None
+            shift_m = earlier.shift_m + whole_block_shift_m(block, found.poses, earlier)
+            if shift_m > earlier.bound_m:
                 return None
             known = np.flatnonzero(changed & (was >= 0))
             moved = known[moved_m(found, (earlier.adjusted.poses, was), known) > earlier.bound_m]
             grown = np.isin(np.arange(len(was)), moved)
             grown = changed | tied_with(block, grown)
             if (grown == changed).all():
-                return found
+                return replace(found, figures=found.figures | {SHIFT: shift_m})
             changed = grown
         none = np.zeros(0, dtype=np.intp)
         return merged(block, earlier, ChangedPart(was, none, none.astype(bool)), None)
@@ -79,6 +87,12 @@ def kept_poses(found: Adjusted, earlier: EarlierBlock) -> Bools:
     """Which frames (n,) have the very position of one in the earlier block."""
     before = {position.tobytes() for position in earlier.adjusted.poses.positions_m}
     return np.array([position.tobytes() in before for position in found.poses.positions_m], dtype=bool)
+
+
+def _alike(one: GroundSurface, other: GroundSurface) -> bool:
+    """Whether two grounds have the same nodes and heights."""
+    lies = [(g.kind, g.east_0_m, g.north_0_m, g.spacing_m) for g in (one, other)]
+    return lies[0] == lies[1] and np.array_equal(one.up_m, other.up_m, equal_nan=True)
 
 
 def _ties_all(block: Block, earlier: EarlierBlock) -> bool:
