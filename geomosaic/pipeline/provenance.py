@@ -7,17 +7,23 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 import geomosaic
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.recording.file.levels import RecordOptions
 from geomosaic.recording.file.privacy import Privacy
+
+_SYSTEMS: Final = frozenset({"crs", "pos_crs", "height_datum", "heights"})
+"""Parameters that name reference systems."""
 
 
 def surroundings(*, private: bool) -> dict[str, Any]:
@@ -80,5 +86,24 @@ def privacy_of(record: RecordOptions, recipe: Recipe, folder: RunFolder) -> Priv
         return None
     inputs = {p for step in recipe.steps for p in step.stage.files(step.params).values()}
     parents = {p.absolute().parent for p in inputs}
-    named = {*inputs, *parents, folder.path, folder.path.parent, Path.cwd(), Path.home()}
-    return Privacy(named, places=record.private_places)
+    texts = [text for step in recipe.steps for text in _texts(step.params.model_dump())]
+    listed = {Path(text.rpartition("=")[2]).absolute().parent for _, text in texts if "/" in text}
+    named = {*inputs, *parents, *listed, folder.path, folder.path.parent, Path.cwd(), Path.home()}
+    systems = [s for name, text in texts if name in _SYSTEMS for s in _names_of(text)]
+    return Privacy(named, systems, places=record.private_places)
+
+
+def _texts(params: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The texts among a stage's parameters, each with the parameter's name."""
+    for name, value in params.items():
+        for one in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(one, str):
+                yield name, one
+
+
+def _names_of(system: str) -> list[str]:
+    """A reference system as it was given, and by its name."""
+    with suppress(CRSError):
+        crs = CRS.from_user_input(system)
+        return [system, crs.name, *(part.name for part in crs.sub_crs_list)]
+    return []

@@ -25,6 +25,13 @@ _SUNSHINE = sourced(
     "a record of the tag IrradianceList",
     "Parrot developer forum, Details of the IrradianceList tag",
 )
+_MISREPORTED_S = sourced(
+    (1.0 / 6329.0, 0.000274),
+    "s",
+    "exposure in tags of old firmware, and the true one",
+    "MicaSense, imageprocessing",
+)
+_LIKE_S = sourced(1e-6, "s", "difference of the same exposure", "MicaSense, imageprocessing, metadata.py")
 _FULL: Final = np.iinfo(np.uint16).max
 """The largest digital number, and the count of a saturated sunshine sensor."""
 
@@ -67,11 +74,14 @@ def _micasense(header: FrameHeader) -> SensorModel | None:
     if factors is None or not exif.exposure_s or not exif.iso:
         return None
     a1, a2, a3 = factors
-    gain = a1 / (exif.iso / 100.0 * exif.exposure_s * (_FULL + 1.0))
+    wrong_s, true_s = _MISREPORTED_S
+    wrong = exif.model != "Altum" and abs(exif.exposure_s - wrong_s) < _LIKE_S
+    exposure_s = true_s if wrong else exif.exposure_s
+    gain = a1 / (exif.iso / 100.0 * exposure_s * (_FULL + 1.0))
     centre = numbers(xmp, "Camera:VignettingCenter", 2)
     fall = _radial(numbers(xmp, "Camera:VignettingPolynomial", 6), centre, divides=True)
     fall = fall or _two_dimensional(xmp)
-    row_gradient = a2 / exif.exposure_s - a3
+    row_gradient = a2 / exposure_s - a3
     calibration = Calibration(gain, exif.black_level or 0.0, row_gradient, fall)
     return SensorModel(calibration, _downwelling(header), absolute=True)
 

@@ -55,6 +55,20 @@ def test_tags_of_either_makers_vignetting_are_read() -> None:
     assert model.calibration.vignetting == Vignetting((0.9, 0.1), exponents=((0.0, 0.0), (1.0, 0.0)))
 
 
+def test_an_exposure_that_old_firmware_misreports() -> None:
+    """Tags of 1/6329 s of a RedEdge stand for 0.274 ms (MicaSense's own imageprocessing); not of an Altum."""
+    xmp = {"MicaSense:RadiometricCalibration": "0.0002,0.0000001,0.00002"}
+
+    def gain(model: str, exposure_s: float) -> float:
+        exif = Exif(exposure_s=exposure_s, iso=100.0, model=model)
+        found = sensor_model(FrameHeader(Path("a.tif"), 10, 8, 1, "uint16", None, exif, xmp))
+        assert found is not None
+        return found.calibration.gain
+
+    assert gain("RedEdge", 1.0 / 6329.0) == gain("RedEdge", 0.000274)
+    assert gain("Altum", 1.0 / 6329.0) == pytest.approx(0.0002 * 6329.0 / 65536.0)
+
+
 def test_values_below_black_are_0_and_beyond_two_are_cut() -> None:
     values = np.array([[[100], [65535]]], dtype=np.uint16)
     assert Calibration(1e-3, 4800.0).digital(values)[0, :, 0].tolist() == [0, 65535]

@@ -15,12 +15,26 @@ from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.recording.file.plain import json_text
 
-_FOLDERS = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^\s/\\:'\",;()\[\]{}<>]+)*[/\\](?=[^\s/\\])")
-"""The folders of an absolute path as it may stand in a text."""
-_CRS = re.compile(r"\b(EPSG|ESRI|IGNF|OGC):\w+")
-
-
+_NAME = r"[^\s/\\:'\",;()\[\]{}<>]+"
+_FOLDERS = re.compile(
+    rf"(?:(?<![\w.:/])(?:file:/?/?)?(?:[A-Za-z]:)?[/\\]?(?:[/\\]{_NAME}(?: {_NAME})*)*"
+    rf"|(?<![\w./])(?:\.\.[/\\])*\.\.(?:[/\\]{_NAME}(?: {_NAME})*)*)[/\\](?=[^\s/\\])"
+)
+"""The folders of a path that is absolute, of a network or above the current one, in a text."""
+_CRS = re.compile(
+    r"(?:urn:ogc:def:crs:)?\b(?:EPSG|ESRI|IGNF|OGC):+\w+(?:\+\w+)?|(?:WGS 84 / )?\bUTM zone \w+"
+    r"|\+proj=[^\s,;()]+(?: \+[^\s;()]*[^\s,;()])*",
+    re.IGNORECASE,
+)
+_NUMBER = r"-?\d+(?:\.\d+)?"
+_PLACE = re.compile(
+    rf"\({_NUMBER}(?: to {_NUMBER})?, {_NUMBER}(?: to {_NUMBER})? deg\)|{_NUMBER}, {_NUMBER}, {_NUMBER} m\b"
+)
+"""A place, or a reach of places, as messages state it."""
+_JSON_FIELDS = frozenset({"json", "params_json", "notes_json", "geojson"})
+"""Of messages: texts that are JSON themselves."""
 _PLACES = frozenset({"easting_m", "northing_m", "centre_east_m", "centre_north_m", "middle_m"})
 """Entries of metrics that hold places of the map."""
 
@@ -36,20 +50,23 @@ def _without_places(text: str) -> str:
                 return [cleared(v) for v in value]
         return value
 
-    return json.dumps(cleared(json.loads(text)), separators=(",", ":")) if text else text
+    return json_text(cleared(json.loads(text))) if text else text
 
 
 class Privacy:
     """Takes out of texts the folders of absolute paths, so that names of files stay. With `places` it also
     moves all places to a secret one, and takes out the names of map systems.
 
-    folders: those that are known to be named, whatever is in their names.
+    folders, systems: those that are known to be named, whatever is in their names.
     """
 
-    def __init__(self, folders: Iterable[Path] = (), *, places: bool = False) -> None:
+    def __init__(
+        self, folders: Iterable[Path] = (), systems: Iterable[str] = (), *, places: bool = False
+    ) -> None:
         known = {str(f.absolute()) for f in folders} - {"/"}
         self.places = places
         self._known = [f"{name}/" for name in sorted(known, key=len, reverse=True)]
+        self._systems = sorted(set(systems), key=len, reverse=True) if places else []
         self._here: LocalFrame | None = None
         self._there = LocalFrame(
             secrets.SystemRandom().uniform(-180.0, 180.0), secrets.SystemRandom().uniform(-60.0, 60.0), 0.0
@@ -61,7 +78,13 @@ class Privacy:
             for folder in self._known:
                 text = text.replace(folder, "")
             text = _FOLDERS.sub("", text)
-        return _CRS.sub("its map system", text) if self.places else text
+        for system in self._systems:
+            text = text.replace(system, "its map system")
+        return _PLACE.sub("(its place)", _CRS.sub("its map system", text)) if self.places else text
+
+    def json(self, text: str) -> str:
+        """A text of JSON whose own texts are without folders; escapes would hide these."""
+        return json_text(self.value(json.loads(text))) if text else text
 
     def yaml(self, text: str) -> str:
         """A text in YAML, which may break a folder's name over lines, without folders."""
@@ -88,7 +111,8 @@ class Privacy:
                 if repeated:
                     value[:] = [self.text(v) for v in value]
                 else:
-                    setattr(message, field.name, self.text(value))
+                    of = self.json if field.name in _JSON_FIELDS else self.text
+                    setattr(message, field.name, of(value))
             elif field.type == field.TYPE_MESSAGE:
                 for one in value if repeated else (value,):
                     self.message(one)
@@ -105,7 +129,7 @@ class Privacy:
             tree = json.loads(message.geojson)
             for feature in tree["features"]:
                 self._move_all(feature["geometry"])
-            message.geojson = json.dumps(tree, separators=(",", ":"))
+            message.geojson = json_text(tree)
 
     def _move_all(self, geometry: Any) -> None:
         def moved(coordinates: Any) -> Any:

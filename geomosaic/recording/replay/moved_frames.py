@@ -57,6 +57,7 @@ def found_frames(recording: Recording, folder: Path) -> dict[Path, Path]:
 def at_places(given: Mapping[int, ReplayedStage], places: Mapping[Path, Path]) -> dict[int, ReplayedStage]:
     """Stages from a recording, with the files that they read and name at other places."""
     texts = {str(old): str(new) for old, new in places.items()}
+    texts |= {old.name: str(new) for old, new in places.items() if not old.is_absolute()}  # of private ones
     return {
         i: dataclasses.replace(g, places=places).with_outputs(partial(_renamed, texts=texts))
         for i, g in given.items()
