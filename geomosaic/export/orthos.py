@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
 from typing import Final
 
 from osgeo import gdal
@@ -17,6 +16,7 @@ from geomosaic.composition.orthos import write_ortho
 from geomosaic.composition.visibility import FrameOnMap
 from geomosaic.doors.gdal_failures import close, gdal_failures
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.export.cog import CogOptions, write_cog
 
 _UNSAFE: Final = re.compile(r"[^\w.-]")
@@ -64,7 +64,7 @@ class OrthoFile:
 
 def ortho_file(style: OrthoStyle, frame: tuple[FrameOnMap, ...]) -> OrthoFile:
     """One frame's ortho. Raises: as `write_ortho` and `write_cog`."""
-    with TemporaryDirectory(dir=style.scratch) as folder:
+    with scratch_folder(style.scratch) as folder:
         raster, out = Path(folder) / "raster.tif", Path(folder) / "ortho.tif"
         if not write_ortho(style.warping, style.area, style.names, frame, raster):
             return OrthoFile(b"")

@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from geomosaic.doors.gdal_failures import Progress
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.export.web import TileOptions, finest_zoom, write_tiles
 
 _MBTILES: Final = """
@@ -46,7 +46,7 @@ def write_packed(
     """
     if form == "mbtiles" and options.max_zoom is None:
         options = replace(options, max_zoom=min(finest_zoom(mosaic_file), _FINEST_MBTILES))
-    with TemporaryDirectory(dir=out.parent) as scratch:
+    with scratch_folder(out.parent) as scratch:
         folder = Path(scratch) / "tiles"
         write_tiles(mosaic_file, folder, options, progress=progress)
         index = {**json.loads((folder / "tiles.json").read_text()), "name": mosaic_file.parent.name}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
@@ -15,6 +14,7 @@ from geomosaic.ccd.outlines import lonlat_by_rpc
 from geomosaic.constants import tuned
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, close, gdal_failures, gdal_options
 from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.errors import InputError
 from geomosaic.export.cog import CogOptions, write_cog
 from geomosaic.geodesy.mapcrs import map_crs, utm_crs
@@ -78,7 +78,7 @@ def write_scene_map(
         ]
     callback = GdalProgress(progress)
     with (
-        TemporaryDirectory(dir=out.parent) as scratch,
+        scratch_folder(out.parent) as scratch,
         callback.reraise(),
         gdal_failures(out),
         gdal_options({"GDAL_TIFF_INTERNAL_MASK": "YES"}),

@@ -6,13 +6,13 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 from osgeo import gdal
 
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, close, gdal_failures
 from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.errors import InputError
 from geomosaic.export.shown_bands import shown_bands
 from geomosaic.export.tile_page import write_tile_page
@@ -129,7 +129,7 @@ def write_kmz(
             fix="write tiles instead: geomosaic export tiles, mbtiles or pmtiles",
         )
     callback = GdalProgress(progress)
-    with TemporaryDirectory(dir=out.parent) as scratch, callback.reraise(), gdal_failures(out):
+    with scratch_folder(out.parent) as scratch, callback.reraise(), gdal_failures(out):
         shown, warped = Path(scratch) / "shown.vrt", Path(scratch) / "warped.vrt"
         _write_shown(mosaic_file, shown)
         with open_raster(mosaic_file, OWN) as tiff:

@@ -11,6 +11,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from pyproj import proj_version_str
+from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
+
 from geomosaic.pipeline import files
 from geomosaic.pipeline.artefact_reader import decode, texts_in
 from geomosaic.pipeline.artefacts import fingerprint_of_file, write
@@ -25,6 +28,7 @@ from geomosaic.recording.file.fingerprints import artefact_fingerprint, fingerpr
 
 _KEY = re.compile(r"(given-)?[0-9a-f]{40}")
 _ITEM = (re.compile(r"[0-9a-f]{2}"), re.compile(r"[0-9a-f]{38}"))
+_GRIDS = frozenset({".tif", ".gtx", ".gsb"})
 _MOST_ENTRY_BYTES = 64 << 20
 _ENTRY, _CALLS, _ARTEFACT, _SPOOL, _ITEMS = "entry.json", "messages", ".artefact", "calls.part", "items"
 
@@ -109,8 +113,16 @@ def stage_key(
             "seed": seed,
             "inputs": {name: handle.fingerprint for name, handle in inputs.items()},
             "files": sorted(lineage),
+            "proj": [proj_version_str, _grids()],
         }
     )
+
+
+def _grids() -> list[tuple[str, int]]:
+    """Names and sizes of PROJ's grids, which heights and datums are transformed by where they are there."""
+    folders = {*get_data_dir().split(os.pathsep), get_user_data_dir()}
+    found = (path for folder in folders for path in Path(folder).glob("*") if path.suffix in _GRIDS)
+    return sorted({(path.name, path.stat().st_size) for path in found})
 
 
 class StageCache:

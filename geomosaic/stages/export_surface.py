@@ -5,11 +5,11 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from rasterio import Env
 
 from geomosaic.doors.raster import OWN, READ_CACHE_BYTES, open_raster
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.export.cog import CogOptions, block_cache, write_cog
 from geomosaic.export.project_layers import CONTOURS
 from geomosaic.export.project_rasters import HILLSHADE
@@ -70,7 +70,7 @@ def export_surface(
     grid, by = surface_grid(frames.mosaic.grid, models.surface.cells.cell_m)
     heights = height_system(grid, params.heights)
     on_map = SurfaceOnMap(grid, by, frames.survey.work_frame, models.surface, models.terrain, heights)
-    with TemporaryDirectory(dir=context.work_folder) as scratch:
+    with scratch_folder(context.work_folder) as scratch:
         plain = {name: Path(scratch) / file for name, file in FILES.items()}
         with ExitStack() as stack:
             stack.enter_context(block_cache(READ_CACHE_BYTES))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import cv2
 
 from geomosaic.composition.model import Mosaic
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.export.cog import write_cog
 from geomosaic.export.footprints import write_footprints
 from geomosaic.export.index import AUTO, FORMULAS, Index, index_ends, write_index
@@ -100,7 +100,7 @@ def export_index(mosaic_file: RunFile, params: IndexParams, context: Context) ->
     """Writes index_NAME.tif in 32-bit floats, index_NAME.png with a legend and index_NAME.qml, its style."""
     index = Index.for_mosaic(context.path_of(mosaic_file), params.formula, params.name)
     file = f"index_{index.name}"
-    with TemporaryDirectory(dir=context.work_folder) as scratch:
+    with scratch_folder(context.work_folder) as scratch:
         plain = Path(scratch) / "index.tif"
         progress = partial(context.progress, text=f"{file}.tif")
         values = write_index(context.path_of(mosaic_file), plain, index, progress)

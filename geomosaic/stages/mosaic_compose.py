@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 from geomosaic.composition.bands import compose_bands
@@ -22,6 +21,7 @@ from geomosaic.composition.composed_tiles import ComposedTiles, EarlierMosaic
 from geomosaic.composition.model import Mosaic, OutputGrid
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.matching.band_registration import RigPoses
 from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import content_of, encode
@@ -104,7 +104,7 @@ def mosaic_compose(
         sources = stack.enter_context(context.writing(SOURCES)) if params.sources else None
         files = MosaicFiles(stack.enter_context(context.writing(RASTER)), sources)
         if rig.bands:
-            folder = Path(stack.enter_context(TemporaryDirectory(dir=context.work_folder)))
+            folder = Path(stack.enter_context(scratch_folder(context.work_folder)))
             mosaic = compose_bands(composing, frames, rig, folder, files)
         else:
             mosaic = composing(frames, files)

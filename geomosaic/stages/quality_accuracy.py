@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from geomosaic.composition.ownership import Ownership
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.export.accuracy import write_accuracy
 from geomosaic.export.cog import CogOptions, write_cog
 from geomosaic.geodesy.mapcrs import is_local
@@ -74,7 +74,7 @@ def quality_accuracy(
             context.check_cancelled()
             yield block
 
-    with TemporaryDirectory(dir=context.work_folder) as scratch:
+    with scratch_folder(context.work_folder) as scratch:
         plain = Path(scratch) / ACCURACY
         summary = write_accuracy(plain, cells.grid, blocks())
         with context.writing(ACCURACY) as path:

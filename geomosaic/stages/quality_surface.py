@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
 
+from geomosaic.doors.scratch import scratch_folder
 from geomosaic.export.cog import CogOptions, write_cog
 from geomosaic.export.surface import write_difference
 from geomosaic.pipeline.function_stage import stage
@@ -61,7 +61,7 @@ def quality_surface(
         params.offset_m,
         lambda text: context.warn("reference-datum-assumed", "", text),
     )
-    with TemporaryDirectory(dir=context.work_folder) as scratch:
+    with scratch_folder(context.work_folder) as scratch:
         plain = Path(scratch) / DIFFERENCE
         write_difference(plain, surface, difference_m)
         with context.writing(DIFFERENCE) as out:
