@@ -24,7 +24,8 @@ _ROUTINE: Final = frozenset(
         "frame-turned", "geoid-assumed", "headings-off", "height-above-take-off", "height-by-neighbours",
         "height-datum-assumed", "height-datum-unknown", "height-estimated",
         "height-unit-assumed", "image-edited", "model-chosen", "order-by-name",
-        "pos-attitude-convention", "pos-columns-ignored", "pos-header-assumed", "readout-by-model",
+        "pos-attitude-convention", "pos-columns-ignored", "pos-crs-unused", "pos-header-assumed",
+        "readout-by-model",
         "readout-by-tag", "reference-datum-assumed", "surface-coarse", "yaw-wrong",
     )
 )  # fmt: skip

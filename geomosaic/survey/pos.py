@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.arrays import Floats
 from geomosaic.errors import InputError
-from geomosaic.geodesy.crs_names import StatedCrs, crs_of
+from geomosaic.geodesy.crs_names import StatedCrs, crs_of, required_crs
 from geomosaic.geodesy.mapcrs import MapProjection, utm_crs
 from geomosaic.survey.attitude import read_angles
 from geomosaic.survey.column_names import Aliases
@@ -180,6 +180,9 @@ def _table(
     if odm is not None and len(lines) > 1 and lines[0].comment and _names_too_few(*lines[:2]):
         lines = lines[1:]
     file_crs = odm or given_crs(path, given, _GIVE_CRS)
+    if odm is not None and given is not None and required_crs(given, _GIVE_CRS).groups != odm.groups:
+        text = f"{path.name}: its first line states {odm.text}, which counts; --pos-crs {given} does not; "
+        notes.append(Warn("pos-crs-unused", "", f"{text}if that line is wrong, correct it"))
     if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "frame", "frame's name")

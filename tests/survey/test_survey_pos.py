@@ -136,6 +136,15 @@ def test_pix4d_with_and_without_header(tmp_path: Path) -> None:
     assert "pos-header-assumed" in codes(pos(tmp_path, line))
 
 
+def test_the_first_line_counts_before_pos_crs(tmp_path: Path) -> None:
+    """A word says so where both are given and differ."""
+    text = "EPSG:32632\na.jpg 691000 5335000 500\nb.jpg 691050 5335000 500\n"
+    same = pos(tmp_path, text, "geo.txt", crs="EPSG:32632")
+    other = pos(tmp_path, text, "geo.txt", crs="EPSG:32633")
+    assert same.rows[0].lon_deg == other.rows[0].lon_deg
+    assert "pos-crs-unused" in codes(other) - codes(same)
+
+
 def test_pix4ds_angles_without_a_header_count_from_the_utm_grid(tmp_path: Path) -> None:
     text = "b.JPG,60.0,11.5,500,4.0,-2.5,-30\na.JPG,60.1,11.5,500,0,0,90\n"
     row = pos(tmp_path, text).rows[0]
