@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from geomosaic.cli.options import AsJson, Quiet, output_option
-from geomosaic.errors import FileError
+from geomosaic.errors import FileError, OutputError
 
 if TYPE_CHECKING:
+    from geomosaic.pipeline.run_folder import RunFolder
     from geomosaic.quality.changes import Change, Registration, SurfaceRasters
 
 POLYGONS, PICTURE = "changes.gpkg", "changes.png"
@@ -42,6 +43,7 @@ def compare(
     runs = old, new
     summaries = [read_summary(run) for run in runs]
     before, after = (_mosaic(run) for run in runs)
+    made = _results(files.make_folder(output or default_folder(new, "changes")))
     with progress(quiet=quiet or as_json) as reporter:
         reporter.stage_started(0, 1, "Compare")
         comparison = compared(
@@ -54,17 +56,30 @@ def compare(
         if surfaces[0] is not None and surfaces[1] is not None:
             heights, offset_m = height_changes(surfaces[0], surfaces[1], on_old, comparison.gsd_m)
             changes += heights
-    folder = files.make_folder(output or default_folder(new, "changes"))
-    with files.writing(folder / POLYGONS) as path:
+    with made.writing(POLYGONS) as path:
         write_polygons(path, changes, comparison.crs, None)
-    with files.writing(folder / PICTURE) as path:
+    with made.writing(PICTURE) as path:
         write_picture(path, after, changes)
     found = _summary(changes, on_old, comparison.gsd_m, offset_m) | _explained(on_old, offset_m, summaries)
     if as_json:
         print(json.dumps(found, indent=2))
         return
-    for line in _lines(found, folder):
+    for line in _lines(found, made.path):
         print(line)
+
+
+def _results(folder: Path) -> RunFolder:
+    """The folder, whose results may be replaced. Raises `OutputError` where one is not geomosaic's."""
+    from geomosaic.pipeline.run_folder import RunFolder
+
+    made = RunFolder(folder)
+    try:
+        for name in (POLYGONS, PICTURE):
+            made.claim(name)
+    except OutputError as error:
+        error.reword(lambda text: text.replace(", or allow it with --overwrite", " with -o"))
+        raise
+    return made
 
 
 def _mosaic(run: Path) -> Path:

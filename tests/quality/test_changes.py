@@ -144,4 +144,10 @@ def test_the_command_writes_polygons_and_a_picture(
     assert geomosaic("compare", old, new, "-o", tmp_path / "c", "--json") == 0
     output = json.loads(capsys.readouterr().out)
     assert output["apart_is_explained"] and output["apart_m"] == pytest.approx(1.30, abs=0.06)
+    assert geomosaic("compare", old, new, "-o", tmp_path / "c", "-q") == 0
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "changes.gpkg").write_bytes(b"polygons of a surveyor")
+    assert geomosaic("compare", old, new, "-o", tmp_path / "mine", "-q") == 2
+    assert "is in the way" in capsys.readouterr().err
+    assert (tmp_path / "mine" / "changes.gpkg").read_bytes() == b"polygons of a surveyor"
     assert geomosaic("compare", old, tmp_path, "-q") == 2
