@@ -171,6 +171,8 @@ class MosaicRequest(SurveyRequest):
                 file=self.surface_reference,
                 fix="add --surface dense",
             )
+        if self.dem_offset is not None and self.dem is None:
+            raise InputError("--dem-offset has an effect only on a DEM", fix="add --dem FILE")
         if self.panel and self.radiometry != "reflectance":
             raise InputError("--panel has an effect only on reflectance", fix="add --radiometry reflectance")
         if self.coregister and self.reference is None:

@@ -48,3 +48,8 @@ def test_input_and_its_option(first: str, flag: str) -> None:
     """The results went into a folder named by INPUT."""
     with pytest.raises(InputError, match=f"leave out INPUT or --{flag}"):
         RecipeRequest(name="none", input=first, **{flag: "B"}).recipe()
+
+
+def test_an_offset_of_no_dem() -> None:
+    with pytest.raises(InputError, match="--dem-offset has an effect only on a DEM; add --dem FILE"):
+        MosaicRequest(frames="frames", dem_offset=5.0).stages()
