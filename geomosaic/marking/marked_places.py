@@ -53,7 +53,7 @@ def placed_point(
     if len(poses) < 3:
         return PlacedPoint(place, *np.full((2, len(poses)), np.nan))
     leverage = slopes @ np.linalg.pinv(np.einsum("mij,mik->jk", slopes, slopes)) @ np.swapaxes(slopes, 1, 2)
-    left_out = np.linalg.solve(np.eye(2) - leverage, off[..., None])[..., 0]
+    left_out = (np.linalg.pinv(np.eye(2) - leverage) @ off[..., None])[..., 0]
     deviations = np.sqrt(np.maximum(np.sum(off * left_out, axis=1), 0.0)) / MARK_SD_PX
     return PlacedPoint(place, np.linalg.norm(left_out, axis=1), deviations)
 

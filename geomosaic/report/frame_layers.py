@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -129,8 +129,12 @@ class FrameLayers:
             for q, words in ((0.5, "in the median pair"), (0.05, "or fewer in 5 %"))
             if self.ties.pairs
         )
-        drawn = [flat(self._at_m[[p.left, p.right]], self.origin) for p in by_number]
-        vain = [flat(self._at_m[list(p)], self.origin) for p in self.ties.untied[:_MOST_TIES]]
+        known = np.atleast_1d(np.isfinite(self._at_m).all(axis=1))
+
+        def between(pairs: Iterable[tuple[int, int]]) -> list[list[float]]:
+            return [flat(self._at_m[list(p)], self.origin) for p in pairs if known[list(p)].all()]
+
+        drawn, vain = between((p.left, p.right) for p in by_number), between(self.ties.untied[:_MOST_TIES])
         return [
             MapLayer("ties", "Tied pairs", "#7ae582", lines=drawn, weight=1.2, note=note),
             MapLayer("untied", "Pairs tried in vain", "#ff7043", lines=vain, weight=1.0, dash="3 5"),
