@@ -55,10 +55,8 @@ def run(
 ) -> dict[str, Any]:
     """Runs every stage, from the cache in RUN/work where nothing it depends on has changed.
 
-    What the finished run did not use is then deleted from RUN/work, and results of earlier runs of any
-    recipe that this one did not make are deleted too. The recording of an unfinished run stays. A preview
-    deletes nothing and writes no run.json.
-
+    What the finished run did not use is then deleted from RUN/work, and results of earlier runs of any recipe
+    that this one did not make are deleted too. A preview deletes nothing and writes no run.json.
     given: outcomes of steps (by index) that are not to be run, as taken from a recording.
     Returns what run.json holds. Raises `CancelledError` on Ctrl-C, and whatever a stage raises; the
     recording then ends with the error, and the folder has no run.json, but finished work stays cached.
@@ -131,7 +129,6 @@ class _Run:
                 with self._folder.writing(RUN_JSON) as path:
                     files.write_json(path, self._summary.plain)
                 self._tidy()
-                self._hashes.forget_unasked()
             return self._summary.plain
         except KeyboardInterrupt:
             self._end_begun()
@@ -201,6 +198,7 @@ class _Run:
         """Removes what earlier runs left and this one did not make or use."""
         self._cache.prune(self._used)
         self._remove_stale()
+        self._hashes.forget_unasked()
 
     def _remove_stale(self, left: Sequence[RecipeStep] = ()) -> None:
         """Removes results of earlier runs, of any recipe. left: steps to come, whose results stay."""
