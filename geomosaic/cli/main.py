@@ -38,7 +38,7 @@ def _main(argv: Sequence[str] | None, stop: Stop) -> int:
     gc.set_threshold(100_000)  # imports make twice as many objects, and nearly all stay
     keep_freed_memory()
     try:
-        if "" in argv and argv[argv.index("") - 1] not in ("-o", "--output"):  # which says so itself
+        if "" in argv:
             raise InputError("an argument is empty", fix="give it; a variable of the shell may be unset")
         import typer
 

@@ -25,8 +25,8 @@ _OVERWRITE = "move it elsewhere, choose another output folder, or allow it with 
 class RunFolder:
     """A run's folder: `work/` is its cache, and only files that the marker lists are replaced or removed.
 
-    overwrite: files that geomosaic did not make may be replaced where a result has their name. No link
-    inside the folder is ever followed.
+    overwrite: files that geomosaic did not make may be replaced where a result has their name. passing: the
+    run leaves what others made alone. No link inside the folder is ever followed.
     """
 
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:

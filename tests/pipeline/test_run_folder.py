@@ -123,7 +123,7 @@ def test_another_name_of_the_recording_keeps_its_content(toys: Toys) -> None:  #
 def test_an_empty_name_is_no_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for command in ("mosaic", "run", "strips", "replay"):
         assert geomosaic(command, tmp_path, "-o", "") == 2
-        assert "give the folder to write to" in capsys.readouterr().err
+        assert "an argument is empty" in capsys.readouterr().err
 
 
 def test_a_marker_that_is_damaged_lists_nothing(toys: Toys) -> None:  # noqa: F811

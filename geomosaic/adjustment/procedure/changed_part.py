@@ -147,13 +147,12 @@ def whole_block_shift_m(block: Block, poses: Poses, earlier: EarlierBlock) -> fl
 
     Args: poses: all as found.
     """
-    solved = earlier.solved
-    certain = frozenset() if solved is None else frozenset(solved.names)
+    certain = frozenset() if earlier.solved is None else frozenset(earlier.solved.names)
     was = np.array([name in certain for name in earlier.names])
-    now, then = ~position_assumed(block.poses), was & ~position_assumed(earlier.given)
-    if not then.any():
-        return np.inf
     old_m = earlier.adjusted.poses.positions_m
+    now, then = _placed(block.poses, poses.positions_m), _placed(earlier.given, old_m)
+    if not (was & then).any():
+        return np.inf
     middle_m, moves_m = old_m[then].mean(axis=0), []
     for designs, turns in ((_plan, [(2, 2)]), (_heights, [(1, 1), (2, 0)])):
         found = [
@@ -165,6 +164,11 @@ def whole_block_shift_m(block: Block, poses: Poses, earlier: EarlierBlock) -> fl
         moves_m.append(np.linalg.norm(designs(old_m[was] - middle_m) @ (found[0] - found[1]), axis=1))
     aside = max(float(np.hypot(c.width_px, c.height_px)) / 2.0 / c.focal_length_px for c in block.cameras)
     return float((moves_m[0] + aside * moves_m[1]).max())
+
+
+def _placed(reported: Poses, at_m: Floats) -> Bools:
+    """Frames (n,) whose position was reported, and that are somewhere."""
+    return ~position_assumed(reported) & np.isfinite(at_m).all(axis=1)
 
 
 def _plan(at_m: Floats) -> Floats:

@@ -20,7 +20,7 @@ from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Bools
 from geomosaic.camera.exterior import Poses
-from geomosaic.constants import tuned
+from geomosaic.constants import SLIGHT, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.tracks import Tracks
 from geomosaic.placement.collocation import moved_with_neighbours
@@ -78,7 +78,7 @@ def still_fits(work: BlockState, earlier: SolvedBlock) -> bool:
     now, before = work.found.solution.components[IMAGE], Components(earlier.components)[IMAGE]
     image, solution = work.found.problem.image, work.found.solution
     of_frames = image.frame_variances(solution.estimate, solution.components)
-    scatter = float(np.std(of_frames) / np.mean(of_frames))
+    scatter = float(np.std(of_frames)) / max(float(np.mean(of_frames)), SLIGHT)
     chance = scatter * np.sqrt(1.0 / len(of_frames) + 1.0 / len(earlier.names))
     return bool((now / before) ** 2 <= _MOST_COST + THREE_SIGMA * chance)
 
