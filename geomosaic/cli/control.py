@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,9 @@ from geomosaic.cli.options import Port, Quiet, output_option, with_options
 from geomosaic.cli.requested import typer_option
 from geomosaic.errors import InputError
 from geomosaic.requests.mosaic_request import MosaicRequest
+
+if TYPE_CHECKING:
+    from geomosaic.marking.session import MarkingSession
 
 
 @dataclass(frozen=True)
@@ -50,10 +53,11 @@ def control(asked: ControlOptions) -> None:
     """
     from geomosaic.cli.progress import progress
     from geomosaic.geodesy.heights import height_datum as datum_of
-    from geomosaic.marking.marked_points import TABLE, read_points
+    from geomosaic.marking.marked_points import read_points
     from geomosaic.marking.oriented_frames import frames_by_tags, frames_of_run
-    from geomosaic.marking.page_server import PageServer
     from geomosaic.marking.session import MarkingSession
+    from geomosaic.pipeline.files import make_folder
+    from geomosaic.pipeline.folder_lock import locked_folder
     from geomosaic.requests.run_request import default_folder
 
     unused = [n for n in ("pos", "camera", "dem", "ground_height") if getattr(asked, n) is not None]
@@ -82,13 +86,21 @@ def control(asked: ControlOptions) -> None:
     surveyed, notes = read_points(asked.points, folder, oriented, datum, asked.pos_crs)
     for note in notes:
         reporter.warning(note.text)
-    session = MarkingSession(oriented, surveyed, folder)
+    with locked_folder(make_folder(folder), "geomosaic control"):
+        _serve(MarkingSession(oriented, surveyed, folder), asked)
+
+
+def _serve(session: MarkingSession, asked: ControlOptions) -> None:
+    """Shows the page until Ctrl-C, and says what to do next."""
+    from geomosaic.marking.marked_points import TABLE
+    from geomosaic.marking.page_server import PageServer
+
     with PageServer(session, asked.port) as server:
         print(f"open       {server.url}", flush=True)
-        print(f"marks      {folder / TABLE}; Ctrl-C ends", flush=True)
+        print(f"marks      {session.folder / TABLE}; Ctrl-C ends", flush=True)
         try:
             server.serve_forever()
         except KeyboardInterrupt:
-            gcp = shlex.join(["--gcp", str(folder / TABLE)])
+            gcp = shlex.join(["--gcp", str(session.folder / TABLE)])
             print(f"next       geomosaic mosaic {shlex.quote(str(asked.frames))} {gcp}")
             raise

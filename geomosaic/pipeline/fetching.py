@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -21,6 +19,7 @@ from geomosaic.doors.plain import read_json
 from geomosaic.doors.remote import MOST_FILES, Remote, copy, listed, look
 from geomosaic.errors import FileError, InputError, OutputError
 from geomosaic.pipeline import files
+from geomosaic.pipeline.folder_lock import locked_folder
 from geomosaic.pipeline.reporter import Reporter
 
 Item = TypeVar("Item")
@@ -64,7 +63,7 @@ def fetch(wanted: Iterable[Address], folder: Path, reporter: Reporter, *, overwr
     reporter.stage_started(0, 1, "Fetch")
     found, skipped = _remote_files(_named_once(wanted), reporter)
     files.make_folder(folder)
-    with _locked(folder):
+    with locked_folder(folder, "fetch"):
         files.sweep(folder)
         noted = _Noted(folder)
         left = [remote for remote in found if not noted.has(remote)]
@@ -243,17 +242,3 @@ def _each(
                 future.cancel()
             raise
     return results
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Only one fetch writes to a folder; `OutputError` if another does."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError as error:
-        problem, fix = "another fetch is writing here", "wait for it or choose another folder"
-        raise OutputError(problem, file=folder, fix=fix) from error
-    finally:
-        os.close(handle)
