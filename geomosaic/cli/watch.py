@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from geomosaic.errors import CancelledError, FileError, GeomosaicError, InputError
+from geomosaic.errors import CancelledError, GeomosaicError
 
 if TYPE_CHECKING:
     from geomosaic.requests.watch_request import WatchRequest
@@ -19,7 +19,8 @@ Files = frozenset[tuple[Path, int, int]]
 def until_all_have_come(request: WatchRequest, *, quiet: bool) -> None:
     """Shows previews of the frames that arrive, until none has for `request.after` seconds.
 
-    Raises: `FileError` for what is no folder; `InputError` for what the whole run could not use.
+    Raises: `FileError` for what is no folder; `InputError` for what the whole run could not use, such as
+    frames of a format that needs a reader.
     """
     request.recipe().check_files(skip={0})  # the first reads the frames, which are to come
     shown, before, changed = Files(), Files(), time.monotonic()
@@ -55,14 +56,12 @@ def _preview(request: WatchRequest, count: int) -> str:
 
 
 def _frames(folder: Path) -> Files:
-    """The frames there are, with their sizes and times."""
-    from geomosaic.survey.folder import frame_files
+    """The frames there are, with their sizes and times. Raises: as `frame_files`, but for none yet."""
+    from geomosaic.survey.folder import NoFramesError, frame_files
 
     try:
         found = frame_files(folder)
-    except FileError:
-        raise
-    except InputError:  # none yet
+    except NoFramesError:
         return Files()
     out = set()
     for path in found:

@@ -35,6 +35,10 @@ _MOST_FOLDERS = tuned(2000, "folders", "1000 flights of two: more is a whole dis
 _MASK_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff", *JPEG_SUFFIXES})
 
 
+class NoFramesError(InputError):
+    """A folder holds no frames; some may still come."""
+
+
 def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
     """The frames of a folder, in the natural order of their paths, and what each is called. They are its JPEG
     and TIFF files, else its PNG files, else its DNG or its HEIC files. Next to JPEG and TIFF files, PNG files
@@ -67,7 +71,7 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
         there += [f"{len(folders)} folder{'s' * (len(folders) > 1)} without any"] * bool(folders)
         problem = f"holds no JPEG, TIFF or PNG frames ({', '.join(there) or 'it is empty'})"
         others = [p for f in _below(folder) for p in _listed(f)[0]]
-        raise InputError(problem, file=folder, fix=advice(others))
+        raise NoFramesError(problem, file=folder, fix=advice(others))
     return _called(frames, top)
 
 

@@ -80,3 +80,17 @@ def test_ctrl_c_during_a_preview_ends_it_at_once(tmp_path: Path) -> None:
     finally:
         watching.kill()
     assert (watching.returncode, out, err) == (130, "", "geomosaic: stopped\n")
+
+
+def test_a_fault_that_does_not_pass_ends_the_watch(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two frames that would bear one name: it waited for ever, without a word."""
+    survey = small_survey(tmp_path / "simulated", lines=1, frames_per_line=2, width_px=320, height_px=240)
+    (frame, *_) = sorted(survey.frames.glob("*.jpg"))
+    for folder in ("a/b", "a_b", "c"):
+        (tmp_path / "card" / folder).mkdir(parents=True)
+    for name in ("a/b/x.jpg", "a_b/x.jpg", "c/b_x.jpg", "c/x.jpg"):
+        shutil.copy(frame, tmp_path / "card" / name)
+    assert main(["watch", str(tmp_path / "card"), "-o", str(tmp_path / "run"), "--after", "1"]) == 2
+    assert "its name looks like that of another frame; rename one of them" in capsys.readouterr().err
