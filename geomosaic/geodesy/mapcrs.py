@@ -41,6 +41,11 @@ def is_local(crs: str) -> bool:
     return crs == LOCAL_CRS
 
 
+def in_local_frame(crs: str) -> bool:
+    """The same of any CRS that a file states, since files write that of a local frame in different ways."""
+    return is_local(crs) or CRS.from_user_input(crs).type_name == "Engineering CRS"
+
+
 def same_map(one: CRS, other: CRS) -> bool:
     """Whether two map CRSs are one. Those of local frames are, since files write them in different ways."""
     return one == other or one.type_name == other.type_name == "Engineering CRS"
@@ -48,7 +53,7 @@ def same_map(one: CRS, other: CRS) -> bool:
 
 def check_on_earth(crs: str, what: str) -> None:
     """`InputError` where a map CRS is a local frame's, of which there can't be a `what`."""
-    if is_local(crs) or CRS.from_user_input(crs).type_name == "Engineering CRS":
+    if in_local_frame(crs):
         raise InputError(
             f"a mosaic in a local frame has no place on the Earth: no {what} can be made of it",
             fix="give the frames positions with --pos, or control points with --gcp",

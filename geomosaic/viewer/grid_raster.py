@@ -17,6 +17,7 @@ from rasterio.windows import Window
 
 from geomosaic.arrays import Bools, Floats
 from geomosaic.doors.raster import OWN, open_raster, reading, unreferenced_is_fine
+from geomosaic.geodesy.mapcrs import in_local_frame
 
 TILE_PX: Final = 512
 
@@ -36,6 +37,11 @@ class ViewGrid:
         with open_raster(path, OWN) as raster:
             crs = "" if raster.crs is None else raster.crs.to_wkt()
             return cls(crs, raster.transform, raster.width, raster.height)
+
+    @property
+    def on_earth(self) -> bool:
+        """Whether the map has a place on the Earth, and so metres."""
+        return bool(self.crs) and not in_local_frame(self.crs)
 
     @property
     def pixel_m(self) -> float:

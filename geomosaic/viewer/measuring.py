@@ -13,7 +13,7 @@ from geomosaic.arrays import Floats
 from geomosaic.doors.raster import OWN, open_raster
 from geomosaic.doors.vector import Shapes
 from geomosaic.errors import InputError
-from geomosaic.geodesy.mapcrs import same_map
+from geomosaic.geodesy.mapcrs import check_on_earth, same_map
 from geomosaic.quality.measured import Figure
 from geomosaic.quality.run_heights import height_difference, measure_heights
 from geomosaic.quality.run_measures import RunRasters, measure_lines, measure_polygons
@@ -31,6 +31,7 @@ def measured(view: RunView, kind: str, points_px: Floats) -> dict[str, Any]:
     """
     if view.rasters is None:
         raise InputError("this run cannot be measured", fix=view.unmeasured)
+    check_on_earth(view.grid.crs, "measurement")
     if kind not in MEASURES:
         raise InputError(f"'{kind}' is no measure", fix=f"ask for one of {', '.join(MEASURES)}")
     least, of = MEASURES[kind]

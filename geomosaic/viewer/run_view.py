@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.export.web import on_map
+from geomosaic.geodesy.mapcrs import check_on_earth
 from geomosaic.pipeline.files import path_within
 from geomosaic.pipeline.run_results import read_summary
 from geomosaic.quality.run_measures import RunRasters
@@ -70,6 +71,7 @@ def run_views(run: Path, other: Path | None = None) -> list[RunView]:
             if not at.crs:
                 fix = "put it on a map first: geomosaic export map RUN"
                 raise InputError("has no map projection, and cannot be compared", file=folder, fix=fix)
+            check_on_earth(at.crs, "comparison")
         views.append(_view(other, grid, ends))
     return views
 

@@ -58,7 +58,7 @@ class ViewerPages:
             "height": grid.height,
             "origin": [grid.transform.c, grid.transform.f],
             "pixel": [grid.transform.a, grid.transform.e],
-            "on_map": bool(grid.crs),
+            "on_map": grid.on_earth,
             "tile": TILE_PX,
             "rules": [run_measures.ASSUMED, run_heights.ASSUMED, run_measures.VOLUMES_ASSUMED],
             "runs": [

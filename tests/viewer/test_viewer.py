@@ -16,6 +16,7 @@ from osgeo import gdal, ogr, osr
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.export.index import Index, write_index
+from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.pages.loopback_server import Answer, LoopbackServer
 from geomosaic.viewer.grid_raster import ViewGrid
 from geomosaic.viewer.map_features import map_features
@@ -149,6 +150,23 @@ def test_a_scene_without_a_map_is_shown_and_not_measured(tmp_path: Path) -> None
         post(pages, "distance", SQUARE[:2])
     with pytest.raises(InputError, match="no map projection, and cannot be compared"):
         run_views(finished(tmp_path / "run"), scene)
+
+
+def test_a_local_frame_has_no_metres(tmp_path: Path) -> None:
+    """Its CRS is an engineering one, not none: the page stated metres."""
+    run, other = finished(tmp_path / "run"), finished(tmp_path / "other")
+    for name in ("mosaic.tif", "accuracy.tif"):
+        made = gdal.Open(str(run / name), gdal.GA_Update)
+        made.SetProjection(LOCAL_CRS)
+        del made
+    pages = ViewerPages(run_views(run))
+    assert not json.loads(pages.get(["runs"]).body)["on_map"]  # type: ignore[union-attr]
+    for kind in ("place", "distance"):
+        with pytest.raises(InputError, match="local frame has no place on the Earth: no measurement"):
+            post(pages, kind, SQUARE[:2])
+    for pair in ((run, other), (other, run)):
+        with pytest.raises(InputError, match="no comparison can be made"):
+            run_views(*pair)
 
 
 def test_what_is_no_run_is_named(tmp_path: Path) -> None:
