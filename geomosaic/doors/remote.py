@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -152,6 +152,13 @@ def store(path: Path, to: Address) -> int:
     if size_bytes and look(to).size_bytes != size_bytes:
         raise InputError("arrived with another size", file=to.text, fix="push again")
     return size_bytes
+
+
+def withdraw(from_: Address) -> None:
+    """Deletes a file under an address of an object store, if there is one and the store lets us."""
+    gdal.VSICurlPartialClearCache(from_.vsi)
+    with _opened(from_.vsi, from_.text), suppress(RuntimeError):
+        gdal.Unlink(from_.vsi)
 
 
 def _write(file: BinaryIO, name: str) -> None:

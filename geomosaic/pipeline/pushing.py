@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from geomosaic.doors.addresses import Address
-from geomosaic.doors.remote import store
+from geomosaic.doors.remote import store, withdraw
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.recipe import RUN_JSON
 from geomosaic.pipeline.reporter import Reporter
@@ -25,7 +25,8 @@ class Pushed:
 def push(run: Path, folder: Address, reporter: Reporter) -> Pushed:
     """Copies what a finished run made, without its cache, into a folder of an object store.
 
-    run.json goes last: a folder without it holds no whole run. Files that are there are replaced.
+    run.json goes last, and that of an earlier run is deleted first: a folder without it holds no whole run.
+    Files that are there are replaced.
 
     Raises: `FileError` for a folder that is no finished run; `InputError` where the store refuses.
     """
@@ -41,12 +42,16 @@ def push(run: Path, folder: Address, reporter: Reporter) -> Pushed:
     started = time.monotonic()
     reporter.stage_started(0, 1, "Push")
     size_bytes = 0
+    withdraw(_within(folder, RUN_JSON))
     for done, name in enumerate(names):
         reporter.progress(done, len(names), "files")
-        to = Address(f"{folder.text.rstrip('/')}/{name}", f"{folder.vsi.rstrip('/')}/{name}", name)
-        size_bytes += store(made.within(name), to)
+        size_bytes += store(made.within(name), _within(folder, name))
     reporter.stage_finished(time.monotonic() - started, "work")
     return Pushed(tuple(names), size_bytes)
+
+
+def _within(folder: Address, name: str) -> Address:
+    return Address(f"{folder.text.rstrip('/')}/{name}", f"{folder.vsi.rstrip('/')}/{name}", name)
 
 
 def _files(path: Path) -> list[Path]:

@@ -62,6 +62,19 @@ def test_what_a_store_refuses_or_loses_is_one_line(
     assert not (server.root / "maps" / "north" / "run.json").exists()
 
 
+def test_a_push_over_an_earlier_one_that_breaks_off_leaves_no_whole_run(
+    server: Server, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Old files next to new ones looked whole by the run.json of the earlier push."""
+    assert geomosaic("push", run, "s3://maps/north/") == 0
+    server.wrong["/maps/north/tiles/1/0.png"] = "refuses"
+    assert "0.png: can't be written" in refused(capsys, run, "s3://maps/north/")
+    assert not (server.root / "maps" / "north" / "run.json").exists()
+    server.wrong.clear()
+    assert geomosaic("push", run, "s3://maps/north/") == 0
+    assert (server.root / "maps" / "north" / "run.json").read_text() == "run.json"
+
+
 def test_what_is_no_store_or_no_run_is_refused(
     server: Server, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -85,6 +85,16 @@ class _Handler(BaseHTTPRequestHandler):
         place.write_bytes(data[: len(data) // 2] if wrong == "loses" else data)
         self._send(200, b"")
 
+    def do_DELETE(self) -> None:
+        """Deletes a file, as a store does; wrong: `refuses` says no."""
+        path = unquote(urlsplit(self.path).path)
+        self.world.asked.append((self.command, path))
+        if self.world.wrong.get(path, "") == "refuses":
+            self._send(403, b"<Error><Code>AccessDenied</Code></Error>")
+            return
+        (self.world.root / path.lstrip("/")).unlink(missing_ok=True)
+        self._send(204, b"")
+
     def _answer(self) -> None:
         url = urlsplit(self.path)
         self.world.asked.append((self.command, url.path))
