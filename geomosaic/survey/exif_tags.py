@@ -38,6 +38,8 @@ _TAGS: Final[Mapping[str, Mapping[int, str]]] = {
 }  # fmt: skip
 """Names of wanted tags by directory, that of the main one empty: CIPA DC-008 (EXIF), section 4.6; Adobe DNG
 1.4 for BlackLevel."""
+_ANYWHERE: Final[Mapping[int, str]] = {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime"}
+"""Of the main directory, that some programs write into that of Exif: rpicam-apps of Raspberry Pi."""
 _KINDS: Final[Mapping[int, tuple[str, ...]]] = {
     1: ("u1",), 2: ("S1",), 3: ("u2",), 4: ("u4",), 5: ("u4", "u4"), 7: ("u1",), 8: ("i2",), 9: ("i4",),
     10: ("i4", "i4"), 11: ("f4",), 12: ("f8",),
@@ -59,7 +61,7 @@ def tags_from_block(block: Block) -> Tags:
     for pointer in ("Exif", "GPS"):
         at = tags.pop(pointer, None)
         if isinstance(at, tuple) and len(at) == 1 and at[0] >= 0.0:
-            tags |= _directory(block, int(at[0]), order, _TAGS[pointer])
+            tags = _directory(block, int(at[0]), order, {**_ANYWHERE, **_TAGS[pointer]}) | tags
     return tags
 
 

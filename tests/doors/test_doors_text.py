@@ -419,6 +419,15 @@ def test_rationals_over_nothing_and_clocks_that_were_never_set_say_nothing() -> 
     assert of_gdal.iso == 200.0 and of_gdal.time_s is not None and of_gdal.time_s % 1.0 == 0.75
 
 
+def test_a_camera_named_in_the_directory_of_exif() -> None:
+    """As rpicam-apps of Raspberry Pi does; the main directory's counts where both name one."""
+    its = exif_block([(0x10F, 2, 4, 0x414141), (0x110, 2, 4, 0x424242), (0x829A, 5, 1, 80)])
+    alone = exif_block([(0x8769, 4, 1, 26)], its[8:])
+    assert (exif_from_block(alone).make, exif_from_block(alone).model) == ("AAA", "BBB")
+    both = exif_block([(0x10F, 2, 4, 0x434343), (0x8769, 4, 1, 38)], its[8:])
+    assert (exif_from_block(both).make, exif_from_block(both).model) == ("CCC", "BBB")
+
+
 def test_a_frame_with_a_bomb_of_tags_is_read_at_once(flight: Path) -> None:
     frame = sorted((flight / "frames").iterdir())[0]
     plain = frame.read_bytes()
