@@ -48,7 +48,7 @@ _WORDS: Final = {
     "frame-far-away": "farther away than a survey reaches",
     "frame-other-place": "of another flight, far from the largest: mosaic it by itself",
     "frame-blurred": "far more blurred than their neighbours, which are sharp",
-    "frame-no-camera": "of another camera, and without a reported focal length",
+    "frame-no-camera": "of another camera or of none, and without a reported focal length",
 }
 
 
@@ -63,11 +63,21 @@ def without(headers: Sequence[FrameHeader], strays: Sequence[Stray]) -> list[Fra
 
 
 def without_camera(headers: Sequence[FrameHeader]) -> list[Stray]:
-    """Frames of a camera and size that report no lens, as long as they are fewer than half."""
-    lacking = unreported(headers)
+    """Frames of a camera and size that report no lens, as long as they are fewer than half; else those that
+    name no camera and have a size of their own, where most name one: a program made them of other frames."""
+    lacking, text = unreported(headers), "the frame doesn't report its focal length"
+    if 2 * len(lacking) >= len(headers):
+        named = [bool(h.exif.make or h.exif.model) for h in headers]
+        sizes = {_size(h) for h, its in zip(headers, named, strict=True) if its}
+        lacking = [i for i, h in enumerate(headers) if not named[i] and _size(h) not in sizes]
+        text = "the frame names no camera, as the others do, and has another size"
     if 2 * len(lacking) >= len(headers):
         return []
-    return [_out("frame-no-camera", headers[i], "the frame doesn't report its focal length") for i in lacking]
+    return [_out("frame-no-camera", headers[i], text) for i in lacking]
+
+
+def _size(header: FrameHeader) -> tuple[int, int]:
+    return max(header.width_px, header.height_px), min(header.width_px, header.height_px)
 
 
 def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:

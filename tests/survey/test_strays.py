@@ -168,6 +168,17 @@ def test_other_bands_and_other_cameras(folder: Path) -> None:
     }
 
 
+def test_panoramas_that_a_program_made_of_frames_of_an_unknown_lens(tmp_path: Path) -> None:
+    """No frame reports a lens; the panoramas name no camera either, and are as large as no frame."""
+    for i in range(6):
+        exif = exif_block(Make="Acme", Model="A1", DateTimeOriginal=f"2024:05:17 10:00:{i:02d}")
+        write_jpeg(tmp_path / f"image{i}.jpg", image(*SIZE, seed=i), exif)
+    for i in range(3):
+        write_jpeg(tmp_path / f"panorama{i}.jpg", image(500 + 40 * i, SIZE[1], seed=20 + i), b"")
+    write_jpeg(tmp_path / "image6.jpg", image(*SIZE, seed=9), b"")  # lost its tags
+    assert left_out(tmp_path) == {f"panorama{i}.jpg": "frame-no-camera" for i in range(3)}
+
+
 def left_out_but_kinds(folder: Path) -> dict[str, str]:
     return {out.name: out.reason for out in read_survey(SurveyInputs(folder)).left_out}
 
