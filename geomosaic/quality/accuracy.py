@@ -110,6 +110,11 @@ class RelativeAccuracy:
         known = [s for s in shares if np.isfinite(s)]
         return 1000.0 * max(known) if known else NOT_STATED
 
+    @property
+    def undetermined(self) -> bool:
+        """Whether distances are known no better than by their own length."""
+        return self.rmse_whole_m >= self.whole_m > 0.0
+
 
 @dataclass(frozen=True)
 class Requirement:

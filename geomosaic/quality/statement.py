@@ -20,6 +20,7 @@ from geomosaic.quality.seam_check import SeamCheck
 
 _STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
 NO_RELATIVE: Final = "not stated by this adjustment method"
+UNDETERMINED: Final = "not determined: give a calibrated lens with --camera, or positions with --pos"
 NO_ABSOLUTE: Final = "not stated: no positions, no control points, or an adjustment method without deviations"
 
 
@@ -57,6 +58,8 @@ def _seams(seams: SeamCheck) -> str:
 def _relative(relative: RelativeAccuracy, required: Requirement, pixel_m: float) -> str:
     if not math.isfinite(relative.scale_permille):
         return NO_RELATIVE
+    if relative.undetermined:
+        return UNDETERMINED
     over = [(relative.rmse_100m_m, 100.0), (relative.rmse_whole_m, relative.whole_m)]
     distances = [
         f"{metres(rmse_m)} ({rmse_m / pixel_m:.1f} px) over {length_m:.0f} m"

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement, metres
 from geomosaic.quality.seam_check import SeamCheck
-from geomosaic.quality.statement import NO_ABSOLUTE, NO_RELATIVE
+from geomosaic.quality.statement import NO_ABSOLUTE, NO_RELATIVE, UNDETERMINED
 from geomosaic.report.numbers import UNKNOWN
 
 _OVER_M = 100.0
@@ -63,6 +63,8 @@ def _distances(relative: RelativeAccuracy, required: Requirement, pixel_m: float
     title = "Relative"
     if not math.isfinite(relative.scale_permille):
         return [AccuracyRow(title, NO_RELATIVE, UNKNOWN)]
+    if relative.undetermined:
+        return [AccuracyRow(title, f"distances {UNDETERMINED}", UNKNOWN)]
     rows: list[AccuracyRow] = []
     for rmse_m, length_m in ((relative.rmse_100m_m, _OVER_M), (relative.rmse_whole_m, relative.whole_m)):
         if math.isfinite(rmse_m) and (required.scaled or length_m is relative.whole_m):

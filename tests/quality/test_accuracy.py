@@ -138,11 +138,14 @@ def test_the_usual_requirement_is_what_the_inputs_can_give() -> None:
     assert math.isnan(nothing.rmse_h_m) and math.isnan(nothing.permille)
     said = dict(answers(accuracy_of(adjusted(None), 0.3, 0.03), nothing, NO_SEAMS, 0.03))
     assert said["required"] == "nothing: no frame has a position"
+
+    def unscaled(relative: RelativeAccuracy) -> str:
+        accuracy = replace(accuracy_of(adjusted(None), 0.3, 0.03), relative=relative)
+        return answers(accuracy, nothing, NO_SEAMS, 0.03)[1][1]
+
     within = RelativeAccuracy(5.0, 0.5, 0.9, 180.0)
-    unscaled = answers(
-        replace(accuracy_of(adjusted(None), 0.3, 0.03), relative=within), nothing, NO_SEAMS, 0.03
-    )
-    assert unscaled[1][1] == "RMSE of distances 30.0 px over 6000 px once it is scaled; scale unknown"
+    assert unscaled(within) == "RMSE of distances 30.0 px over 6000 px once it is scaled; scale unknown"
+    assert "not determined: give a calibrated lens" in unscaled(replace(within, rmse_whole_m=15_000.0))
     handheld = [replace(p, surveyed_sd_m=np.array([2.0, 2.5, 5.0])) for p in used]
     by_hand = usual_requirement(adjusted(None, *handheld), np.full(5, 5.0), 0.03)
     assert by_hand.rmse_h_m == pytest.approx(np.sqrt(2.0) * 2.5) and "control points" in by_hand.why
