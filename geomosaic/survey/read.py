@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
+from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import AmbiguousCrsError
 from geomosaic.geodesy.mapcrs import map_crs
 from geomosaic.survey.control_use import check_marks
@@ -52,6 +53,8 @@ PROCEDURE: Final[tuple[Callable[[SurveyDraft], SurveyDraft], ...]] = (
 def check_survey_files(inputs: SurveyInputs) -> None:
     """Raises what `read_survey` would raise without opening a frame: of a survey's files each by itself."""
     files, _ = inputs.frame_files(), inputs.datum
+    if inputs.attitude_convention != "auto" and inputs.pos is None:
+        raise InputError("--attitude has an effect only on angles of a POS file", fix="add --pos FILE")
     names = FrameNames(files.values())
     near: list[tuple[float, float]] = []
     with proposing_zone(files, near):

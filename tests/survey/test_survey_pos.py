@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from survey_files import image, write_jpeg
 
 from geomosaic.camera.rotation import Rotation
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.column_names import ANGLES, column_of
+from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.pos import ALIASES, read_pos
 from geomosaic.survey.pos_row import PosFile
+from geomosaic.survey.read import check_survey_files
 
 
 def pos(tmp_path: Path, text: str | bytes, name: str = "pos.csv", **options: str) -> PosFile:
@@ -291,6 +294,9 @@ def test_unknown_convention_and_missing_columns(tmp_path: Path) -> None:
         pos(tmp_path, text, attitude_convention="omega-phi-kappa")
     with pytest.raises(InputError, match="no such file"):
         read_pos(tmp_path / "none.csv")
+    write_jpeg(tmp_path / "a.jpg", image(64, 48, seed=1))
+    with pytest.raises(InputError, match="--attitude has an effect only on angles of a POS file; add --pos"):
+        check_survey_files(SurveyInputs(tmp_path, attitude_convention="gimbal"))
 
 
 def test_ignored_columns_are_reported(tmp_path: Path) -> None:
