@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from geomosaic.cli.options import Quiet, output_option
-from geomosaic.errors import InputError, OutputError
+from geomosaic.errors import FileError, InputError, OutputError
+
+if TYPE_CHECKING:
+    from geomosaic.pipeline.reporter import Reporter
+    from geomosaic.video.subtitles import VideoPosition
 
 
 def frames(
@@ -42,24 +45,21 @@ def frames(
     from geomosaic.pipeline.files import writing
     from geomosaic.requests.run_request import default_folder
     from geomosaic.video.frames import POSITIONS, VideoOptions, extract_frames
-    from geomosaic.video.subtitles import read_subtitle_tracks, read_subtitles, tracks_readable
+    from geomosaic.video.subtitles import tracks_readable
 
     check_regular(video, "give the path of a video")
     folder = output or default_folder(video, "frames")
     if folder.resolve() == Path.cwd():
         raise OutputError("is the current folder", file=folder, fix="choose a new or empty folder with -o")
+    if folder.exists() and not folder.is_dir():
+        raise OutputError("is no folder", file=folder, fix="choose a new or empty folder with -o")
     if folder.is_dir() and any(folder.iterdir()):
         raise OutputError("the folder holds files", file=folder, fix="choose a new or empty folder with -o")
-    there = [p for p in (video.with_suffix(".SRT"), video.with_suffix(".srt")) if p.is_file()]
-    positions = [] if srt is None else read_subtitles(srt)
-    for found in there if srt is None else ():
-        with suppress(InputError):  # a drone without a fix writes subtitles without places
-            positions = positions or read_subtitles(found)
-    if not positions and tracks_readable():
-        positions = read_subtitle_tracks(video)
-    with progress(quiet=quiet) as reporter, writing(folder) as part:
-        part.mkdir()
-        names = extract_frames(video, part, VideoOptions(overlap, positions), reporter.progress)
+    with progress(quiet=quiet) as reporter:
+        positions = _positions(video, srt, reporter)
+        with writing(folder) as part:
+            part.mkdir()
+            names = extract_frames(video, part, VideoOptions(overlap, positions), reporter.progress)
     if quiet:
         return
     print(f"frames     {len(names)} in {folder}")
@@ -69,3 +69,25 @@ def frames(
         if not tracks_readable():
             print("           subtitles inside a video are read with: pip install 'geomosaic-ortho[video]'")
     print(f"next       {shlex.join(['geomosaic', 'mosaic', str(folder), *pos])}")
+
+
+def _positions(video: Path, srt: Path | None, reporter: Reporter) -> list[VideoPosition]:
+    """From the given subtitles, else from those next to the video, else from a track inside it.
+
+    A file next to the video that cannot be read is not used, with a warning.
+    """
+    from geomosaic.video.subtitles import image_delay_s, read_subtitle_tracks, read_subtitles, tracks_readable
+
+    if srt is not None:
+        return read_subtitles(srt, image_delay_s(video))
+    for found in (video.with_suffix(".SRT"), video.with_suffix(".srt")):
+        if not found.is_file():
+            continue
+        try:
+            return read_subtitles(found, image_delay_s(video))
+        except FileError as error:
+            fix = "copy it again, or give another with --srt"
+            reporter.warning(f"{found}: {error.problem}; its positions are not used: {fix}")
+        except InputError:  # a drone without a fix writes subtitles without positions
+            pass
+    return read_subtitle_tracks(video) if tracks_readable() else []

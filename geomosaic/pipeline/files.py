@@ -85,8 +85,9 @@ def writing(path: Path) -> Iterator[Path]:
     """A temporary path next to `path` that takes its name if the block succeeds, and vanishes if not.
 
     The temporary name ends like the final one, so that drivers know the format. The block may make a
-    file or a whole folder; a folder takes the place of an older one. A full disk or a missing
-    permission becomes an `OutputError` that names the final path.
+    file or a whole folder; a folder takes the place of an older one. A file never takes the place of a
+    folder, nor a folder that of a file. That, a full disk or a missing permission becomes an `OutputError`
+    that names the final path.
     """
     if path.name in ("", ".."):
         raise output_error(IsADirectoryError(errno.EISDIR, "a folder"), path)
@@ -96,6 +97,8 @@ def writing(path: Path) -> Iterator[Path]:
         _remove_temporary(temporary)
         yield temporary
         old = path.with_name(f".{path.name}.{os.getpid()}.geomosaic.old")
+        if path.exists() and temporary.exists() and path.is_dir() != temporary.is_dir():
+            raise OSError(errno.EISDIR if path.is_dir() else errno.ENOTDIR, "another kind stands there")
         if temporary.is_dir() and path.exists():
             path.replace(old)
         temporary.replace(path)

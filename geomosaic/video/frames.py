@@ -11,17 +11,17 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from geomosaic.arrays import Bytes, Floats32
+from geomosaic.arrays import Bytes
 from geomosaic.constants import tuned
 from geomosaic.errors import FileError, InputError
 from geomosaic.video.container import require_video
+from geomosaic.video.motion import VideoLook, chosen_looks
 from geomosaic.video.subtitles import VideoPosition
 
 _LOOKS_PER_S = tuned(6.0, "looks/s", "fewer miss fast drones' overlap; more only take time")
 _LOOK_PX = tuned(320, "px", "longer side of a look: sharpness and motion to a hundredth of the frame show")
-_WINDOW = tuned(0.3, "of a frame's step", "about its end, in which the sharpest is taken")
 _REACH_S = tuned(2.0, "s", "from a written position: more outlasts a loss of GNSS; less needs many a second")
-_LOST = tuned(0.05, "peak of the phase correlation", "less: unrelated images, such as after a cut")
+_END = tuned(0.5, "of the time between positions", "beyond an end: the error stays below half their distance")
 _QUALITY: Final = 95
 POSITIONS: Final = "pos.csv"
 Report = Callable[[int, int, str], None]
@@ -36,27 +36,19 @@ class VideoOptions:
     positions: Sequence[VideoPosition] = ()
 
 
-@dataclass(frozen=True)
-class _Look:
-    """A frame at reduced size: its number and time in the video, its pixels, how sharp it is."""
-
-    number: int
-    time_s: float
-    small: Floats32
-    sharpness: float
-
-
 def extract_frames(video: Path, folder: Path, options: VideoOptions, report: Report) -> list[str]:
     """Writes frames as JPEG into the folder, and their positions to pos.csv; returns the frames' names.
 
-    A frame is due once the image has moved on by what the overlap leaves since the last one; of the frames
-    about that moment the sharpest is taken. Standing still gives none. A frame has the position between those
-    written before and after it, and none where these are more than `_REACH_S` away.
+    A frame is due once the image has moved on by what the overlap leaves since the last one. Of the frames
+    about that moment the sharpest is taken. Standing still gives none.
+
+    A frame has the position between those written before and after it, if one of them is at most `_REACH_S`
+    away. Before the first and after the last one it has that position for half of the usual interval.
 
     Raises: `FileError` for what is no video, `InputError` where no two frames can be chosen, or no frame has
     any of the positions.
     """
-    chosen = {look.number: look.time_s for look in _chosen(_looks(video, report), 1.0 - options.overlap)}
+    chosen = {look.number: look.time_s for look in chosen_looks(_looks(video, report), 1.0 - options.overlap)}
     if len(chosen) < 2:
         raise InputError(
             "the picture does not move on", file=video, fix="give a video of a flight over ground"
@@ -80,7 +72,8 @@ def extract_frames(video: Path, folder: Path, options: VideoOptions, report: Rep
 
 def _opened(video: Path) -> Any:
     require_video(video)
-    reader = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    # FFmpeg takes `12:30.mp4` for a protocol, and `/folder/12:30.mp4` for a file.
+    reader = cv2.VideoCapture(str(video.absolute()), cv2.CAP_FFMPEG)
     if not reader.isOpened():
         raise FileError("is no video that can be read", file=video, fix="give an MP4 or MOV file")
     return reader
@@ -99,7 +92,7 @@ def _decoded(video: Path, report: Report, wanted: Mapping[int, float]) -> Iterat
             report(number, last, "frames of the video")
 
 
-def _looks(video: Path, report: Report) -> Iterator[_Look]:
+def _looks(video: Path, report: Report) -> Iterator[VideoLook]:
     """Some frames a second at reduced size."""
     reader = _opened(video)
     rate = reader.get(cv2.CAP_PROP_FPS)
@@ -118,51 +111,23 @@ def _looks(video: Path, report: Report) -> Iterator[_Look]:
         number += 1
 
 
-def _look(number: int, time_s: float, image: Bytes) -> _Look:
+def _look(number: int, time_s: float, image: Bytes) -> VideoLook:
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     scale = min(_LOOK_PX / max(grey.shape), 1.0)
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.float32)
-    return _Look(number, time_s, small, float(cv2.Laplacian(grey, cv2.CV_32F).var()))
-
-
-def _chosen(looks: Iterator[_Look], step: float) -> Iterator[_Look]:
-    """The looks to take: the first sharp one, then one each time the image has moved on by `step`."""
-    last = next(looks, None)
-    if last is None:
-        return
-    yield last
-    about: list[_Look] = []
-    least = (1.0 - _WINDOW) * step
-    for look in looks:
-        moved = _moved(last, look)
-        if moved > (1.0 + _WINDOW) * step:
-            last = max(about, key=lambda one: one.sharpness, default=look)
-            yield last
-            about = [one for one in about if one.number > last.number and _moved(last, one) >= least]
-            moved = _moved(last, look)
-        if moved >= least:
-            about.append(look)
-    if about:
-        yield max(about, key=lambda one: one.sharpness)
-
-
-def _moved(one: _Look, other: _Look) -> float:
-    """The share of the image that the other does not show again; 1 where they show nothing alike."""
-    height, width = one.small.shape
-    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
-    both = one.small.copy(), other.small.copy()  # it multiplies them by the window where they are
-    (right, down), peak = cv2.phaseCorrelate(*both, window)
-    if peak < _LOST:
-        return 1.0
-    return float(1.0 - max(1.0 - abs(right) / width, 0.0) * max(1.0 - abs(down) / height, 0.0))
+    return VideoLook(number, time_s, small, float(cv2.Laplacian(grey, cv2.CV_32F).var()))
 
 
 def _at(positions: Sequence[VideoPosition], time_s: float) -> VideoPosition | None:
     """Between the last one written before and the next; None where neither is near."""
     times = np.array([one.time_s for one in positions])
     k = int(np.searchsorted(times, time_s, side="right"))
-    near = [one for one in positions[max(k - 1, 0) : k + 1] if abs(one.time_s - time_s) <= _REACH_S]
-    if not near:
+    near = positions[max(k - 1, 0) : k + 1]
+    reach_s = _REACH_S
+    if len(near) == 1:
+        apart_s = np.diff(np.unique(times))
+        reach_s = min(_END * float(np.median(apart_s)), _REACH_S) if len(apart_s) else 0.0
+    if min(abs(one.time_s - time_s) for one in near) > reach_s:
         return None
     first, last = near[0], near[-1]
     span_s = last.time_s - first.time_s

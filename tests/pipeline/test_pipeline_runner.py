@@ -31,6 +31,7 @@ from geomosaic.errors import (
 from geomosaic.pipeline import executor, hashes, worker_process
 from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.context import Context, Notes, RunFile
+from geomosaic.pipeline.files import writing
 from geomosaic.pipeline.recipe import Recipe, load_recipe
 from geomosaic.pipeline.replayed_stage import replayed_stage
 from geomosaic.pipeline.reporter import Reporter, Silent
@@ -659,6 +660,27 @@ def test_writing_is_whole_or_not_at_all(tmp_path: Path) -> None:
             pass
     with pytest.raises(FileError, match="the file is gone"):
         context.path_of(RunFile("gone.tif", ""))
+
+
+def test_a_file_and_a_folder_never_take_each_other_s_place(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("precious")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "empty")
+    with (
+        pytest.raises(OutputError, match=r"notes\.txt: a file stands where a folder is needed"),
+        writing(tmp_path / "notes.txt") as path,
+    ):
+        path.mkdir()
+        path.joinpath("new").write_bytes(b"x")
+    for name in ("empty", "link"):
+        with (
+            pytest.raises(OutputError, match=f"{name}: a folder stands where the file is to go"),
+            writing(tmp_path / name) as path,
+        ):
+            path.write_bytes(b"x")
+    assert (tmp_path / "notes.txt").read_text() == "precious"
+    assert (tmp_path / "link").is_symlink() and not list((tmp_path / "empty").iterdir())
+    assert {p.name for p in tmp_path.iterdir()} == {"notes.txt", "empty", "link"}
 
 
 def test_random_streams_are_distinguished(tmp_path: Path) -> None:

@@ -12,34 +12,30 @@ import cv2
 import numpy as np
 import pytest
 from small_surveys import geomosaic, small_survey, summary
+from video_scenes import (
+    HEIGHT,
+    RATE,
+    WIDTH,
+    east_m,
+    numbers_of,
+    rows_of,
+    texture,
+    window_at,
+    write_subtitles,
+    write_video,
+)
 
 from geomosaic.cli.main import main
 from geomosaic.errors import FileError, InputError
 from geomosaic.video.container import require_video
 from geomosaic.video.subtitles import read_subtitle_tracks, read_subtitles
 
-WIDTH, HEIGHT, RATE = 480, 360, 30
 BLURRED = range(40, 400, 3)
 
 
-def _texture(seed: int = 4) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    out = np.zeros((900, 2600, 3), np.float32)
-    for size in (4, 16, 64):
-        noise = rng.normal(0.0, 22.0, (900 // size + 2, 2600 // size + 2, 3)).astype(np.float32)
-        out += cv2.resize(noise, (2600, 900), interpolation=cv2.INTER_CUBIC)
-    return np.clip(out + 120.0, 0, 255).astype(np.uint8)
-
-
 def _video(path: Path, moved_px: np.ndarray) -> None:
-    """A window that moves over a texture; every third frame after the first forty is blurred."""
-    texture = _texture()
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), RATE, (WIDTH, HEIGHT))
-    for k, moved in enumerate(moved_px):
-        at = round(moved)
-        image = texture[200 : 200 + HEIGHT, at : at + WIDTH]
-        writer.write(cv2.GaussianBlur(image, (0, 0), 3.0) if k in BLURRED else image)
-    writer.release()
+    """Every third frame after the first forty is blurred."""
+    write_video(path, moved_px, BLURRED)
 
 
 def _subtitles(path: Path, moved_px: np.ndarray) -> None:
@@ -65,7 +61,7 @@ def test_sharp_frames_a_quarter_apart_with_their_positions(tmp_path: Path) -> No
     _subtitles(video.with_suffix(".SRT"), moved_px)
     assert main(["frames", str(video), "-q"]) == 0
     folder = tmp_path / "DJI_0042-frames"
-    numbers = [int(p.stem.rpartition("_")[2]) for p in sorted(folder.glob("*.jpg"))]
+    numbers = numbers_of(folder)
     steps = np.diff(moved_px[numbers])
     assert 10 <= len(numbers) <= 15
     assert steps[:-1].min() >= 0.6 * 120 and steps.max() <= 1.4 * 120
@@ -73,51 +69,42 @@ def test_sharp_frames_a_quarter_apart_with_their_positions(tmp_path: Path) -> No
     with (folder / "pos.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["frame"] for row in rows] == [f"DJI_0042_{n:06d}.jpg" for n in numbers]
-    east_m = [(float(row["lon_deg"]) - 11.0) * 111_320.0 * np.cos(np.radians(48.0)) for row in rows]
-    np.testing.assert_allclose(east_m, 0.1 * moved_px[numbers], atol=0.02)
+    np.testing.assert_allclose(east_m(rows_of(folder)), 0.1 * moved_px[numbers], atol=0.02)
     assert {(row["altitude_m"], row["relative_altitude_m"]) for row in rows} == {("512.300", "50.100")}
 
 
-def _rows(folder: Path) -> dict[int, dict[str, str]]:
-    """pos.csv by the frames' numbers."""
-    with (folder / "pos.csv").open(encoding="utf-8") as file:
-        return {int(row["frame"][-10:-4]): row for row in csv.DictReader(file)}
-
-
-def _east_m(rows: dict[int, dict[str, str]]) -> np.ndarray:
-    return np.array(
-        [(float(row["lon_deg"]) - 11.0) * 111_320.0 * np.cos(np.radians(48.0)) for row in rows.values()]
-    )
-
-
-def _subtitles_at(path: Path, times_s: np.ndarray, east_m: np.ndarray) -> None:
-    lons = 11.0 + east_m / (111_320.0 * np.cos(np.radians(48.0)))
-    path.write_text(
-        "".join(
-            f"1\n00:00:{t:06.3f} --> 00:00:{t + 1.0:06.3f}\n[latitude: 48.0] [longitude: {lon:.9f}]\n\n"
-            for t, lon in zip(times_s, lons, strict=True)
-        ),
-        encoding="utf-8",
-    )
-
-
-def test_a_frame_lies_between_the_positions_of_two_seconds_and_nowhere_after_the_last(tmp_path: Path) -> None:
+def test_a_frame_lies_between_the_positions_of_two_seconds_and_nowhere_long_after_the_last(
+    tmp_path: Path,
+) -> None:
     """3 m a second, one subtitle a second, and none after the fifth; the video has ten seconds."""
     video = tmp_path / "a.mp4"
     _video(video, np.linspace(0.0, 1800.0, 10 * RATE, endpoint=False))
     times_s = np.arange(5.0)
-    _subtitles_at(tmp_path / "a.srt", times_s, 3.0 * times_s)
+    write_subtitles(tmp_path / "a.srt", times_s, 3.0 * times_s)
     assert main(["frames", str(video), "-q"]) == 0
     folder = tmp_path / "a-frames"
-    rows, taken = _rows(folder), sorted(int(p.stem[-6:]) for p in folder.glob("*.jpg"))
-    assert list(rows) == [n for n in taken if n / RATE <= 6.0] and len(rows) < len(taken)
-    np.testing.assert_allclose(_east_m(rows), [min(3.0 * n / RATE, 12.0) for n in rows], atol=0.01)
+    rows, taken = rows_of(folder), numbers_of(folder)
+    assert list(rows) == [n for n in taken if n / RATE <= 4.5] and len(rows) < len(taken)
+    np.testing.assert_allclose(east_m(rows), [min(3.0 * n / RATE, 12.0) for n in rows], atol=0.01)
+
+
+def test_next_to_a_gap_a_frame_lies_between_the_positions_at_both_ends(tmp_path: Path) -> None:
+    """None is written from 3 s to 8 s; frames in its middle are 2 s from both ends and have none."""
+    video = tmp_path / "a.mp4"
+    write_video(video, np.linspace(0.0, 1800.0, 10 * RATE, endpoint=False))
+    times_s = np.array([0.0, 1.0, 2.0, 3.0, 8.0, 9.0, 10.0])
+    write_subtitles(tmp_path / "a.srt", times_s, 3.0 * times_s)
+    assert main(["frames", str(video), "-q"]) == 0
+    rows, taken = rows_of(tmp_path / "a-frames"), numbers_of(tmp_path / "a-frames")
+    assert list(rows) == [n for n in taken if not 5.0 < n / RATE < 6.0] and len(rows) < len(taken)
+    assert any(3.5 < n / RATE < 5.0 for n in rows) and any(6.0 < n / RATE < 7.5 for n in rows)
+    np.testing.assert_allclose(east_m(rows), [3.0 * n / RATE for n in rows], atol=0.02)
 
 
 def test_positions_of_another_time_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     video = tmp_path / "a.mp4"
     _video(video, np.linspace(0.0, 960.0, 100))
-    _subtitles_at(tmp_path / "a.srt", np.array([40.0, 41.0]), np.zeros(2))
+    write_subtitles(tmp_path / "a.srt", np.array([40.0, 41.0]), np.zeros(2))
     assert main(["frames", str(video), "-q"]) == 2
     assert "no frame was taken while positions were written" in capsys.readouterr().err
 
@@ -126,23 +113,21 @@ def test_frames_of_a_variable_rate_have_the_time_that_the_video_states(tmp_path:
     """30 frames a second for two seconds, then 10 for eight: 15 in the mean. 40 px and 4 m a second."""
     av = pytest.importorskip("av")
     times_s = np.concatenate([np.arange(60) / 30.0, 2.0 + np.arange(80) / 10.0])
-    texture, video = _texture(), tmp_path / "a.mp4"
+    ground, video = texture(), tmp_path / "a.mp4"
     with av.open(str(video), "w") as file:
         stream = file.add_stream("mpeg4", rate=30)
         stream.width, stream.height, stream.pix_fmt, stream.bit_rate = WIDTH, HEIGHT, "yuv420p", 8_000_000
         stream.codec_context.time_base = Fraction(1, 3000)
         for t in times_s:
-            at = round(120.0 * t)
-            image = np.ascontiguousarray(texture[200 : 200 + HEIGHT, at : at + WIDTH])
-            frame = av.VideoFrame.from_ndarray(image, format="bgr24")
+            frame = av.VideoFrame.from_ndarray(window_at(ground, 120.0 * t, 200.0), format="bgr24")
             frame.pts, frame.time_base = round(3000 * t), Fraction(1, 3000)
             file.mux(stream.encode(frame))
         file.mux(stream.encode())
-    _subtitles_at(tmp_path / "a.srt", np.arange(11.0), 12.0 * np.arange(11.0))
+    write_subtitles(tmp_path / "a.srt", np.arange(11.0), 12.0 * np.arange(11.0))
     assert main(["frames", str(video), "-q"]) == 0
-    rows = _rows(tmp_path / "a-frames")
+    rows = rows_of(tmp_path / "a-frames")
     assert len(rows) > 5
-    np.testing.assert_allclose(_east_m(rows), 12.0 * times_s[list(rows)], atol=0.05)
+    np.testing.assert_allclose(east_m(rows), 12.0 * times_s[list(rows)], atol=0.05)
 
 
 def test_a_latitude_without_a_longitude_is_no_place(tmp_path: Path) -> None:
@@ -294,3 +279,47 @@ def test_subtitles_that_were_found_and_have_no_place(
     assert "positions  none" in capsys.readouterr().out
     assert geomosaic("frames", tmp_path / "a.mp4", "-o", tmp_path / "again", "--srt", srt) == 2
     assert "leave out --srt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("damage", [b"", b"1\n00:00:\x00\x00\x00", b"<html>not found</html>"])
+def test_damaged_subtitles_next_to_the_video_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: bytes
+) -> None:
+    """Frames are written without positions; given by --srt they are an error."""
+    write_video(tmp_path / "a.mp4", np.linspace(0.0, 480.0, 50))
+    srt = tmp_path / "a.SRT"
+    srt.write_bytes(damage)
+    assert main(["frames", str(tmp_path / "a.mp4")]) == 0
+    out, err = capsys.readouterr()
+    assert "positions  none" in out
+    (line,) = [line for line in err.splitlines() if line.startswith("warning")]
+    assert line.startswith(f"warning: {srt}: ") and line.endswith("or give another with --srt")
+    assert main(["frames", str(tmp_path / "a.mp4"), "-o", str(tmp_path / "b"), "--srt", str(srt)]) == 2
+    assert f"{srt}: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "a.mp4", "link"])
+def test_a_file_in_the_place_of_the_folder_stays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    video, target = tmp_path / "a.mp4", tmp_path / name
+    write_video(video, np.linspace(0.0, 480.0, 50))
+    (tmp_path / "notes.txt").write_text("precious")
+    (tmp_path / "link").symlink_to(tmp_path / "notes.txt")
+    before = target.read_bytes()
+    assert main(["frames", str(video), "-o", str(target), "-q"]) == 2
+    assert f"{target}: is no folder; choose a new or empty folder with -o" in capsys.readouterr().err
+    assert target.read_bytes() == before
+    assert {p.name for p in tmp_path.iterdir()} == {"a.mp4", "notes.txt", "link"}
+
+
+def test_a_name_with_a_colon_is_no_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "2024-05-01T12:30:00.mp4"
+    moved_px = np.linspace(0.0, 480.0, 50)
+    write_video(tmp_path / name, moved_px)
+    write_subtitles(tmp_path / "a.srt", np.arange(3.0), np.arange(3.0))
+    monkeypatch.chdir(tmp_path)
+    assert main(["frames", name, "-q", "--srt", "a.srt"]) == 0
+    assert len(rows_of(tmp_path / "2024-05-01T12:30:00-frames")) > 2
+    pytest.importorskip("av")
+    assert read_subtitle_tracks(Path(name)) == []
