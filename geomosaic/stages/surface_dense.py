@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from geomosaic.composition.grid import stretching, without_flung
 from geomosaic.composition.limits import limits_of
+from geomosaic.composition.mosaic_scene import CandidateFrames
 from geomosaic.composition.views import seen_part
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
@@ -17,7 +19,7 @@ from geomosaic.matching.features import grey
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.pipeline.stored_result import StoredResult
-from geomosaic.projection.footprint import footprint, ground_sampling_distance_m, survey_pixel_m
+from geomosaic.projection.footprint import footprint, ground_sampling_distance_m
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.stages.input_groups import AdjustedSurvey
 from geomosaic.stages.reporting import first_capture_s
@@ -54,7 +56,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "surface.dense", "Match the surface", group="Surface", version=19, outputs=("ground", "surface"),
+    "surface.dense", "Match the surface", group="Surface", version=20, outputs=("ground", "surface"),
     wants_frames=True, conclusions=_conclusions,
 )  # fmt: skip
 def surface_dense(
@@ -62,19 +64,18 @@ def surface_dense(
 ) -> tuple[GroundSurface, DenseSurface]:
     """Matches heights between the adjusted frames."""
     survey, adjusted, base = of.survey, of.adjusted, of.ground
-    used = [i for i, status in enumerate(adjusted.status) if status != "rejected"]
-    gsd_m = {i: ground_sampling_distance_m(adjusted.poses[i], adjusted.cameras[i], base) for i in used}
-    used = [i for i in used if np.isfinite(gsd_m[i])]
-    of_all = [status != "rejected" for status in adjusted.status]
-    pixel_m = survey_pixel_m(adjusted.poses, adjusted.cameras, of_all, base)
-    limits = limits_of(adjusted.poses, adjusted.cameras, of_all, base, pixel_m)
-    parts = {i: seen_part(adjusted.poses[i], adjusted.cameras[i], base, limits) for i in used}
-    used = [i for i in used if len(parts[i].points_m)] or used
+    kept = [status != "rejected" for status in adjusted.status]
+    frames = CandidateFrames(survey, adjusted.poses, adjusted.cameras, kept, base)
+    limits = limits_of(frames.poses, frames.cameras, kept, base, frames.pixel_m)
+    views, _ = without_flung(frames.views(limits), frames.pixel_m)
+    gsd_m = {v.frame: ground_sampling_distance_m(v.pose, v.camera, base) for v in views}
+    views = tuple(v for v in views if np.isfinite(gsd_m[v.frame]))
+    used = [v.frame for v in views]
     outlines = [
-        footprint(adjusted.poses[i], adjusted.cameras[i], base)[:, :2]
-        if parts[i].quality is None
-        else parts[i].points_m[:, :2]
-        for i in used
+        footprint(v.pose, v.camera, base)[:, :2]
+        if v.quality is None
+        else seen_part(v.pose, v.camera, base, limits).points_m[:, :2]
+        for v in views
     ]
     seen = np.vstack([np.zeros((0, 2)), *outlines])
     seen = seen[np.isfinite(seen).all(axis=1)]
@@ -85,11 +86,18 @@ def surface_dense(
     wanted_m = params.cell_px * float(np.median([gsd_m[i] for i in used]))
     cells = cells_covering(seen.min(axis=0), seen.max(axis=0), wanted_m)
     if cells.cell_m > wanted_m:
+        name, fix = "", "to keep them, map parts of the flight by themselves"
+        if far := stretching(views, wanted_m):
+            name = survey.frames[far[0].frame].name
+            fix = (
+                f"without this frame, which lies far out, it would have {100.0 * far[1]:.2g} % of its size; "
+                "correct its position with --pos, or take it out of the folder"
+            )
         text = (
             f"cells of {cells.cell_m:.3g} m instead of {wanted_m:.3g} m: a surface may have no "
-            "more; smaller details are smoothed: to keep them, map parts of the flight by themselves"
+            f"more; smaller details are smoothed: {fix}"
         )
-        context.warn("surface-coarse", "", text)
+        context.warn("surface-coarse", name, text)
     context.metric("surface.cell_m", cells.cell_m)
     if len(used) < 2:
         context.warn(
@@ -117,9 +125,9 @@ def surface_dense(
         )
         for i, coarse, fine in zip(used, *sighted, strict=True)
     ]
-    kept = context.stored("pictures", _pictures, looks)
-    surface, counted = _matched(context, both, base, sighted, kept)
-    for pictures in kept:
+    stored = context.stored("pictures", _pictures, looks)
+    surface, counted = _matched(context, both, base, sighted, stored)
+    for pictures in stored:
         pictures.forget()
     for code, text in match_warnings(counted, both[-1], base.kind):
         context.warn(code, "", text)

@@ -16,9 +16,16 @@ class TerrainParams(StageParams):
     )
 
 
-@stage("surface.terrain", "Find the ground below the surface", group="Surface", version=2, outputs="terrain")
+@stage("surface.terrain", "Find the ground below the surface", group="Surface", version=3, outputs="terrain")
 def surface_terrain(surface: DenseSurface, params: TerrainParams, context: Context) -> TerrainModel:
     """Takes houses and trees off the surface."""
     terrain = terrain_model(surface, params.widest_m)
     context.metric("surface.ground_share", terrain.share_of(surface))
+    if not terrain.seen.any() and surface.views.any():
+        context.warn(
+            "terrain-not-found",
+            "",
+            "no matched cell shows the ground, so the terrain model may contain houses and trees: use the "
+            "surface instead, or make --set surface.terrain.widest_m smaller",
+        )
     return terrain

@@ -28,6 +28,7 @@ _DISTINCT_BITS = tuned(4.5, "bits", "kept without correlation: simulated lakes s
 _SUPPORT = tuned(0.12, "share", "sure cells around: lakes reach 0.05, so less keeps waves; 0.25 loses groves")
 _EVENED_CELLS = tuned(9, "cells", "window of the bilateral filter: larger takes longer and rounds off ridges")
 _NOISE_CELLS = tuned(0.4, "cells", "height noise, 2 to 3 deviations: larger removes kerbs and low walls")
+_END = tuned(0.25, "share", "of the way up or down, the most that is its end: more reports level land")
 _LIKE_AROUND_CELLS: Final = AROUND_CELLS // 2 + 1
 """Window for equal sure cells: crowns vary too much over more."""
 RIM_CELLS: Final = 12
@@ -90,7 +91,8 @@ def consistent_heights(
     sd_m = np.where(kept, _sd_m(found, cells.cell_m), np.float32(np.nan))
     inner = slice(RIM_CELLS, -RIM_CELLS), slice(RIM_CELLS, -RIM_CELLS)
     over_m, sd_m, views = (np.ascontiguousarray(a[inner]) for a in (over_m * kept, sd_m, views))
-    ends_m = np.array(reach_m) + np.array([1.0, -1.0]) * PAST_HEIGHTS / 2.0 * cells.cell_m
+    end_m = np.minimum(PAST_HEIGHTS / 2.0 * cells.cell_m, _END * np.abs(reach_m))
+    ends_m = reach_m + np.array([1.0, -1.0]) * end_m
     matched, alike = views > 0, found.views[inner]
     beyond = matched & ((over_m < ends_m[0]) | (over_m > ends_m[1]))
     of = found.alike[inner] > UNSEEN, matched, beyond, alike > 0, (alike > 0) & (alike <= AGREEING)

@@ -99,6 +99,10 @@ class PlaneSweep:
             self._terms[frame] = np.stack([np.stack([self._at_cells(t) for t in terms]) for terms in nodes])
         return self._terms[frame]
 
+    def base_places(self, frame: int) -> list[Floats32]:
+        """Cols and rows in a frame's picture of the base in each cell, as `places` has them."""
+        return [self._at_cells(constant) for constant, _, _ in self._nodes_terms[frame]]
+
     def bent(self, height_m: Floats32) -> Floats32:
         """What `places` takes, of heights over the base (rows, cols)."""
         return np.asarray(height_m / (np.float32(1.0) - height_m / self._away_m))

@@ -142,9 +142,10 @@ def _within(asked: Asked, margin: int, cells: Cells) -> Asked:
 
 
 def _all_steps(search: HeightSearch, shape: tuple[int, ...]) -> Steps:
-    """(heights, rows, cols) that are looked at where nothing is known."""
-    ends = (round(end / search.step_m) for end in (search.lowest_m, search.highest_m))
-    found = np.arange(*ends, dtype=np.int16)
+    """(heights, rows, cols) that are looked at where nothing is known: the base's and those next to it at
+    least."""
+    lowest, highest = (round(end / search.step_m) for end in (search.lowest_m, search.highest_m))
+    found = np.arange(min(lowest, -1), max(highest, 2), dtype=np.int16)
     return np.broadcast_to(found[:, None, None], (len(found), *shape))
 
 

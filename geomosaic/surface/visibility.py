@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 import cv2
 import numpy as np
@@ -25,21 +25,16 @@ def asked_frames(
     """Squares of cells, and for each the frames that see most of it, of those the steepest first; those along
     the tile's edge have its rim as well."""
     rows, cols = sweep.base_m.shape
-    flat = np.zeros((rows, cols), dtype=np.float32)
-    inside, slant = [], []
+    blocks = list(product(_parts(rows, side, rim), _parts(cols, side, rim)))
+    seeing: list[list[tuple[bool, float, int]]] = [[] for _ in blocks]
     for k, (height_px, width_px) in enumerate(shapes):
-        col, row = sweep.places(k, flat)
-        inside.append((col >= 0.0) & (col < width_px - 1.0) & (row >= 0.0) & (row < height_px - 1.0))
-        slant.append(1.0 / sweep.towards(k)[2])
-    found = []
-    for down in _parts(rows, side, rim):
-        for across in _parts(cols, side, rim):
-            at = down, across
-            share = [float(mask[at].mean()) for mask in inside]
-            seeing = [k for k, s in enumerate(share) if s > 0.0]
-            seeing.sort(key=lambda k: (share[k] < 1.0, float(slant[k][at].mean())))
-            found.append((at, tuple(seeing[:most])))
-    return found
+        col, row = sweep.base_places(k)
+        inside = (col >= 0.0) & (col < width_px - 1.0) & (row >= 0.0) & (row < height_px - 1.0)
+        slant = 1.0 / sweep.towards(k)[2]
+        for at, of in zip(blocks, seeing, strict=True):
+            if inside[at].any():
+                of.append((not inside[at].all(), float(slant[at].mean()), k))
+    return [(at, tuple(k for *_, k in sorted(of)[:most])) for at, of in zip(blocks, seeing, strict=True)]
 
 
 def _parts(count: int, side: int, rim: int) -> Iterator[slice]:

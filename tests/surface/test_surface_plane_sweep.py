@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -85,6 +86,30 @@ def test_frames_that_see_all_of_a_square_are_asked_first_and_of_those_the_steepe
     [(_, asked)] = asked_frames(sweep, [(600, 800)] * 4, 32, 0, 3)
     assert asked[:2] == (3, 1)
     assert 2 not in asked
+
+
+def test_choosing_frames_keeps_no_cells_of_each() -> None:
+    """Places of all cells take 2.8 MB a frame; only frames that are asked later need them."""
+    frames = [looking_down(x, y) for x in np.linspace(-40.0, 40.0, 8) for y in np.linspace(-40.0, 40.0, 5)]
+    cells = Cells(-44.0, -44.0, 0.25, 352, 352)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(f, CAMERA, 1.0) for f in frames], -5.0, 30.0)
+    tracemalloc.start()
+    try:
+        asked = asked_frames(sweep, [(600, 800)] * len(frames), 32, 8, 6)
+        kept, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert all(len(its) == 6 for _, its in asked)
+    assert peak < 10e6
+    assert kept < 1e6
+
+
+def test_places_of_the_base_are_those_of_no_height() -> None:
+    cells = Cells(-70.0, -60.0, 0.5, 240, 280)
+    sweep = PlaneSweep(cells, LEVEL, [SweepView(looking_down(3.0, -4.0), CAMERA, 2.0)], -10.0, 30.0)
+    flat = np.zeros((240, 280), dtype=np.float32)
+    for found, place in zip(sweep.base_places(0), sweep.places(0, flat), strict=True):
+        np.testing.assert_array_equal(found, place)
 
 
 def test_a_height_that_two_frames_agree_on_costs_least(  # of three, one of which shows something else

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import tracemalloc
 
 import cv2
@@ -83,6 +84,89 @@ def test_hills_stay(height_m, wavelength_m):
     model = terrain_model(surface_of(hills))
     assert np.abs(model.up_m - hills).max() < 0.1
     assert model.seen.mean() > 0.99
+
+
+@pytest.mark.parametrize("across", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("side_m", "slope"),
+    [(15.0, 1.0), (15.0, 1.5), (20.0, 0.6), (20.0, 1.5), (40.0, 0.45), (60.0, 0.6), (60.0, 1.5)],
+)
+def test_even_land_stays_up_to_the_border_however_steep(side_m: float, slope: float, across: float):
+    east = slope * CELL_M * np.arange(round(side_m / CELL_M))
+    land = 300.0 + np.add.outer(across * east, east)
+    model = terrain_model(surface_of(land))
+    assert np.abs(model.up_m - land).max() < 0.1
+    assert model.seen.mean() > 0.99
+
+
+@pytest.mark.parametrize("slope", [0.6, 1.0])
+def test_valleys_and_hillsides_stay_up_to_the_border(slope: float):
+    """A valley rises to two borders, a hillside from a plain to one."""
+    east = CELL_M * np.arange(300)
+    for profile in (np.abs(east - 75.0), np.maximum(east - 100.0, 0.0)):
+        land = np.add.outer(np.zeros(300), slope * profile)
+        model = terrain_model(surface_of(land))
+        assert np.abs(model.up_m - land).max() < 0.2
+        assert model.seen.mean() > 0.98
+
+
+def test_what_stands_at_the_border_of_a_steep_slope_goes():
+    land = np.add.outer(0.5 * CELL_M * np.arange(200), 0.6 * CELL_M * np.arange(200))
+    up = land.copy()
+    for at in (np.s_[90:110, 180:], np.s_[:16, 60:90], np.s_[-20:, :24]):
+        up[at] = land[at].mean() + 9.0
+    standing = up != land
+    model = terrain_model(surface_of(up))
+    assert not model.seen[standing].any()
+    assert model.seen[~standing].mean() > 0.97
+    assert np.abs(model.up_m - land)[~standing].max() < 1.5
+    assert np.median(np.abs(model.up_m - land)[standing]) < 1.5
+
+
+def rough(side: int) -> DenseSurface:
+    """Heights 300 m above the work frame's origin that leap by metres from cell to cell."""
+    return surface_of(np.random.default_rng(1).normal(300.0, 5.0, (side, side)))
+
+
+def test_where_no_cell_is_ground_the_surface_keeps_its_heights():
+    surface = rough(40)
+    model = terrain_model(surface)
+    np.testing.assert_array_equal(model.up_m, surface.up_m)
+    assert not model.seen.any() and np.isnan(model.sd_m).all()
+
+
+def test_the_stage_warns_where_no_cell_is_ground(tmp_path):
+    context = Context(tmp_path, stage_id="surface.terrain")
+    surface_terrain().run({"surface": rough(40)}, surface_terrain.Params(), context)
+    [warning] = context.notes.warnings
+    assert warning["code"] == "terrain-not-found"
+    assert "may contain houses and trees" in warning["text"]
+
+
+@pytest.mark.parametrize("cell_m", [0.5, 0.02])
+def test_a_rim_of_a_metre_about_what_stands_is_not_seen_ground(cell_m: float):
+    side = round(5.0 / cell_m)
+    up = np.zeros((side, side), dtype=np.float32)
+    middle = side // 2
+    up[middle - 2 : middle + 3, middle - 2 : middle + 3] = 6.0
+    seen = terrain_model(surface_of(up, cell_m, sd_m=0.01)).seen
+    rows, cols = np.indices(up.shape)
+    away = np.hypot(*(np.maximum(np.abs(of - middle) - 2, 0) for of in (rows, cols))) * cell_m
+    assert not seen[away <= 0.97].any()
+    assert seen[away > 1.03].all()
+
+
+def test_fine_cells_take_no_longer_than_coarse_ones():
+    """The rim of a metre about what stands is 250 cells of 4 mm wide, and 4 cells of 0.25 m."""
+    up = np.zeros((800, 800), dtype=np.float32)
+    up[300:500, 300:500] = 4.0
+    took_s = []
+    for cell_m in (0.25, 0.004):
+        surface = surface_of(up, cell_m, sd_m=0.01)
+        start_s = time.process_time()
+        terrain_model(surface)
+        took_s.append(time.process_time() - start_s)
+    assert took_s[1] < 4.0 * took_s[0]
 
 
 def test_a_hall_goes_if_it_is_no_wider_than_was_said():
