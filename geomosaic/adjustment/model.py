@@ -47,27 +47,25 @@ class ControlResidual:
 
 @dataclass(frozen=True)
 class SolvedBlock:
-    """A solution that the adjustment of a later run begins from, with the frames that it is certain of.
+    """A solution that a later run begins from to solve what changed, with the frames that it is certain of.
 
     names (n,): of these frames. positions_m (n, 3), rotations (n, 3, 3): in the work frame.
-    rotation_terms_rad (n, t, 3), drift (n, 3): while rows are read. settings, lenses: of its model, as
-    assumed; cameras: as found. shared, fixed: values of the shared unknowns by the name of their part, and
-    which were kept as given. components: variance components by name. choice: how the model was chosen.
+    rotation_terms_rad (n, t, 3), drift (n, 3): while rows are read. settings: of its model. cameras: as
+    found. shared, fixed: values of the shared unknowns by the name of their part, and which were kept as
+    given. components: variance components by name.
     """
 
-    FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad"}
+    FORMERLY: ClassVar[dict[str, str]] = {"swing_rad": "rotation_terms_rad", "lenses": "", "choice": ""}
     names: tuple[str, ...]
     positions_m: Floats
     rotations: Floats
     rotation_terms_rad: Floats
     drift: Floats
     settings: Settings
-    lenses: tuple[Camera, ...]
     cameras: tuple[Camera, ...]
     shared: dict[str, Floats]
     fixed: dict[str, Bools]
     components: dict[str, float]
-    choice: ModelChoice | None = None
 
     def __post_init__(self) -> None:
         """Components of earlier versions get their present names."""
@@ -81,11 +79,6 @@ class SolvedBlock:
         rows = {name: getattr(self, name)[kept] for name in arrays}
         return replace(self, names=tuple(name for name in self.names if name in names), **rows)
 
-    def moved(self, turn: Floats, shift_m: Floats) -> SolvedBlock:
-        """In another work frame: turn (3, 3) to its axes, shift_m (3,) of the origin in them."""
-        positions_m = self.positions_m @ turn.T + shift_m
-        return replace(self, positions_m=positions_m, rotations=turn @ self.rotations)
-
 
 @dataclass(frozen=True)
 class Block:
@@ -94,7 +87,7 @@ class Block:
     given for the images as they lie in the files. times_s (n,): of frames whose velocity no tag reports, when
     they were taken, or NaN. unsteady_m_per_s (n,): by how much velocities change about each frame. heights:
     None with a DEM, or where heights fix nothing. flights: number of each frame's flight, whose positions
-    have an error in common; empty for one flight. earlier: a solution to begin from."""
+    have an error in common; empty for one flight."""
 
     names: tuple[str, ...]
     cameras: tuple[Camera, ...]
@@ -110,7 +103,6 @@ class Block:
     unsteady_m_per_s: Floats | None = None
     heights: HeightReference | None = None
     flights: tuple[int, ...] = ()
-    earlier: SolvedBlock | None = None
 
     @property
     def flight_of(self) -> Ints:

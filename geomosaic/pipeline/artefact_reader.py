@@ -199,7 +199,8 @@ def _value(tree: Any, file: _Members, known: dict[str, type]) -> Any:
         if cls is None:
             raise ValueError(f"it holds a {tree['is']!r}, which doesn't belong there")
         names: Mapping[str, str] = getattr(cls, "FORMERLY", {})
-        return cls(**{names.get(n, str(n)): _value(v, file, known) for n, v in tree["fields"].items()})
+        fields = {names.get(name, str(name)): value for name, value in tree["fields"].items()}
+        return cls(**{name: _value(value, file, known) for name, value in fields.items() if name})
     ((kind, content),) = tree.items()
     match kind:
         case "float":

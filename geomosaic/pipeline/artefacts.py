@@ -3,7 +3,7 @@
 An artefact is an uncompressed zip with a tree in JSON (`tree.json`) and one `.npy` member for each
 array. Equal artefacts give equal bytes, so a hash of the bytes names the artefact. Nothing in the file
 is ever executed or imported: a class is known by its name only if the type asked for contains it. A class
-may map names that its fields had in earlier versions to those they have (`FORMERLY`).
+may map names that its fields had in earlier versions to those they have, or to '' (`FORMERLY`).
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
 from geomosaic.adjustment.procedure.changed_part import EarlierBlock
 from geomosaic.adjustment.procedure.control_points import ground_control
-from geomosaic.adjustment.procedure.earlier_solution import EARLIER
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.local_adjustment import adjusted_in_part, kept_poses
 from geomosaic.adjustment.procedure.outcome import unplaced_parts
@@ -86,7 +85,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=115, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=116, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -133,8 +132,9 @@ def adjustment_solve(
 
 
 def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Context) -> Adjusted:
-    """By the method of choice; a bundle goes on from the run before, in part where the rest would stay within
-    `MOST_MOVED_PX`."""
+    """By the method of choice; a bundle goes on from the run before where all but the changed part would stay
+    within `MOST_MOVED_PX`. Otherwise it begins anew and ends as in a fresh run. Where it begins decides on
+    the model of lens and shutter, on what of it counts, and on weights."""
     settings, before = Settings(**params.model_dump(exclude={"method"})), context.earlier
     if before is None:
         return METHODS[params.method](block, settings, context)
@@ -145,23 +145,20 @@ def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Contex
         return METHODS[params.method](block, settings, context)
     earlier = _earlier_block(block, survey, unchanged, before)
     found = None if earlier is None else adjusted_in_part(block, earlier)
+    context.metric("reused.adjustment", found is not None)
     if found is None or earlier is None:
-        solved = None if earlier is None else earlier.solved
-        found = METHODS[params.method](replace(block, earlier=solved), settings, context)
-        warm = any(step.solve == EARLIER for step in found.steps)
-        context.inform("begins from the run before" if warm else "whole: the run before fits no more")
-    else:
-        warm, kept = True, int(kept_poses(found, earlier).sum())
-        context.metric("reused.poses", kept)
-        context.inform(f"{kept:,} of {len(block.names):,} frames stay where they are")
-    context.metric("reused.adjustment", warm)
+        context.inform("adjusted whole: what changed moves all frames")
+        return METHODS[params.method](block, settings, context)
+    kept = int(kept_poses(found, earlier).sum())
+    context.metric("reused.poses", kept)
+    context.inform(f"{kept:,} of {len(block.names):,} frames stay where they are")
     return found
 
 
 def _earlier_block(
     block: Block, survey: Survey, unchanged: frozenset[str], before: EarlierRun
 ) -> EarlierBlock | None:
-    """What the run before found, in this survey's work frame; None where its cameras were given otherwise."""
+    """What the run before found; None where its cameras were given otherwise, or in another work frame."""
     was: Survey | None = before.artefact("survey", Survey)
     placed: Placement | None = before.artefact("placement", Placement)
     ties: TiePoints | None = before.artefact("ties", TiePoints)
@@ -170,11 +167,12 @@ def _earlier_block(
     if was is None or placed is None or ties is None or adjusted is None or adjusted.solved is None:
         return None
     given = {camera.name: camera for camera in survey.cameras}
-    if ground is None or any(given.get(c.name, c) != c for c in was.cameras):
+    if ground is None or was.work_frame != survey.work_frame:
+        return None
+    if any(given.get(c.name, c) != c for c in was.cameras):
         return None
     names, bound_m = tuple(f.name for f in was.frames), MOST_MOVED_PX * block.ground_pixel_m
-    earlier = EarlierBlock(names, placed.poses, ties, adjusted, unchanged, bound_m, ground)
-    return earlier.in_frame(was.work_frame, survey.work_frame)
+    return EarlierBlock(names, placed.poses, ties, adjusted, unchanged, bound_m, ground)
 
 
 def _of_map(context: Context, adjusted: Adjusted) -> Adjusted:

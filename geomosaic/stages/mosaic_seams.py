@@ -39,7 +39,6 @@ from geomosaic.stages.earlier_frames import earlier_numbers
 from geomosaic.stages.input_groups import AdjustedSurvey, BandTones
 from geomosaic.stages.reporting import reported_trimmed, trimmed_text
 from geomosaic.stages.spares import spare_of
-from geomosaic.survey.model import Survey
 
 
 class SeamParams(StageParams):
@@ -141,16 +140,17 @@ def mosaic_seams(
     look = partial(glimpsed, replace(scene, views=()), ownership.cell_px, tones)
     parts = context.map("seams", look, jobs, keys=[v.frame for v in giving(scene, ownership)])
     cut = SEAMS[params.seam](ownership, parts, context)
-    cut = _as_before(cut, parts, of.survey, context)
+    cut = _as_before(cut, parts, of, context)
     for how, result in ((NEAREST_NADIR, ownership), (params.seam, cut)):
         context.metric(f"seams.{how}", asdict(seam_figures(result, parts)))
     return cut
 
 
-def _as_before(cut: Ownership, parts: Sequence[SeamPart], survey: Survey, context: Context) -> Ownership:
-    """With the seams of the run before, where it is gone on from and the frames are the same."""
+def _as_before(cut: Ownership, parts: Sequence[SeamPart], of: AdjustedSurvey, context: Context) -> Ownership:
+    """With the seams of the run before, where it is gone on from and the frames are where they were."""
     was = None if context.earlier is None else context.earlier.artefact("ownership", Ownership)
-    return cut if was is None else with_earlier_seams(cut, parts, was, earlier_numbers(survey, context))
+    numbers = earlier_numbers(of.survey, of.adjusted, cut.grid.gsd_m, context)
+    return cut if was is None else with_earlier_seams(cut, parts, was, numbers)
 
 
 def _narrowed(of: AdjustedSurvey, rig: RigPoses) -> AdjustedSurvey | None:

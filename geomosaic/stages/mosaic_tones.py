@@ -106,7 +106,7 @@ def mosaic_tones(
     if not views:
         return none
     places = lattice(views, survey.map_crs, survey.work_frame, ground)
-    earlier = earlier_numbers(survey, context)
+    earlier = earlier_numbers(survey, adjusted, frames_on_map.pixel_m, context)
     was = _earlier_tones(earlier, context)
     whites = (PICTURE if images else MEASURED) if was is None else (was.white,)
     shown = _Seen(survey, views, places, _values(survey, places, bands, context), whites)
@@ -172,7 +172,7 @@ def _report(tones: Tones, evenness: Evenness, names: list[str], context: Context
 
 
 def _earlier_tones(earlier: Ints64, context: Context) -> Tones | None:
-    """Those of the run before, if most frames are the same."""
+    """Those of the run before, if most frames are where they were."""
     if context.earlier is None or 2 * int((earlier >= 0).sum()) < len(earlier):
         return None
     was: Tones | None = context.earlier.artefact("tones", Tones)

@@ -63,8 +63,8 @@ def without(headers: Sequence[FrameHeader], strays: Sequence[Stray]) -> list[Fra
 
 
 def without_camera(headers: Sequence[FrameHeader]) -> list[Stray]:
-    """Frames of a camera and size that report no lens, as long as they are fewer than half; else those that
-    name no camera and have a size of their own, where most name one: a program made them of other frames."""
+    """Frames of a camera and size that report no lens, as long as they are fewer than half. Else those of a
+    size of their own that name no camera, where most name one: a program made them of other frames."""
     lacking, text = unreported(headers), "the frame doesn't report its focal length"
     if 2 * len(lacking) >= len(headers):
         named = [bool(h.exif.make or h.exif.model) for h in headers]

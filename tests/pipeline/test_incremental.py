@@ -119,7 +119,7 @@ def test_a_line_more_then_a_frame_less(
     copied(survey, frames, FIRST, ALL)
     assert mosaic(frames, run, *given(survey), "--incremental") == 0
     reused = summary(run)["metrics"]["reused"]
-    assert (reused["frames"], reused["frames_of"], reused["adjustment"]) == (FIRST, ALL, True)
+    assert (reused["frames"], reused["frames_of"], reused["adjustment"]) == (FIRST, ALL, False)
     assert reused["tiles_of"] >= reused["tiles"] >= 0
     assert "6 of 9 frames' keypoints" in capsys.readouterr().out
     assert not (run / EARLIER).exists()
@@ -129,11 +129,11 @@ def test_a_line_more_then_a_frame_less(
     sorted(frames.iterdir())[0].unlink()
     assert mosaic(frames, run, *given(survey), "--incremental") == 0
     reused = summary(run)["metrics"]["reused"]
-    assert (reused["frames"], reused["frames_of"], reused["adjustment"]) == (ALL - 1, ALL - 1, True)
+    assert (reused["frames"], reused["frames_of"], reused["adjustment"]) == (ALL - 1, ALL - 1, False)
     copied(survey, frames, 0, 1)
     assert mosaic(frames, run, *given(survey)) == 0
     assert "reused" not in summary(run)["metrics"]
-    assert np.abs(positions(run) - gone_on).max() < 0.01
+    assert np.abs(positions(run) - gone_on).max() < 1e-3
     assert mosaic(frames, tmp_path / "fresh", *given(survey)) == 0
     assert digest(run / "mosaic.tif") == digest(tmp_path / "fresh" / "mosaic.tif")
     off = differences(tmp_path / "gone-on", tmp_path / "fresh")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from geomosaic.adjustment.procedure.block_solution import (
 )
 from geomosaic.adjustment.procedure.blunder_detection import counted_shares, resected
 from geomosaic.adjustment.procedure.control_points import placed_by_control, with_marks_of_whole_images
-from geomosaic.adjustment.procedure.earlier_solution import EARLIER, begun_from_earlier, still_fits
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.adjustment.procedure.first_solution import begun
 from geomosaic.adjustment.procedure.lens_start import with_lens_starts
@@ -52,7 +50,7 @@ from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
 from geomosaic.errors import NotSolvableError
-from geomosaic.matching.tracks import FEW_CELLS, FEW_PER_FRAME, Tracks, join_tracks, thin_tracks
+from geomosaic.matching.tracks import FEW_CELLS, FEW_PER_FRAME, join_tracks, thin_tracks
 from geomosaic.spread import AtOnce, Spread
 from geomosaic.survey.model import Warn
 
@@ -69,8 +67,7 @@ def pose_block(block: Block, settings: Settings, spread: Spread | None = None) -
 
 
 def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
-    if block.earlier is None:
-        block = with_lens_starts(block, settings, spread)
+    block = with_lens_starts(block, settings, spread)
     sizes = np.array([[c.width_px, c.height_px] for c in block.cameras])
     tracks = thin_tracks(join_tracks(block.ties), sizes, settings.observations_per_frame)
     if not tracks.points and all(c.check for c in block.control):
@@ -84,11 +81,6 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         return solution.poses, tuple(solution.cameras[k] for k in its.lens_of)
 
     block, notes = with_marks_of_whole_images(block, free)
-    if block.earlier is not None:
-        adjusted = _gone_on(block, settings, (tracks, few), spread)
-        if adjusted is None:
-            adjusted = _solved(replace(block, earlier=None), settings, spread)
-        return replace(adjusted, warnings=(*notes, *adjusted.warnings))
     spread.progress(0, len(PROCEDURE), "first solution, step")
     work = begun(block, settings, (tracks, few), spread, placed_by_control(block, free))
     steps = _named("few tie points" if work.rough else "tie points", work.steps)
@@ -105,26 +97,6 @@ def _solved(block: Block, settings: Settings, spread: Spread) -> Adjusted:
         steps += _named(name, work.steps[before:])
     adjusted = as_filed(bundle_outcome(work), replace(block, turned=work.turned))
     return replace(adjusted, steps=steps, warnings=(*notes, *skipped, *adjusted.warnings))
-
-
-def _gone_on(
-    block: Block, settings: Settings, all_and_few: tuple[Tracks, Tracks], spread: Spread
-) -> Adjusted | None:
-    """The block solved from an earlier run's solution, with the model of then; None where there is no such
-    solution, or its model fits no more."""
-    with suppress(NotSolvableError):
-        work = begun_from_earlier(block, settings, all_and_few, spread)
-        if work is None or block.earlier is None:
-            return None
-        steps = _named(EARLIER, work.steps)
-        for name in (n for n in PROCEDURE if n not in OF_THE_MODEL):
-            before = len(work.steps)
-            work = PROCEDURE[name](work)
-            steps += _named(name, work.steps[before:])
-        if still_fits(work, block.earlier):
-            adjusted = as_filed(bundle_outcome(work), replace(block, turned=work.turned))
-            return replace(adjusted, steps=steps)
-    return None
 
 
 def _named(name: str, steps: tuple[SolveStep, ...]) -> tuple[SolveStep, ...]:
@@ -281,5 +253,3 @@ PROCEDURE: dict[str, Callable[[BlockState], BlockState]] = {
     "readout": _readout_shown,
     "accuracy": _accuracy_stated,
 }
-OF_THE_MODEL: Final = ("model of lens and shutter", "turning", "zero of the gyroscope", "readout")
-"""Steps that an earlier solution has done."""

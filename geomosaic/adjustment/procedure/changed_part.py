@@ -14,7 +14,6 @@ from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import SLIGHT
 from geomosaic.estimation.linear import least_squares
-from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.model import TiePairs, TiePoints
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import footprint
@@ -27,10 +26,9 @@ adjustment."""
 
 @dataclass(frozen=True)
 class EarlierBlock:
-    """An adjusted block of an earlier run. names (n,): its frames; given: where they were reported;
-    unchanged: names of the frames whose files are as they were; bound_m: by how much a place on the ground
-    may differ from that of a whole adjustment; prior_ground: before it was adjusted; moved: turn (3, 3) and
-    shift (3,) in m to the present work frame, None where it is the same."""
+    """An adjusted block of an earlier run, in the same work frame. names (n,): its frames; given: where they
+    were reported; unchanged: names of the frames whose files are as they were; bound_m: by how much a place
+    on the ground may differ from that of a whole adjustment; prior_ground: before it was adjusted."""
 
     names: tuple[str, ...]
     given: Poses
@@ -39,29 +37,16 @@ class EarlierBlock:
     unchanged: frozenset[str]
     bound_m: float
     prior_ground: GroundSurface
-    moved: tuple[Floats, Floats] | None = None
 
     @property
     def solved(self) -> SolvedBlock | None:
-        """What a whole adjustment begins from, of the unchanged frames."""
-        solved = self.adjusted.solved
-        if solved is None:
-            return None
-        solved = solved.of(self.unchanged)
-        return solved if self.moved is None else solved.moved(*self.moved)
+        """Its solution, of the unchanged frames."""
+        return None if self.adjusted.solved is None else self.adjusted.solved.of(self.unchanged)
 
     @property
     def shift_m(self) -> float:
         """By how much runs before this one would have moved its frames, see `SHIFT`."""
         return self.adjusted.figures.get(SHIFT, 0.0)
-
-    def in_frame(self, was: LocalFrame, now: LocalFrame) -> EarlierBlock:
-        """From one work frame to another. Of another one, only `solved` is known."""
-        if was == now:
-            return self
-        turn = now.enu_from_local_rotation(was.lon_deg, was.lat_deg)
-        shift_m = now.enu_from_geodetic(was.lon_deg, was.lat_deg, was.height_ellipsoidal_m)
-        return replace(self, moved=(turn, shift_m))
 
     @property
     def number(self) -> dict[str, int]:

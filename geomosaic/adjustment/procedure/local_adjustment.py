@@ -52,7 +52,7 @@ def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
     reported now would move the earlier frames by more than the bound, in this run and those before together.
     It is also needed where new images fit the earlier lenses badly, or a DEM is another one or shows more
     land. Control points, rolling shutters and unknowns of the platform tie all frames together."""
-    if earlier.solved is None or earlier.moved is not None or _ties_all(block, earlier):
+    if earlier.solved is None or _ties_all(block, earlier):
         return None
     if block.ground.kind == "dem" and not _alike(block.ground, earlier.prior_ground):
         return None
@@ -116,7 +116,6 @@ def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adju
     part = replace(
         changed.of(block),
         cameras=tuple(lenses[block.cameras[i].name] for i in changed.frames),
-        earlier=replace(solved, cameras=tuple(lenses.values())),
     )
     if adjusted.ground.kind != "tie_surface":
         part = replace(part, ground=adjusted.ground)
@@ -164,7 +163,8 @@ def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) 
     effect = earlier.adjusted.figures.get("design_effect", 1.0)
     image = replace(problem.image, design_effect=effect)
     problem = replace(problem, interior=known, image=image)
-    start = start_from_earlier(part, solved.settings, ties, poses)
+    solved = replace(solved, cameras=earlier.adjusted.cameras)
+    start = start_from_earlier(part, solved, ties, poses)
     estimate = replace(start.estimate, layout=problem.layout, shared=problem.layout.given, points_m=points)
     start = replace(start, estimate=estimate, fixed=np.zeros(problem.layout.size, dtype=bool))
     found = converged_solution(problem, start)

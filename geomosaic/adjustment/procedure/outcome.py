@@ -244,12 +244,10 @@ def _solved(work: BlockState, rejected: Collection[int]) -> SolvedBlock:
         rotation_terms_rad=at.rotation_terms_rad[certain],
         drift=at.drift[certain],
         settings=work.settings,
-        lenses=work.block.lenses,
         cameras=solution.cameras,
         shared={name: at.shared[its] for name, its in slices.items()},
         fixed={name: solution.fixed[its] for name, its in slices.items()},
         components=dict(solution.components.values),
-        choice=work.choice,
     )
 
 

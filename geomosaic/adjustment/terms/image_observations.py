@@ -125,15 +125,6 @@ class ImageObservations:
         cost = self.shown * student_cost(np.where(np.isfinite(length), length, BEHIND)) / self.as_many
         return float(cost[self.used].sum())
 
-    def frame_variances(self, at: Estimate, components: Components) -> Floats:
-        """Of each frame with tie points the robust mean square of its standardised residuals, (k,)."""
-        tied = self.used & ~self.by_hand
-        error, shown = self.standardised(at, components)[tied], self.shown[tied]
-        error = np.where(np.isfinite(error), error, BEHIND)
-        counts = np.bincount(self.tracks.frame[tied], shown)
-        squares = np.bincount(self.tracks.frame[tied], shown * student_weight(error) * error**2)
-        return np.asarray(squares[counts > 0] / counts[counts > 0])
-
     def linearised(self, at: Estimate, components: Components) -> Linearised:
         """What `build_normals` asks for, weighted with the expected information (Fisher's scoring)."""
         sd_px, computed = self.sd_px(components), self.computed_px(at)
