@@ -97,7 +97,7 @@ def agreement(
     }
     unlike: list[list[Floats32]] = [[] for _ in grounds]
     for k, (i, j) in enumerate(pairs):
-        apart = _squares((_apart_m(land, corners_m[k]) > _APART_M).astype(np.float32)) > 0.0
+        apart = (_squares(_apart_m(land, corners_m[k])) > _APART_M).any(axis=(1, 3))
         both = [_unlike(a, b)[apart] for a, b in zip(shown[i, k], shown[j, k], strict=True)]
         whole = np.isfinite(both).all(axis=0)
         for kept, values in zip(unlike, both, strict=True):
@@ -158,14 +158,20 @@ def _looked(land: _Land, look: _FramePlaces) -> list[list[Floats32]]:
 
 def _unlike(one: Floats32, other: Floats32) -> Floats32:
     """1 - correlation by squares; NaN where one of both isn't whole or shows nothing."""
-    means = [_squares(a) for a in (one, other, one * one, other * other, one * other)]
-    across = means[4] - means[0] * means[1]
+    a, b = _contrast(one), _contrast(other)
     with np.errstate(invalid="ignore", divide="ignore"):
-        spread = np.sqrt((means[2] - means[0] ** 2) * (means[3] - means[1] ** 2))
-        return np.asarray(np.where(spread > 0.0, 1.0 - across / spread, np.nan), dtype=np.float32)
+        alike = (a * b).sum(axis=(1, 3)) / np.sqrt((a * a).sum(axis=(1, 3)) * (b * b).sum(axis=(1, 3)))
+    return np.asarray(1.0 - alike, dtype=np.float32)
 
 
-def _squares(values: Floats32) -> Floats32:
-    """Means by squares; one unknown value makes a square unknown."""
+def _contrast(values: Floats32) -> Floats:
+    """Squares less their means; 0 where that is no more than resampling rounds off in single precision."""
+    of = _squares(values)
+    mean = of.mean(axis=(1, 3), keepdims=True)
+    return np.where(np.abs(of - mean) <= 4.0 * np.finfo(np.float32).eps * np.abs(mean), 0.0, of - mean)
+
+
+def _squares(values: Floats32) -> Floats:
+    """Values (h, w) by squares, (down, rows, across, cols) with as many rows and cols as a square has."""
     side = _PLACE_PX // _BLOCK_PX
-    return np.asarray(values.reshape(side, _BLOCK_PX, side, _BLOCK_PX).mean(axis=(1, 3)), dtype=np.float32)
+    return values.reshape(side, _BLOCK_PX, side, _BLOCK_PX).astype(np.float64)

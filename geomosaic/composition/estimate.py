@@ -12,6 +12,7 @@ from geomosaic.composition.model import OutputGrid
 from geomosaic.constants import sourced, tuned
 from geomosaic.errors import InputError
 from geomosaic.matching.tracks import MOST_TIED
+from geomosaic.surface.pyramid import MOST_CELLS
 
 Range = tuple[float, float]
 
@@ -127,12 +128,12 @@ class SizeEstimate:
 
 @dataclass(frozen=True)
 class FilledPixels:
-    """The pixels of a grid: the share that images fill, and bytes of one. surface_cell_px: the side of the
+    """The pixels of a grid: the share that images fill, and bytes of one. surface_cell_m: the side of the
     cells of a surface that is matched, None without one."""
 
     share: float
     pixel_bytes: int
-    surface_cell_px: float | None = None
+    surface_cell_m: float | None = None
 
 
 def estimate(grid: OutputGrid, of: FilledPixels, before: Before, threads: int) -> SizeEstimate:
@@ -140,7 +141,9 @@ def estimate(grid: OutputGrid, of: FilledPixels, before: Before, threads: int) -
     pixels = float(grid.width_px) * float(grid.height_px)
     filled = of.share * pixels
     raw_gb = filled * of.pixel_bytes / 1e9
-    of_surface = 0.0 if of.surface_cell_px is None else filled / of.surface_cell_px**2
+    of_surface = 0.0
+    if of.surface_cell_m is not None:
+        of_surface = min(filled * (grid.gsd_m / of.surface_cell_m) ** 2, MOST_CELLS)
     scratch = _HALVES * raw_gb + (before.disk_bytes + _SURFACE_BYTES * of_surface) / 1e9
     s = [
         before.core_s[k] + ((compose + write) * filled + surface * of_surface) / 1e6 / threads

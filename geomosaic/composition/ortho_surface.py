@@ -26,7 +26,7 @@ def ortho_surface(ground: GroundSurface) -> GroundSurface:
     unsure = _wide(ground.sd_m > _UNSURE_NODES * ground.spacing_m, ground.spacing_m)
     if not unsure.any():
         return ground
-    inside_m = cv2.distanceTransform(unsure.view(np.uint8), cv2.DIST_L2, 5) * ground.spacing_m
+    inside_m = _away(unsure) * ground.spacing_m
     up = ground.up_m.astype(np.float32)
     smoothed = np.where(unsure, _smooth(up, ground.spacing_m), up)
     up = filled(smoothed, ~unsure | (inside_m > _SMOOTHING_M / 2.0))
@@ -35,10 +35,18 @@ def ortho_surface(ground: GroundSurface) -> GroundSurface:
 
 def _wide(flags: Bools, spacing_m: float) -> Bools:
     """What is left of flags when nothing narrow counts, with the holes in it that are as narrow."""
-    side = 2 * round(max(_WIDE_M / spacing_m, _WIDE_NODES) / 2.0) + 1
-    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    opened = cv2.morphologyEx(flags.view(np.uint8), cv2.MORPH_OPEN, disk)
-    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, disk) > 0)
+    radius = round(max(_WIDE_M / spacing_m, _WIDE_NODES) / 2.0) + 0.25  # passes between nodes
+    return ~_opened(~_opened(flags, radius), radius)
+
+
+def _opened(flags: Bools, radius: float) -> Bools:
+    """Where a disk of so many nodes fits into flags. What is beyond the grid is as its edge."""
+    return ~(_away(~(_away(flags) > radius)) > radius)
+
+
+def _away(flags: Bools) -> Floats32:
+    """Of each flag the distance to the nearest node without one, in nodes."""
+    return np.asarray(cv2.distanceTransform(flags.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
 
 
 def _smooth(up: Floats32, spacing_m: float) -> Floats32:

@@ -13,12 +13,15 @@ from geomosaic.composition.roof_planes import roof_planes
 from geomosaic.composition.seam_parts import HIGH_M
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import sourced, tuned
+from geomosaic.matching.features import grey
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.resample import seen_on
 from geomosaic.projection.warp import GroundWindow
 from geomosaic.survey.model import Frame
 from geomosaic.survey.pixels import read_pixels
 
+Box = tuple[slice, slice]
+"""Rows and cols of nodes."""
 FINER = tuned(2, "px a node", "of a roof's window: less loses the frames' detail; more resamples for nothing")
 LEAST_VIEWS = sourced(3, "frames", "that see an object whole", "two frames cannot contradict each other")
 _VIEWS = tuned(5, "frames", "nearest to an object, that are compared: fewer let one decide; more take time")
@@ -94,18 +97,17 @@ def roof_candidate(
     surface: GroundSurface,
     ground_m: Floats32,
     labels: Ints32,
-    number: int,
+    found: tuple[int, Box],
     views: Sequence[FrameView],
 ) -> Roof | None:
-    """The object of a number, if it stands high, is of planes, and `LEAST_VIEWS` frames see it whole.
+    """An object, if it stands high, is of planes, and `LEAST_VIEWS` frames see it whole.
 
-    ground_m (rows, cols): the ground at the surface's nodes.
+    ground_m (rows, cols): the ground at the surface's nodes. found: the object's number and its box of nodes.
     """
-    found = np.nonzero(labels == number)
-    at = slice(found[0].min(), found[0].max() + 1), slice(found[1].min(), found[1].max() + 1)
+    number, at = found
     own = labels[at] == number
     over_m = surface.up_m[at] - ground_m[at]
-    if np.median(over_m[own]) < HIGH_M or len(found[0]) * surface.spacing_m**2 < _LEAST_M2:
+    if np.count_nonzero(own) * surface.spacing_m**2 < _LEAST_M2 or np.median(over_m[own]) < HIGH_M:
         return None
     heights_m = float(ground_m[at].min()), float(surface.up_m[at][own].max())
     frames, tangents = _seeing(surface, at, heights_m, views)
@@ -137,7 +139,7 @@ def roof_candidate(
 
 def _seeing(
     surface: GroundSurface,
-    box: tuple[slice, slice],
+    box: Box,
     heights_m: tuple[float, float],
     views: Sequence[FrameView],
 ) -> tuple[tuple[int, ...], list[float]]:
@@ -147,7 +149,8 @@ def _seeing(
     corners = np.stack(np.meshgrid(
         surface.east_0_m + surface.spacing_m * cols, surface.north_0_m + surface.spacing_m * rows, heights_m
     ), axis=-1).reshape(-1, 3)  # fmt: skip
-    away = [float(np.hypot(*(v.pose.position_m[:2] - corners[:, :2].mean(axis=0)))) for v in views]
+    positions_m = np.array([v.pose.position_m for v in views]).reshape(-1, 3)
+    away = np.hypot(*(positions_m[:, :2] - corners[:, :2].mean(axis=0)).T)
     found, tangents = [], []
     for i in np.argsort(away, kind="stable").tolist():
         px = views[i].pose.image_from_ground(views[i].camera, corners)
@@ -155,7 +158,7 @@ def _seeing(
         with np.errstate(invalid="ignore"):
             if ((px > _EDGE_PX) & (px < size - _EDGE_PX)).all():
                 found.append(i)
-                tangents.append(away[i] / (float(views[i].pose.position_m[2]) - heights_m[0]))
+                tangents.append(float(away[i] / (positions_m[i, 2] - heights_m[0])))
         if len(found) == _VIEWS:
             break
     return tuple(found), tangents
@@ -171,17 +174,24 @@ class RoofsOfFrame:
 
 
 def roofs_seen(look: RoofsOfFrame) -> list[RoofSeen]:
-    """Each roof as the frame shows it; the frame is decoded once."""
+    """Each roof as the frame shows it, averaged over the roof's pixels; the frame is decoded once."""
     pixels, mask = read_pixels(look.frame, luma=True)
-    grey = pixels.mean(axis=2, dtype=np.float32)
-    scale = np.float32(255.0 / max(float(grey.max(initial=0.0)), 255.0))
-    by = max(round(look.roofs[0].pixel_m / look.view.gsd_m), 1)
-    grey = np.asarray(cv2.blur(grey * scale, (by, by)), dtype=np.float32)
+    box = _centred_box(look.roofs[0].pixel_m / look.view.gsd_m)
+    image = np.maximum(grey(pixels, mask), 1)
+    shown = np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, box, box), dtype=np.float32)
     found = []
     for roof in look.roofs:
         both = []
         for up_m in (roof.roof_m, roof.ground_m):
-            image, valid = seen_on(roof.window(up_m), look.view.pose, look.view.camera, grey, mask)
-            both.append(np.where(valid, np.clip(image, 1.0, 255.0), 0.0).astype(np.uint8))
+            there, valid = seen_on(roof.window(up_m), look.view.pose, look.view.camera, shown, mask)
+            both.append(np.where(valid, np.clip(there, 1.0, 255.0), 0.0).astype(np.uint8))
         found.append(RoofSeen(*both))
     return found
+
+
+def _centred_box(width_px: float) -> Floats32:
+    """Weights of a box of that width, one pixel at least, about the middle of a pixel: it shifts nothing."""
+    half = max(width_px, 1.0) / 2.0
+    reach = int(np.ceil(half - 0.5))
+    weights = np.clip(half + 0.5 - np.abs(np.arange(-reach, reach + 1)), 0.0, 1.0)
+    return np.asarray(weights / weights.sum(), dtype=np.float32)

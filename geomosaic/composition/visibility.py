@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 
@@ -77,7 +79,7 @@ def cells_in_view(
     else:
         cols, rows = frame_from_map(ground_of(scene, window, CELL_PX), view.pose, view.camera)
         margin = margin_px(cols, rows, view.camera, mask_distance_px)
-        slack = _change_within(cols, rows, CELL_PX * scene.grid.gsd_m / view.gsd_m)
+        slack = _change_within(cols, rows, CELL_PX * scene.grid.gsd_m / view.gsd_m, _WITH_DIAGONALS)
         somewhere, everywhere = margin > -slack, margin > slack
     if view.hidden is not None:
         somewhere &= view.hidden.widened(-1).share(window, CELL_PX) < 1.0
@@ -86,9 +88,10 @@ def cells_in_view(
 
 
 def _smooth(scene: Scene) -> bool:
-    """Whether the ground hardly bends within a block of cells."""
+    """Whether the ground hardly bends within a block of cells, and no object stands on it."""
     ground = scene.ground
-    return ground.kind == "flat" or ground.spacing_m >= _BLOCK * CELL_PX * scene.grid.gsd_m
+    coarse = ground.spacing_m >= _BLOCK * CELL_PX * scene.grid.gsd_m
+    return not ground.has_relief or (coarse and not ground.raised)
 
 
 def _by_blocks(scene: Scene, view: FrameView, window: Window) -> tuple[Bools, Bools]:
@@ -116,7 +119,7 @@ def _of_cells(scene: Scene, view: FrameView, blocks: GroundWindow, i: Ints, j: I
         2.0 * (at + within) / length - 1.0 for at, length in ((j, blocks.width_px), (i, blocks.height_px))
     )
     v = v[:, None]
-    relief_m = None if scene.ground.kind == "flat" else blocks.relief_on(scene.ground, _BLOCK * cell_m, u, v)
+    relief_m = blocks.relief_on(scene.ground, _BLOCK * cell_m, u, v) if scene.ground.has_relief else None
     cols, rows = np.empty((2, _BLOCK, _BLOCK, len(i)), dtype=np.float32)
     sight = ProjectionEquations(view.pose, view.camera)
     sight.image(sight.axes(blocks, u, v, relief_m), cols, rows)
@@ -125,11 +128,21 @@ def _of_cells(scene: Scene, view: FrameView, blocks: GroundWindow, i: Ints, j: I
     return np.moveaxis(np.stack([margin > -slack, margin > slack]), 3, 0)
 
 
-def _change_within(cols: Floats32, rows: Floats32, expected_px: float) -> Floats32:
+_TO_NEXT: Final = ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:]))
+"""The cells of an array and those next to them."""
+_WITH_DIAGONALS: Final = (
+    *_TO_NEXT, (np.s_[:-1, :-1], np.s_[1:, 1:]), (np.s_[:-1, 1:], np.s_[1:, :-1])
+)  # fmt: skip
+"""The same where a corner of an object may lie in a cell."""
+
+
+def _change_within(
+    cols: Floats32, rows: Floats32, expected_px: float, steps: Sequence[tuple[Any, Any]] = _TO_NEXT
+) -> Floats32:
     """Bound on how far the image moves between a cell's middle and its corners, (h, w, ..)."""
     most = np.zeros(cols.shape, dtype=np.float32)
     with np.errstate(over="ignore"):
-        for before, after in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        for before, after in steps:
             step, down = cols[after] - cols[before], rows[after] - rows[before]
             step *= step
             down *= down

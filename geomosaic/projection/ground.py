@@ -24,6 +24,8 @@ MOST_NODES: Final = MOST_PIXELS**2
 _MOST_FLAT_NODES = tuned(250_000, "nodes", "of flat ground, 2 MB: 7 mm off over 150 km; more gain nothing")
 _FLAT_SPACING_M = sourced(100.0, "m", "on flat ground: 0.2 mm below the Earth's curvature", "s^2 / (8 R)")
 _RAY_SAMPLES = tuned(48, "samples", "of an oblique ray: 24 miss 6 % of first crossings, 48 3 %, 96 1 %")
+FLAT: Final = "flat"
+"""The kind of ground of one ellipsoidal height."""
 WALLED: Final = "dense"
 """The kind of ground that shows what stands on it."""
 
@@ -38,7 +40,13 @@ class RaisedObject:
     spacing_m: float
     up_m: Floats32
 
-    def put(self, east_m: Floats, north_m: Floats, up_m: Floats) -> None:
+    @property
+    def ends_m(self) -> Floats:
+        """East and north of the first and of the last node, (2, 2)."""
+        first_m = np.array([self.east_0_m, self.north_0_m])
+        return np.array([first_m, first_m + self.spacing_m * (np.array(self.up_m.shape[::-1]) - 1)])
+
+    def put(self, east_m: Floats, north_m: Floats, up_m: Grid) -> None:
         """Its height in place of up_m at points of one shape that lie within its outline."""
         rows, cols = self.up_m.shape
         col = np.rint((east_m - self.east_0_m) / self.spacing_m)
@@ -77,6 +85,11 @@ class GroundSurface:
     def has_walls(self) -> bool:
         """Whether it shows what stands on the ground, so that one place hides another."""
         return self.kind == WALLED
+
+    @property
+    def has_relief(self) -> bool:
+        """Whether heights differ beyond the Earth's curvature: False for flat ground without objects."""
+        return self.kind != FLAT or bool(self.raised)
 
     def nodes_m(self) -> Floats:
         """East and north of the nodes, (rows, cols, 2)."""
@@ -237,4 +250,4 @@ def flat_ground(work_frame: LocalFrame, height_ellipsoidal_m: float, reach_m: fl
     for _ in range(HEIGHT_ROUNDS):
         height = work_frame.geodetic_from_enu(np.stack([east, north, up], axis=-1))[..., 2]
         up += height_ellipsoidal_m - height
-    return GroundSurface("flat", float(axis[0]), float(axis[0]), spacing_m, up)
+    return GroundSurface(FLAT, float(axis[0]), float(axis[0]), spacing_m, up)

@@ -89,7 +89,7 @@ class MapLattice:
         return WindowInFrame(spread[0][inner], spread[1][inner], *image)
 
     def _relief(self, u: Floats, v: Floats) -> Floats32 | None:
-        if self._ground.kind == "flat":
+        if not self._ground.has_relief:
             return None
         return self._window.relief_on(self._ground, self._gsd_m, u, v)
 

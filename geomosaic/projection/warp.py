@@ -23,7 +23,7 @@ from geomosaic.constants import HEIGHT_ROUNDS, MOST_ROUNDS, TOGETHER, tuned
 from geomosaic.estimation.linear import pseudo_inverse
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.ground import FLAT, GroundSurface
 from geomosaic.projection.map_grid import MapGrid
 
 Axes = tuple[Floats32, Floats32, Floats32]
@@ -59,10 +59,13 @@ class GroundWindow:
         return [_surface(self.polynomial[:, k], u, v) for k in range(3)]
 
     def relief_on(self, ground: GroundSurface, gsd_m: float, u: Floats, v: Floats) -> Floats32:
-        """The ground over the polynomial along `vertical` at u and v, which broadcast; gsd_m: a pixel."""
+        """The ground over the polynomial along `vertical` at u and v, which broadcast; gsd_m: a pixel.
+
+        Flat ground is the polynomial: its pixels stay the same to the bit where no object is raised.
+        """
         east, north, up = (_surface(self.polynomial[:, k], u, v) for k in range(3))
         lean = self.vertical[:2] / self.vertical[2]
-        rise = ground.up_at(east, north) - up
+        rise = np.zeros_like(up) if ground.kind == FLAT else ground.up_at(east, north) - up
         if float(np.abs(rise).max(initial=0.0)) * float(np.hypot(*lean)) > 1e-2 * gsd_m:
             rise = ground.up_at(east + rise * lean[0], north + rise * lean[1]) - up
         if ground.raised:
@@ -81,14 +84,14 @@ def ground_window(grid: MapGrid, work_frame: LocalFrame, ground: GroundSurface) 
     polynomial leaves out (window / Earth radius)² of the window: 1e-6 m at 300 m, 3 cm at 10 km.
     """
     bare = bare_window(grid, work_frame, ground)
-    if ground.kind == "flat":
+    if not ground.has_relief:
         return bare
     relief_m = bare.relief_on(ground, grid.gsd_m, middles(grid.width_px), middles(grid.height_px)[:, None])
     return replace(bare, relief_m=relief_m)
 
 
 def bare_window(grid: MapGrid, work_frame: LocalFrame, ground: GroundSurface) -> GroundWindow:
-    """The same without its relief: of flat ground all there is, else the ground's mean level there."""
+    """The same without its relief: flat ground without its objects, else the ground's mean level there."""
     u, v, fit = _nodes()
     easting = grid.west_m + (u + 1.0) / 2.0 * grid.width_px * grid.gsd_m
     northing = grid.north_m - (v + 1.0) / 2.0 * grid.height_px * grid.gsd_m
@@ -100,7 +103,7 @@ def bare_window(grid: MapGrid, work_frame: LocalFrame, ground: GroundSurface) ->
     for _ in range(HEIGHT_ROUNDS):
         enu = base + rise[..., None] * vertical
         rise += ground.up_at(enu[..., 0], enu[..., 1]) - enu[..., 2]
-    if ground.kind != "flat":
+    if ground.kind != FLAT:
         rise[:] = rise.mean()
     nodes = base + rise[..., None] * vertical
     polynomial = np.asarray(fit @ nodes.reshape(-1, 3))

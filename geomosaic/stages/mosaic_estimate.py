@@ -20,7 +20,7 @@ from geomosaic.stages.surface_dense import surface_dense
 from geomosaic.survey.model import Survey
 
 
-@stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=3, cached=False, looks_ahead=True)
+@stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=4, cached=False, looks_ahead=True)
 def mosaic_estimate(
     survey: Survey, prior_ground: GroundSurface, prior_placement: Placement, context: Context
 ) -> None:
@@ -60,7 +60,7 @@ def mosaic_estimate(
     filled = FilledPixels(
         min(1.0, seen_m2 / (grid.width_px * grid.height_px * gsd_m**2)),
         pixel_bytes,
-        params_of(context, surface_dense).cell_px if dense else None,
+        params_of(context, surface_dense).cell_px * own_m if dense else None,
     )
     expected = estimate(
         grid,

@@ -43,7 +43,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.ground", "Choose the mosaic's ground", group="Mosaic", version=6, outputs="ground",
+    "mosaic.ground", "Choose the mosaic's ground", group="Mosaic", version=7, outputs="ground",
     conclusions=_conclusions,
 )  # fmt: skip
 def mosaic_ground(

@@ -40,7 +40,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.roofs", "Put roofs in place", group="Mosaic", version=1, outputs=("ground", "ownership"),
+    "mosaic.roofs", "Put roofs in place", group="Mosaic", version=2, outputs=("ground", "ownership"),
     wants_frames=True, conclusions=_conclusions,
 )  # fmt: skip
 def mosaic_roofs(
@@ -55,7 +55,7 @@ def mosaic_roofs(
     found = raised_roofs((surface, matched.terrain.ground(), ground), survey.frames, views, context)
     context.metric("roofs.candidates", found.candidates)
     context.metric("roofs.raised", len(found.raised))
-    area_m2 = sum(float(np.count_nonzero(one.mask)) * one.roof.pixel_m**2 for one in found.raised)
+    area_m2 = sum(float(np.count_nonzero(one.mask)) * one.on_ground.spacing_m**2 for one in found.raised)
     context.metric("roofs.area_m2", area_m2)
     if not found.raised:
         return ground, ownership

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mosaic_scenes import CAMERA, make_survey
+from mosaic_scenes import CAMERA, make_survey, paint
 
 from geomosaic.composition.choice import Agreement, agreement
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import AtOnce
+from geomosaic.survey.pixels import read_pixels
 
 CAMERA_WIDE = replace(
     CAMERA, width_px=300, height_px=220, focal_length_px=170.0, principal_col_px=151.0, principal_row_px=109.0
@@ -44,6 +45,20 @@ def test_frames_agree_on_the_ground_that_they_saw_and_only_where_grounds_differ(
             assert found.disagreement[best] < 0.001, "what the hall hides is not asked"
         alike = agreement(survey, views, (ground, ground), AtOnce())
         assert (alike.squares, alike.places, alike.best) == (0, 0, 0)
+
+
+def test_frames_of_little_contrast_in_16_bits_agree_on_the_ground_that_they_saw(tmp_path: Path) -> None:
+    """Level land of 40,000 to 40,020, and a highlight: single precision leaves squares of 40,000 to 100."""
+    survey, poses, _ = make_survey(tmp_path, per_line=2, dtype="uint16", camera=CAMERA_WIDE)
+    for frame in survey.frames:
+        pixels = 40_000.0 + np.rint(read_pixels(frame)[0] / 65_535.0 * 20.0)
+        pixels[:4, :4] = 65_535.0
+        paint(frame, pixels)
+    n = len(poses)
+    frames = PosedFrames(survey, poses, [CAMERA_WIDE] * n, [True] * n, hall(0.0))
+    found = agreement(survey, frame_views(frames, survey.map_crs), (hall(8.0), hall(0.0)), AtOnce())
+    assert found.best == 1 and found.squares > 20
+    assert found.disagreement[1] < 0.1 and 0.3 < found.disagreement[0] < 1.5
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,10 @@ from geomosaic.composition.ownership import Ownership, nearest_nadir, owned_cell
 from geomosaic.composition.plan import Planned, Planning, windows
 from geomosaic.composition.scene import CELL_PX, Scene, ground_of, margin_px
 from geomosaic.composition.views import FrameView, PosedFrames, frame_views
-from geomosaic.composition.visibility import FrameOnMap, cells_in_view
+from geomosaic.composition.visibility import FrameOnMap, VisibleCells, cells_in_view
 from geomosaic.composition.window import CompositionStep, Manner, SourcePart, Window, compose_window
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.projection.ground import GroundSurface
+from geomosaic.projection.ground import GroundSurface, RaisedObject
 from geomosaic.projection.warp import frame_from_map
 from geomosaic.survey.model import Survey
 
@@ -140,11 +140,8 @@ def test_where_no_owner_sees_the_ground_the_nearer_nadir_point_gives_it() -> Non
     assert max(np.abs(s).max() for s in share) < 1e-4
 
 
-@pytest.mark.parametrize("spacing_m", [12.0, 3.0])
-def test_cells_are_known_whatever_the_ground_and_the_tilt(spacing_m: float) -> None:
-    """On nodes farther apart than blocks of cells, which are looked at as one, and on nearer ones."""
-    rng, n = np.random.default_rng(3), int(600.0 / spacing_m)
-    ground = GroundSurface("tie_surface", -300.0, -300.0, spacing_m, rng.normal(0.0, 0.1 * spacing_m, (n, n)))
+def seen_cells(ground: GroundSurface) -> tuple[VisibleCells, np.ndarray, np.ndarray]:
+    """The cells of a tilted frame, and the least and the most margin of the pixels of each."""
     turned = Rotation.from_yaw_pitch_roll(0.6, 0.3, -0.2).matrix
     poses = Poses(np.array([[0.0, 0.0, 160.0]]), turned[None], np.zeros((1, 3)), np.zeros((1, 3)))
     camera = Camera("c", 1600, 1200, 1600.0, 790.0, 610.0)
@@ -157,7 +154,27 @@ def test_cells_are_known_whatever_the_ground_and_the_tilt(spacing_m: float) -> N
     window = Window(seen.col * CELL_PX, seen.row * CELL_PX, across * CELL_PX, down * CELL_PX)
     margin = margin_px(*frame_from_map(ground_of(scene, window, 1), poses[0], camera), camera, None)
     cells = margin.reshape(down, CELL_PX, across, CELL_PX)
-    least, most = cells.min(axis=(1, 3)), cells.max(axis=(1, 3))
+    return seen, cells.min(axis=(1, 3)), cells.max(axis=(1, 3))
+
+
+@pytest.mark.parametrize("spacing_m", [12.0, 3.0])
+def test_cells_are_known_whatever_the_ground_and_the_tilt(spacing_m: float) -> None:
+    """On nodes farther apart than blocks of cells, which are looked at as one, and on nearer ones."""
+    rng, n = np.random.default_rng(3), int(600.0 / spacing_m)
+    ground = GroundSurface("tie_surface", -300.0, -300.0, spacing_m, rng.normal(0.0, 0.1 * spacing_m, (n, n)))
+    seen, least, most = seen_cells(ground)
     assert most[~seen.somewhere].max() <= 0.0 and least[seen.everywhere].min() > 0.0
     assert most[seen.somewhere].min() > -3.0 * CELL_PX and least[~seen.everywhere].max() < 3.0 * CELL_PX
     assert seen.everywhere.sum() > 0.8 * (least > 0.0).sum()
+
+
+@pytest.mark.parametrize("kind", ["flat", "tie_surface"])
+def test_cells_of_raised_roofs_are_known(kind: str) -> None:
+    """Roofs of 12 m x 12 m, 25 m high, every 30 m: near the frame's edge they lean out of it."""
+    up_m = np.full((24, 24), 25.0, np.float32)
+    at = [-90.0 + 30.0 * k for k in range(7)]
+    roofs = tuple(RaisedObject(east, north, 0.5, up_m) for east in at for north in at)
+    ground = GroundSurface(kind, -300.0, -300.0, 100.0, np.zeros((7, 7)), raised=roofs)
+    seen, least, most = seen_cells(ground)
+    assert most[~seen.somewhere].max() <= 0.0 and least[seen.everywhere].min() > 0.0
+    assert seen.everywhere.sum() > 0.5 * (least > 0.0).sum()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -42,3 +44,19 @@ def test_a_surface_that_is_sure_or_says_nothing_is_itself() -> None:
     assert ortho_surface(plain) is plain
     sure = GroundSurface("dense", 0.0, 0.0, SPACING_M, ground.up_m, np.full((N, N), 0.1))
     assert ortho_surface(sure) is sure
+
+
+def test_what_is_narrower_than_2_5_m_stays_in_little_time() -> None:
+    """Cells of 1 cm: a strip of 2 m stays; one of 7 m is smoothed, with a hole of 2 m x 0.2 m in it. By an
+    ellipse of 251 cells that takes 20 s."""
+    n = 1300
+    up = np.random.default_rng(3).uniform(0.0, 1.0, (n, n))
+    sd = np.zeros((n, n))
+    sd[20:220] = sd[300:1000] = 1.0
+    sd[640:660, 300:500] = 0.0
+    began = time.process_time()
+    found = ortho_surface(GroundSurface("dense", 0.0, 0.0, 0.01, up, sd))
+    assert time.process_time() - began < 6.0
+    changed = found.up_m != up
+    assert not changed[:300].any() and not changed[1000:].any()
+    assert changed[302:998].mean() > 0.999

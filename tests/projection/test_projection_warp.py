@@ -13,7 +13,8 @@ from geomosaic.camera.rotation import Rotation
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.projection.footprint import ground_from_image
-from geomosaic.projection.ground import GroundSurface, flat_ground
+from geomosaic.projection.ground import GroundSurface, RaisedObject, flat_ground
+from geomosaic.projection.lattice import MapLattice
 from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import frame_from_map, ground_window
 
@@ -103,6 +104,31 @@ def test_relief_displaces_away_from_the_nadir():
     col, row = frame_from_map(window, pose, PLAIN)
     assert col[0, 0] == pytest.approx(775.0, abs=0.01)
     assert row[0, 0] == pytest.approx(300.0, abs=0.01)
+
+
+def test_an_object_on_flat_ground_is_displaced_and_all_else_stays_to_the_bit():
+    """A box 20 m high, from 25 m to 35 m east of the nadir: at 30 m it is seen at 375 px, not 300."""
+    home = LocalFrame(9.0, 47.0, 0.0)
+    flat = flat_ground(home, 0.0, 500.0)
+    assert not flat.has_relief
+    box = RaisedObject(25.0, -5.0, 0.5, np.full((21, 21), 20.0, np.float32))
+    raised = replace(flat, raised=(box,))
+    assert raised.has_relief and raised.kind == "flat"
+    west, north = MapProjection(CRS).map_from_geodetic(9.0, 47.0) + np.array([19.95, 0.05]) * 0.9996
+    grid = MapGrid(CRS, west, north, 0.1 * 0.9996, 200, 16)
+    pose, everything = (
+        Pose(np.array([0.0, 0.0, 100.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0)),
+        slice(0, 200),
+    )
+    bare = frame_from_map(ground_window(grid, home, flat), pose, PLAIN)
+    found = frame_from_map(ground_window(grid, home, raised), pose, PLAIN)
+    lattice = MapLattice(grid, home, raised).seen(pose, PLAIN, slice(0, 16), everything)
+    for col, row in (found, (lattice.cols, lattice.rows)):
+        assert col[0, 100] == pytest.approx(775.0, abs=0.02)
+        assert row[0, 100] == pytest.approx(300.0, abs=0.02)
+    beyond = np.r_[0:46, 155:200]
+    np.testing.assert_array_equal(found[0][:, beyond], bare[0][:, beyond])
+    np.testing.assert_array_equal(found[1][:, beyond], bare[1][:, beyond])
 
 
 def test_what_lies_behind_the_camera_is_not_seen():
