@@ -112,6 +112,14 @@ CRITERIA: Mapping[str, Criterion] = {
         "leave them out, or fly with more overlap",
         "a position is worth metres, so their land is off; a hundredth of all is a corner, a third is no map",
     ),
+    "frames left out": Criterion(
+        0.01,
+        1.0 / 3.0,
+        "share",
+        "frames without a position, which no tie points join to the others, are missing with their ground",
+        "give their positions with --pos, or fly with more overlap",
+        "as for frames that are not tied",
+    ),
     "frames in other parts": Criterion(
         0.01,
         1.0 / 3.0,

@@ -99,6 +99,8 @@ def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, requ
     figures |= _connection(adjusted, seen.parts, seen.land, required.local_m)
     figures |= _land(seen.doubt)
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
+    if "not-placed" in warned:
+        figures["frames left out"] = _left_out(adjusted, seen.parts)
     judged = (_judged(name, value, required, seen.pixel_m) for name, value in figures.items())
     good = GRADES[0]
     evidence = (
@@ -195,6 +197,13 @@ def _connection(
         apart -= sum(s for k, s in enumerate(shares) if k != main and well[k] and well[main])
     alone = sum(share for i, share in land.items() if i not in tied)
     return {"frames not tied": alone, "frames in other parts": max(apart, 0.0)}
+
+
+def _left_out(adjusted: Adjusted, parts: Sequence[Sequence[int]]) -> float:
+    """The share of the frames that have no place, since they are in none but the largest part."""
+    largest = {*max(parts, key=len, default=())}
+    lost = [i for i, status in enumerate(adjusted.status) if status == "rejected" and i not in largest]
+    return len(lost) / max(len(adjusted.status), 1)
 
 
 def _land(doubt: LandDoubt) -> dict[str, float]:

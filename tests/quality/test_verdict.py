@@ -348,6 +348,18 @@ def test_evidence_says_what_it_does_to_the_map_and_where() -> None:
     assert verdict.cause.endswith("(frames not tied 20 %, b)")
 
 
+def test_frames_without_a_place_are_missing() -> None:
+    """A public video under water: 12 of 54 frames were left out of a map that was called good."""
+    lost = outcome(poses=known_to(1.0), status=("tied", "tied", "tied", "rejected", "rejected"))
+    seen = VerdictInputs(
+        NO_SEAMS, (), ((0, 1, 2), (3, 4)), {0: 0.4, 1: 0.3, 2: 0.3}, NO_DOUBT, ("not-placed",)
+    )
+    verdict = verdict_of(lost, seen, NOT_STATED, NOTHING_ASKED)
+    assert (verdict.grade, verdict.cause[-22:]) == ("bad", "(frames left out 40 %)")
+    among = replace(seen, parts=(range(5),))  # contradicted by their neighbours: these show their ground
+    assert verdict_of(lost, among, NOT_STATED, NOTHING_ASKED).grade == "good"
+
+
 def test_frames_count_by_the_land_that_they_give() -> None:
     """A frame without tie points at a corner, half a hundredth of the land, is no fault; a twentieth is."""
     lost = outcome(status=("tied",) * 4 + ("placed",))
