@@ -15,8 +15,9 @@ from rasterio.enums import Resampling
 from geomosaic.arrays import Floats
 from geomosaic.doors.raster import OWN, open_raster, reading
 from geomosaic.export.geopackage import MapFeatures, write_geopackage
+from geomosaic.export.shown_bands import shown_bands
 from geomosaic.quality.changes import HEIGHT, IMAGE, Change
-from geomosaic.quality.rasters import colour_bands
+from geomosaic.quality.rasters import mask_of
 
 LAYER: Final = "changes"
 _PICTURE_PX: Final = 2000  # longest side of the picture: more does not fit a screen
@@ -45,18 +46,15 @@ def write_picture(path: Path, mosaic: Path, changes: Sequence[Change]) -> None:
 
     Raises: `OSError` if it can't be written.
     """
+    shown = shown_bands(mosaic)
     with open_raster(mosaic, OWN) as tiff, reading(mosaic):
         share = min(1.0, _PICTURE_PX / max(tiff.width, tiff.height))
         shape = max(1, round(tiff.height * share)), max(1, round(tiff.width * share))
-        colours = colour_bands(tiff)
-        bands = tiff.read(colours, out_shape=(len(colours), *shape), resampling=Resampling.average)
+        size = (len(shown.bands), *shape)
+        bands = shown.eight_bits(tiff.read(shown.bands, out_shape=size, resampling=Resampling.average))
+        bands[:, mask_of(tiff, shape=shape) == 0] = 0
         inverse = ~tiff.transform
-    grey = bands.astype(np.float32)
-    if bands.dtype != np.uint8:
-        grey *= 255.0 / max(float(grey.max()), 1.0)
-    picture = np.ascontiguousarray(np.moveaxis(np.broadcast_to(grey, (3, *shape)), 0, -1)[..., ::-1]).astype(
-        np.uint8
-    )
+    picture = np.ascontiguousarray(np.moveaxis(np.broadcast_to(bands, (3, *shape)), 0, -1)[..., ::-1])
     for change in changes:
         for part in shapely.get_parts(change.outline):
             ring = shapely.get_coordinates(part.exterior)

@@ -57,13 +57,19 @@ def write_odm_geo(path: Path, o: Orientations) -> None:
 
 
 def write_odm_control(path: Path, points: Iterable[ControlPoint], crs: str) -> None:
-    """OpenDroneMap's gcp_list.txt: of each image that a point was measured in a line."""
+    """OpenDroneMap's gcp_list.txt: of each image that a point was measured in a line.
+
+    A CRS that is neither an EPSG code nor a PROJ string is none that it reads: then places are in degrees.
+    """
+    decimals = _METRES
+    if not crs.startswith(("EPSG:", "+proj")):
+        crs, decimals = "EPSG:4326", _DEGREES
     projection = MapProjection(crs)
     rows = []
     for point in points:
         x, y = projection.map_from_geodetic(point.lon_deg, point.lat_deg)
         height = "NaN" if point.plan_only else f"{point.height_ellipsoidal_m:.4f}"
-        place = [f"{float(x):.4f}", f"{float(y):.4f}", height]
+        place = [f"{float(x):.{decimals}f}", f"{float(y):.{decimals}f}", height]
         rows += [
             [*place, f"{col:.3f}", f"{row:.3f}", image, "_".join(point.name.split())]
             for image, col, row in point.images

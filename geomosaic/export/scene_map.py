@@ -8,15 +8,17 @@ from typing import Final
 
 import numpy as np
 from osgeo import gdal
+from pyproj import CRS
 
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import lonlat_by_rpc
 from geomosaic.constants import tuned
 from geomosaic.doors.gdal_failures import GdalProgress, Progress, close, gdal_failures, gdal_options
-from geomosaic.doors.raster import OWN, open_raster, open_with_osgeo
+from geomosaic.doors.raster import DEM, OWN, open_raster, open_with_osgeo
 from geomosaic.doors.scratch import scratch_folder
 from geomosaic.errors import InputError
 from geomosaic.export.cog import CogOptions, write_cog
+from geomosaic.geodesy.heights import raster_unit_m
 from geomosaic.geodesy.mapcrs import map_crs, utm_crs
 from geomosaic.survey.model import ElevationModel
 from geomosaic.survey.strip_heights import DemHeights, read_dem_heights
@@ -70,10 +72,12 @@ def write_scene_map(
     target = map_crs(utm_crs(lon_deg, lat_deg) if options.crs == "auto" else options.crs).to_wkt()
     ground = [f"RPC_HEIGHT={height_m:.3f}"]
     if elevation is not None:
+        scale_m, offset_m = _heights_of_values(elevation)
         ground = [
             f"RPC_DEM={elevation.path}",
-            f"RPC_HEIGHT={elevation.offset_m:.3f}",
-            f"RPC_DEM_MISSING_VALUE={height_m - elevation.offset_m:.3f}",
+            f"RPC_HEIGHT={offset_m:.3f}",
+            f"RPC_HEIGHT_SCALE={scale_m:.12g}",
+            f"RPC_DEM_MISSING_VALUE={(height_m - offset_m) / scale_m:.3f}",
             "RPC_DEM_APPLY_VDATUM_SHIFT=FALSE",
         ]
     callback = GdalProgress(progress)
@@ -102,6 +106,13 @@ def write_scene_map(
             )
         )  # fmt: skip
         write_cog(raster, out, CogOptions(threads=options.threads))
+
+
+def _heights_of_values(elevation: ElevationModel) -> tuple[float, float]:
+    """Scale and offset (m) from a DEM's stored values, which GDAL's RPC takes, to ellipsoidal heights."""
+    with open_raster(Path(elevation.path), DEM) as dem:
+        metres = raster_unit_m(dem.units[0], CRS.from_wkt(dem.crs.to_wkt()))
+        return metres * dem.scales[0], metres * dem.offsets[0] + elevation.offset_m
 
 
 def check_rpc_there(rpc: Rpc | None, scene: Path) -> Rpc:

@@ -45,5 +45,6 @@ def shown_bands(mosaic_file: Path) -> ShownBands:
     for band in seen:
         valid = band.compressed()
         low, high = (float(v) for v in np.percentile(valid, _PERCENTILES)) if valid.size else (0.0, 1.0)
-        limits.append((low, max(high, low + 1e-9)))
+        next_float = float(np.nextafter(np.float32(low), np.float32(np.inf)))
+        limits.append((low, max(high, low + 1e-9, next_float)))
     return ShownBands(bands, tuple(limits))

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from geomosaic.arrays import Floats
 from geomosaic.camera.rpc import Rpc
 from geomosaic.ccd.outlines import Outlines, lonlat_by_rpc
 from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.export import looks
 from geomosaic.export.geopackage import MapFeatures, write_geopackage
+from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.quality.strip_figures import SEGMENT_LINES
 from geomosaic.quality.strips import StripQuality
 from geomosaic.survey.strips import StripGeometry
@@ -38,7 +40,8 @@ def write_strip_layers(path: Path, geometry: StripGeometry, scene: SceneOnMap, q
     Raises: `OSError` if the file can't be written.
     """
     mosaic, rings, rpc = scene.mosaic, scene.rings, scene.rpc
-    outline = [shapely.Polygon(rings.scene)] if len(rings.scene) else []
+    lon_deg = float(rings.scene[0, 0]) if len(rings.scene) else 0.0
+    outline = [shapely.Polygon(_near(rings.scene, lon_deg))] if len(rings.scene) else []
     size = {"width_px": [mosaic.width_px], "height_px": [mosaic.height_px]}
     size = {name: values[: len(outline)] for name, values in size.items()}
     ccds = list(rings.ccds)
@@ -48,7 +51,7 @@ def write_strip_layers(path: Path, geometry: StripGeometry, scene: SceneOnMap, q
         "row": np.array([geometry.ccds[k].row for k in ccds], dtype=np.int64),
         "lines": np.array([geometry.lines[k] for k in ccds], dtype=np.int64),
     }
-    seen = [shapely.Polygon(rings.ccds[k]) for k in ccds]
+    seen = [shapely.Polygon(_near(rings.ccds[k], lon_deg)) for k in ccds]
     pairs, firsts, misplaced = (of[: 0 if rpc is None else None] for of in _segments(quality))
     of_segments = {
         "pair": pairs,
@@ -57,6 +60,7 @@ def write_strip_layers(path: Path, geometry: StripGeometry, scene: SceneOnMap, q
         "above_1px": (misplaced > 1.0).astype(np.int64),
     }
     lines = [] if rpc is None else _lines(geometry, mosaic, rpc, pairs, firsts)
+    lines = [shapely.transform(line, lambda ends: _near(ends, lon_deg)) for line in lines]
     text = "Misplacement of each seam, by segments"
     layers = (
         MapFeatures("scene", "The scene's outline", "Polygon", outline, size, looks.scene()),
@@ -78,6 +82,11 @@ def _segments(quality: StripQuality) -> tuple[np.ndarray, np.ndarray, np.ndarray
         [np.arange(len(p.segments_px)) * SEGMENT_LINES for p in quality.pairs] or [np.zeros(0, int)]
     )
     return pairs, firsts, np.concatenate([p.segments_px for p in quality.pairs] or [np.zeros(0)])
+
+
+def _near(lonlat: Floats, lon_deg: float) -> Floats:
+    """Longitudes and latitudes (n, 2) that do not jump at 180 degrees, but go on from one of the scene."""
+    return np.column_stack([MapProjection(_CRS).unwrapped(lonlat[:, 0], lon_deg), lonlat[:, 1]])
 
 
 def _lines(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 from dataclasses import dataclass
@@ -17,11 +18,13 @@ from geomosaic.errors import InputError
 from geomosaic.export.shown_bands import shown_bands
 from geomosaic.export.tile_page import write_tile_page
 from geomosaic.export.tile_pyramid import EQUATOR_M, TILE_PX, TilePyramid, write_pyramid
-from geomosaic.geodesy.antimeridian import geographic_bounds, within_the_map, wrapped
+from geomosaic.geodesy.antimeridian import Bounds, geographic_bounds, within_the_map, wrapped
 from geomosaic.geodesy.mapcrs import check_on_earth
 
 SCENE_MAP: Final = "mosaic_map.tif"
 _EARTH_RADIUS_M = EQUATOR_M / (2.0 * math.pi)
+_FURTHEST_DEG = math.degrees(math.atan(math.sinh(math.pi)))
+"""Latitude at which Web Mercator's square ends."""
 
 
 def on_map(mosaic_file: Path) -> Path:
@@ -121,7 +124,7 @@ def write_kmz(
     Args: max_zoom: no pixel is finer than those of this zoom's tiles.
     Raises: `InputError` without a map, or across 180 degrees; `OSError` if it can't be written.
     """
-    _, (_, south, east, north) = _zooms(mosaic_file, None, None)
+    _, south, east, north = _bounds(mosaic_file)
     if east > 180.0:
         raise InputError(
             "crosses 180 degrees of longitude, which an overlay of a KMZ cannot",
@@ -147,20 +150,31 @@ def write_kmz(
             creationOptions=["FORMAT=AUTO", f"NAME={mosaic_file.parent.name}"],
             callback=callback,
         )
+        if done is None:
+            raise OSError(errno.EIO, "GDAL wrote no KMZ of it")
         close(done)
 
 
-def _zooms(
-    mosaic_file: Path, min_zoom: int | None, max_zoom: int | None
-) -> tuple[tuple[int, int], tuple[float, float, float, float]]:
-    """The coarsest and the finest zoom, as asked for or as `write_tiles` says; west, south, east, north in
-    degrees, see `geographic_bounds`. Raises `InputError` without a map."""
+def _bounds(mosaic_file: Path) -> Bounds:
+    """As `geographic_bounds`. Raises `InputError` without a map."""
     with open_raster(mosaic_file, OWN) as tiff:
         if tiff.crs is None:
             fix = "put it on a map first: geomosaic export map RUN"
             raise InputError("has no map projection", file=mosaic_file, fix=fix)
         check_on_earth(tiff.crs.to_wkt(), "web map")
-        west, south, east, north = geographic_bounds(tiff.crs, tiff.bounds)
+        return geographic_bounds(tiff.crs, tiff.bounds)
+
+
+def _zooms(mosaic_file: Path, min_zoom: int | None, max_zoom: int | None) -> tuple[tuple[int, int], Bounds]:
+    """The coarsest and the finest zoom, as asked for or as `write_tiles` says, and the geographic bounds.
+
+    Raises: `InputError` without a map, or beyond Web Mercator's end.
+    """
+    west, south, east, north = _bounds(mosaic_file)
+    if south > _FURTHEST_DEG or north < -_FURTHEST_DEG:
+        problem = f"lies beyond {_FURTHEST_DEG:.2f} degrees of latitude, where Web Mercator ends"
+        raise InputError(problem, file=mosaic_file, fix="write a KMZ instead: geomosaic export kmz")
+    with open_raster(mosaic_file, OWN) as tiff:
         gsd_m, side_m = tiff.res[0], max(tiff.width, tiff.height) * tiff.res[0]
     lat_deg = (south + north) / 2.0
     finest = math.ceil(_zoom(gsd_m, lat_deg) - 0.01) if max_zoom is None else max_zoom
@@ -180,14 +194,16 @@ def _zoom(pixel_m: float, lat_deg: float) -> float:
 
 
 def _write_shown(mosaic_file: Path, out: Path) -> None:
-    """The mosaic as 8 bit grey or colour with alpha, as a VRT."""
+    """The mosaic as red, green and blue of 8 bits with alpha, as a VRT: a KMZ takes no grey with alpha."""
     shown = shown_bands(mosaic_file)
+    each = 3 // len(shown.bands)
+    bands, limits = shown.bands * each, shown.limits * each
     with gdal_failures(out):
         options: list[str] = []
-        for k, (low, high) in enumerate(shown.limits, 1):
-            options += [f"-scale_{k}", f"{low:.10g}", f"{high:.10g}", "0", "255"]
+        for k, (low, high) in enumerate(limits, 1):
+            options += [f"-scale_{k}", f"{low:.17g}", f"{high:.17g}", "0", "255"]
         if options:
-            options += [f"-scale_{len(shown.bands) + 1}", "0", "255", "0", "255"]
+            options += [f"-scale_{len(bands) + 1}", "0", "255", "0", "255"]
         source = open_with_osgeo(mosaic_file, OWN)
         done = gdal.Translate(
             str(out),
@@ -196,9 +212,9 @@ def _write_shown(mosaic_file: Path, out: Path) -> None:
                 options=options,
                 format="VRT",
                 outputType=gdal.GDT_Byte,
-                bandList=[*shown.bands, "mask"],
+                bandList=[*bands, "mask"],
                 maskBand="none",
             ),
         )
-        done.GetRasterBand(len(shown.bands) + 1).SetColorInterpretation(gdal.GCI_AlphaBand)
+        done.GetRasterBand(len(bands) + 1).SetColorInterpretation(gdal.GCI_AlphaBand)
         del done, source

@@ -41,18 +41,21 @@ def wrapped(lon_deg: float) -> float:
 
 
 def split_area(area: Any) -> tuple[Any, list[float]]:
-    """An area in longitude and latitude cut at 180 degrees, and its bounding box: west is above east where it
-    crosses them."""
+    """An area in longitude and latitude cut at 180 degrees, and its bounding box.
+
+    West is above east where it crosses them. Longitudes may jump there or go on beyond.
+    """
 
     def unwrapped(lonlat: Floats) -> Floats:
         return np.column_stack([lonlat[:, 0] % 360.0, lonlat[:, 1]])
 
     west, _, east, _ = area.bounds
-    if east - west <= 180.0:
+    if west >= -180.0 and east <= min(180.0, west + 180.0):
         return area, list(area.bounds)
     whole = shapely.transform(area, unwrapped)
     west, south, east, north = whole.bounds
     parts = [whole & shapely.box(0.0, -90.0, 180.0, 90.0), whole & shapely.box(180.0, -90.0, 360.0, 90.0)]
     parts[1] = shapely.transform(parts[1], lambda lonlat: lonlat - [360.0, 0.0])
-    polygons = [p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"]
-    return shapely.MultiPolygon(polygons), [west, south, wrapped(east), north]
+    polygons = [p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon" and p.area]
+    box = [west - 360.0 * (west >= 180.0), south, east - 360.0 * (east > 180.0), north]
+    return shapely.MultiPolygon(polygons), box

@@ -78,6 +78,12 @@ def unit_m(crs: CRS) -> float:
     return float(crs.axis_info[-1].unit_conversion_factor)
 
 
+def raster_unit_m(stated: str | None, crs: CRS) -> float:
+    """Metres a unit of a raster's heights: as its band states it, else by the vertical part of its CRS."""
+    metres, vertical = length_m(stated or ""), vertical_crs(crs)
+    return metres or (1.0 if vertical is None else unit_m(vertical))
+
+
 def length_m(unit: str) -> float | None:
     """Metres a unit of length of this name, None for another: `metre`, `us-ft`, `Foot_US`, `feet (US)`."""
     name = re.sub(r"[^a-z]+", "_", unit.lower()).strip("_")

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pyproj import CRS, Geod, Proj, Transformer
+from pyproj import CRS, Geod, Transformer
 from pyproj.exceptions import ProjError
 
 from geomosaic.arrays import Floats
@@ -22,6 +22,7 @@ LOCAL_CRS = (
 """Of a mosaic that nothing puts on the Earth. Programs that need a unit read it as metres."""
 _GIVE_CODE = "give the EPSG code of a map projection with --crs, such as EPSG:n"
 _SAME_M = tuned(0.01, "m", "by which versions of one system may differ; more would take a datum for another")
+_MERIDIAN_DEG = tuned(1e-4, "deg", "11 m to either side: shorter loses digits; longer curves")
 _LOCAL_PLANE = "+proj=aeqd +lat_0=0 +lon_0=0 +ellps=WGS84 +units=m"
 """Geometry goes on as if the local frame lay at longitude and latitude 0."""
 
@@ -137,11 +138,6 @@ def _map_from_geodetic(crs: str) -> Transformer:
         raise InputError(problem, fix="give one with an EPSG code") from error
 
 
-@lru_cache(maxsize=32)
-def _projection(crs: str) -> Proj:
-    return Proj(CRS.from_user_input(_LOCAL_PLANE if is_local(crs) else crs))
-
-
 @dataclass(frozen=True)
 class MapProjection:
     """A map CRS by its name (`EPSG:32615` or WKT), moving points between it and WGS 84."""
@@ -175,7 +171,11 @@ class MapProjection:
         """Angle from grid north to true north, positive where true north lies west of grid north.
 
         True azimuth = grid azimuth + convergence; east of a northern UTM zone's central meridian
-        the convergence is positive.
+        the convergence is positive. It is that of WGS 84's meridian, whatever meridian the CRS counts from.
         """
-        factors = _projection(self.crs).get_factors(np.asarray(lon_deg), np.asarray(lat_deg))
-        return np.radians(np.asarray(factors.meridian_convergence, dtype=np.float64))
+        lat = np.asarray(lat_deg, dtype=np.float64)
+        ends = [np.clip(lat + way, -90.0, 90.0) for way in (-_MERIDIAN_DEG, _MERIDIAN_DEG)]
+        south, north = (self.map_from_geodetic(lon_deg, end) for end in ends)
+        with np.errstate(invalid="ignore"):  # a frame without a place
+            east, up = np.moveaxis(north - south, -1, 0)
+        return np.asarray(-np.arctan2(east, up))

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import shapely
-from rasterio import Affine
-from rasterio.enums import Resampling
-from rasterio.features import shapes
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
-from scipy import ndimage
 
 from geomosaic.arrays import Bools, Floats
 from geomosaic.constants import FOUR_SIGMA, NORMAL_PER_MAD, ROUNDS, SIX_SIGMA, tuned
-from geomosaic.doors.raster import OWN, Raster, open_raster, reading
+from geomosaic.doors.raster import OWN, Raster, open_raster
 from geomosaic.errors import InputError
-from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.matching.displacement import SMOOTHING_SIGMA_PX
+from geomosaic.quality.changed_areas import ChangedArea, StrengthBlock, areas_in, joined_areas
 from geomosaic.quality.compare import Comparison, registered
 from geomosaic.quality.compared_block import GLANCE_PX
 from geomosaic.quality.figures import Similarity, best_similarity
 from geomosaic.quality.rasters import blocks, grown, on_grid_of, open_map, pixel_m, read_luma, within
+from geomosaic.quality.surface_pair import SurfacePair, on_surface
 
 IMAGE, HEIGHT = "image", "height"
 _TONE_PX = tuned(129, "px", "window in which tones are brought together: less hides changes as tones")
 _LEAST_SHARE = tuned(0.06, "of the span", "least grey difference: less finds shadows and haze")
 _LEAST_PX = tuned(6, "px", "of a change's core: fewer are specks")
+_OPENING_PX = tuned(2, "cells", "by which an opening of 3 x 3 cells looks beyond a cell: no more is used")
 _STRENGTH = tuned(4.0, "steps a deviation", "of a stored strength: fewer are coarse; more end below 64")
 
 
@@ -106,19 +104,20 @@ def image_changes(old: Path, new: Path, on_old: Registration) -> tuple[Change, .
         with on_grid_of(b, a, old, over) as before:
             noise, span = _noise(b, before)
             least = max(SIX_SIGMA * noise, _LEAST_SHARE * span)
-            strength = np.zeros((b.height, b.width), dtype=np.uint8)
-            margin = _TONE_PX + 2 * on_old.reach_px
+            found: list[ChangedArea] = []
             for block in blocks(b.height, b.width, GLANCE_PX):
-                outer = grown(block, margin, b.height, b.width)
-                excess = _excess(_in_one_tone(b, before, outer), on_old.reach_px)
-                here = excess[within(block, outer)]
-                deviations = np.minimum(np.round(_STRENGTH * here / noise), 255)
-                strength[block.toslices()] = np.where(here > least, deviations, 0)
-        found = _outlines(strength, b.transform, _LEAST_PX, on_old.reach_px)
-        return tuple(
-            Change(IMAGE, outline, float(strength[at].max()) / _STRENGTH, outline.area * metres**2)
-            for outline, at in found
-        )
+                wanted = grown(block, on_old.reach_px, b.height, b.width)
+                outer = grown(wanted, _TONE_PX + 2 * on_old.reach_px, b.height, b.width)
+                excess = _excess(_in_one_tone(b, before, outer), on_old.reach_px)[within(wanted, outer)]
+                deviations = np.minimum(np.round(_STRENGTH * excess / noise), 255)
+                strength = np.where(excess > least, deviations, 0).astype(np.uint8)
+                of = StrengthBlock(strength, excess, wanted, block)
+                found += areas_in(of, _LEAST_PX, on_old.reach_px)
+        changes = []
+        for area in joined_areas(found, _LEAST_PX):
+            outline = area.on_map(b.transform)
+            changes.append(Change(IMAGE, outline, area.strongest / _STRENGTH, outline.area * metres**2))
+        return tuple(changes)
 
 
 def _in_one_tone(b: Raster, on_b: WarpedVRT, window: Window) -> tuple[Floats, Floats, Bools]:
@@ -167,25 +166,6 @@ def _excess(in_one_tone: tuple[Floats, Floats, Bools], reach_px: int) -> Floats:
     return np.where(inside, np.maximum(excess, 0.0), 0.0)
 
 
-def _outlines(strength: Any, transform: Affine, least: int, reach_px: int) -> list[tuple[Any, Any]]:
-    """Polygons of connected pixels, grown by what comparing took off them, each with its pixels' index."""
-    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1,) * 2)
-    labels, count = ndimage.label(
-        cv2.dilate((strength > 0).astype(np.uint8), near), np.ones((3, 3), dtype=int)
-    )
-    core = np.bincount(labels[strength > 0], minlength=count + 1)
-    out = []
-    for number, (rows, cols) in enumerate(ndimage.find_objects(labels), start=1):
-        if core[number] < least:
-            continue
-        mask = (labels[rows, cols] == number).astype(np.uint8)
-        at = transform @ Affine.translation(cols.start, rows.start)
-        parts = [shapely.geometry.shape(g) for g, _ in shapes(mask, mask=mask > 0, transform=at)]
-        index = tuple(n + first for n, first in zip(np.nonzero(mask), (rows.start, cols.start), strict=True))
-        out.append((shapely.unary_union(parts), index))
-    return out
-
-
 @dataclass(frozen=True)
 class SurfaceRasters:
     """A run's surface.tif and surface_confidence.tif."""
@@ -203,67 +183,29 @@ def height_changes(
     What both have in common, an offset and a tilt, is the georeference's and does not count. A deviation is
     that of both surfaces and of the slope times what the maps lie apart. map_m: the new map's pixel.
     """
-    with open_raster(new.surface, OWN) as b:
+    with ExitStack() as stack:
+        b = stack.enter_context(open_raster(new.surface, OWN))
         cell_m, metres = pixel_m(b, new.surface)
-        over = registered(b.transform, on_old.similarity, metres)
-        after, before = _heights(b), _heights_on(b, old.surface, over)
-        sd = [_heights_on(b, new.confidence, b.transform), _heights_on(b, old.confidence, over)]
-        transform = b.transform
-    rise = after - before
-    plane = _plane(rise)
-    left = rise - plane
-    off_m = on_old.sd_px * map_m
-    slope = np.maximum(*(np.hypot(*np.gradient(h, cell_m)) for h in (after, before)))
-    sd_m = np.sqrt(np.square(sd[0]) + np.square(sd[1]) + np.square(np.nan_to_num(slope) * off_m))
-    z = left / np.maximum(sd_m, 1e-6)
-    known = np.isfinite(z)
-    if not known.any():
-        return (), float("nan")
-    scale = max(1.0, NORMAL_PER_MAD * float(np.median(np.abs(z[known]))))
-    beyond = np.where(known, np.abs(z) / scale, 0.0)
-    specked = (beyond > FOUR_SIGMA).astype(np.uint8)
-    far = cv2.morphologyEx(specked, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    strength = np.where(far > 0, np.minimum(np.round(_STRENGTH * beyond), 255), 0).astype(np.uint8)
-    changes = []
-    for outline, at in _outlines(strength, transform, 1, 0):
-        rises = left[at][np.isfinite(left[at])]
-        volume = float(rises.sum()) * cell_m**2
-        sigma = float(strength[at].max()) / _STRENGTH
-        area_m2 = outline.area * metres**2
-        changes.append(Change(HEIGHT, outline, sigma, area_m2, float(rises.mean()), volume))
-    return tuple(changes), float(np.nanmedian(plane))
-
-
-def _heights(raster: Any) -> Floats:
-    with reading(Path(raster.name)):
-        values = raster.read(1, masked=True)
-    return np.asarray(values.filled(np.nan), dtype=np.float64)
-
-
-def _heights_on(b: Raster, path: Path, transform: Affine | None) -> Floats:
-    """A raster's first band on a surface's grid."""
-    with open_raster(path, OWN) as other, WarpedVRT(
-        other, crs=b.crs, transform=transform or b.transform, width=b.width, height=b.height,
-        resampling=Resampling.bilinear, nodata=other.nodata,
-    ) as there:  # fmt: skip
-        return _heights(there)
-
-
-def _plane(rise: Floats) -> Floats:
-    """Offset and tilt that two surfaces differ by, by most of their cells, at every cell."""
-    rows, cols = np.indices(rise.shape)
-    design = np.column_stack(
-        [np.ones(rise.size), (rows / rise.shape[0] - 0.5).ravel(), (cols / rise.shape[1] - 0.5).ravel()]
-    )
-    values, found = rise.ravel(), np.zeros(3)
-    known = np.isfinite(values)
-    kept = known.copy()
-    found[0] = float(np.median(values[known])) if known.any() else 0.0
-    for _ in range(ROUNDS):
-        left = np.abs(values - design @ found)
-        spread = NORMAL_PER_MAD * float(np.median(left[known])) if known.any() else 0.0
-        kept = known & (left <= THREE_SIGMA * max(spread, 1e-6))
-        if kept.sum() < len(found):
-            break
-        found = least_squares(design[kept], values[kept])
-    return np.asarray((design @ found).reshape(rise.shape))
+        over = registered(b.transform, on_old.similarity, metres) or b.transform
+        others = (old.surface, over), (new.confidence, b.transform), (old.confidence, over)
+        rasters = b, *(stack.enter_context(on_surface(b, path, at)) for path, at in others)
+        pair = SurfacePair(rasters, cell_m, on_old.sd_px * map_m)
+        windows = list(blocks(b.height, b.width, GLANCE_PX))
+        common = pair.common_rise(windows)
+        if common is None:
+            return (), float("nan")
+        found: list[ChangedArea] = []
+        for block in windows:
+            window = grown(block, _OPENING_PX, b.height, b.width)
+            rise_m, z = pair.beyond(common, window)
+            beyond = np.nan_to_num(np.abs(z))
+            specked = (beyond > FOUR_SIGMA).astype(np.uint8)
+            far = cv2.morphologyEx(specked, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+            strength = np.where(far > 0, np.minimum(np.round(_STRENGTH * beyond), 255), 0).astype(np.uint8)
+            found += areas_in(StrengthBlock(strength, rise_m, window, block), 1, 0)
+        changes = []
+        for area in joined_areas(found, 1):
+            outline, volume_m3 = area.on_map(b.transform), area.total * cell_m**2
+            size = outline.area * metres**2, area.total / area.known, volume_m3
+            changes.append(Change(HEIGHT, outline, area.strongest / _STRENGTH, *size))
+    return tuple(changes), common.middle_m

@@ -99,11 +99,14 @@ def rings_of_polygon(polygon: Any) -> Sequence[Floats]:
 
 def _on_ellipsoid(geometry: Any, crs: CRS | None) -> float | None:
     """The length of a line or the area of a polygon on the CRS's ellipsoid, along geodesics."""
-    geod = None if crs is None else crs.get_geod()
-    if crs is None or geod is None:
+    geod, geodetic = (None, None) if crs is None else (crs.get_geod(), crs.geodetic_crs)
+    if geod is None or geodetic is None:
         return None
-    way = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
-    there = shapely.transform(geometry, lambda at: np.column_stack(way.transform(at[:, 0], at[:, 1])))
+    way = Transformer.from_crs(crs, geodetic, always_xy=True)
+    unit_deg = np.degrees(geodetic.axis_info[0].unit_conversion_factor)  # some count in grads
+    there = shapely.transform(
+        geometry, lambda at: unit_deg * np.column_stack(way.transform(at[:, 0], at[:, 1]))
+    )
     if there.geom_type == "Polygon":
         return float(geod.geometry_area_perimeter(shapely.geometry.polygon.orient(there))[0])
     return float(geod.geometry_length(there))

@@ -13,13 +13,15 @@ from rasterio.errors import RasterioError
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from geomosaic.arrays import Bools, Floats32
+from geomosaic.arrays import Bools, Bytes, Floats32
+from geomosaic.constants import sourced
 from geomosaic.doors.raster import REFERENCE, Raster, open_raster, reading
 from geomosaic.errors import FileError, InputError
 from geomosaic.projection.lattice import MOST_OFF_PX
 from geomosaic.quality.ssim import luma
 
 RGB: Final = ("red", "green", "blue")
+_OPAQUE = sourced({"int16": 32767.0}, "alpha", "of opaque pixels, where it is not 255", "GDAL, DST_ALPHA_MAX")
 
 
 def open_map(path: Path) -> Raster:
@@ -69,6 +71,21 @@ def colour_bands(dataset: Raster) -> list[int]:
     return [number[c] for c in RGB] if number.keys() >= set(RGB) else colours[:3]
 
 
+def mask_of(
+    dataset: Raster | WarpedVRT, window: Window | None = None, shape: tuple[int, int] | None = None
+) -> Bytes:
+    """The mask (rows, cols) of a window, 0 to 255, at a reduced shape if one is given.
+
+    It is that of an alpha band of any type. GDAL takes only those of uint8 and uint16 for masks.
+    """
+    alpha = [i for i, c in zip(dataset.indexes, dataset.colorinterp, strict=True) if c == ColorInterp.alpha]
+    kind = dataset.dtypes[0]
+    if not alpha or kind in ("uint8", "uint16"):
+        return np.asarray(dataset.dataset_mask(window=window, out_shape=shape))
+    opacity = dataset.read(alpha[-1], window=window, out_shape=shape) / _OPAQUE.get(kind, 255.0)
+    return np.asarray(np.rint(255.0 * np.clip(opacity, 0.0, 1.0)), np.uint8)
+
+
 def read_luma(
     dataset: Raster, window: Window | None, shape: tuple[int, int] | None = None
 ) -> tuple[Floats32, Bools]:
@@ -81,7 +98,7 @@ def read_luma(
             out_shape=None if shape is None else (len(colours), *shape),
             resampling=Resampling.nearest if shape is None else Resampling.average,
         )
-        valid = dataset.dataset_mask(window=window, out_shape=shape) == 255
+        valid = mask_of(dataset, window, shape) == 255
     image = luma(bands)
     valid &= np.isfinite(image)
     return np.where(valid, image, np.float32(0.0)), valid

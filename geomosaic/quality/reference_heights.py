@@ -16,7 +16,7 @@ from geomosaic.constants import tuned
 from geomosaic.doors.points import is_point_cloud, open_points
 from geomosaic.doors.raster import Raster
 from geomosaic.errors import FileError, InputError
-from geomosaic.geodesy.heights import ellipsoidal_offset_m, vertical_crs
+from geomosaic.geodesy.heights import ellipsoidal_offset_m, unit_m, vertical_crs
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.quality.heights import NOISE
 from geomosaic.quality.rasters import blocks
@@ -138,10 +138,11 @@ def _of_raster(path: Path, crs: CRS, surface: Raster, there: CRS) -> tuple[Float
 
 
 def _of_points(cloud: Any, crs: CRS, surface: Raster, there: CRS) -> tuple[Floats, Floats, Floats, Bytes]:
-    bounds, same = surface.bounds, crs.to_2d() == there.to_2d()
+    bounds, same, vertical = surface.bounds, crs.to_2d() == there.to_2d(), vertical_crs(crs)
+    to_m = np.array([1.0, 1.0, 1.0 if vertical is None else unit_m(vertical)])
     found = [(np.zeros((0, 3)), np.zeros(0, dtype=np.uint8))]
     for points in cloud.some(_MOST_POINTS):
-        xyz = points.xyz
+        xyz = points.xyz * to_m
         if not same:
             lonlat = MapProjection(crs.to_wkt()).geodetic_from_map(xyz[:, 0], xyz[:, 1])
             at = MapProjection(there.to_wkt()).map_from_geodetic(lonlat[:, 0], lonlat[:, 1])

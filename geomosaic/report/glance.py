@@ -15,7 +15,7 @@ from rasterio.vrt import WarpedVRT
 
 from geomosaic.arrays import Bools, Bytes, Floats
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
-from geomosaic.quality.rasters import colour_bands
+from geomosaic.quality.rasters import colour_bands, mask_of
 
 _LONGER_SIDE_PX = 2800
 _QUALITY = 75
@@ -55,7 +55,7 @@ def glance_of(dataset: Raster | WarpedVRT, longest_px: int, quality: int = 82) -
     shape = max(1, round(dataset.height / scale)), max(1, round(dataset.width / scale))
     colours = colour_bands(dataset)
     bands = dataset.read(colours, out_shape=(len(colours), *shape), resampling=Resampling.average)
-    valid = dataset.dataset_mask(out_shape=shape) > 127
+    valid = mask_of(dataset, shape=shape) > 127
     t = dataset.transform
     full = np.array([[t.a, t.b, t.c], [t.d, t.e, t.f], [0.0, 0.0, 1.0]])
     size = dataset.width, dataset.height

@@ -105,7 +105,7 @@ def _packed(file: str, mosaic_file: RunFile, params: PackedTilesParams, context:
     return context.run_file(file)
 
 
-@stage("export.kmz", "Write a KMZ", group="Export", version=1, outputs="kmz_file", results=(KMZ,))
+@stage("export.kmz", "Write a KMZ", group="Export", version=2, outputs="kmz_file", results=(KMZ,))
 def export_kmz(mosaic_file: RunFile, params: KmzParams, context: Context) -> RunFile:
     """Writes mosaic.kmz for Google Earth and its like, finer as one comes nearer."""
     with context.writing(KMZ) as path:

@@ -19,12 +19,19 @@ COLMAP, OPENSFM, ODM = "colmap", "opensfm", "odm"
 METASHAPE, PIX4D = "metashape.csv", "pix4d.csv"
 
 
+def _warn_of_spaces(survey: Survey, program: str, context: Context) -> None:
+    if any(" " in frame.name for frame in survey.frames):
+        text = f"frames have spaces in their names, which {program} reads as separators: rename them to use "
+        context.warn("spaces-in-names", "", text + "these files there")
+
+
 @stage(
-    "export.colmap", "Write the block for COLMAP", group="Export", version=2, outputs="colmap_folder",
+    "export.colmap", "Write the block for COLMAP", group="Export", version=3, outputs="colmap_folder",
     results=(COLMAP,),
 )  # fmt: skip
 def export_colmap(survey: Survey, ties: TiePoints, adjusted: Adjusted, context: Context) -> RunFile:
     """Writes colmap/: cameras.txt, images.txt and points3D.txt, in metres east, north and up."""
+    _warn_of_spaces(survey, "COLMAP", context)
     block = sfm_block(survey, ties, adjusted)
     at = survey.work_frame
     with context.writing(COLMAP) as folder:
@@ -50,7 +57,7 @@ def export_opensfm(survey: Survey, ties: TiePoints, adjusted: Adjusted, context:
 
 
 @stage(
-    "export.odm", "Write positions for OpenDroneMap", group="Export", version=3, outputs="odm_folder",
+    "export.odm", "Write positions for OpenDroneMap", group="Export", version=4, outputs="odm_folder",
     results=(ODM,),
 )  # fmt: skip
 def export_odm(survey: Survey, placement: Placement, adjusted: Adjusted, context: Context) -> RunFile:
@@ -60,15 +67,7 @@ def export_odm(survey: Survey, placement: Placement, adjusted: Adjusted, context
     leaves alone.
     """
     check_on_earth(survey.map_crs, "list of positions")
-    if any(" " in frame.name for frame in survey.frames):
-        context.warn(
-            "spaces-in-names",
-            "",
-            (
-                "frames have spaces in their names, which OpenDroneMap reads as separators: rename them to "
-                "use this file there"
-            ),
-        )
+    _warn_of_spaces(survey, "OpenDroneMap", context)
     with context.writing(ODM) as folder:
         folder.mkdir()
         write_odm_geo(folder / "geo.txt", orientations(survey, placement.poses, adjusted))

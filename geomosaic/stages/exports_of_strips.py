@@ -42,7 +42,7 @@ def export_offsets(offsets: StripOffsets, context: Context) -> RunFile:
 
 
 @stage(
-    "export.strip_layers", "Write the strips' layers", group="Export", version=3, outputs="layers_file",
+    "export.strip_layers", "Write the strips' layers", group="Export", version=4, outputs="layers_file",
     results=(LAYERS,),
 )  # fmt: skip
 def export_strip_layers(
@@ -73,7 +73,7 @@ class MapParams(StageParams):
     "export.map",
     "Project the scene onto the map",
     group="Export",
-    version=2,
+    version=3,
     outputs="map_file",
     results=(MAP,),
 )

@@ -91,7 +91,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "matching.reference", "Match frames with a reference map", group="Matching", version=2,
+    "matching.reference", "Match frames with a reference map", group="Matching", version=3,
     outputs="map_places", wants_frames=True, check=_check, conclusions=_conclusions,
 )  # fmt: skip
 def matching_reference(

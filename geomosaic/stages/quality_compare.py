@@ -62,7 +62,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "quality.compare", "Compare with a reference", group="Quality", version=5, outputs=("comparison",
+    "quality.compare", "Compare with a reference", group="Quality", version=6, outputs=("comparison",
     "reference_seen"), check=_check, conclusions=_conclusions,
 )  # fmt: skip
 def quality_compare(

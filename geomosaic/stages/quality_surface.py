@@ -46,7 +46,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "quality.surface", "Compare the surface with a reference", group="Quality", version=4,
+    "quality.surface", "Compare the surface with a reference", group="Quality", version=5,
     outputs="surface_comparison", results=(DIFFERENCE, PICTURE), check=_check, conclusions=_conclusions,
 )  # fmt: skip
 def quality_surface(

@@ -16,7 +16,7 @@ from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import DEM, READ_CACHE_BYTES, Raster, open_raster, reading
 from geomosaic.errors import FileError
-from geomosaic.geodesy.heights import length_m, unit_m, vertical_crs
+from geomosaic.geodesy.heights import length_m, raster_unit_m
 from geomosaic.survey.dem_outliers import outliers
 from geomosaic.survey.model import ElevationModel, Warn
 
@@ -191,14 +191,8 @@ def _read(source: Raster, window: Window, shape: tuple[int, ...], how: Resamplin
     band = source.read(1, window=window, out_shape=shape, masked=True, resampling=how)
     heights = band.astype(np.float64).filled(np.nan) * source.scales[0] + source.offsets[0]
     heights[~np.isfinite(heights)] = np.nan
-    return np.asarray(heights * _unit_m(source))
-
-
-def _unit_m(source: Raster) -> float:
-    """Metres a unit of the heights: as the band states it, else the vertical part of its CRS."""
-    stated = length_m(source.units[0] or "")
-    vertical = vertical_crs(CRS.from_wkt(source.crs.to_wkt())) if stated is None else None
-    return stated or (1.0 if vertical is None else unit_m(vertical))
+    unit_m = raster_unit_m(source.units[0], CRS.from_wkt(source.crs.to_wkt()))
+    return np.asarray(heights * unit_m)
 
 
 def _counted(values: Floats) -> tuple[tuple[float, int], ...]:

@@ -18,6 +18,7 @@ from rasterio.windows import Window
 from geomosaic.arrays import Bools, Floats
 from geomosaic.doors.raster import OWN, open_raster, reading, unreferenced_is_fine
 from geomosaic.geodesy.mapcrs import in_local_frame
+from geomosaic.quality.rasters import mask_of
 
 TILE_PX: Final = 512
 
@@ -96,5 +97,5 @@ class GridRaster:
         with self._lock, unreferenced_is_fine(), reading(self._path, OWN.problem, OWN.fix):
             how = {"window": window, "resampling": Resampling.average}
             values = self._raster.read(list(bands), out_shape=(len(bands), *shape), **how)
-            known = self._raster.dataset_mask(window=window, out_shape=shape) > 0
+            known = mask_of(self._raster, window, shape) > 0
         return values, known

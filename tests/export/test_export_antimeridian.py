@@ -11,16 +11,26 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
+from pyogrio.raw import read
 from pyproj import Transformer
 from stac_schema import check_schema
 from test_export_cog import raw_raster
 
+from geomosaic.camera.rpc import Rpc
+from geomosaic.ccd.outlines import Outlines
 from geomosaic.composition.model import Mosaic, OutputGrid
+from geomosaic.composition.strip_compose import StripMosaic
 from geomosaic.errors import InputError
 from geomosaic.export.cog import write_cog
+from geomosaic.export.footprints import write_footprints
 from geomosaic.export.packed_tiles import write_packed
 from geomosaic.export.stac import coverage_of_mosaic, stac_item
+from geomosaic.export.strip_layers import SceneOnMap, write_strip_layers
 from geomosaic.export.web import TileOptions, write_kmz, write_tiles
+from geomosaic.geodesy.antimeridian import split_area
+from geomosaic.quality.strip_figures import strip_figures
+from geomosaic.quality.strips import PairQuality, StripQuality
+from geomosaic.survey.strips import Ccd, StripGeometry
 
 UTM = "EPSG:32760"
 GSD_M = 0.25
@@ -105,3 +115,59 @@ def test_the_stac_item_is_cut_at_180_degrees(crossing: Path, tmp_path: Path) -> 
     assert sorted(round(part.bounds[0]) for part in area.geoms) == [-180, 180]
     width_deg = sum(part.bounds[2] - part.bounds[0] for part in area.geoms)
     assert width_deg == pytest.approx(700 * GSD_M / (111_320.0 * np.cos(np.radians(SOUTH_DEG))), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("west", "east", "box", "parts"),
+    [
+        (179.9, 180.1, (179.9, -179.9), 2),
+        (-180.1, -179.9, (179.9, -179.9), 2),
+        (180.05, 180.3, (-179.95, -179.7), 1),
+        (179.7, 180.0, (179.7, 180.0), 1),
+        (-10.0, 10.0, (-10.0, 10.0), 1),
+    ],
+)
+def test_areas_that_go_on_beyond_180_degrees_are_cut(west, east, box, parts) -> None:
+    area, found = split_area(shapely.box(west, 10.0, east, 11.0))
+    assert found == pytest.approx([box[0], 10.0, box[1], 11.0])
+    shapes = shapely.get_parts(area)
+    assert len(shapes) == parts and area.area == pytest.approx(east - west)
+    assert area.bounds[0] >= -180.0 and area.bounds[2] <= 180.0
+
+
+@pytest.mark.parametrize("jump", [False, True])
+def test_layers_of_a_scene_go_on_beyond_180_degrees(tmp_path: Path, jump: bool) -> None:
+    """20 x 10 km about 180 degrees; longitudes of the rings jump there or go on. CCDs lie on either side."""
+    geometry = StripGeometry(
+        ccds=(Ccd(None, 1), Ccd(None, 2)), width_px=1000, lines=(1000, 1000), overlap_px=100,
+        row_separation_lines=0.0, line_rate_hz=1000.0, bit_depth=8,
+    )  # fmt: skip
+    one, line, sample = np.eye(20)[[0, 2, 1]]
+    rpc = Rpc(
+        np.array([500.0, 950.0, 10.0, 180.0, 0.0]), np.array([500.0, 950.0, 0.05, 0.1, 500.0]),
+        np.array([-line, one, sample, one]),
+    )  # fmt: skip
+    rings = [np.array(shapely.box(w, 9.95, e, 10.05).exterior.coords) for w, e in
+             ((179.9, 180.1), (179.9, 180.005), (179.995, 180.1))]  # fmt: skip
+    if jump:
+        for ring in rings:
+            ring[:, 0] = (ring[:, 0] + 180.0) % 360.0 - 180.0
+    quality = StripQuality(
+        (PairQuality(0, 1000, *[np.zeros((1, 2)), np.ones(1), np.ones(1), np.zeros((1, 2))], np.full(2, 0.1), (1.0, 0.0, 0.0)),),
+        strip_figures([]), 1000, 0, 0,
+    )  # fmt: skip
+    scene = SceneOnMap(
+        StripMosaic("mosaic.tif", 1900, 1000, 0.0, "uint8", 8, None, (1000, 1000), ()),
+        Outlines(rings[0], {0: rings[1], 1: rings[2]}), rpc,
+    )  # fmt: skip
+    write_strip_layers(tmp_path / "layers.gpkg", geometry, scene, quality)
+    for layer in ("scene", "ccd_strips", "seam_segments"):
+        _, _, shapes, _ = read(tmp_path / "layers.gpkg", layer=layer)
+        for shape in shapely.from_wkb(shapes):
+            west, _, east, _ = shape.bounds
+            assert east - west < 0.21 and abs(abs(west) - 180.0) < 0.11, layer
+    write_footprints(tmp_path / "layers.gpkg", tmp_path / "f.geojson")
+    for feature in json.loads((tmp_path / "f.geojson").read_text())["features"]:
+        area = shapely.geometry.shape(feature["geometry"])
+        assert area.area == pytest.approx(0.105 * 0.1, rel=1e-3)
+        assert area.bounds[0] >= -180.0 and area.bounds[2] <= 180.0

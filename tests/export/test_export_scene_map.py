@@ -17,6 +17,7 @@ from small_surveys import geomosaic
 from stac_schema import check_schema
 
 from geomosaic.camera.rpc import Rpc
+from geomosaic.export.scene_map import SceneMapOptions, ground_under, scene_rpc_of, write_scene_map
 from geomosaic_simulate.strip_plan import StripPlan
 from geomosaic_simulate.strips import simulate_strips
 
@@ -65,6 +66,41 @@ def test_pixels_lie_where_rpc_and_dem_put_them(run):
     assert min(off[1:]) > 1.3 * off[0], "nowhere but where it is, to a tenth of a pixel"
     for one, other in ((1, 2), (3, 4)):  # a parabola through three
         assert abs(0.1 * (off[one] - off[other]) / (off[one] + off[other] - 2.0 * off[0])) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("kind", "scale", "offset", "unit", "metres"),
+    [
+        ("float32", 1.0, 0.0, "ft", 0.3048),
+        ("int16", 0.1, 500.0, "", 1.0),
+        ("int16", 0.5, 900.0, "ft", 0.3048),
+    ],
+)
+def test_a_dem_in_feet_or_with_a_scale_gives_the_same_map(run, tmp_path, kind, scale, offset, unit, metres):
+    """Its lower third has nodata: there the RPC's middle height counts, whatever its values are."""
+    folder, dem_file = run
+    maps = []
+    with rasterio.open(dem_file) as dem:
+        profile, heights = dem.profile, dem.read(1).astype(np.float64)
+    known = np.arange(len(heights)) < 2 * len(heights) // 3
+    for number, (type_, by, to, name, m) in enumerate(
+        (("float32", 1.0, 0.0, "", 1.0), (kind, scale, offset, unit, metres))
+    ):
+        path, values = tmp_path / f"dem{number}.tif", (heights / m - to) / by
+        with rasterio.open(path, "w", **{**profile, "dtype": type_, "nodata": -32768}) as dem:
+            dem.scales, dem.offsets, dem.units = [by], [to], [name]
+            dem.write(
+                np.where(known[:, None], np.round(values) if type_ == "int16" else values, -32768)[None]
+            )
+        out, rpc = tmp_path / f"map{number}.tif", scene_rpc_of(folder / "mosaic.tif")
+        ground = ground_under(path, folder / "mosaic.tif", rpc)
+        write_scene_map(folder / "mosaic.tif", out, SceneMapOptions(PLAN.ground_pixel_m), ground.elevation)
+        with rasterio.open(out) as tiff:
+            maps.append((tiff.read(1).astype(np.int32), tiff.dataset_mask() > 0, tiff.transform))
+    (first, valid, place), (second, same_valid, same_place) = maps
+    assert place == same_place and valid.shape == same_valid.shape
+    assert (valid != same_valid).mean() < 0.001
+    assert np.abs(first - second)[valid & same_valid].mean() < 0.002 * first[valid].std()
 
 
 def test_the_catalogue_knows_the_scene_and_its_map(run):

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pycolmap
 import pytest
 from pipeline_toy import recipe_of
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 from scipy.spatial.transform import Rotation as Turn
 from solved_block import ALONE, solved_block
 
 from geomosaic.camera.rotation import Rotation
+from geomosaic.export.references import write_odm_control
 from geomosaic.pipeline.run_folder import RunFolder
 from geomosaic.pipeline.single_stage import StageInputs, run_stage
 from geomosaic.stages.exports_of_block import (
@@ -152,3 +154,37 @@ def test_odm_has_positions_and_control(solved, run):
     )  # fmt: skip
     assert float(z) == pytest.approx(point.height_ellipsoidal_m, abs=1e-3)
     assert (run / "odm" / "check_list.txt").read_text().splitlines()[1].endswith(" B")
+
+
+@pytest.mark.parametrize(
+    "crs", ["ESRI:102003", "IGNF:LAMB93", CRS("EPSG:27572").to_wkt().replace("27572", "0")]
+)
+def test_odm_gets_degrees_where_it_knows_no_name_of_the_map(solved, tmp_path, crs):
+    """Its header is an EPSG code, a PROJ string or a UTM zone."""
+    (point,) = (p for p in solved.survey.control if not p.check)
+    write_odm_control(tmp_path / "gcp_list.txt", [point], crs)
+    header, first, *_ = (tmp_path / "gcp_list.txt").read_text().splitlines()
+    assert header == "EPSG:4326"
+    lon, lat, height, *_ = first.split(" ")
+    assert (float(lon), float(lat)) == pytest.approx((point.lon_deg, point.lat_deg), abs=2e-9)
+    assert float(height) == pytest.approx(point.height_ellipsoidal_m, abs=1e-4)
+
+
+def test_odm_gets_the_map_s_own_coordinates_with_a_proj_string(solved, tmp_path):
+    (point,) = (p for p in solved.survey.control if not p.check)
+    write_odm_control(tmp_path / "gcp_list.txt", [point], "+proj=utm +zone=32 +datum=WGS84 +type=crs")
+    header, first, *_ = (tmp_path / "gcp_list.txt").read_text().splitlines()
+    assert header.startswith("+proj=utm") and 600_000.0 < float(first.split(" ")[0]) < 700_000.0
+
+
+@pytest.mark.parametrize(("stage", "program"), [(export_colmap, "COLMAP"), (export_odm, "OpenDroneMap")])
+@pytest.mark.parametrize("name", ["000.jpg", "left side.jpg"])
+def test_names_with_spaces_are_warned_of(solved, tmp_path, stage, program, name):
+    first, *others = solved.survey.frames
+    survey = replace(solved.survey, frames=(replace(first, name=name), *others))
+    inputs = {of: getattr(solved, of) for of in stage.inputs} | {"survey": survey}
+    given = StageInputs(RunFolder(tmp_path / "RUN"), inputs)
+    _, notes = run_stage(recipe_of(stage, stage.Params()), given, work_folder=tmp_path / "work")
+    warned = [warning["text"] for warning in notes.warnings if warning["code"] == "spaces-in-names"]
+    assert len(warned) == (" " in name)
+    assert all(f"which {program} reads as separators" in text for text in warned)

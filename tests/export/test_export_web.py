@@ -17,6 +17,7 @@ import rasterio
 import shapely
 from osgeo import gdal
 from pyproj import Transformer
+from quality_images import write_tif
 from rasterio.warp import transform_bounds
 from stac_schema import check_schema
 from test_export_cog import raw_raster
@@ -308,6 +309,26 @@ def test_kmz_lies_where_the_mosaic_lies(cog, tmp_path):
     assert (tmp_path / "coarse.kmz").stat().st_size < 0.2 * (tmp_path / "mosaic.kmz").stat().st_size
 
 
+@pytest.mark.parametrize(
+    ("kind", "low", "high"), [("uint8", 40, 240), ("uint16", 2000, 6000), ("float32", -5, -5)]
+)
+def test_a_kmz_of_one_grey_band(tmp_path, kind, low, high):
+    """High in the east. A uniform one has a colour too."""
+    values = np.where(np.arange(400) < 200, low, high)[None, None].repeat(300, axis=1).astype(kind)
+    write_tif(tmp_path / "mosaic.tif", values, 576_625.6, 5_188_250.2, 0.05, "EPSG:32615")
+    write_kmz(tmp_path / "mosaic.tif", tmp_path / "mosaic.kmz")
+    with zipfile.ZipFile(tmp_path / "mosaic.kmz") as archive:
+        images = [name for name in archive.namelist() if not name.endswith(".kml")]
+        (coarsest,) = [name for name in images if name.startswith("0/0/0.")]
+        shown = cv2.imdecode(np.frombuffer(archive.read(coarsest), np.uint8), cv2.IMREAD_UNCHANGED)
+    opaque = shown[..., 3] > 0 if shown.shape[2] == 4 else np.ones(shown.shape[:2], bool)
+    grey, cols = shown[..., :3], np.nonzero(opaque.any(axis=0))[0]
+    assert np.ptp(grey.astype(int), axis=2).max() <= 3
+    west, east = (np.median(grey[:, at][opaque[:, at]]) for at in np.array_split(cols, 2))
+    expected = {"uint8": (40, 240), "uint16": (0, 255), "float32": (0, 0)}[kind]
+    assert (west, east) == pytest.approx(expected, abs=4)
+
+
 def test_the_page_of_the_tiles_needs_no_network(cog, tmp_path):
     """And shows the run's layers; no name in them can end its script."""
     evil = "</script><script>alert(1)//`${1}"
@@ -350,3 +371,16 @@ def test_zooms_in_the_wrong_order_are_refused(tmp_path):
             tmp_path / "raw.tif", tmp_path / "tiles", TileOptions(max_zoom=10, min_zoom=20, threads=1)
         )
     assert not (tmp_path / "tiles").exists()
+
+
+def test_web_mercator_ends_before_the_pole(tmp_path):
+    """A mosaic at 88 degrees north is in no web map; a KMZ has no such end."""
+    values = np.full((1, 200, 300), 90, np.uint8)
+    mosaic = write_tif(tmp_path / "mosaic.tif", values, 30_000.0, -210_000.0, 0.5, "EPSG:3413")
+    for form in ("mbtiles", "pmtiles"):
+        with pytest.raises(InputError, match=r"beyond 85\.05 degrees.*geomosaic export kmz"):
+            write_packed(mosaic, tmp_path / f"mosaic.{form}", form)
+    with pytest.raises(InputError, match=r"mosaic\.tif: lies beyond 85\.05 degrees"):
+        write_tiles(mosaic, tmp_path / "tiles")
+    write_kmz(mosaic, tmp_path / "mosaic.kmz")
+    assert (tmp_path / "mosaic.kmz").stat().st_size > 1000

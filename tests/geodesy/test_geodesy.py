@@ -126,6 +126,35 @@ def test_grid_convergence_sign() -> None:
     assert gamma == pytest.approx(-grid_azimuth_of_north, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("crs", "lon_deg", "lat_deg", "convergence_deg"),
+    [
+        ("EPSG:27572", 5.5, 46.8, 2.3060),  # 3.1628 deg east of Paris, times the sine of 52 grads
+        ("EPSG:27391", 7.0, 60.0, 0.8173),  # 4 deg 40 min west of Oslo is 6.05625 deg east of Greenwich
+        ("EPSG:31253", 15.987222, 47.5, -0.2552),  # 34 deg east of Ferro is 16.33333 deg east of Greenwich
+        ("EPSG:32632", 9.0, 0.0, 0.0),
+        ("EPSG:3031", 30.0, -75.0, -30.0),
+        ("EPSG:3031", 30.0, -90.0, -30.0),
+    ],
+)
+def test_grid_convergence_of_any_prime_meridian(
+    crs: str, lon_deg: float, lat_deg: float, convergence_deg: float
+) -> None:
+    """Difference of longitude from the central meridian times the sine of the latitude, to 11 arc seconds
+    by which national meridians are turned against that of WGS 84."""
+    found = MapProjection(crs).grid_convergence_rad(np.array([lon_deg]), lat_deg)
+    assert np.degrees(found) == pytest.approx([convergence_deg], abs=0.003)
+
+
+def test_grid_convergence_of_a_frame_without_a_place_is_unknown() -> None:
+    assert np.isnan(MapProjection("EPSG:32632").grid_convergence_rad([np.nan], [np.nan])).all()
+
+
+def test_a_map_that_proj_has_no_way_into_is_named() -> None:
+    with pytest.raises(InputError, match="PROJ knows no way"):
+        MapProjection("EPSG:22700").grid_convergence_rad(38.0, 35.0)
+
+
 @pytest.mark.parametrize("text", ["EPSG:4326", "EPSG:99999", "EPSG:2263", "north"])
 def test_a_crs_that_is_no_metric_map_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="such as EPSG:n"):

@@ -84,6 +84,17 @@ def test_the_ellipsoid_counts_where_the_map_is_out_of_scale() -> None:
     assert length_of(shifted, np.zeros(2), 0.0, UTM).ellipsoidal is None
 
 
+def test_the_ellipsoid_of_a_system_in_grads_is_as_large_as_any() -> None:
+    """On the parallel of contact of Lambert's zone II, 52 grads, 1 m is 0.99987742 m of map."""
+    lambert = CRS("EPSG:27572")
+    line = shapely.LineString([[600_000.0, 2_199_500.0], [600_000.0, 2_200_500.0]])
+    found = length_of(line, np.zeros(2), 0.0, lambert)
+    assert found.ellipsoidal == pytest.approx(1000.0 / 0.99987742, rel=1e-6)
+    square = shapely.box(599_950.0, 2_199_950.0, 600_050.0, 2_200_050.0)
+    found = area_of(square, np.zeros(5), 0.0, lambert)
+    assert found.ellipsoidal == pytest.approx(1e4 / 0.99987742**2, rel=1e-6)
+
+
 def test_a_heap_on_tilted_ground_has_its_own_volume() -> None:
     """A heap of 5 x 5 m and 2 m, a pit half as large, on a slope."""
     at = np.stack(np.meshgrid(np.arange(0.25, 30.0, 0.5), np.arange(0.25, 20.0, 0.5)), axis=-1).reshape(-1, 2)

@@ -8,6 +8,7 @@ import pytest
 import rasterio
 from quality_images import eight_bits, moved, north_up, texture, write_tif
 from rasterio.crs import CRS
+from rasterio.enums import ColorInterp
 from rasterio.warp import Resampling, reproject, transform_bounds
 from rasterio.windows import Window
 
@@ -15,6 +16,8 @@ from geomosaic.errors import FileError, InputError
 from geomosaic.quality import compare as module
 from geomosaic.quality.compare import compare
 from geomosaic.quality.compared_block import ComparisonOptions
+from geomosaic.quality.rasters import read_luma
+from geomosaic.report.glance import glance_of
 
 WEST, NORTH, GSD = 500000.0, 5200000.0, 0.1
 
@@ -151,6 +154,39 @@ def test_sixteen_bits(tmp_path):
     reference = write_tif(tmp_path / "r.tif", values, WEST, NORTH, GSD)
     c = compare(mosaic, reference, ComparisonOptions(search_px=8))
     assert c.ssim.ssim == pytest.approx(1.0) and c.figures.share_measured == 1.0
+
+
+@pytest.mark.parametrize("kind", ["uint8", "int16", "uint16", "uint32", "float32"])
+@pytest.mark.parametrize("nodata", [None, 0])
+def test_ground_beyond_a_reference_and_its_nodata_are_not_compared(tmp_path, kind, nodata):
+    """The reference covers the left half of the mosaic, and its first 40 columns have nodata."""
+    base = eight_bits(texture(256, 256, seed=19)).clip(1).astype(kind)
+    mosaic = write_tif(tmp_path / "m.tif", base, WEST, NORTH, GSD)
+    half = base[:, :, :128].copy()
+    if nodata is not None:
+        half[:, :, :40] = nodata
+    reference = write_tif(tmp_path / "r.tif", half, WEST, NORTH, GSD)
+    with rasterio.open(reference, "r+") as dataset:
+        dataset.nodata = nodata
+    c = compare(mosaic, reference, ComparisonOptions(patch_px=32, step_px=32, search_px=8))
+    assert c.overlap_share == pytest.approx((0.5 if nodata is None else 88 / 256), abs=0.005)
+    assert c.ssim.ssim == pytest.approx(1.0, abs=1e-6)
+    far = write_tif(tmp_path / "far.tif", base, WEST + 100_000.0, NORTH, GSD)
+    with pytest.raises(InputError, match=r"far\.tif: does not overlap the mosaic"):
+        compare(mosaic, far)
+
+
+def test_an_alpha_band_of_floats_is_a_mask(tmp_path):
+    values = np.full((2, 20, 30), 300.0, np.float32)
+    values[1] = 255.0
+    values[1, :, 12:] = 0.0
+    path = write_tif(tmp_path / "alpha.tif", values, WEST, NORTH, GSD)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.colorinterp = [ColorInterp.gray, ColorInterp.alpha]
+    with rasterio.open(path) as dataset:
+        grey, valid = read_luma(dataset, None)
+        assert glance_of(dataset, 30).covered_m2 == pytest.approx(20 * 12 * GSD**2)
+    assert valid[:, :12].all() and not valid[:, 12:].any() and grey[0, 0] == 300.0
 
 
 def test_errors_name_the_file_and_the_fix(tmp_path):

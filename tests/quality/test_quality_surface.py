@@ -143,6 +143,15 @@ def test_points_by_their_class(run, tmp_path):
     assert found.over_all.n == sum(f.n for f in figures.values())
 
 
+def test_points_of_a_cloud_in_feet(run, tmp_path):
+    xyz = scattered()
+    xyz[:, 2] *= 3937.0 / 1200.0  # NAVD88 in US survey feet
+    feet = cloud(tmp_path / "feet.laz", xyz, np.full(len(xyz), 2, np.uint8), crs="EPSG:32632+6360")
+    found, _, _ = compare(run, feet, offset_m=0.4)
+    assert found.over_all.median_m == pytest.approx(-0.4, abs=0.01)
+    assert found.over_all.abs_95_m < 0.5
+
+
 def test_slopes_part_level_from_steep(run, tmp_path):
     heights = land(*middles())
     heights[:, 80:] += 9.0

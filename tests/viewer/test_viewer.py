@@ -12,13 +12,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import rasterio
 from osgeo import gdal, ogr, osr
+from rasterio.windows import Window
 
 from geomosaic.errors import FileError, InputError
 from geomosaic.export.index import Index, write_index
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
 from geomosaic.pages.loopback_server import Answer, LoopbackServer
-from geomosaic.viewer.grid_raster import ViewGrid
+from geomosaic.viewer.grid_raster import GridRaster, ViewGrid
 from geomosaic.viewer.map_features import map_features
 from geomosaic.viewer.run_view import run_views
 from geomosaic.viewer.viewer_pages import ViewerPages
@@ -84,6 +86,16 @@ def test_tiles_are_the_mosaic_s_own_pixels_and_their_means(tmp_path: Path) -> No
     for beyond in (["0", "mosaic", "1", "3", "0"], ["0", "surface", "1", "0", "0"], ["1", "mosaic", "1", "0", "0"],
                    ["0", "mosaic", "0", "0", "0"], ["x", "mosaic", "1", "0", "0"], ["0", "..", "1", "0", "0"]):  # fmt: skip
         assert pages.get(["tile", *beyond]) is None
+
+
+def test_a_raster_of_floats_ends_where_it_ends_on_another_grid(tmp_path: Path) -> None:
+    grid = ViewGrid.of(raster(tmp_path / "map.tif", [np.zeros((300, 400), np.uint8)]))
+    at = {"width": 50, "height": 60, "count": 1, "dtype": "float32", "crs": "EPSG:32632"}
+    place = rasterio.Affine(0.4, 0.0, 600_000.0, 0.0, -0.4, 5_300_100.0)
+    with rasterio.open(tmp_path / "small.tif", "w", driver="GTiff", transform=place, **at) as tiff:
+        tiff.write(np.full((1, 60, 50), 280.0, np.float32))
+    values, known = GridRaster(tmp_path / "small.tif", grid).read([1], Window(0, 0, 400, 300), 2)
+    assert known[:120, :100].all() and known.sum() == 120 * 100 and values[0, 60, 50] == 280.0
 
 
 def test_an_index_is_a_layer_with_the_colours_of_its_style(tmp_path: Path) -> None:
