@@ -15,11 +15,12 @@ from geomosaic.composition.plan import windows
 from geomosaic.composition.raster import COLOURS, MosaicFiles, writing_mosaic
 from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.views import PosedFrames
-from geomosaic.composition.window import Composed
+from geomosaic.composition.window import DTYPES, Composed
 from geomosaic.doors.raster import OWN, open_raster
+from geomosaic.errors import InputError
 from geomosaic.matching.band_registration import RigPoses, band_poses
 from geomosaic.radiometry.quantity import quantity_of
-from geomosaic.survey.model import Survey
+from geomosaic.survey.model import Frame, Survey
 
 Composing = Callable[[PosedFrames, MosaicFiles], Mosaic]
 """`compose` by an ownership, with options."""
@@ -37,9 +38,38 @@ def compose_bands(
     dtypes = [mosaic.dtype]
     for band, path in zip(other_bands(frames, rig), rasters[1:], strict=True):
         dtypes.append(composing(band, MosaicFiles(path)).dtype)
-    names, dtype = band_names(frames.survey), str(np.result_type(*dtypes))
+    names, dtype = band_names(frames.survey), common_dtype(dtypes)
     stack_bands(rasters, names, mosaic.grid, dtype, files.raster)
     return replace(mosaic, raster=files.raster.name, bands=len(names), band_names=names, dtype=dtype)
+
+
+def common_kind(frames: Sequence[Frame]) -> Frame:
+    """A frame whose bands and data type all share."""
+    if not frames:
+        raise InputError(
+            ("no frame can be used, so there is no mosaic"), fix="correct the positions in the --pos file"
+        )
+    first = frames[0]
+    for frame in frames:
+        if (frame.bands, frame.dtype) != (first.bands, first.dtype):
+            raise InputError(
+                f"has {frame.bands} bands of {frame.dtype}, {first.name} {first.bands} of {first.dtype}",
+                file=frame.path,
+                fix="mosaic frames of one kind at a time",
+            )
+    if first.dtype not in DTYPES:
+        raise InputError(
+            f"pixels of type {first.dtype} can't be resampled",
+            file=first.path,
+            fix=f"convert the frames to one of {', '.join(DTYPES)}",
+        )
+    return first
+
+
+def common_dtype(dtypes: Sequence[str]) -> str:
+    """The type of a raster's pixels that takes the values of all bands: one of DTYPES."""
+    dtype = str(np.result_type(*dtypes))
+    return dtype if dtype in DTYPES else "float32"
 
 
 def other_bands(frames: PosedFrames, rig: RigPoses) -> Iterator[PosedFrames]:

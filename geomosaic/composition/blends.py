@@ -55,10 +55,12 @@ class Piece:
 
 @dataclass(frozen=True)
 class Blend:
-    """A way to blend, and how much around a seam it looks at: halo_px of a reach in px, whole STEP_PX."""
+    """A way to blend, and how much around a seam it looks at: halo_px of a reach in px, whole STEP_PX.
+    feathered: whether the result depends on the reach."""
 
     mosaic: Callable[[Sequence[Piece], Labels, float], Floats32]
     halo_px: Callable[[float], int]
+    feathered: bool = True
 
 
 def hard(pieces: Sequence[Piece], label: Labels, reach_px: float) -> Floats32:
@@ -198,9 +200,9 @@ def _add(sums: Floats32, values: Floats32, weight: Floats32, at: tuple[slice, ..
 
 BLENDS: Final[Mapping[str, Blend]] = Named(
     {
-        "multi_band": Blend(multi_band, lambda reach_px: HALO_PX),
+        "multi_band": Blend(multi_band, lambda reach_px: HALO_PX, feathered=False),
         "feather": Blend(feather, lambda reach_px: STEP_PX * -(-(round(reach_px / 2.0) + 1) // STEP_PX)),
-        "hard": Blend(hard, lambda reach_px: 0),
+        "hard": Blend(hard, lambda reach_px: 0, feathered=False),
     },
     BLENDS_GROUP,
     lambda found: isinstance(found, Blend),

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from geomosaic.composition.bands import common_kind
 from geomosaic.composition.blended import (
     Blended,
     BlendedBlock,
@@ -41,17 +42,19 @@ from geomosaic.composition.seamlines import SeamLabels
 from geomosaic.composition.spread import InProcessSpooler, SpooledResult, Spooler
 from geomosaic.composition.tiles import TILE_PX, TileKind
 from geomosaic.composition.tones import Tones
-from geomosaic.composition.views import PosedFrames, frame_views
+from geomosaic.composition.trim import HORIZON
+from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.visibility import FrameOnMap, VisibilityTest, visible_cells
-from geomosaic.composition.window import DTYPES, CompositionStep, Window
+from geomosaic.composition.window import CompositionStep, Window
 from geomosaic.constants import tuned
 from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.projection.resample import KERNEL_RADIUS_PX, RESAMPLING
-from geomosaic.survey.model import Frame, Survey
+from geomosaic.survey.model import Survey
 
 AUTO = "auto"
 AUTO_FEATHER_PX = tuned(48, "mosaic px", "default feather: less shows lines; more doubles detail")
+_MOST_FEATHER_PX = tuned(4 * TILE_PX, "mosaic px", "widest feather: more takes memory for many tiles around")
 
 
 @dataclass(frozen=True)
@@ -104,13 +107,16 @@ def compose(
         raise UnknownNameError("resampling", options.resampling, RESAMPLING)
     spread = spread or InProcessSpooler()
     survey, grid, area = frames.survey, ownership.grid, ownership.area
-    feather_m = AUTO_FEATHER_PX * grid.gsd_m if options.feather_m is None else options.feather_m
-    views = with_occlusion(frame_views(frames, grid.crs), ownership.hidden)
+    views = composed_views(frames, ownership)
     kind = common_kind([survey.frames[v.frame] for v in views])
-    name = options.blend
-    if name == AUTO:
-        name = "multi_band" if kind.dtype == "uint8" else "feather"
-    reach_px = feather_m / grid.gsd_m
+    name = blend_of(options.blend, kind.dtype)
+    reach_px = AUTO_FEATHER_PX if options.feather_m is None else options.feather_m / grid.gsd_m
+    if reach_px > _MOST_FEATHER_PX:
+        raise InputError(
+            f"a feathered blend of {options.feather_m} m is {reach_px:,.0f} pixels of {grid.gsd_m} m wide, "
+            f"{_MOST_FEATHER_PX:,} at most",
+            fix=f"set mosaic.compose.feather_m to {_MOST_FEATHER_PX * grid.gsd_m:.4g} at most, or to auto",
+        )
     labels = SeamLabels(grid, TILE_PX, cut=area is not None and area.asked)
     names = [frame.name for frame in survey.frames]
     tiles = TileKind(kind.bands, np.dtype(kind.dtype))
@@ -265,24 +271,15 @@ def _written(raster: Raster, made: SpooledResult[BlendedBlock]) -> list[Blended]
     return [replace(one, tile=None, index=None) for one in block.windows]
 
 
-def common_kind(frames: Sequence[Frame]) -> Frame:
-    """A frame whose bands and data type all share."""
-    if not frames:
-        raise InputError(
-            ("no frame can be used, so there is no mosaic"), fix="correct the positions in the --pos file"
-        )
-    first = frames[0]
-    for frame in frames:
-        if (frame.bands, frame.dtype) != (first.bands, first.dtype):
-            raise InputError(
-                f"has {frame.bands} bands of {frame.dtype}, {first.name} {first.bands} of {first.dtype}",
-                file=frame.path,
-                fix="mosaic frames of one kind at a time",
-            )
-    if first.dtype not in DTYPES:
-        raise InputError(
-            f"pixels of type {first.dtype} can't be resampled",
-            file=first.path,
-            fix=f"convert the frames to one of {', '.join(DTYPES)}",
-        )
-    return first
+def composed_views(frames: PosedFrames, ownership: Ownership) -> tuple[FrameView, ...]:
+    """The views of the frames in use, with what is hidden from each: up to the horizon, or of frames whose
+    middle sees the ground, where edges are kept."""
+    limits = None if ownership.trimmed is None else HORIZON
+    return with_occlusion(frame_views(frames, ownership.grid.crs, limits), ownership.hidden)
+
+
+def blend_of(blend: str, dtype: str) -> str:
+    """The blend in use, by the one that is asked for and the type of the frames' pixels."""
+    if blend != AUTO:
+        return blend
+    return "multi_band" if dtype == "uint8" else "feather"

@@ -56,4 +56,7 @@ def with_earlier_tones(
         slope=merged(found.slope, was.slope),
         vignette=merged(found.vignette, was.vignette),
         level=None if found.level is None or was.level is None else merged(found.level, was.level),
+        level_box=None
+        if found.level_box is None or was.level_box is None
+        else merged(found.level_box, was.level_box),
     )

@@ -208,10 +208,12 @@ class SceneChoice:
         return found
 
     def _without_needless(self, limits: Limits, warn: WarningSink) -> SceneChoice:
-        """Without frames that match no other and show what others show, or the horizon."""
+        """Without frames that match no other and show what others show, or the horizon. All stay where none
+        in use is tied."""
         frames = self.frames
+        in_use = {i for i, use in enumerate(frames.used) if use}
         out = needless(frames.views(limits), self._tied, frames.ground, limits)
-        if not out:
+        if not out or out >= in_use or not any(self._tied[i] for i in in_use):
             return self
         number = f"{len(out)} frames match" if len(out) > 1 else "1 frame matches"
         names = some(frames.survey.frames[i].name for i in sorted(out))

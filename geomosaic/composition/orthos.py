@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.composition.area import Area
-from geomosaic.composition.bands import band_names, other_bands, stack_bands
-from geomosaic.composition.compose import common_kind
+from geomosaic.composition.bands import band_names, common_dtype, common_kind, other_bands, stack_bands
+from geomosaic.composition.compose import composed_views
 from geomosaic.composition.frame_part import Asked, Patch, Warping, patches
 from geomosaic.composition.model import OutputGrid
-from geomosaic.composition.occlusion import with_occlusion
 from geomosaic.composition.ownership import Ownership
 from geomosaic.composition.raster import MosaicFiles, Raster, writing_mosaic
 from geomosaic.composition.scene import CELL_PX, Scene, bounds_window
 from geomosaic.composition.tiles import TileKind
 from geomosaic.composition.tones import Tones
-from geomosaic.composition.views import PosedFrames, frame_views
+from geomosaic.composition.views import PosedFrames
 from geomosaic.composition.visibility import FrameOnMap, cells_in_view
 from geomosaic.composition.window import Composed, Window
 from geomosaic.doors.raster import unreferenced_is_fine
@@ -46,7 +45,7 @@ def plan_orthos(
     """
     grid = ownership.grid
     bands = [frames, *(other_bands(frames, rig) if rig.bands else ())]
-    views = [with_occlusion(frame_views(band, grid.crs), ownership.hidden) for band in bands]
+    views = [composed_views(band, ownership) for band in bands]
     kinds = [common_kind([b.survey.frames[v.frame] for v in of]) for b, of in zip(bands, views, strict=True)]
     lying: dict[int, list[FrameOnMap]] = {}
     for band, of in zip(bands, views, strict=True):
@@ -80,7 +79,7 @@ def write_ortho(
     shows = [_write(warping, area, frame[0], within, rasters[0])]
     for band, raster in zip(frame[1:], rasters[1:], strict=True):
         shows.append(_write(replace(warping, tones=None, dtype=band.frame.dtype), area, band, within, raster))
-    dtype = str(np.result_type(*(band.frame.dtype for band in frame)))
+    dtype = common_dtype([band.frame.dtype for band in frame])
     try:
         return all(shows) and stack_bands(rasters, names, _part(grid, within), dtype, path)
     finally:

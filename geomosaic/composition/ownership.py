@@ -147,12 +147,16 @@ def _cells_in(window: Window, cell_px: int) -> tuple[slice, slice]:
 
 
 def _cells_of(scene: Scene, view: FrameView, cell_px: int, wanted: Bools) -> FrameCells | None:
-    """The cells about all of a frame's that are wanted, if any are."""
-    down, across = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
-    if not down.size:
+    """The cells about all of a frame's that are wanted, if any are, and those next to them: a single row does
+    not show how large pixels are."""
+    if not wanted.any():
         return None
-    part = slice(int(down[0]), int(down[-1]) + 1), slice(int(across[0]), int(across[-1]) + 1)
-    return frame_cells(scene, view, cell_px, smooth=True, part=part)
+    down, across = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
+    rows, cols = (
+        slice(max(int(of[0]) - 1, 0), min(int(of[-1]) + 2, size))
+        for of, size in zip((down, across), wanted.shape, strict=True)
+    )
+    return frame_cells(scene, view, cell_px, smooth=True, part=(rows, cols))
 
 
 def _shows(cells: FrameCells, cell_px: int) -> Bools:

@@ -175,7 +175,7 @@ def _directories(look: RasterMetadata, statistics: Floats | None) -> list[Tags]:
         options = [
             "TILED=YES", f"BLOCKXSIZE={TILE_PX}", f"BLOCKYSIZE={TILE_PX}", "INTERLEAVE=PIXEL",
             "COMPRESS=DEFLATE", f"PREDICTOR={_PREDICTOR[kind.dtype.kind]}", "SPARSE_OK=YES",
-            "ENDIANNESS=LITTLE",
+            "ENDIANNESS=LITTLE", "ALPHA=NO",
         ]  # fmt: skip
         of = gdal_array.NumericTypeCodeToGDALTypeCode(kind.dtype)
         dataset = gdal.GetDriverByName("GTiff").Create(name, 1, 1, kind.bands, of, options)

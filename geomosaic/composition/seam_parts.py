@@ -14,7 +14,7 @@ from geomosaic.arrays import Bools, Floats, Floats32, Ints
 from geomosaic.composition.frame_cells import frame_cells
 from geomosaic.composition.ownership import Ownership, finest_pixels
 from geomosaic.composition.scene import Scene, bounds_window, distances_m
-from geomosaic.composition.tones import Tones, evened
+from geomosaic.composition.tones import GREYS, Tones, evened
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
 from geomosaic.projection.resample import resample
@@ -189,12 +189,14 @@ def standing(heights_m: Floats32, cell_m: float) -> Bools:
 
 
 def to_8_bits(parts: Sequence[SeamPart]) -> np.float32:
-    """What takes values to a scale of 8 bits."""
+    """What takes values to a scale of 8 bits, by how bright frames are in the median."""
+    if all(part.values.dtype == np.float16 for part in parts):
+        return np.float32(1.0)
     every = slice(None, None, _SOME)
     some = [p.values[every, every][p.may[every, every]] for p in parts]
-    most = float(np.iinfo(np.uint8).max)
-    white = max((float(np.quantile(of, 0.99)) for of in some if of.size), default=most)
-    return np.float32(1.0 if white <= 0.0 or 1.0 < white <= most else most / white)
+    bright = [float(np.quantile(of, 0.99)) for of in some if of.size]
+    white = float(np.median(bright)) if bright else 0.0
+    return np.float32(GREYS / white if white > 0.0 else 1.0)
 
 
 def _areas(nearest: Ownership, scene: Scene) -> Ints:

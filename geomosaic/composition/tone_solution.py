@@ -185,17 +185,19 @@ def with_one_level(tones: Tones, places: ToneSightings) -> Tones:
 def with_own_level(tones: Tones, places: ToneSightings) -> Tones:
     """Tones with which the map is as bright as the frames that show a place are in the mean. Changes of
     brightness that a camera's exposure follows stay, and only differences between frames go. The mean is
-    taken over about half a frame. Each frame follows it to the second degree."""
+    taken over about half a frame. Each frame follows it to the second degree, over the box of its
+    sightings."""
     if not len(places.frame):
         return tones
     n, b = tones.gain.shape
     own = tones.gain[places.frame] + np.einsum("mbk,mk->mb", tones.slope[places.frame], places.offset)
     target = _about_places(places, own)
-    level = np.zeros((n, b, 6))
+    level, box = np.zeros((n, b, 6)), np.zeros((n, 2, 2))
     for i, mine in frame_by_frame(places.frame):
+        box[i] = places.offset[mine].min(axis=0), places.offset[mine].max(axis=0)
         terms = powers(*(places.offset[mine, k][:, None] for k in (0, 1)))
         level[i] = least_squares(terms, target[mine].astype(np.float64)).T
-    return replace(tones, level=level)
+    return replace(tones, level=level, level_box=box)
 
 
 def _about_places(places: ToneSightings, own: Floats) -> Floats32:

@@ -48,10 +48,11 @@ class Tones:
     gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
     middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its
     distance from there. level (n, b, 6): of what all frames show together there, by these offsets' `powers`;
-    the map keeps it. None where it shows one exposure throughout. spot (b,): times a `hot_spot` of this
-    width about the direction away from the sun in each camera's axes, away (n, 3); None where none shows.
-    reported (n, b): the part of the gains that frames' exposures account for. curve: of the whole map, see
-    `tone_curve.curve_to_mid_grey`.
+    the map keeps it. None where it shows one exposure throughout. level_box (n, 2, 2): the least and
+    the greatest offsets to the right and below of each frame's sightings; beyond, its level is that of the
+    box's edge. spot (b,): times a `hot_spot` of this width about the direction away from the sun in each
+    camera's axes, away (n, 3); None where none shows. reported (n, b): the part of the gains that frames'
+    exposures account for. curve: of the whole map, see `tone_curve.curve_to_mid_grey`.
     """
 
     gain: Floats
@@ -64,6 +65,7 @@ class Tones:
     spot_width_rad: float = 0.0
     reported: Floats | None = None
     curve: float = 1.0
+    level_box: Floats | None = None
 
     def flat(self, frame: int) -> bool:
         """Whether a frame shows the ground as bright as all do."""
@@ -97,6 +99,9 @@ class Tones:
         if self.spot is not None and seen is not None:
             out += seen[..., None].astype(np.float32) * self.spot.astype(np.float32)
         if self.level is not None:
+            if self.level_box is not None:
+                (first, top), (last, bottom) = self.level_box[frame].astype(np.float32)
+                right, below = np.clip(right, first, last), np.clip(below, top, bottom)
             out -= powers(right, below) @ self.level[frame].astype(np.float32).T
         return np.asarray(out)
 

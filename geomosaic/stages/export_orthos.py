@@ -39,7 +39,7 @@ class OrthosParams(StageParams):
 
 
 @stage(
-    "export.orthos", "Write the frames' orthos", group="Export", version=6, outputs="orthos_folder",
+    "export.orthos", "Write the frames' orthos", group="Export", version=7, outputs="orthos_folder",
     results=(ORTHOS,), wants_frames=True,
 )  # fmt: skip
 def export_orthos(

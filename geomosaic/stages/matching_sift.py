@@ -64,7 +64,7 @@ class SiftParams(KeypointParams):
 
 
 @stage(
-    "matching.sift", "Match frames with SIFT", group="Matching", version=27, outputs=("ties", "placement"),
+    "matching.sift", "Match frames with SIFT", group="Matching", version=28, outputs=("ties", "placement"),
     wants_frames=True,
 )  # fmt: skip
 def matching_sift(

@@ -15,6 +15,7 @@ from geomosaic.composition.compose import (
     AUTO_FEATHER_PX,
     CompositionOptions,
     TileKeeping,
+    blend_of,
     compose,
 )
 from geomosaic.composition.composed_tiles import ComposedTiles, EarlierMosaic
@@ -72,7 +73,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=22, outputs=("mosaic", "raster_file"),
+    "mosaic.compose", "Compose the mosaic", group="Mosaic", version=23, outputs=("mosaic", "raster_file"),
     results=(SOURCES,), plugged=plugged_blend, conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def mosaic_compose(
@@ -83,6 +84,9 @@ def mosaic_compose(
     feather_m = None if params.feather_m == "auto" else params.feather_m
 
     rig = shares.rig or RigPoses()
+    if feather_m is not None and (blends := _unfeathered(params.blend, survey, rig)):
+        text = f"the blend {blends} has no width, so mosaic.compose.feather_m changes nothing"
+        context.warn("feather-unused", "", f"{text}: leave it out, or --set mosaic.compose.blend=feather")
     keeping = None if rig.bands or not params.sources else _keeping(survey, context)
 
     def composing(frames: PosedFrames, files: MosaicFiles) -> Mosaic:
@@ -111,6 +115,14 @@ def mosaic_compose(
     mosaic = replace(mosaic, raster=RASTER)
     _report(context, ownership.grid, mosaic)
     return mosaic, context.run_file(RASTER)
+
+
+def _unfeathered(blend: str, survey: Survey, rig: RigPoses) -> str:
+    """The blends of all bands, if none of them depends on a width; else ''."""
+    bands = [survey.frames, *(band.frames for band in survey.other_bands if rig.bands)]
+    dtypes = {frame.dtype for frames in bands for frame in frames if frame is not None}
+    names = sorted({blend_of(blend, dtype) for dtype in dtypes})
+    return "" if any(BLENDS[name].feathered for name in names) else " and ".join(names)
 
 
 def _keeping(survey: Survey, context: Context) -> TileKeeping:

@@ -45,8 +45,8 @@ class TonesParams(StageParams):
 
     even: str = param(
         "auto",
-        help="exposure, white balance and vignetting evened out; auto: of images of 8 bits, not of a "
-        "rig's bands or of measured values",
+        help="exposure, white balance and vignetting evened out; auto: of images of 8 bits with one or three "
+        "bands, not of a rig's bands or of measured values",
         choices=_EVEN,
     )
     level: str = param(
@@ -74,7 +74,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.tones", "Even the tones", group="Mosaic", version=19, outputs="tones", conclusions=_conclusions,
+    "mosaic.tones", "Even the tones", group="Mosaic", version=20, outputs="tones", conclusions=_conclusions,
     goes_on=True,
 )  # fmt: skip
 def mosaic_tones(

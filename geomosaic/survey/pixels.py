@@ -33,7 +33,7 @@ def read_pixels(
 
     Bands are in the file's order (red, green, blue for colour); an alpha band goes into the mask.
     EXIF's orientation is ignored: columns and rows are the sensor's. The mask is (rows, cols), 255
-    where a pixel is valid and 0 where not, None where all are.
+    where a pixel is valid and 0 where not, None where all are. Fractional values are 0 where not valid.
 
     A reduced pixel is the mean of reduction x reduction full ones, so that in corner-origin
     coordinates `reduced = full / reduction`; sizes are rounded up. JPEG is halved while decoding. A
@@ -52,10 +52,11 @@ def read_pixels(
     pixels: NDArray[Any]
     valid: Bytes | None
     bands = frame.bands
+    reduced = 1
     if path.suffix.lower() in JPEG_SUFFIXES and frame.dtype == "float32":
-        pixels, valid = means(thermogram(path)[..., None], reduction), None
+        pixels, valid = thermogram(path)[..., None], None
     elif path.suffix.lower() in JPEG_SUFFIXES:
-        bands = 1 if luma else bands
+        bands, reduced = 1 if luma else bands, reduction
         kept = None if spare is None else spare.at(reduction, bands)
         pixels, valid = _decode_jpeg(path, frame, bands, reduction) if kept is None else kept, None
     else:
@@ -64,8 +65,7 @@ def read_pixels(
         else:
             pixels, valid = decoded_camera_image(path, (frame.width_px, frame.height_px))
         pixels = pixels if frame.calibration is None else frame.calibration.digital(pixels)
-        pixels = means(pixels, reduction)
-    expected = (-(-frame.height_px // reduction), -(-frame.width_px // reduction), bands)
+    expected = (-(-frame.height_px // reduced), -(-frame.width_px // reduced), bands)
     if pixels.shape != expected:
         raise FileError(f"has changed: {pixels.shape} pixels instead of {expected}", file=path, fix=_FIX)
     if frame.valid_mask is not None:
@@ -74,7 +74,9 @@ def read_pixels(
     if frame.whole_rows is not None:
         valid = np.full((frame.height_px, frame.width_px), 255, np.uint8) if valid is None else valid
         valid[frame.whole_rows :] = 0
-    return pixels, None if valid is None else _least(valid, reduction)
+    if valid is not None and pixels.dtype.kind == "f":  # nodata of -3.4e38 would spoil means and costs
+        pixels = np.where(valid[..., None] > 0, pixels, pixels.dtype.type(0))
+    return means(pixels, reduction // reduced), None if valid is None else _least(valid, reduction)
 
 
 def _decode_jpeg(path: Path, frame: Frame, bands: int, reduction: int) -> NDArray[Any]:

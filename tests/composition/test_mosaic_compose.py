@@ -290,6 +290,12 @@ def test_wrong_input_is_named(tmp_path):
         composed(tmp_path, survey, poses, ground, used=[False, False], grid=grid)
 
 
+def test_a_feather_wider_than_tiles_is_refused(tmp_path):
+    survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=2)
+    with pytest.raises(InputError, match=r"of 1000.0 m is 4,000 pixels of 0.25 m wide, 2,048 at most"):
+        composed(tmp_path, survey, poses, ground, blend="feather", feather_m=1000.0)
+
+
 def test_a_wild_position_is_named_before_anything_is_written(tmp_path):
     survey, poses, ground = make_survey(tmp_path / "frames")
     wild = replace(poses, positions_m=poses.positions_m + np.eye(6, 3, k=-4) * [40_000.0, 0.0, 0.0])

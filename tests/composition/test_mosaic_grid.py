@@ -117,6 +117,22 @@ def written(
         return np.moveaxis(tiff.read(), 0, -1), tiff.dataset_mask() > 0, own.grid, outputs["mosaic"]
 
 
+@pytest.mark.parametrize(("blend", "feather_m", "warned"), [
+    ("auto", 5.0, "multi_band"), ("hard", 5.0, "hard"), ("feather", 5.0, ""), ("auto", "auto", "")
+])  # fmt: skip
+def test_a_feather_that_the_blend_does_not_use_is_reported(
+    tmp_path: Path, blend: str, feather_m: float | str, warned: str
+) -> None:
+    given = given_for(tmp_path, lines=1, per_line=2)
+    own, _ = seams(tmp_path, given)
+    params = mosaic_compose.Params(blend=blend, feather_m=feather_m)
+    inputs = StageInputs(RunFolder(tmp_path / "RUN"), {**given, "ownership": own})
+    _, notes = run_stage(recipe_of(mosaic_compose, params), inputs, work_folder=tmp_path / "work")
+    texts = [w["text"] for w in notes.warnings if w["code"] == "feather-unused"]
+    assert len(texts) == bool(warned)
+    assert all(f"the blend {warned} has no width" in text for text in texts)
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Any]:
     """Six frames, and the mosaic of all they see."""

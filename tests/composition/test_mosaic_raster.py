@@ -111,6 +111,18 @@ def test_a_cog_of_all_types_that_both_gdals_read(tmp_path: Path, bands: int, dty
         np.testing.assert_array_equal(overviews[0].GetMaskBand().ReadAsArray() > 0, valid)
 
 
+def test_a_fourth_band_is_no_alpha_band(tmp_path: Path) -> None:
+    """Red, green, blue and near infrared: what is valid is in the mask alone."""
+    pixels, valid = image(4, "uint8")
+    path = written(tmp_path / "a.tif", pixels, valid)
+    with rasterio.open(path) as tiff:
+        assert ColorInterp.alpha not in tiff.colorinterp
+        assert tiff.colorinterp[:3] == (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+        np.testing.assert_array_equal(tiff.read(4), pixels[..., 3])
+        np.testing.assert_array_equal(tiff.dataset_mask() > 0, valid)
+    assert gdal.Open(str(path)).GetRasterBand(4).GetColorInterpretation() == gdal.GCI_Undefined
+
+
 def test_windows_threads_and_order_change_no_byte(tmp_path: Path) -> None:
     pixels, valid = image(3, "uint8")
     plain = written(tmp_path / "a.tif", pixels, valid)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from mosaic_scenes import CRS, GSD_M, make_survey
 
 from geomosaic.camera.interior import Camera
+from geomosaic.camera.rotation import Rotation
 from geomosaic.composition import seam_cut
 from geomosaic.composition.blends import BLENDS, Blend, Piece
 from geomosaic.composition.compose import CompositionOptions, compose
@@ -30,9 +31,10 @@ from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.scene import Scene
 from geomosaic.composition.seam_cut import Shared, cut_pair, cut_seams
 from geomosaic.composition.seam_figures import seam_figures
-from geomosaic.composition.seam_parts import Glimpse, SeamPart, bands, giving, glimpsed
+from geomosaic.composition.seam_parts import Glimpse, SeamPart, bands, giving, glimpsed, to_8_bits
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.window import Window
+from geomosaic.doors.raster import unreferenced_is_fine
 from geomosaic.errors import PluginError
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.spread import AtOnce
@@ -188,6 +190,60 @@ def glimpses(survey: Survey, scene: Scene) -> tuple[Ownership, list[SeamPart]]:
     return nearest, [glimpsed(scene, 8, None, job) for job in jobs]
 
 
+def eights(values: np.ndarray) -> np.ndarray:
+    """Values (h, w) as an image of 8 bits shows them."""
+    return values[..., None].astype(np.float16)
+
+
+def test_wild_nodata_of_measured_values_spoils_no_seam_and_no_blend(tmp_path: Path) -> None:
+    """Two frames of fractions, each with a block of -3.4e38 where the other one shows the ground."""
+    survey, poses, cameras, ground, scene = scene_of(
+        tmp_path / "frames", lines=1, per_line=2, dtype="float32", bands=1
+    )
+    for k, frame in enumerate(survey.frames):
+        with unreferenced_is_fine(), rasterio.open(frame.path, "r+") as tiff:
+            pixels = tiff.read(1)
+            pixels[60:110, 60 + 80 * k : 100 + 80 * k] = -3.4e38
+            tiff.write(pixels, 1)
+            tiff.nodata = -3.4e38
+    nearest, found = glimpses(survey, scene)
+    owned = cut_seams(nearest, found)
+    assert all((np.abs(part.values) <= 1.0).all() for part in found)
+    frames = PosedFrames(survey, poses, cameras, [True] * 2, ground)
+    compose(frames, owned, MosaicFiles(tmp_path / "mosaic.tif"), CompositionOptions("feather"))
+    with rasterio.open(tmp_path / "mosaic.tif") as mosaic:
+        shown, valid = mosaic.read(1), mosaic.dataset_mask() > 0
+    assert np.isfinite(shown).all() and shown[valid].min() >= 0.0 and shown[valid].max() <= 1.0
+
+
+@pytest.mark.parametrize(("values", "scale"), [(np.float16, 1.0), (np.float32, 255.0 / 0.3)])
+def test_a_frame_that_glints_leaves_the_scale_of_seams_as_it_is(values: Any, scale: float) -> None:
+    """Reflectances of 0.3, and of 2 in one frame; the same numbers of 8 bits are grey levels."""
+    cells = np.ones((12, 12), dtype=bool)
+    parts = [
+        SeamPart(k, np.zeros(2), 0, 0, np.full((12, 12, 1), of, values), cells)
+        for k, of in enumerate((0.3, 0.3, 0.3, 2.0))
+    ]
+    assert to_8_bits(parts) == pytest.approx(scale, rel=1e-5)
+
+
+def test_a_strip_of_one_row_goes_to_a_frame_that_sees_it_as_finely(tmp_path: Path) -> None:
+    """Next to its northern edge the nearest frame sees nothing; one as fine does, and one three times as
+    coarse."""
+    survey, poses, ground = make_survey(tmp_path, lines=1, per_line=3)
+    cameras = [Camera("cam", 240, rows, 200.0, 120.0, rows / 2.0) for rows in (180, 300, 180)]
+    at_m = np.array([[0.0, 0.0, 50.0], [0.0, -5.0, 50.0], [0.0, 0.0, 150.0]])
+    level = np.repeat(Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0).matrix[None], 3, axis=0)
+    poses = replace(poses, positions_m=at_m, rotations=level)
+    views = frame_views(PosedFrames(survey, poses, cameras, [True] * 3, ground), CRS)
+    east_m, north_m = views[0].nadir_m
+    edge_m = north_m + 22.5 + 0.6  # of the row of cells that holds the frame's edge, in its southern half
+    grid = OutputGrid(CRS, east_m - 16.0, edge_m + 4.0, 0.25, 128, 80)
+    owned, _ = nearest_nadir(Scene(survey.work_frame, ground, grid, views), [True] * 3, 8)
+    assert owned.owner[:, 8].tolist() == [2, 2, *[1] * 8]
+    assert (owned.owner == owned.owner[:, :1]).all()
+
+
 def test_seams_go_where_frames_agree(tmp_path: Path) -> None:
     """Two frames alike in one lane of cells only, which leads next to the line halfway between them."""
     survey, *_, scene = scene_of(tmp_path, lines=1, per_line=2)
@@ -201,7 +257,7 @@ def test_seams_go_where_frames_agree(tmp_path: Path) -> None:
     for k, part in enumerate(found):
         row, col = np.mgrid[part.of_all]
         off = np.abs((col if across else row) - lane) > 1
-        parts.append(replace(part, values=np.where(off, 100.0 + 60.0 * k, 100.0)[..., None]))
+        parts.append(replace(part, values=eights(np.where(off, 100.0 + 60.0 * k, 100.0))))
     cut = cut_seams(nearest, parts)
     before, after = (seam_figures(o, parts) for o in (nearest, cut))
     assert before.difference_mean > 30.0 > 10.0 > after.difference_mean
@@ -219,7 +275,7 @@ def test_seams_keep_off_what_stands_on_the_ground(tmp_path: Path) -> None:
     parts = []
     for k, part in enumerate(found):
         assert part.standing is not None and 0.0 < part.standing.mean() < 0.1
-        parts.append(replace(part, values=np.full((*part.may.shape, 1), 100.0 + 5.0 * k)))
+        parts.append(replace(part, values=eights(np.full(part.may.shape, 100.0 + 5.0 * k))))
     cut = cut_seams(nearest, parts)
     assert (seam_figures(nearest, parts).on_objects or 0.0) > 0.05
     assert seam_figures(cut, parts).on_objects == 0.0

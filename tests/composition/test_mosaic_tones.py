@@ -149,6 +149,26 @@ def test_the_map_keeps_what_the_exposure_follows_and_loses_what_frames_differ_by
     assert np.abs(level.ravel() - mean[flat[0]]).max() < 0.01, "alike in all frames"
 
 
+def test_the_level_stays_as_at_the_edge_beyond_what_a_frame_sees_well() -> None:
+    """Sightings of the lower half alone of a frame that brightens downwards: further up, the quadratic that
+    fits them would come to anything."""
+    row, col = (a.ravel() for a in np.mgrid[9:18, :24])
+    offset = np.column_stack([col - 11.5, row - 8.5]) / 15.0
+    nodes = np.column_stack([row, col])
+    frame = np.zeros(len(row), dtype=np.intp)
+    places = ToneSightings(np.arange(len(row)), frame, offset, np.zeros((len(row), 2)), nodes)
+    tones = Tones(np.zeros((1, 1)), np.array([[[0.0, 0.4]]]), np.zeros((1, 1, 2)))
+    found = with_own_level(tones, places)
+    assert found.level_box is not None
+    np.testing.assert_allclose(found.level_box[0], [[-11.5 / 15, 0.5 / 15], [11.5 / 15, 8.5 / 15]])
+    shown = replace(found, slope=np.zeros((1, 1, 2)))
+    right, below = (np.array(of, np.float32)[:, None] for of in ([0.0] * 3, [0.5 / 15, -0.3, -0.6]))
+    at = shown.at_offsets(0, right, below)[:, 0]
+    np.testing.assert_allclose(at, at[0], atol=1e-6)
+    free = replace(shown, level_box=None).at_offsets(0, right, below)[:, 0]
+    assert at[0] == pytest.approx(free[0], abs=1e-6) and abs(free[2] - free[0]) > 0.04
+
+
 @pytest.mark.parametrize("seed", [21, 22])
 def test_reported_exposures_keep_a_long_line_of_frames_from_drifting(seed: int) -> None:
     """Exposures that double along the line, reported to 1 %; overlaps alone lose some of it."""

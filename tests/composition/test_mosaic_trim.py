@@ -20,10 +20,12 @@ from geomosaic.camera.rotation import Rotation, exp_turn
 from geomosaic.composition.compose import compose
 from geomosaic.composition.limits import Limits
 from geomosaic.composition.model import Trimmed, TrimmedPart
+from geomosaic.composition.orthos import plan_orthos
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.trim import REASONS, looked_at, slivers, whole_of
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
+from geomosaic.matching.band_registration import RigPoses
 from geomosaic.projection.footprint import sightings, survey_pixel_m
 from geomosaic.projection.ground import flat_ground
 from geomosaic.report.parts import trimmed_rows
@@ -151,6 +153,44 @@ def test_pixels_end_where_the_mosaic_does(tmp_path: Path, flown: dict[str, Any])
     assert valid.any() and not (valid & ~owned.area.mask(owned.grid, whole_of(owned.grid))).any()
     assert made.holes.number == 0
     assert made.trimmed == owned.trimmed
+
+
+def test_what_a_frame_whose_middle_looks_past_the_ground_owns_is_shown(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    """A wide lens looks at the horizon from the block's northern end; of its land it gives the nearest."""
+    wide = Camera("wide", 240, 180, 80.0, 120.0, 90.0)
+    given = turned(flown, {3: 93.0})
+    adjusted = replace(given["adjusted"], cameras=(*(CAMERA,) * 3, wide, *(CAMERA,) * 4))
+    given |= {"adjusted": adjusted}
+    owned, _ = seams(tmp_path, given)
+    mine = np.repeat(np.repeat(owned.owner == 4, owned.cell_px, axis=0), owned.cell_px, axis=1)
+    grid = owned.grid
+    mine = mine[: grid.height_px, : grid.width_px] & owned.area.mask(grid, whole_of(grid))
+    assert mine.sum() > 3000
+    frames = PosedFrames(
+        given["survey"], adjusted.poses, adjusted.cameras, owned.used.tolist(), given["ground"]
+    )
+    made = compose(frames, owned, MosaicFiles(tmp_path / "mosaic.tif"))
+    with rasterio.open(tmp_path / "mosaic.tif") as image:
+        valid = image.dataset_mask() > 0
+    assert 3 in made.frames_used
+    assert valid[mine].mean() > 0.95, "all but halves of cells at its lower edge"
+    plan = plan_orthos(frames, owned, RigPoses(), "cubic", None)
+    assert 3 in plan.frames
+    view = plan.frames[3][0].view
+    reach_m = view.bounds_m[3] - view.nadir_m[1]
+    assert reach_m < 50.0 * np.tan(np.radians(85.5)), "land up to the horizon would take all memory"
+
+
+def test_a_survey_of_which_no_frame_is_tied_and_all_look_aside_keeps_its_frames(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    given = turned(flown, dict.fromkeys(range(8), 58.0))
+    given["adjusted"] = replace(given["adjusted"], status=("placed",) * 8)
+    owned, notes = seams(tmp_path, given)
+    assert owned.used.all() and (owned.owner > 0).any()
+    assert not [w for w in notes.warnings if w["code"] in ("untied-left-out", "edges-kept")]
 
 
 def test_the_pixel_is_that_of_frames_that_look_down(flown: dict[str, Any]) -> None:

@@ -126,6 +126,26 @@ def test_invalid_pixels_from_nodata_mask_alpha_and_sidecar(tmp_path: Path) -> No
     assert np.argwhere(quarter == 0).tolist() == [[1, 2], [1, 3]]
 
 
+@pytest.mark.parametrize("how", ["nodata", "sidecar"])
+def test_wild_values_of_invalid_pixels_are_nothing(tmp_path: Path, how: str) -> None:
+    """Nor do they spoil the means of reduced pixels next to them."""
+    pixels = image(40, 30, 1).astype(np.float32) / np.float32(255.0)
+    pixels[4:7, 10:13] = np.float32(-3.4e38)
+    mask = None
+    if how == "sidecar":
+        mask = tmp_path / "a_mask.png"
+        cv2.imwrite(str(mask), (pixels[..., 0] > -1.0).astype(np.uint8))
+    nodata = {"nodata": -3.4e38} if how == "nodata" else {}
+    of = frame(write_tiff(tmp_path / "a.tif", pixels, **nodata), mask)
+    for reduction in (1, 4):
+        got, valid = read_pixels(of, reduction)
+        assert valid is not None and (valid == 0).sum() == (9, 2)[reduction > 1]
+        assert got.min() >= 0.0 and got.max() <= 1.0
+    got, valid = read_pixels(of)
+    assert valid is not None and (got[valid == 0] == 0.0).all()
+    assert np.array_equal(got[valid > 0], pixels[valid > 0])
+
+
 def test_a_mask_of_another_size_is_named(tmp_path: Path) -> None:
     jpeg = write_jpeg(tmp_path / "a.jpg", image(40, 30))
     cv2.imwrite(str(tmp_path / "A.MASK.png"), np.ones((30, 41), np.uint8))
