@@ -115,7 +115,7 @@ def compose(
         raise InputError(
             f"a feathered blend of {options.feather_m} m is {reach_px:,.0f} pixels of {grid.gsd_m} m wide, "
             f"{_MOST_FEATHER_PX:,} at most",
-            fix=f"set mosaic.compose.feather_m to {_MOST_FEATHER_PX * grid.gsd_m:.4g} at most, or to auto",
+            fix=f"give --set mosaic.compose.feather_m={_MOST_FEATHER_PX * grid.gsd_m:.4g} or less",
         )
     labels = SeamLabels(grid, TILE_PX, cut=area is not None and area.asked)
     names = [frame.name for frame in survey.frames]

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from geomosaic.arrays import Bools, Bytes, Floats32
-from geomosaic.composition.roof_views import Roof, RoofSeen
-from geomosaic.composition.views import FrameView
+from geomosaic.composition.roof_views import RoofSeen
 from geomosaic.constants import sourced, tuned
 from geomosaic.surface.refinement import NOISE_GREY
 
@@ -62,18 +61,16 @@ class RoofAgreement:
         )
 
 
-def agreement(roof: Roof, mask: Bools, seen: Sequence[RoofSeen], views: Sequence[FrameView]) -> RoofAgreement:
+def agreement(mask: Bools, seen: Sequence[RoofSeen], behind: Sequence[Bools]) -> RoofAgreement:
     """Of the steepest frame with each of the others, with the roof within a mask on its heights, and all else
-    on the ground. What the roof hides from one of both is not compared."""
+    on the ground. behind: what it hides from each frame, by `Roof.hides`, which is not compared."""
     shown = [np.where(mask, of.on_roof, of.on_ground) for of in seen]
-    clear = [
-        (of > 0) & ~roof.hides(mask, view.pose.position_m) for of, view in zip(shown, views, strict=True)
-    ]
+    clear = [(of > 0) & ~hidden for of, hidden in zip(shown, behind, strict=True)]
     ground = [of.on_ground for of in seen]
     raised = _median([_alike(shown[0], b, clear[0] & c) for b, c in zip(shown[1:], clear[1:], strict=True)])
     before = _median([_alike(ground[0], b, (ground[0] > 0) & (b > 0)) for b in ground[1:]])
     inner = cv2.erode(mask.astype(np.uint8), _INSIDE) > 0
-    hidden = roof.hides(mask, views[0].pose.position_m)
+    hidden = behind[0]
     taken = mask | hidden
     unseen = hidden & ~np.logical_or.reduce(clear[1:])
     seams = raised[(cv2.dilate(taken.astype(np.uint8), _SEAM) > 0) & ~taken & np.isfinite(raised)]

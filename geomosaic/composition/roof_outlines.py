@@ -25,24 +25,29 @@ _ROUNDS = tuned(2, "rounds", "of moved lines: one leaves lines where their neigh
 _INNER = tuned(np.ones((7, 7), np.uint8), "px", "off an outline: less takes its frayed edge for the roof")
 
 
-def refined(roof: Roof, seen: Sequence[RoofSeen], views: Sequence[FrameView]) -> Bools:
-    """The roof's mask, its outline of straight lines. Each line lies where what frames differ by on the
-    ground ceases to exceed what they differ by on the roof."""
-    mask = roof.mask
+def refined(
+    roof: Roof, seen: Sequence[RoofSeen], views: Sequence[FrameView], behind: list[Bools]
+) -> tuple[Bools, list[Bools]]:
+    """The roof's mask, its outline of straight lines, and what it hides from each frame, by `Roof.hides`.
+    Each line lies where what frames differ by on the ground ceases to exceed what they differ by on the roof.
+
+    behind: what the roof's own mask hides from each frame.
+    """
+    mask, hidden = roof.mask, behind
     for _ in range(_ROUNDS):
-        gain, found = _gain(roof, mask, seen, views), np.zeros(mask.shape, np.uint8)
+        gain, found = _gain(mask, seen, hidden), np.zeros(mask.shape, np.uint8)
         for corners in _polygons(mask):
             moved = np.round(_moved(corners, gain) * 16.0).astype(np.int32)
             cv2.fillPoly(found, [moved], (1,), shift=4)
         if 2 * np.count_nonzero(found) < np.count_nonzero(roof.mask):
-            return roof.mask
+            return roof.mask, behind
         mask = found > 0
-    return mask
+        hidden = roof.hides(mask, views)
+    return mask, hidden
 
 
-def _gain(roof: Roof, mask: Bools, seen: Sequence[RoofSeen], views: Sequence[FrameView]) -> Floats32:
+def _gain(mask: Bools, seen: Sequence[RoofSeen], hidden: Sequence[Bools]) -> Floats32:
     """By how much more frames differ from the steepest one on the ground than on the roof, in grey levels."""
-    hidden = [roof.hides(mask, view.pose.position_m) for view in views]
     on_roof, on_ground = [], []
     for other, behind in zip(seen[1:], hidden[1:], strict=True):
         both = (seen[0].on_roof > 0) & (other.on_roof > 0)

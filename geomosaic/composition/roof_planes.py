@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from geomosaic.arrays import Bools, Floats, Floats32, Ints, Ints32
 from geomosaic.constants import tuned
+from geomosaic.estimation.linear import least_squares, pseudo_inverse
 
 _MOST = tuned(6, "planes", "of a roof: two hipped roofs that meet have no more that matter")
 _OFF_NODES = tuned(0.5, "node spacings", "off a plane: less loses roofs to noise; more makes crowns roofs")
@@ -91,17 +92,20 @@ def _plane(
 ) -> Floats | None:
     """The plane (3,) that fits most of places at (n, 3); None where no sample gives one."""
     reach = _NEAR[0] + _NEAR[1] * np.sqrt(len(at))
-    best, most = None, _SAMPLE
+    col, row, samples = *at[:, :2].T.copy(), list[Ints]()
     for _ in range(_TRIALS):
-        first = at[rng.integers(len(at)), :2]
-        near = np.flatnonzero(np.hypot(*(at[:, :2] - first).T) < reach)
-        if len(near) < _SAMPLE:
-            continue
-        plane = _through(at, height, rng.choice(near, _SAMPLE, replace=False))
-        fits = int(np.count_nonzero(np.abs(at @ plane - height) < off_m))
-        if fits > most and np.hypot(*plane[:2]) <= _STEEPEST * spacing_m:
-            best, most = plane, fits
-    if best is None:
+        first = rng.integers(len(at))
+        near = np.flatnonzero((col - col[first]) ** 2 + (row - row[first]) ** 2 < reach**2)
+        if len(near) >= _SAMPLE:
+            samples.append(rng.choice(near, _SAMPLE, replace=False))
+    if not samples:
+        return None
+    some = np.array(samples)
+    planes = (pseudo_inverse(at[some]) @ height[some][..., None])[..., 0]
+    fits = np.array([np.count_nonzero(np.abs(at @ plane - height) < off_m) for plane in planes])
+    fits[np.hypot(planes[:, 0], planes[:, 1]) > _STEEPEST * spacing_m] = 0
+    best: Floats = planes[np.argmax(fits)]
+    if fits.max() <= _SAMPLE:
         return None
     for _ in range(3):
         best = _through(at, height, np.flatnonzero(np.abs(at @ best - height) < off_m))
@@ -109,7 +113,7 @@ def _plane(
 
 
 def _through(at: Floats, height: Floats, some: Ints) -> Floats:
-    return np.asarray(np.linalg.lstsq(at[some], height[some], rcond=None)[0])
+    return np.asarray(least_squares(at[some], height[some]))
 
 
 def _wide_parts(row: Ints, col: Ints, shape: tuple[int, ...], least: int) -> Bools:

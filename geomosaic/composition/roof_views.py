@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from geomosaic.arrays import Bools, Bytes, Floats, Floats32, Ints32
 from geomosaic.composition.roof_planes import roof_planes
@@ -62,10 +63,17 @@ class Roof:
         polynomial[1, 0], polynomial[2, 1] = self.pixel_m * cols / 2.0, self.pixel_m * rows / 2.0
         return GroundWindow(cols, rows, polynomial, np.array([0.0, 0.0, 1.0]), up_m)
 
-    def hides(self, mask: Bools, camera_m: Floats) -> Bools:
-        """The ground (rows, cols) that the roof, where mask is, hides from a camera: lines of sight are
-        followed pixel by pixel up to the roof's height."""
+    def hides(self, mask: Bools, views: Sequence[FrameView]) -> list[Bools]:
+        """The ground (rows, cols) that the roof, where mask is, hides from each view. Lines of sight are
+        followed pixel by pixel up to the roof's height, each time in the box that they may meet the mask
+        from."""
+        return [self._hides(mask, view.pose.position_m) for view in views]
+
+    def _hides(self, mask: Bools, camera_m: Floats) -> Bools:
         rows, cols = mask.shape
+        hidden, inside = np.zeros(mask.shape, dtype=bool), ndimage.find_objects(mask.view(np.uint8))
+        if not inside:
+            return hidden
         east = (camera_m[0] - self.west_m - self.pixel_m * np.arange(cols)).astype(np.float32)
         north = (camera_m[1] - self.south_m - self.pixel_m * np.arange(rows)).astype(np.float32)[:, None]
         away = np.maximum(np.hypot(east, north), np.float32(self.pixel_m))
@@ -73,14 +81,21 @@ class Roof:
         top = np.where(mask, self.roof_m, np.float32(-1e4))
         highest = float((self.roof_m - self.ground_m)[mask].max(initial=0.0))
         steps = min(int(highest / float(rise.min())) + 1, max(rows, cols))
-        col, row = np.meshgrid(np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32))
-        hidden = np.zeros(mask.shape, dtype=bool)
+        col, row = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
+        ahead = [(of / away)[inside[0]] for of in (north, east)]
+        ahead = [(float(of.min()), float(of.max())) for of in ahead]
         for step in range(1, steps + 1):
-            at = col + step * east / away, row + step * north / away
-            over = cv2.remap(
-                top, *at, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=(-1e4,) * 4
+            box = tuple(
+                slice(max(int(of.start - step * most) - 2, 0), max(int(of.stop - step * least) + 3, 0))
+                for of, (least, most) in zip(inside[0], ahead, strict=True)
             )
-            hidden |= over > self.ground_m + step * rise
+            far, east_of, north_of = away[box], east[box[1]], north[box[0]]
+            at = col[box[1]] + step * east_of / far, row[box[0]] + step * north_of / far
+            if far.size:
+                over = cv2.remap(
+                    top, *at, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=(-1e4,) * 4
+                )
+                hidden[box] |= over > self.ground_m[box] + step * rise[box]
         return hidden & ~mask
 
 

@@ -108,7 +108,8 @@ def _judged(
 
 def _lies(roof: Roof, seen: Sequence[RoofSeen], views: Sequence[FrameView]) -> Bools | None:
     """The part of the window where the roof lies on its heights; None where it stays on the ground."""
-    if not agreement(roof, roof.mask, seen, views).likely:
+    behind = roof.hides(roof.mask, views)
+    if not agreement(roof.mask, seen, behind).likely:
         return None
-    mask = refined(roof, seen, views)
-    return mask if agreement(roof, mask, seen, views).raised else None
+    mask, behind = refined(roof, seen, views, behind)
+    return mask if agreement(mask, seen, behind).raised else None

@@ -15,9 +15,11 @@ from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, ground_of
 from geomosaic.composition.views import FrameView
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
+from geomosaic.projection.lattice import may_be_missed
 from geomosaic.projection.warp import GroundWindow, ProjectionEquations, frame_from_map
 from geomosaic.survey.model import Frame
 
+_FINER = tuned(2.0, "times", "an oblique frame is finer in front: less loses pixels; more plans for nothing")
 _BLOCK = tuned(4, "cells", "tested as one far from an edge: larger leaves more edge; smaller is slow")
 
 
@@ -80,7 +82,7 @@ def cells_in_view(
         cols, rows = frame_from_map(ground_of(scene, window, CELL_PX), view.pose, view.camera)
         margin = margin_px(cols, rows, view.camera, mask_distance_px)
         slack = _change_within(cols, rows, CELL_PX * scene.grid.gsd_m / view.gsd_m, _WITH_DIAGONALS)
-        somewhere, everywhere = margin > -slack, margin > slack
+        somewhere, everywhere = _within(scene, view, cols, margin, slack)
     if view.hidden is not None:
         somewhere &= view.hidden.widened(-1).share(window, CELL_PX) < 1.0
         everywhere &= view.hidden.widened(1).share(window, CELL_PX) == 0.0
@@ -125,7 +127,18 @@ def _of_cells(scene: Scene, view: FrameView, blocks: GroundWindow, i: Ints, j: I
     sight.image(sight.axes(blocks, u, v, relief_m), cols, rows)
     margin = margin_px(cols, rows, view.camera, None)
     slack = _change_within(cols, rows, cell_m / view.gsd_m).max(axis=(0, 1))
-    return np.moveaxis(np.stack([margin > -slack, margin > slack]), 3, 0)
+    return np.moveaxis(np.stack(_within(scene, view, cols, margin, slack)), 3, 0)
+
+
+def _within(
+    scene: Scene, view: FrameView, cols: Floats32, margin: Floats32, slack: Floats32
+) -> tuple[Bools, Bools]:
+    """In which cells a frame may show something, and which it fills. A cell whose middle is NaN may show the
+    frame where cells are coarse."""
+    somewhere = margin > -slack
+    if may_be_missed(view.camera, _FINER * CELL_PX * scene.grid.gsd_m / view.gsd_m):
+        somewhere |= np.isnan(cols)
+    return somewhere, margin > slack
 
 
 _TO_NEXT: Final = ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:]))

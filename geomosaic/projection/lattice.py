@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from geomosaic.arrays import Bools, Floats, Floats32, Ints
 from geomosaic.camera.exterior import Pose
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import TOGETHER, tuned
+from geomosaic.constants import TOGETHER, sourced, tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid
@@ -26,6 +26,7 @@ from geomosaic.projection.warp import ProjectionEquations, bare_window
 
 STEP_PX = tuned(8, "px", "between exact nodes: 4 computes four times as many; 16 fails MOST_OFF_PX often")
 MOST_OFF_PX = tuned(0.005, "frame px", "of a bilinear cell: more shows at breaks; less computes most")
+_BEYOND = sourced(0.1, "of its farthest corner's radius", "how far a lens is known past it", "camera.lens")
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,12 @@ class WindowInFrame:
         """Values at the nodes (.., .., bands) as (h, w, bands), bilinear."""
         half, (height, width) = STEP_PX // 2, self.cols.shape
         return _spread(at_nodes)[half : half + height, half : half + width].reshape(height, width, -1)
+
+
+def may_be_missed(camera: Camera, step_px: float) -> bool:
+    """Whether an image may have pixels where places of a grid, step_px of the frame apart, are all NaN."""
+    from_middle = camera.corners_px - [camera.principal_col_px, camera.principal_row_px]
+    return step_px > _BEYOND * float(np.linalg.norm(from_middle, axis=1).max())
 
 
 class MapLattice:
@@ -131,17 +138,21 @@ def _places(length_px: int) -> _Places:
 
 
 def _to_be_exact(image: Floats32, middle: Floats32, camera: Camera) -> Bools:
-    """Cells that lie in the image, or near it, and whose middle isn't where its four nodes say."""
+    """Cells that lie in the image, or near it, and whose middle isn't where its four nodes say. Those with
+    NaN nodes count as near where the image may lie between nodes."""
     _, down, across = middle.shape
     four = np.stack([image[:, i : i + down, j : j + across] for i in (0, 1) for j in (0, 1)])
     off = np.abs(four.mean(axis=0) - middle).max(axis=0)
     with np.errstate(invalid="ignore"):
-        close = ~(off <= MOST_OFF_PX)
         low, high = np.fmin.reduce(four), np.fmax.reduce(four)
         wide = np.nan_to_num(high - low).max(axis=(1, 2), initial=0.0)
+        near = np.ones(off.shape, dtype=bool)
         for axis, size in enumerate((camera.width_px, camera.height_px)):
-            close &= (high[axis] > -wide[axis]) & (low[axis] < size + wide[axis])
-    return np.asarray(close)
+            near &= (high[axis] > -wide[axis]) & (low[axis] < size + wide[axis])
+        unknown = np.isnan(off)
+        if unknown.all() or (unknown.any() and may_be_missed(camera, float(wide.max()))):
+            near |= unknown
+        return np.asarray(near & ~(off <= MOST_OFF_PX))
 
 
 def _cells_of(pixels: Floats32) -> Floats32:

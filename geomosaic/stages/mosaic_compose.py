@@ -85,8 +85,10 @@ def mosaic_compose(
 
     rig = shares.rig or RigPoses()
     if feather_m is not None and (blends := _unfeathered(params.blend, survey, rig)):
-        text = f"the blend {blends} has no width, so mosaic.compose.feather_m changes nothing"
-        context.warn("feather-unused", "", f"{text}: leave it out, or --set mosaic.compose.blend=feather")
+        text = f"the blend {blends} has no width, so that its width in metres changes nothing"
+        context.warn(
+            "feather-unused", "", f"{text}: leave it out, or give --set mosaic.compose.blend=feather"
+        )
     keeping = None if rig.bands or not params.sources else _keeping(survey, context)
 
     def composing(frames: PosedFrames, files: MosaicFiles) -> Mosaic:

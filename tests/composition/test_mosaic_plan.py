@@ -7,19 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mosaic_scenes import CAMERA, make_survey
+import rasterio
+from mosaic_scenes import CAMERA, hills, make_survey
 
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.camera.rotation import Rotation
 from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.cells import MosaicCells
+from geomosaic.composition.compose import compose
 from geomosaic.composition.frame_part import TILE_PX, Asked, FramePart, Patch, Warping, frame_part
 from geomosaic.composition.frame_source import FrameSource
 from geomosaic.composition.grid import output_grid
 from geomosaic.composition.model import MapPixels, OutputGrid
-from geomosaic.composition.ownership import Ownership, nearest_nadir, owned_cells
+from geomosaic.composition.ownership import Ownership, by_nearest_nadir, nearest_nadir, owned_cells
 from geomosaic.composition.plan import Planned, Planning, windows
+from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.scene import CELL_PX, Scene, ground_of, margin_px
 from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.visibility import FrameOnMap, VisibleCells, cells_in_view
@@ -138,6 +141,27 @@ def test_where_no_owner_sees_the_ground_the_nearer_nadir_point_gives_it() -> Non
     ]
     assert np.array_equal(share[0] > share[1], np.broadcast_to(np.arange(64) < 30, (8, 64)))
     assert max(np.abs(s).max() for s in share) < 1e-4
+
+
+@pytest.mark.parametrize("gsd_m", [4.0, 10.0, 20.0])
+@pytest.mark.parametrize("relief", [False, True], ids=["flat", "hills"])
+def test_frames_smaller_than_a_cell_give_all_pixels_that_they_see(
+    tmp_path: Path, gsd_m: float, relief: bool
+) -> None:
+    """Frames of 60 m x 45 m on pixels like those of satellites: 15, 6 and 3 across."""
+    survey, poses, ground = make_survey(tmp_path, ground=hills() if relief else None)
+    frames = PosedFrames(survey, poses, [CAMERA] * len(poses), [True] * len(poses), ground)
+    views = frame_views(frames, survey.map_crs)
+    grid = output_grid(MapPixels(survey.map_crs, gsd_m), views, [f.name for f in survey.frames])
+    compose(frames, by_nearest_nadir(frames, grid), MosaicFiles(tmp_path / "mosaic.tif"))
+    with rasterio.open(tmp_path / "mosaic.tif") as file:
+        valid = file.dataset_mask() > 0
+    whole = Window(0, 0, grid.width_px, grid.height_px)
+    places = ground_of(Scene(survey.work_frame, ground, grid, views), whole, 1)
+    margins = [margin_px(*frame_from_map(places, poses[i], CAMERA), CAMERA, None) for i in range(len(poses))]
+    margin = np.max(margins, axis=0)
+    assert np.count_nonzero(margin > 0.1) >= 8
+    assert valid[margin > 0.1].all() and not valid[margin < -0.1].any()
 
 
 def seen_cells(ground: GroundSurface) -> tuple[VisibleCells, np.ndarray, np.ndarray]:

@@ -67,3 +67,21 @@ def test_frames_of_any_type_show_contrast(tmp_path: Path, dtype: str) -> None:
     found = shown(tmp_path / f"{dtype}.tif", pixels.astype(dtype), 0.0, 2.0 * GSD_M)
     assert found.min() >= 1.0
     assert found.std() == pytest.approx(28.0, abs=2.0)
+
+
+@pytest.mark.parametrize("towards", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_a_roof_hides_the_ground_behind_it_up_to_its_highest_line_of_sight(towards: tuple[int, int]) -> None:
+    """10 m x 10 m, 6 m high, seen from 40 m up and 45 m aside. The line over its far edge, 50 m off, ends at
+    58.82 m; those over its corners end 5.88 m aside."""
+    level_m, mask = np.zeros((160, 160), np.float32), np.zeros((160, 160), dtype=bool)
+    mask[60:100, 60:100] = True
+    roof = Roof(-19.875, -19.875, GSD_M, level_m + 6.0, level_m, mask, (0,))
+    east, north = towards
+    pose = Pose(np.array([-45.0 * east, -45.0 * north, 40.0]), Rotation.from_yaw_pitch_roll(0.0, 0.0, 0.0))
+    (hidden,) = roof.hides(mask, [FrameView(0, pose, CAMERA, np.zeros(2), np.zeros(4), GSD_M)])
+    row, col = np.argwhere(hidden).T
+    ahead_m = GSD_M * ((col - 79.5) * east + (row - 79.5) * north)
+    aside_m = GSD_M * np.abs((col - 79.5) * north + (row - 79.5) * east)
+    assert ahead_m.max() == pytest.approx(13.82, abs=GSD_M)
+    assert aside_m.max() == pytest.approx(5.88, abs=GSD_M)
+    assert len(row) * GSD_M**2 == pytest.approx(115.1, abs=5.0)

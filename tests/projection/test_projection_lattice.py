@@ -49,6 +49,25 @@ def test_the_lattice_is_as_good_as_every_pixel(ground, shakes, camera):
     assert (there == inside).mean() > 0.9995
 
 
+@pytest.mark.parametrize("gsd_m", [25.0, 200.0])
+@pytest.mark.parametrize("camera", [LENS, PLAIN], ids=["bent", "plain"])
+def test_frames_of_few_pixels_are_seen(gsd_m, camera):
+    """At 25 m frames are 17 and 35 pixels wide, at 200 m 2 and 4: most nodes are NaN, and some times all."""
+    pose, lost = Pose(np.array([12.0, -31.0, 530.0]), ROTATION), []
+    for k in range(12):
+        at_px = np.array([-11.3 - 0.4 * k, 10.4 + 0.7 * k])
+        west, north = MapProjection(CRS).map_from_geodetic(9.7, 47.2) + at_px * gsd_m
+        size = MapGrid(CRS, west, north, gsd_m, 24, 22), HOME, hills()
+        seen = MapLattice(*size).seen(pose, camera, slice(0, 22), slice(0, 24))
+        inside, there = (
+            (cols > 0.0) & (cols < camera.width_px) & (rows > 0.0) & (rows < camera.height_px)
+            for cols, rows in (frame_from_map(ground_window(*size), pose, camera), (seen.cols, seen.rows))
+        )
+        assert inside.any()
+        lost.append(int((inside != there).sum()))
+    assert lost == [0] * 12
+
+
 def test_parts_of_a_window_are_what_the_whole_is():
     west, north = MapProjection(CRS).map_from_geodetic(9.7, 47.2) + np.array([-40.0, 45.0])
     lattice = MapLattice(MapGrid(CRS, west, north, 0.25, 250, 130), HOME, hills())
