@@ -41,7 +41,9 @@ class Rpc:
         return np.asarray(image * self.scale[[1, 0]] + self.offset[[1, 0]] + 0.5)
 
     def _normal(self, ground: Floats) -> Floats:
-        return np.asarray((ground - self.offset[[3, 2, 4]]) / self.scale[[3, 2, 4]])
+        return np.asarray(
+            (_unwrapped(ground, self.offset[3]) - self.offset[[3, 2, 4]]) / self.scale[[3, 2, 4]]
+        )
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> Rpc:
@@ -91,9 +93,11 @@ def fit_rpc(ground: Floats, image: Floats) -> tuple[Rpc, float]:
     The denominators are multiplied out and reweighted (Tao and Hu 2001, PE&RS 67 (12), section 3), slightly
     regularised. Points should fill the scene and its span of heights.
     """
+    ground = _unwrapped(ground, ground[0, 0])
     low, high = ground.min(axis=0), ground.max(axis=0)
     first, last = image.min(axis=0) - 0.5, image.max(axis=0) - 0.5
     middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, [1e-6, 1e-6, 1.0])
+    middle = _unwrapped(middle, 0.0)
     offset = np.concatenate([((first + last) / 2.0)[::-1], middle[[1, 0, 2]]])
     scale = np.concatenate([((last - first) / 2.0)[::-1], half[[1, 0, 2]]])
     offset, scale = (np.array([float(f"{v:.12g}") for v in a]) for a in (offset, scale))
@@ -117,6 +121,12 @@ def _quotient(terms: Floats, value: Floats) -> tuple[Floats, Floats]:
         denominator = np.concatenate([[1.0], solved[20:]])
         weight = 1.0 / (terms @ denominator)
     return solved[:20], denominator
+
+
+def _unwrapped(ground: Floats, lon_deg: float) -> Floats:
+    """Longitude, latitude (degrees), height (..., 3), with longitudes within 180 degrees of one of them."""
+    turns = np.rint((ground[..., :1] - lon_deg) / 360.0)
+    return np.asarray(ground - 360.0 * turns * np.array([1.0, 0.0, 0.0]))
 
 
 def _terms(normal: Floats) -> Floats:

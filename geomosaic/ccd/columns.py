@@ -27,9 +27,10 @@ def column_gains(image: Floats32, valid: Bools) -> Floats32:
 
 
 def _mostly_valid(valid: Bools) -> tuple[Ints, Ints]:
-    """Columns of valid (n, w) that are valid in most lines, and the lines in which all these are. A stuck
-    column would leave no line."""
-    columns = np.flatnonzero(valid.mean(axis=0) > 0.5)
+    """Columns of valid (n, w) that are valid in most lines of the best column; lines in which all these are.
+    A stuck column would leave no line."""
+    share = valid.mean(axis=0)
+    columns = np.flatnonzero((share > 0.0) & (share > 0.5 * share.max(initial=0.0)))
     lines = np.flatnonzero(valid[:, columns].all(axis=1)) if columns.size else columns
     return lines, columns
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomosaic.arrays import Bools
 from geomosaic.ccd.model import BRIDGED, MEASURED, RELIABLE_SD_PX, UNRELIABLE, PairOffsets
 
 
@@ -20,9 +21,9 @@ class Gap:
     why: str
 
 
-def gaps(offsets: PairOffsets) -> list[Gap]:
-    """Every run of lines that were not measured, in order."""
-    ends = np.flatnonzero(np.diff(offsets.label.astype(int), prepend=-1, append=-1))
+def gaps(offsets: PairOffsets, common: Bools) -> list[Gap]:
+    """Every run of lines that were not measured, in order. common: (n,) whose ground both strips have."""
+    ends = np.flatnonzero(np.diff(2 * offsets.label.astype(int) + common, prepend=-1, append=-1))
     out = []
     for first, after in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         label = int(offsets.label[first])
@@ -30,15 +31,16 @@ def gaps(offsets: PairOffsets) -> list[Gap]:
             continue
         run = slice(first, after)
         sd_px = float(max(offsets.sd_col_px[run].max(), offsets.sd_line_px[run].max()))
-        out.append(Gap(first, after - 1, label, sd_px, _why(offsets, first, after, sd_px)))
+        why = _why(offsets, first, after, sd_px) if common[first] else "only one strip has this ground"
+        out.append(Gap(first, after - 1, label, sd_px, why))
     return out
 
 
 def _why(offsets: PairOffsets, first: int, after: int, sd_px: float) -> str:
-    lines = len(offsets.label)
-    if first == 0 and after == lines:
+    measured = np.flatnonzero(offsets.label == MEASURED)
+    if not measured.size:
         return "nothing was measured on any line"
-    at_end = first == 0 or after == lines
+    at_end = after <= measured[0] or first > measured[-1]
     source = "from the one side that was measured" if at_end else "between what was measured before and after"
     if offsets.label[first] == UNRELIABLE:
         return f"nothing seen alike in both strips for too long: may be off by {sd_px:.2g} px"

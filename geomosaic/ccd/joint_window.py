@@ -99,7 +99,8 @@ def solved_window(
 ) -> tuple[KnotOffsets, list[RowPair]]:
     """Offsets of all pairs, which have equally many lines, beyond what is known of them beforehand.
 
-    Returns also the pairs, less the pixels that turned out to be clouds.
+    Returns also the pairs, less the pixels that turned out to be clouds. Where no knot of any pair is
+    measured, as without texture, the curves are a guess and their deviations unknown.
     """
     centres = _centres(pairs, likely)
     coarse, weights = start.offset_px, start.information
@@ -136,7 +137,8 @@ def solved_window(
     own: Bools = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
-    step = widest_step(measured_px, sd_px, own, known_px, likely)
+    sure = own & (found.sd_px.max(axis=2) <= SURE_SD_PX)
+    step = widest_step(measured_px, sd_px, own, known_px, likely) if sure.any() else UNKNOWN_SD_PX
     return found.widened(step) if step else found, clear
 
 

@@ -73,9 +73,7 @@ def pair_images(pair: RowPair, scale: int) -> PairImages:
         lead, trail = halved(lead), halved(trail)
         n, w = lead.shape
         valid = np.asarray(valid[: 2 * n, : 2 * w].reshape(n, 2, w, 2).all(axis=(1, 3)))
-    gain = float(np.mean(lead[valid])) / max(float(np.mean(trail[valid])), 1e-9) if valid.any() else 1.0
-    lead, trail = (_softened(x, valid) for x in (lead, trail * np.float32(np.clip(gain, 0.5, 2.0))))
-    return PairImages(lead, trail, valid, pair.nominal_col / scale, scale)
+    return PairImages(_softened(lead, valid), _softened(trail, valid), valid, pair.nominal_col / scale, scale)
 
 
 def _softened(image: Floats32, valid: Bools) -> Floats32:

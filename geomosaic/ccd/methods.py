@@ -22,3 +22,5 @@ METHODS: Final[dict[str, Method]] = {
     "mean_offset": mean_offset,
     "virtual_line": virtual_line,
 }
+SEARCHED_WITHIN_OVERLAP: Final = frozenset({"joint", "image_registration", "mean_offset"})
+"""Whose search across is cut to what leaves columns of the overlap to compare (`volumes.within_overlap`)."""

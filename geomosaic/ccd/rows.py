@@ -23,9 +23,9 @@ class RowPair:
     """Columns of the leading and of the trailing strip; row i of both is the leading strip's line first + i.
 
     A ground point at (c, u) of lead lies in trail at (c + nominal_col + dcol, u + dline), offsets in the
-    sense "trailing minus leading". lead, trail: (n, read_px), without the columns' own response. valid: of
-    both. grey: (2, h, w) mean greys of lead's and of trail's cells. known_px: (n,) part of dline that is
-    known beforehand.
+    sense "trailing minus leading". lead, trail: (n, read_px), without the columns' own response, trail with
+    lead's contrast of fine detail. valid: of both. grey: (2, h, w) mean greys of lead's and of trail's cells.
+    known_px: (n,) part of dline that is known beforehand.
     """
 
     lead: Floats32
@@ -64,7 +64,15 @@ def row_pair(strips: Strips, pair: int, first: int, last: int, known_px: Floats)
     full = 2.0**g.bit_depth - 1.0
     valid = overlap.valid & (lead < full) & (trail < full)
     lead, trail = (even_columns(image, valid) for image in (lead, trail))
+    trail *= _gain(lead, trail, valid)
     return RowPair(lead, trail, valid, grey, -overlap.side * (g.read_px - g.overlap_px), known_px)
+
+
+def _gain(lead: Floats32, trail: Floats32, valid: Bools) -> np.float32:
+    """The ratio of the sides' median fine detail, which no dark level changes; 1 where a side has none."""
+    sizes = (np.abs(fine_detail(x, valid.astype(np.float32))[valid]) for x in (lead, trail))
+    one, other = (float(np.median(size)) if size.size else 0.0 for size in sizes)
+    return np.float32(one / other if min(one, other) > 0.0 else 1.0)
 
 
 def shared_lines(strips: Strips, pair: int) -> int:

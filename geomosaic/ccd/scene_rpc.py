@@ -110,6 +110,7 @@ def _seen(
             col, line = (np.interp(x, places.knots_px, image[0]) for image in places.image_px)
             there = (line >= 0.0) & (line <= lines)
             if there.any():
+                col, line = col[there], line[there]
                 poses = LinePoses(space.model, line.min() - 1.0, line.max() + 1.0)
                 at = np.stack([x, np.full(x.size, row + 0.5)], axis=-1)
-                yield at[there], space.ground(poses, k, col[there], line[there])
+                yield at[there], space.ground(poses, k, col, line)

@@ -98,8 +98,9 @@ class VirtualLayout:
         poses = LinePoses(self.camera, solved_at[0], solved_at[-1] + 1.0, STEP_LINES)
         ground = self.space.ground(poses, 0, knots, solved_at[:, None])
         near = solved_at + np.interp(solved_at, self.sample_lines, self.shift_lines[ccd])
-        real = LinePoses(self.space.model, near[0] - SPARE_LINES, near[-1] + SPARE_LINES)
-        image = np.nan_to_num(np.stack(real.image(ccd, ground, near[:, None])), nan=_NOWHERE_PX)
+        earliest, latest = near[0] - SPARE_LINES, near[-1] + SPARE_LINES
+        image = np.stack(LinePoses(self.space.model, earliest, latest).image(ccd, ground, near[:, None]))
+        image = np.where((image[1] >= earliest) & (image[1] <= latest), image, _NOWHERE_PX)
         at = start + np.arange(float(rows))
         return StripLookup(knots, make_interp_spline(solved_at, image, k=1, axis=1)(at))
 
@@ -107,7 +108,7 @@ class VirtualLayout:
 def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "all") -> VirtualLayout:
     """The layout of strips by their model and the ground's heights.
 
-    Raises: `InputError` if the strips have no lines in common, where those are wanted.
+    Raises: `InputError` if the strips have no lines in common, where those are wanted, or no line is found.
     """
     g, camera = geometry, ideal_camera(geometry, space.model)
     spare = 0.5 * g.row_separation_lines + 2.0 * SPARE_LINES
@@ -124,18 +125,22 @@ def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "al
         nominal = at + g.row_separation_lines * (-0.5 if ccd.row == 1 else 0.5)
         col, line = real.image(k, ground, nominal[:, None])
         shift = line - at[:, None]
-        shifts[k] = shift[:, 1]
-        inside = (at >= 0.0) & (at <= longest)
+        inside, known = (at >= 0.0) & (at <= longest), np.isfinite(line)
+        if not known[inside].any(axis=0).all():
+            raise _too_noisy(g)
+        shifts[k] = np.interp(at, at[known[:, 1]], shift[known[:, 1], 1])
         left, right = scene_cols[0] - col[inside, 0], scene_cols[-1] + width - col[inside, -1]
-        lefts.append(float(np.median(left)))
-        rights.append(float(np.median(right)))
+        lefts.append(float(np.nanmedian(left)))
+        rights.append(float(np.nanmedian(right)))
         if not g.lines[k]:
             columns.append((0, 0))
             continue
-        columns.append((max(round(left.min()), 0), min(round(right.max()), g.scene_width_px)))
-        for side in range(3):
-            starts.append(float(np.interp(0.0, line[:, side], at)))
-            stops.append(float(np.interp(g.lines[k], line[:, side], at)))
+        columns.append((max(round(np.nanmin(left)), 0), min(round(np.nanmax(right)), g.scene_width_px)))
+        if columns[-1][0] >= columns[-1][1]:
+            raise _too_noisy(g)
+        for seen, lines in zip(known.T, line.T, strict=True):
+            starts.append(float(np.interp(0.0, lines[seen], at[seen])))
+            stops.append(float(np.interp(g.lines[k], lines[seen], at[seen])))
     start, stop = (min(starts), max(stops)) if ends == "all" else (max(starts), min(stops))
     first, height = math.ceil(start - 0.5), math.floor(stop + 0.5) - math.ceil(start - 0.5)
     if height < 1:
@@ -145,3 +150,11 @@ def virtual_layout(geometry: StripGeometry, space: ObjectSpace, ends: Ends = "al
         )
     seams = tuple(0.5 * (rights[k] + lefts[k + 1]) for k in g.pairs)
     return VirtualLayout(g, space, camera, float(first), height, seams, tuple(columns), at, shifts)
+
+
+def _too_noisy(geometry: StripGeometry) -> InputError:
+    return InputError(
+        "its attitudes are too noisy: lines look back and forth over the same ground",
+        file=geometry.model,
+        fix="smooth the attitudes, or use --set mosaic.strips.space=image",
+    )

@@ -59,7 +59,7 @@ class StripSource:
         top, bottom = max(top, 0), min(bottom, self.layout.height_px)
         places = self.layout.places(self.ccd, top, bottom)
         line = places.image_px[1]
-        line = line[np.isfinite(line)]
+        line = line[(line >= 0.0) & (line <= self.strip.count)]
         lines = self.strip.between(float(line.min()), float(line.max())) if line.size else None
         return StripBlock(top, places, lines)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -35,6 +36,7 @@ from geomosaic.quality.strip_figures import (
 from geomosaic.quality.strip_resampling import resampled_onto
 
 _PATCH_PX = tuned(28, "px", "three fit an overlap of 96 px: smaller match by chance; larger leave few")
+_LEAST_PATCH_PX = tuned(12, "px", "in narrow overlaps: smaller match by chance; larger leave them unchecked")
 BLOCK_LINES: Final = PATCH_LINES
 """Of one residual."""
 _MARGIN_LINES: Final = 2 * BLOCK_LINES
@@ -100,12 +102,13 @@ class StripQuality:
 def misplacement(strips: Strips, offsets: StripOffsets, progress: Progress) -> StripQuality:
     """What the offsets leave between the strips, measured independently of how they were found.
 
-    The right strip is resampled onto the left one along the offsets; patches of 28 px are matched by
-    correlation within 14 px and then by least squares (`quality.displacement`). A block's residual is the
-    mean of its patches, if three quarters agree within half a pixel: where they don't, clouds and ground are
-    adjacent. Patches of clouds alone do agree, on the clouds' own motion. So only lines labelled measured
-    count (bridged ones, where no line of the scene is measured). A residual above 1 px must be seen by three
-    quarters of all the block's patches, not of the measurable ones alone.
+    The right strip is resampled onto the left one along the offsets. Patches of 28 px, in narrow overlaps of
+    12 px and more, are matched by correlation within 14 px and then by least squares
+    (`quality.displacement`).
+    A block's residual is the mean of its patches, if three quarters agree within half a pixel: where they
+    don't, clouds and ground are adjacent. Patches of clouds alone do agree, on the clouds' own motion. So
+    only lines labelled measured count (bridged ones, where no line of the scene is measured). A residual
+    above 1 px must be seen by three quarters of all the block's patches, not of the measurable ones alone.
     """
     pairs, errors, other_errors = [], [], []
     seen_lines = unmeasured = other = 0
@@ -226,40 +229,45 @@ def _piece(
     wide = ((0, 0), (0, nominal))
     left, left_valid = np.pad(left, wide), np.pad(overlap.valid & inside[:, None], wide)
     blocks = -(-(stop - start) // BLOCK_LINES)
-    corners = _corners(np.maximum(nominal - dcol, 0.0), g.read_px, blocks)
+    corners, patch_px = _corners(np.maximum(nominal - dcol, 0.0), g.read_px, blocks)
     if not len(corners) or not left_valid.any():
         return np.full((blocks, 2), np.nan), np.full(blocks, np.nan), np.full((blocks, 2), np.nan)
     found = measure_displacements(
         MaskedImage(shown, shown_valid),
         MaskedImage(left, left_valid),
         corners,
-        PatchMatching(_PATCH_PX, _SEARCH_PX),
+        PatchMatching(patch_px, _SEARCH_PX),
     )
     counts = inside & (pair.label[at] == label)
-    own, sd = _of_blocks(found, corners, left_valid & counts[:, None], blocks)
-    return own, sd, _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks)[0]
+    own, sd = _of_blocks(found, corners, left_valid & counts[:, None], blocks, patch_px)
+    other, _ = _of_blocks(found, corners, left_valid & (inside & ~counts)[:, None], blocks, patch_px)
+    return own, sd, other
 
 
-def _corners(begin_px: Floats, end_px: int, blocks: int) -> Ints64:
-    """First row and col of the patches: two rows of them a block, in the columns that both strips have."""
-    out = []
-    for block in range(blocks):
-        top = _MARGIN_LINES + block * BLOCK_LINES
-        begin = int(np.ceil(begin_px[top : top + BLOCK_LINES].max(initial=0.0))) + 2
-        many = (end_px - begin) // _PATCH_PX
-        spare = (end_px - begin - many * _PATCH_PX) // 2
-        half = BLOCK_LINES // 2
-        for row in (top + (half - _PATCH_PX) // 2, top + half + (half - _PATCH_PX) // 2):
-            out += [(row, begin + spare + _PATCH_PX * k) for k in range(many)]
-    return np.array(out, dtype=np.int64).reshape(-1, 2)
+def _corners(begin_px: Floats, end_px: int, blocks: int) -> tuple[Ints64, int]:
+    """First row and col of the patches, in the columns that both strips have, and the patches' side."""
+    tops = _MARGIN_LINES + np.arange(blocks) * BLOCK_LINES
+    begins = [math.ceil(begin_px[top : top + BLOCK_LINES].max(initial=0.0)) + 2 for top in tops]
+    size = _PATCH_PX
+    if end_px - min(begins, default=0) < size:
+        size = max(end_px - max(begins), _LEAST_PATCH_PX)
+    pitch, out = BLOCK_LINES // (BLOCK_LINES // size), []
+    for top, begin in zip(tops, begins, strict=True):
+        many = max((end_px - begin) // size, 0)
+        spare = (end_px - begin - many * size) // 2
+        for row in range(top + (pitch - size) // 2, top + BLOCK_LINES - size + 1, pitch):
+            out += [(row, begin + spare + size * k) for k in range(many)]
+    return np.array(out, dtype=np.int64).reshape(-1, 2), size
 
 
-def _of_blocks(found: Displacements, corners: Ints64, asked: Bools, blocks: int) -> tuple[Floats, Floats]:
+def _of_blocks(
+    found: Displacements, corners: Ints64, asked: Bools, blocks: int, size: int
+) -> tuple[Floats, Floats]:
     """Weighted means of the patches, in the lines asked for, that agree with their block's middle one."""
-    share = np.array([asked[r : r + _PATCH_PX, c : c + _PATCH_PX].mean() for r, c in corners])
+    share = np.array([asked[r : r + size, c : c + size].mean() for r, c in corners])
     home = corners[share >= VALID_SHARE]
     patches = np.bincount((home[:, 0] - _MARGIN_LINES) // BLOCK_LINES, minlength=blocks)
-    places = np.rint(found.centres_px[:, ::-1] - _PATCH_PX / 2).astype(np.int64)
+    places = np.rint(found.centres_px[:, ::-1] - size / 2).astype(np.int64)
     among = np.isin(places @ [1 << 20, 1], home @ [1 << 20, 1])
     residual, sd = np.full((blocks, 2), np.nan), np.full(blocks, np.nan)
     block = ((found.centres_px[:, 1] - _MARGIN_LINES) // BLOCK_LINES).astype(np.int64)

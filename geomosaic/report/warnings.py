@@ -26,7 +26,7 @@ _ROUTINE: Final = frozenset(
         "height-unit-assumed", "image-edited", "model-chosen", "order-by-name",
         "pos-attitude-convention", "pos-columns-ignored", "pos-crs-unused", "pos-header-assumed",
         "readout-by-model",
-        "readout-by-tag", "reference-datum-assumed", "surface-coarse", "yaw-wrong",
+        "readout-by-tag", "reference-datum-assumed", "search-narrowed", "surface-coarse", "yaw-wrong",
     )
 )  # fmt: skip
 """What was assumed or corrected by the run itself, for the record."""

@@ -8,12 +8,13 @@ import numpy as np
 
 from geomosaic.ccd.gaps import gaps
 from geomosaic.ccd.joint import far_from_nominal
-from geomosaic.ccd.methods import METHODS
+from geomosaic.ccd.methods import METHODS, SEARCHED_WITHIN_OVERLAP
 from geomosaic.ccd.model import UNRELIABLE, CcdSettings, PairOffsets, StripOffsets
+from geomosaic.ccd.volumes import within_overlap
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.quality.strip_figures import common_lines
-from geomosaic.stages.strip_input import opened_strips
+from geomosaic.stages.strip_input import better_offsets, opened_strips
 from geomosaic.survey.strips import StripGeometry
 
 _SETTINGS = CcdSettings()
@@ -54,7 +55,7 @@ class OffsetsParams(StageParams):
     ratio: float = param(_SETTINGS.ratio, help="SIFT: nearest distance to second, at most", ge=0.1, le=1.0)
 
 
-@stage("ccd.offsets", "Offsets between the strips", group="CCD strips", version=13, outputs="offsets")
+@stage("ccd.offsets", "Offsets between the strips", group="CCD strips", version=14, outputs="offsets")
 def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) -> StripOffsets:
     """Where the right strip of each pair sees what the left one sees."""
     settings = CcdSettings(**params.model_dump(exclude={"method"}))
@@ -62,6 +63,17 @@ def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) 
         pairs = METHODS[params.method](
             opened, settings, lambda done, total: context.progress(done, total, "offsets")
         )
+    used_px = settings.search_cols_px
+    if params.method in SEARCHED_WITHIN_OVERLAP:
+        used_px = within_overlap(settings, strips.overlap_px).search_cols_px
+    narrowed = f" within {used_px} columns" if used_px < settings.search_cols_px else ""
+    if narrowed:
+        text = (
+            f"overlaps of {strips.overlap_px} columns allow a search of {used_px} columns across instead of "
+            f"{settings.search_cols_px}: CCDs mounted further off nominal are not matched; correct "
+            "overlap_px in the geometry file if the strips share more"
+        )
+        context.warn("search-narrowed", "", text)
     if params.method == "virtual_line" and strips.dem is None:
         text = (
             "no DEM: heights are unknown, so offsets without matches are less accurate; give 'dem' in "
@@ -69,7 +81,7 @@ def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) 
         )
         context.warn("dem-missing", "geometry", text)
     for offsets in pairs:
-        _report(context, strips, offsets)
+        _report(context, strips, offsets, narrowed, better_offsets(strips, params.method))
     _record_gaps(context, strips, pairs)
     far = far_from_nominal(strips, pairs)
     if far is not None:
@@ -84,7 +96,11 @@ def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) 
 
 
 def _record_gaps(context: Context, geometry: StripGeometry, pairs: Sequence[PairOffsets]) -> None:
-    found = [(offsets.pair, gap) for offsets in pairs for gap in gaps(offsets)]
+    found = [
+        (offsets.pair, gap)
+        for offsets in pairs
+        for gap in gaps(offsets, common_lines(geometry, offsets.pair, offsets.dline_px))
+    ]
     names = ["" if ccd.path is None else ccd.path.name for ccd in geometry.ccds]
     context.recorder.table(
         "strips.bridged",
@@ -101,19 +117,25 @@ def _record_gaps(context: Context, geometry: StripGeometry, pairs: Sequence[Pair
     )
 
 
-def _report(context: Context, geometry: StripGeometry, offsets: PairOffsets) -> None:
+def _report(
+    context: Context, geometry: StripGeometry, offsets: PairOffsets, narrowed: str, better: str
+) -> None:
     left, right = (geometry.ccds[k].path for k in (offsets.pair, offsets.pair + 1))
     assert left is not None
     assert right is not None
     unreliable = (offsets.label == UNRELIABLE)[common_lines(geometry, offsets.pair, offsets.dline_px)]
     if not unreliable.size or unreliable.all():
-        text = f"no matches with {right.name}: joined by the nominal geometry, so the seam may be off: "
-        text += "nothing to do over clouds or water, else check the order of 'ccds' in the geometry file"
+        guessed = offsets.dcol_px.any() or offsets.dline_px.any()
+        text = (
+            f"no matches with {right.name}{narrowed}: joined by "
+            f"{'a best guess' if guessed else 'the nominal geometry'}, so the seam may be off: nothing to do "
+            "over clouds or water, else check the order of 'ccds' in the geometry file"
+        )
         context.warn("overlap-unmeasured", left.name, text)
     elif unreliable.mean() > 0.1:
         text = (
             f"few matches with {right.name} on {100 * unreliable.mean():.0f} % of the lines: the seam "
-            "may be off there; nothing to do over clouds or water, else give 'model' in the geometry file"
+            f"may be off there; nothing to do over clouds or water, else give {better}"
         )
         context.warn("offsets-unreliable", left.name, text)
     line = np.arange(0, len(offsets.label), _RECORDED_LINES)

@@ -18,7 +18,7 @@ class RadiometryParams(StageParams):
     balance: bool = param(True, help="bring the CCDs to one scale; off leaves every pixel's counts")
 
 
-@stage("ccd.radiometry", "Greys of the strips", group="CCD strips", version=4, outputs="radiometry")
+@stage("ccd.radiometry", "Greys of the strips", group="CCD strips", version=5, outputs="radiometry")
 def ccd_radiometry(
     strips: StripGeometry, offsets: StripOffsets, params: RadiometryParams, context: Context
 ) -> Radiometry:

@@ -57,7 +57,7 @@ class StripMosaicParams(StageParams):
 
 
 @stage(
-    "mosaic.strips", "Compose the scene of strips", group="Mosaic", version=6, outputs=("strip_mosaic",
+    "mosaic.strips", "Compose the scene of strips", group="Mosaic", version=7, outputs=("strip_mosaic",
     "outlines", "raster_file"), results=(RPC,), plugged=plugged_blend,
 )  # fmt: skip
 def mosaic_strips(

@@ -13,7 +13,7 @@ from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.quality.jitter import jitter_spectrum, peaks_by_bin, residual_spectrum
 from geomosaic.quality.strip_figures import scene_errors
 from geomosaic.quality.strips import StripQuality, misplacement, quality_metrics
-from geomosaic.stages.strip_input import opened_strips
+from geomosaic.stages.strip_input import better_offsets, opened_strips
 from geomosaic.survey.strips import StripGeometry
 
 
@@ -23,7 +23,7 @@ class StripsParams(StageParams):
     truth: Path | None = param(None, help="true offsets, as simulate strips writes them, to compare with")
 
 
-@stage("quality.strips", "Misplacement of the strips", group="Quality", version=6, outputs="strip_quality")
+@stage("quality.strips", "Misplacement of the strips", group="Quality", version=7, outputs="strip_quality")
 def quality_strips(
     strips: StripGeometry, offsets: StripOffsets, params: StripsParams, context: Context
 ) -> StripQuality:
@@ -43,8 +43,8 @@ def quality_strips(
     if quality.misplaced:
         worst = quality.figures.worst_segment_px
         text = (
-            f"512 lines of the scene are off by {worst:.1f} px, more than 1 px: seams show there; give "
-            "'model' or 'dem' in the geometry file"
+            f"512 lines of the scene are off by {worst:.1f} px, more than 1 px: seams show there; "
+            f"give {better_offsets(strips, offsets.method)}"
         )
         context.warn("scene-misplaced", "", text)
     return quality

@@ -19,3 +19,12 @@ def opened_strips(geometry: StripGeometry) -> Iterator[StripFiles]:
         if strips.object_space is not None and geometry.dem is not None:
             strips.relief_px = relief_px(geometry, strips.object_space)
         yield strips
+
+
+def better_offsets(geometry: StripGeometry, method: str) -> str:
+    """What to give for better offsets than a method finds."""
+    if method != "joint":
+        return "--method joint" + (" or virtual_line" if method != "virtual_line" else "")
+    if geometry.model is None or geometry.dem is None:
+        return "'model' and 'dem' in the geometry file"
+    return "--method virtual_line"

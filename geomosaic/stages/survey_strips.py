@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rasterio import Env
 
 from geomosaic.ccd.parallel import each
 from geomosaic.doors.raster import READ_CACHE_BYTES, STRIP, open_raster, reading, unreferenced_is_fine
+from geomosaic.errors import InputError
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.params import file_values
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.recording.file.thumbnail import thumbnail
 from geomosaic.survey.strip_model import model_tables
-from geomosaic.survey.strip_pixels import grey_scale
+from geomosaic.survey.strip_pixels import GreyScale, grey_scale, measured, signed_scale
 from geomosaic.survey.strips import StripGeometry, read_geometry
 
 _THUMBNAIL_LINES = 600
@@ -44,7 +46,7 @@ def _files(params: StripParams) -> dict[str, Path]:
 
 
 @stage(
-    "survey.strips", "Read the strips' geometry", group="Survey", version=2, outputs="strips", check=_check,
+    "survey.strips", "Read the strips' geometry", group="Survey", version=3, outputs="strips", check=_check,
     files=_files,
 )  # fmt: skip
 def survey_strips(params: StripParams, context: Context) -> StripGeometry:
@@ -73,13 +75,36 @@ def survey_strips(params: StripParams, context: Context) -> StripGeometry:
     context.check_cancelled()
     for path, image in zip(paths, seen, strict=True):
         context.recorder.image("/strips", path.name, thumbnail(image))
-    if seen[0].dtype != np.float32:
+    scale = _scale(geometry, dict(zip(paths, seen, strict=True)))
+    if scale is None:
         return geometry
-    scale = grey_scale(seen, geometry.nodata, geometry.bit_depth)
     line = f"{scale.offset:.6g} + {scale.scale:.6g} g"
-    context.inform(f"strips of float32 are read as greys: grey g stands for the value {line}")
+    context.inform(f"strips of {seen[0].dtype} are read as greys: grey g stands for the value {line}")
     context.metric("strips.scale", {"offset": scale.offset, "scale": scale.scale})
-    return replace(geometry, scale=scale, nodata=0.0)
+    return replace(geometry, scale=scale, nodata=0.0, bit_depth=scale.highest.bit_length())
+
+
+def _scale(geometry: StripGeometry, seen: dict[Path, NDArray[Any]]) -> GreyScale | None:
+    """By which float32 and negative values are read as greys, None where the pixels are greys.
+
+    Args: seen: a sample (rows, cols) of each strip.
+    Raises: `InputError` for values that exceed the bit depth.
+    """
+    nodata, bits = geometry.nodata, geometry.bit_depth
+    if all(sample.dtype == np.float32 for sample in seen.values()):
+        return grey_scale(list(seen.values()), nodata, bits)
+    lowest = 0
+    for path, sample in seen.items():
+        values = sample[measured(sample, nodata)].astype(int)
+        highest = int(values.max(initial=0))
+        if highest > 2**bits - 1:
+            raise InputError(
+                f"has values of {highest}, but bit_depth is {bits}, so all above {2**bits - 1} would be cut",
+                file=path,
+                fix=f"leave bit_depth out, or give nodata: {highest} if that marks missing pixels",
+            )
+        lowest = min(lowest, int(values.min(initial=0)))
+    return signed_scale(nodata, bits) if lowest < 0 else None
 
 
 def _glance(path: Path) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from typing import Final
@@ -30,7 +30,8 @@ class DemHeights:
     """Ellipsoidal heights at longitudes and latitudes: bilinear between the DEM's pixels.
 
     Unknown pixels take the nearest known one's height within their tile, a tile without any mean_m; beyond
-    the DEM its edge goes on. span_m: the lowest and the highest ground where the scene was sampled.
+    the DEM its edge goes on. fill False: mean_m for all unknown pixels. span_m: the lowest and the highest
+    ground where the scene was sampled.
     """
 
     elevation: ElevationModel
@@ -41,6 +42,7 @@ class DemHeights:
     span_m: tuple[float, float] = (0.0, 0.0)
     warnings: tuple[Warn, ...] = ()
     outliers: tuple[tuple[float, int], ...] = ()
+    fill: bool = True
     _tiles: OrderedDict[tuple[int, int], HeightRaster | None] = field(default_factory=OrderedDict)
     _lock: Lock = field(default_factory=Lock)
 
@@ -75,7 +77,7 @@ class DemHeights:
             at = left, max(top - height, south), min(left + width, east), top
             read = read_heights(self.elevation, at)
             self.outliers += read.outliers
-            raster = read.filled()
+            raster = read.filled() if self.fill else read
             self._tiles[row, col] = raster
             if len(self._tiles) > _MOST_TILES:
                 self._tiles.popitem(last=False)
@@ -120,7 +122,8 @@ def read_dem_heights(path: Path, lonlat: Floats) -> DemHeights:
         raise InputError("the DEM has no heights under the strips", file=path, fix=_FIX)
     heights.mean_m = float(sampled[known].mean())
     heights.span_m = float(sampled[known].min()), float(sampled[known].max())
-    lacking = 1.0 - known.sum() / len(lonlat)
+    unfilled = replace(heights, mean_m=np.nan, fill=False, _tiles=OrderedDict(), _lock=Lock())
+    lacking = 1.0 - np.isfinite(unfilled(*lonlat[inside].T)).sum() / len(lonlat)
     if lacking > 0.0:
         text = (
             f"{path.name}: no heights for {100.0 * lacking:.0f} % of the scene, where the nearest are used: "

@@ -1,4 +1,4 @@
-"""Pixels of strips: whole numbers as they are, calibrated ones (float32) as greys by one straight line."""
+"""Pixels of strips: whole numbers as they are, calibrated or negative ones as greys by one straight line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from geomosaic.arrays import Bools, Floats32
+from geomosaic.arrays import Bools
 from geomosaic.constants import sourced, tuned
 from geomosaic.doors.raster import STRIP, Raster, open_raster
 from geomosaic.errors import InputError
@@ -34,7 +34,7 @@ class GreyScale:
     nodata: float | None
     highest: int
 
-    def greys(self, values: Floats32) -> NDArray[np.uint16]:
+    def greys(self, values: NDArray[Any]) -> NDArray[np.uint16]:
         """Values in greys from 1 to `highest`, 0 where missing."""
         with np.errstate(invalid="ignore", over="ignore"):
             scaled = np.rint((values.astype(np.float64) - self.offset) / self.scale)
@@ -58,6 +58,11 @@ def grey_scale(samples: Sequence[NDArray[Any]], nodata: float | None, bit_depth:
     return GreyScale(float(low - margin - scale), float(scale), nodata, highest)
 
 
+def signed_scale(nodata: float | None, bit_depth: int) -> GreyScale:
+    """The scale of int16 strips with negative values: from -2^bit_depth on, a grey for each value."""
+    return GreyScale(-(2.0**bit_depth), 1.0, nodata, 2 ** (bit_depth + 1) - 1)
+
+
 def measured(values: NDArray[Any], nodata: float | None) -> Bools:
     """Which values are measurements: finite, no flags, not the file's nodata."""
     with np.errstate(invalid="ignore"):
@@ -66,7 +71,7 @@ def measured(values: NDArray[Any], nodata: float | None) -> Bools:
 
 
 class ScaledStrip:
-    """A strip of float32 that reads as greys; the part of rasterio's dataset that strips are read by."""
+    """A strip of float32 or int16 that reads as greys: the part of rasterio's dataset that is used."""
 
     dtypes = ("uint16",)
 

@@ -52,7 +52,8 @@ class StripGeometry:
 
     width_px: of every strip. lines: of each file, 0 where the CCD is missing. overlap_px: what neighbours
     share by design; read_px: what is read of each side. altitude_m: of the flight above the ground.
-    nodata None: every pixel counts. scale: by which float32 is read as greys, nodata as grey 0.
+    nodata None: every pixel counts. scale: by which float32 and negative values are read as
+    greys, nodata as grey 0.
     dem: a DEM of the ground; rpc: of the stitched scene; model: the rigorous model.
     """
 

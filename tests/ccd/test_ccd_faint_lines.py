@@ -98,6 +98,19 @@ def test_the_response_of_columns_is_read_off_faint_lines():
     assert (left / left.mean()).std() < 0.001
 
 
+def test_the_response_of_columns_is_read_where_most_lines_are_missing():
+    """A third of the lines is valid, as next to a long gap; a stuck column is in none of them."""
+    rng = np.random.default_rng(13)
+    response = 1.0 + 0.02 * rng.normal(size=100)
+    image = (400.0 + rng.normal(0.0, 3.0, (1800, 100))) * response
+    valid = np.zeros(image.shape, dtype=bool)
+    valid[600:1200] = True
+    valid[:, 60] = False
+    left = even_columns(image.astype(np.float32), valid)[600:1200].mean(axis=0)
+    left = np.delete(left, 60)
+    assert (left / left.mean()).std() < 0.001
+
+
 def test_two_equal_rises_end_the_search_for_lost_lines():
     offset = np.zeros((1, KNOTS, 2))
     slope = np.exp(-0.5 * ((np.arange(KNOTS)[:, None] - np.array([36.0, 84.0])) / 4.0) ** 2)

@@ -337,3 +337,14 @@ def test_a_block_that_stands_alone_is_no_misplacement() -> None:
     kept = np.isfinite(confirmed(residual)).all(axis=1)
     assert kept.tolist() == [True, False, False, True, True, True, False]
     np.testing.assert_array_equal(confirmed(residual)[kept], residual[kept])
+
+
+@pytest.mark.parametrize("overlap_px", [16, 24, 29])
+def test_narrow_overlaps_are_checked(overlap_px: int) -> None:
+    """No patch of 28 px fits, so an error of 2 px passed as unknown."""
+    strips, pairs = scene(overlap_px=overlap_px, read_px=overlap_px + 6, mounting_px=0.0, width_px=256)
+    quality = checked(strips, offsets_of(pairs, lambda k, t: (0.0, 2.0 * (k == 0))))
+    first, second = (np.nanmedian(p.residual_px, axis=0) for p in quality.pairs)
+    assert first == pytest.approx([0.0, -2.0], abs=0.05) and second == pytest.approx([0.0, 0.0], abs=0.05)
+    assert quality.unmeasured_lines < 0.3 * quality.lines
+    assert quality.misplaced is True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -100,15 +101,31 @@ def test_runs_of_lines_that_were_not_measured_and_why() -> None:
     label = np.array([UNRELIABLE] * 3 + [MEASURED] * 4 + [BRIDGED] * 2 + [MEASURED] + [BRIDGED] * 2, np.uint8)
     sd = np.array([9.0] * 3 + [0.1] * 4 + [0.2, 0.3] + [0.1] + [0.4, 2.0])
     zero = np.zeros(len(label))
-    first, second, third = gaps(PairOffsets(0, zero, zero, sd, zero, label))
+    everywhere = np.ones(len(label), dtype=bool)
+    first, second, third = gaps(PairOffsets(0, zero, zero, sd, zero, label), everywhere)
     assert (first.first_line, first.last_line, first.label, first.largest_sd_px) == (0, 2, UNRELIABLE, 9.0)
     assert (second.first_line, second.last_line) == (7, 8) and "no texture" in second.why
     assert third.last_line == 11 and third.why == (
         "carried over from the one side that was measured, its deviation grows to 2 px"
     )
-    (whole,) = gaps(PairOffsets(0, zero, zero, sd, zero, np.full(len(label), UNRELIABLE, np.uint8)))
+    none = PairOffsets(0, zero, zero, sd, zero, np.full(len(label), UNRELIABLE, np.uint8))
+    (whole,) = gaps(none, everywhere)
     assert whole.why == "nothing was measured on any line"
-    assert not gaps(PairOffsets(0, zero, zero, sd, zero, np.full(len(label), MEASURED, np.uint8)))
+    assert not gaps(replace(none, label=np.full(len(label), MEASURED, np.uint8)), everywhere)
+
+
+def test_lines_that_one_strip_alone_has_are_named_so() -> None:
+    """They were said to show nothing alike for too long, next to others that do."""
+    label = np.array([UNRELIABLE] * 5 + [MEASURED] * 4 + [UNRELIABLE] * 3, np.uint8)
+    zero = np.zeros(len(label))
+    found = gaps(PairOffsets(0, zero, zero, zero + 10.0, zero, label), np.arange(len(label)) >= 3)
+    assert [(gap.first_line, gap.last_line) for gap in found] == [(0, 2), (3, 4), (9, 11)]
+    assert found[0].why == "only one strip has this ground"
+    assert (
+        found[1].why
+        == found[2].why
+        == ("nothing seen alike in both strips for too long: may be off by 10 px")
+    )
 
 
 def test_a_chip_shows_the_worst_tie_points_and_lays_the_right_frame_like_the_left() -> None:
