@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from geomosaic.arrays import Floats
 from geomosaic.constants import ROUNDS, tuned
 from geomosaic.errors import InputError
+from geomosaic.geodesy.ellipsoid import longitudes_near
 
 _OFFSETS = ("LINE_OFF", "SAMP_OFF", "LAT_OFF", "LONG_OFF", "HEIGHT_OFF")
 _SCALES = ("LINE_SCALE", "SAMP_SCALE", "LAT_SCALE", "LONG_SCALE", "HEIGHT_SCALE")
@@ -125,8 +126,7 @@ def _quotient(terms: Floats, value: Floats) -> tuple[Floats, Floats]:
 
 def _unwrapped(ground: Floats, lon_deg: float) -> Floats:
     """Longitude, latitude (degrees), height (..., 3), with longitudes within 180 degrees of one of them."""
-    turns = np.rint((ground[..., :1] - lon_deg) / 360.0)
-    return np.asarray(ground - 360.0 * turns * np.array([1.0, 0.0, 0.0]))
+    return np.concatenate([longitudes_near(ground[..., :1], lon_deg), ground[..., 1:]], axis=-1)
 
 
 def _terms(normal: Floats) -> Floats:

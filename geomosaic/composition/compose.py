@@ -110,10 +110,11 @@ def compose(
     views = composed_views(frames, ownership)
     kind = common_kind([survey.frames[v.frame] for v in views])
     name = blend_of(options.blend, kind.dtype)
-    reach_px = AUTO_FEATHER_PX if options.feather_m is None else options.feather_m / grid.gsd_m
+    asked_m = options.feather_m if BLENDS[name].feathered else None
+    reach_px = AUTO_FEATHER_PX if asked_m is None else asked_m / grid.gsd_m
     if reach_px > _MOST_FEATHER_PX:
         raise InputError(
-            f"a feathered blend of {options.feather_m} m is {reach_px:,.0f} pixels of {grid.gsd_m} m wide, "
+            f"a feathered blend of {asked_m} m is {reach_px:,.0f} pixels of {grid.gsd_m} m wide, "
             f"{_MOST_FEATHER_PX:,} at most",
             fix=f"give --set mosaic.compose.feather_m={_MOST_FEATHER_PX * grid.gsd_m:.4g} or less",
         )

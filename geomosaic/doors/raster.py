@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import logging
 import stat
-import threading
-import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -25,6 +23,7 @@ from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.bindings import gdal
 from geomosaic.doors.files import check_regular
 from geomosaic.doors.references import check_sidecars, check_sources
+from geomosaic.doors.unwarned import unwarned
 from geomosaic.errors import FileError
 
 gdal.UseExceptions()
@@ -80,38 +79,9 @@ REFERENCE: Final = Purpose(
 )
 
 
-@contextmanager
-def unreferenced_is_fine() -> Iterator[None]:
+def unreferenced_is_fine() -> AbstractContextManager[None]:
     """Frames lie nowhere until they are placed."""
-    _unreferenced.begin()
-    try:
-        yield
-    finally:
-        _unreferenced.end()
-
-
-class _Unreferenced:
-    """Warnings are caught for the whole process: of all blocks that are on, in whatever threads, the first
-    catches them, and the last puts back what was there."""
-
-    def __init__(self) -> None:
-        self._lock, self._on, self._before = threading.Lock(), 0, ExitStack()
-
-    def begin(self) -> None:
-        with self._lock:
-            if not self._on:
-                self._before.enter_context(warnings.catch_warnings())
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            self._on += 1
-
-    def end(self) -> None:
-        with self._lock:
-            self._on -= 1
-            if not self._on:
-                self._before.close()
-
-
-_unreferenced = _Unreferenced()
+    return unwarned(NotGeoreferencedWarning)
 
 
 def open_raster(path: Path, purpose: Purpose) -> Raster:

@@ -19,6 +19,11 @@ ECCENTRICITY_SQ: Final = FLATTENING * (2.0 - FLATTENING)
 SECOND_ECCENTRICITY_SQ: Final = ECCENTRICITY_SQ / (1.0 - ECCENTRICITY_SQ)
 
 
+def longitudes_near(lon_deg: Floats, about_deg: float) -> Floats:
+    """Longitudes within half a turn of one, so that they do not jump at 180 degrees."""
+    return np.asarray(lon_deg - 360.0 * np.rint((lon_deg - about_deg) / 360.0))
+
+
 def meridian_radius_m(lat_rad: ArrayLike) -> Floats:
     """Radius of curvature in the meridian, M = a (1 - e²) / (1 - e² sin² B)^(3/2)."""
     w_sq = 1.0 - ECCENTRICITY_SQ * np.sin(np.asarray(lat_rad, dtype=np.float64)) ** 2

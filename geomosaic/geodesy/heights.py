@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -15,6 +14,7 @@ from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from geomosaic.arrays import Floats
 from geomosaic.constants import sourced
+from geomosaic.doors.unwarned import unwarned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.egm96 import undulation_m
 
@@ -126,8 +126,7 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
     heights = CompoundCRS(name="heights of a vertical datum", components=["EPSG:4326", vertical])
     south, north = max(float(lat_deg.min()) - 0.01, -90.0), min(float(lat_deg.max()) + 0.01, 90.0)
     near = AreaOfInterest(float(lon_deg.min()) - 0.01, south, float(lon_deg.max()) + 0.01, north)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a better grid is missing: judged below
+    with unwarned(UserWarning):  # a better grid is missing: judged below
         group = TransformerGroup(
             heights, "EPSG:4979", always_xy=True, area_of_interest=near, allow_ballpark=False
         )

@@ -14,6 +14,7 @@ from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import crs_of, required_crs
+from geomosaic.geodesy.ellipsoid import longitudes_near
 
 LOCAL_CRS = (
     'ENGCRS["local frame in units of its own",EDATUM["nowhere on Earth"],CS[Cartesian,2],'
@@ -157,7 +158,7 @@ class MapProjection:
         eastings stay."""
         if not CRS.from_user_input(_LOCAL_PLANE if is_local(self.crs) else self.crs).is_geographic:
             return x
-        return np.asarray(about + (x - about + 180.0) % 360.0 - 180.0)
+        return longitudes_near(x, about)
 
     def geodetic_from_map(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Floats:
         """Longitude and latitude in degrees, shape (..., 2)."""

@@ -29,7 +29,6 @@ IMAGE, HEIGHT = "image", "height"
 _TONE_PX = tuned(129, "px", "window in which tones are brought together: less hides changes as tones")
 _LEAST_SHARE = tuned(0.06, "of the span", "least grey difference: less finds shadows and haze")
 _LEAST_PX = tuned(6, "px", "of a change's core: fewer are specks")
-_OPENING_PX = tuned(2, "cells", "by which an opening of 3 x 3 cells looks beyond a cell: no more is used")
 _STRENGTH = tuned(4.0, "steps a deviation", "of a stored strength: fewer are coarse; more end below 64")
 
 
@@ -195,12 +194,13 @@ def height_changes(
         if common is None:
             return (), float("nan")
         found: list[ChangedArea] = []
+        opening = np.ones((3, 3), np.uint8)
         for block in windows:
-            window = grown(block, _OPENING_PX, b.height, b.width)
+            window = grown(block, len(opening) - 1, b.height, b.width)
             rise_m, z = pair.beyond(common, window)
             beyond = np.nan_to_num(np.abs(z))
             specked = (beyond > FOUR_SIGMA).astype(np.uint8)
-            far = cv2.morphologyEx(specked, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+            far = cv2.morphologyEx(specked, cv2.MORPH_OPEN, opening)
             strength = np.where(far > 0, np.minimum(np.round(_STRENGTH * beyond), 255), 0).astype(np.uint8)
             found += areas_in(StrengthBlock(strength, rise_m, window, block), 1, 0)
         changes = []

@@ -16,14 +16,13 @@ from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
 from geomosaic.arrays import Floats
-from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, tuned
+from geomosaic.constants import NORMAL_PER_MAD, ROUNDS, SLIGHT, tuned
 from geomosaic.doors.raster import OWN, Raster, open_raster, reading
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.quality.rasters import grown, within
 
 _SAMPLE = tuned(250_000, "cells", "of a sample, 20 MB: fewer are less certain; more take memory")
-_LEAST_M = tuned(1e-6, "m", "of a deviation: less divides by nothing; more hides changes")
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class SurfacePair:
         """The rise (rows, cols) in m without the common one, and the same in deviations; NaN unknown."""
         rise_m, sd_m = self._rise_and_sd(window)
         left_m = rise_m - self._design(window) @ common.plane
-        return left_m, left_m / np.maximum(sd_m, _LEAST_M) / common.scale
+        return left_m, left_m / np.maximum(sd_m, SLIGHT) / common.scale
 
     def common_rise(self, windows: Sequence[Window]) -> CommonRise | None:
         """What most cells of a thinned sample differ by; None where nothing is known. windows: all."""
@@ -72,7 +71,7 @@ class SurfacePair:
         if not np.isfinite(sd_m).any():
             return None
         plane = _plane(design, rise_m)
-        z = np.abs(rise_m - design @ plane) / np.maximum(sd_m, _LEAST_M)
+        z = np.abs(rise_m - design @ plane) / np.maximum(sd_m, SLIGHT)
         scale = max(1.0, NORMAL_PER_MAD * float(np.nanmedian(z)))
         return CommonRise(plane, scale, float(plane @ [1.0, *(-0.5 / n for n in self.shape)]))
 
@@ -117,7 +116,7 @@ def _plane(design: Floats, rise_m: Floats) -> Floats:
     found = np.array([float(np.median(rise_m)), 0.0, 0.0])
     for _ in range(ROUNDS):
         left = np.abs(rise_m - design @ found)
-        kept = left <= THREE_SIGMA * max(NORMAL_PER_MAD * float(np.median(left)), _LEAST_M)
+        kept = left <= THREE_SIGMA * max(NORMAL_PER_MAD * float(np.median(left)), SLIGHT)
         if kept.sum() < len(found):
             break
         found = least_squares(design[kept], rise_m[kept])

@@ -147,7 +147,7 @@ def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Contex
     found = None if earlier is None else adjusted_in_part(block, earlier)
     context.metric("reused.adjustment", found is not None)
     if found is None or earlier is None:
-        context.inform("adjusted whole: what changed moves all frames")
+        context.inform("all frames are adjusted anew, as in a first run")
         return METHODS[params.method](block, settings, context)
     kept = int(kept_poses(found, earlier).sum())
     context.metric("reused.poses", kept)
