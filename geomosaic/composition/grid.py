@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.arrays import Floats
+from geomosaic.composition.blends import STEP_PX
 from geomosaic.composition.limits import COARSER
 from geomosaic.composition.model import MapPixels, OutputGrid
 from geomosaic.composition.tiles import TILE_PX
@@ -22,6 +23,9 @@ _ROUNDED = tuned(0.05, "share", "off the frames' GSD, for two digits: below 0.04
 _FINER = tuned(0.5, "frame GSDs", "warns below: four times the space for nothing; more warns too often")
 SAME_CELL = tuned(1e-3, "cells", "corners of two grids may be apart: less is rounding; more misplaces")
 _LEFT_OUT_SHARE = tuned(0.1, "share", "frames dropped as too far: more drops survey; less lets a few stop it")
+LEAST_CELL_PX = tuned(8, "mosaic px", "finest cell of an owner: smaller follows leaves and takes long")
+MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
+_CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
 _STRETCHED = tuned(4.0, "grids", "growth by one frame that warns: less names line ends; more stays silent")
 
 
@@ -56,8 +60,8 @@ def output_grid(
     names: Sequence[str],
     max_gigapixels: float = MAX_GIGAPIXELS,
 ) -> OutputGrid:
-    """The smallest grid that holds every frame's bounds, its corner whole ground pixels from their origin, or
-    whole tiles from that of an earlier mosaic.
+    """The smallest grid that holds every frame's bounds, its corner whole cells of seams and whole steps of
+    blends from the pixels' origin, or whole tiles from that of an earlier mosaic.
 
     Args: names: of all the survey's frames, for the message.
     Raises: `InputError` if there is no frame, or if the mosaic would be larger than max_gigapixels or than
@@ -73,15 +77,24 @@ def output_grid(
     if not _fits(views, gsd_m, max_gigapixels):
         raise _too_large(views, names, gsd_m, max_gigapixels)
     west, south, east, north = _edges(views, gsd_m, origin_m)
+    first, top, step = 0, 0, max(cell_px_by(views, gsd_m), STEP_PX)
     if pixels.earlier is not None:
-        first, top = pixels.earlier.west_m - origin_m[0], pixels.earlier.north_m - origin_m[1]
-        first, top = round(first / gsd_m), round(top / gsd_m)
-        west = first + (west - first) // TILE_PX * TILE_PX
-        north = top + -((top - north) // TILE_PX) * TILE_PX
+        first = round((pixels.earlier.west_m - origin_m[0]) / gsd_m)
+        top, step = round((pixels.earlier.north_m - origin_m[1]) / gsd_m), TILE_PX
+    west, north = first + (west - first) // step * step, top + -((top - north) // step) * step
     west_m, north_m = origin_m[0] + west * gsd_m, origin_m[1] + north * gsd_m
     return OutputGrid(
         pixels.crs, west_m, north_m, gsd_m, max(int(east - west), 1), max(int(north - south), 1)
     )
+
+
+def cell_px_by(views: Sequence[FrameView], gsd_m: float) -> int:
+    """The side of a mosaic's cells, a power of two, by how many ground pixels most frames are long."""
+    across_px = [v.gsd_m / gsd_m * max(v.camera.width_px, v.camera.height_px) for v in views]
+    longest_px, side = float(np.median(across_px)) if across_px else 0.0, LEAST_CELL_PX
+    while side < MOST_CELL_PX and longest_px >= 2 * side * _CELLS_ACROSS:
+        side *= 2
+    return side
 
 
 def coarser(grid: OutputGrid, longest_px: int) -> OutputGrid:

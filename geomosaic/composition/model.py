@@ -23,8 +23,9 @@ class MapPixels:
 class OutputGrid(MapGrid):
     """The raster that a mosaic or another product of the run is written to.
 
-    The corner lies at whole multiples of the ground pixel, so that mosaics of one CRS and ground pixel share
-    their pixels. If the grid is aligned to a raster, the corner lies whole ground pixels from that raster's.
+    The corner lies at whole multiples of 16 ground pixels or more, so that mosaics of one CRS and
+    ground pixel share their pixels and the cells of their seams. Aligned to a raster, it lies
+    so many of its pixels from that raster's.
     """
 
 

@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 
 from geomosaic.arrays import Bools, Bytes, Floats32
+from geomosaic.composition.grid import LEAST_CELL_PX
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.model import OutputGrid
-from geomosaic.composition.scene import CELL_PX, LEAST_CELL_PX, Scene, bounds_window, ground_of, margin_px
+from geomosaic.composition.scene import CELL_PX, Scene, bounds_window, ground_of, margin_px
 from geomosaic.composition.views import FrameView
 from geomosaic.constants import tuned
 from geomosaic.projection.horizon import hidden_m

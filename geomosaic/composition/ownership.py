@@ -13,11 +13,11 @@ from geomosaic.arrays import Bools, Floats32, Ints32
 from geomosaic.composition.area import Area
 from geomosaic.composition.blends import HALO_PX
 from geomosaic.composition.frame_cells import AS_FINE, FrameCells, frame_cells
+from geomosaic.composition.grid import MOST_CELL_PX, cell_px_by
 from geomosaic.composition.hidden import Hidden
 from geomosaic.composition.model import OutputGrid, Trimmed
 from geomosaic.composition.scene import (
     CELL_PX,
-    LEAST_CELL_PX,
     Scene,
     bounds_window,
     distances_m,
@@ -26,8 +26,6 @@ from geomosaic.composition.views import FrameView, PosedFrames, frame_views
 from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 
-_MOST_CELL_PX = tuned(512, "mosaic px", "coarsest cell: larger cannot follow a road")
-_CELLS_ACROSS = tuned(250, "cells", "along a frame: fewer cut objects; more take over 10 % of the time")
 _MOST_CELLS = tuned(16_000_000, "cells", "64 MB of owners: more take memory; fewer coarsen large mosaics")
 
 
@@ -73,13 +71,9 @@ class Ownership:
 
 
 def cell_px_of(scene: Scene) -> int:
-    """The side of a mosaic's cells: a power of two."""
-    grid = scene.grid
-    across_px = [v.gsd_m / grid.gsd_m * max(v.camera.width_px, v.camera.height_px) for v in scene.views]
-    longest_px, side = float(np.median(across_px)) if across_px else 0.0, LEAST_CELL_PX
-    while side < _MOST_CELL_PX and (
-        longest_px >= 2 * side * _CELLS_ACROSS or grid.width_px * grid.height_px > _MOST_CELLS * side**2
-    ):
+    """The side of a mosaic's cells: a power of two, as `cell_px_by` or coarser in a large mosaic."""
+    grid, side = scene.grid, cell_px_by(scene.views, scene.grid.gsd_m)
+    while side < MOST_CELL_PX and grid.width_px * grid.height_px > _MOST_CELLS * side**2:
         side *= 2
     return side
 

@@ -25,7 +25,6 @@ from geomosaic.projection.warp import GroundWindow, ground_window
 
 CELL_PX: Final = STEP_PX
 """Of the mosaic: by cells of this side it is planned which frames can matter where."""
-LEAST_CELL_PX = tuned(8, "mosaic px", "finest cell of an owner: smaller follows leaves and takes long")
 _LATTICES = tuned(256, "windows", "kept, 40 kB each: fewer are made again for the next line; more take room")
 
 

@@ -65,7 +65,7 @@ def test_the_mosaic_is_the_ground(tmp_path, relief):
     survey, poses, ground = make_survey(tmp_path / "frames", ground=hills() if relief else None)
     mosaic, pixels, valid = composed(tmp_path, survey, poses, ground)
     error = (pixels - truth_on(mosaic.grid))[valid]
-    assert 0.85 < valid.mean() < 0.95
+    assert 0.8 < valid.mean() < 0.95
     assert abs(error.mean()) < 0.02, "no bias from rounding or a half pixel"
     assert error.std() < 0.5, "little above the 0.41 of two roundings"
     assert np.abs(error).max() < 6.0
@@ -329,17 +329,22 @@ def test_a_ground_pixel_far_from_the_frames_own_is_reported() -> None:
     assert far_from_own(0.051, 0.1) == far_from_own(0.39, 0.1) == ""
 
 
-def test_the_grid_holds_whole_multiples_of_the_ground_pixel(tmp_path):
+def test_grids_begin_at_whole_cells(tmp_path):
+    """16 ground pixels, the step of blends, or a cell of seams where that is larger: 32 for frames of 9600
+    pixels. So grids of more or fewer frames have their cells at the same places."""
     survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=1)
     views = frame_views(PosedFrames(survey, poses, [CAMERA], [True], ground), CRS)
-    grid = output_grid(MapPixels(CRS, 0.2), views, ["a"])
-    assert (grid.west_m / 0.2) == pytest.approx(round(grid.west_m / 0.2), abs=1e-6)
-    assert (grid.north_m / 0.2) == pytest.approx(round(grid.north_m / 0.2), abs=1e-6)
     west, south, east, north = views[0].bounds_m
-    assert 0.0 <= west - grid.west_m < 0.2
-    assert 0.0 <= grid.north_m - north < 0.2
-    assert 0.0 <= grid.east_m - east < 0.2
-    assert 0.0 <= south - grid.south_m < 0.2
+    large = [replace(views[0], camera=replace(CAMERA, width_px=9600))]
+    gsd_m = 0.2
+    for seen, step_m in ((views, 3.2), (large, 6.4)):
+        grid = output_grid(MapPixels(CRS, gsd_m), seen, ["a"])
+        assert grid.west_m / step_m == pytest.approx(round(grid.west_m / step_m), abs=1e-6)
+        assert grid.north_m / step_m == pytest.approx(round(grid.north_m / step_m), abs=1e-6)
+        assert 0.0 <= west - grid.west_m < step_m
+        assert 0.0 <= grid.north_m - north < step_m
+        assert 0.0 <= grid.east_m - east < gsd_m
+        assert 0.0 <= south - grid.south_m < gsd_m
 
 
 @pytest.mark.proof
