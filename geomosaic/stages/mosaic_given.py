@@ -26,7 +26,7 @@ class GivenParams(StageParams):
 
 
 @stage(
-    "mosaic.given", "Compose by positions alone", group="Mosaic", version=3, outputs="given", concurrent=True,
+    "mosaic.given", "Compose by positions alone", group="Mosaic", version=4, outputs="given", concurrent=True,
     wants_frames=True,
 )  # fmt: skip
 def mosaic_given(
