@@ -209,7 +209,7 @@ def plan(out: Path) -> dict[str, Any]:
     if taken.failed:
         raise SystemExit(f"the planning: {taken.failed}; see {out / 'plan.log'}")
     planned: dict[str, Any] = json.loads(taken.said)
-    return {**planned, "peak_mb": taken.peak_mb}
+    return planned
 
 
 def main() -> int:

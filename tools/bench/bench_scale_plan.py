@@ -1,16 +1,18 @@
-"""Planning a composition of 50,000 windows, apart from all pixels: who owns what, who sees what, the steps.
+"""Planning a survey of 50,000 windows, apart from all pixels: candidate pairs, who owns and who sees what.
 
     python -m tools.bench.bench_scale_plan [--windows 50000]
 
 Frames are nadir ones of 4000 x 3000 px at their own ground pixel over flat land, with 70 % forward and 50 %
-side overlap. There are as many as the mosaic has room for (some 7,000), at their true poses. Prints JSON:
-frames, windows, steps with more than one frame, seconds of processor of each part.
+side overlap. There are as many as the mosaic has room for (some 7,000), at their true poses; pairs are of
+frames that may be 5 m off. Prints JSON: frames, pairs, windows, steps with more than one frame, seconds of
+processor of each part, peak memory.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
 import time
 from typing import Any
 
@@ -30,13 +32,25 @@ from geomosaic.composition.tiles import TILE_PX
 from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.composition.visibility import cells_in_view
 from geomosaic.geodesy.local import LocalFrame
+from geomosaic.placement.graph import overlapping_pairs
+from geomosaic.projection.footprint import footprint
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.survey.model import Survey
+from tools.bench.result_rows import RowKind, add_options, write_rows
+from tools.docs.results_page import FAST
 
 GSD_M, HEIGHT_M, CRS = 0.025, 100.0, "EPSG:32632"
 WIDE_PX, HIGH_PX = 4000, 3000
 STEP_M = 0.5 * WIDE_PX * GSD_M, 0.3 * HIGH_PX * GSD_M
 REACH_PX = 32.0
+MISPLACED_M, NEIGHBOURS = 5.0, 12
+ROW = RowKind(
+    FAST,
+    "{windows:,} windows over {frames:,} frames planned, with {pairs:,} candidate pairs",
+    "",
+    "{took_s:.1f} s, {peak_gb:.2f} GB",
+    measured=("pairs",),
+)
 
 
 def scene_of(number_of_windows: int) -> tuple[Scene, tuple[bool, ...]]:
@@ -78,6 +92,9 @@ def planned(number_of_windows: int) -> dict[str, Any]:
     at = time.process_time()
     scene, used = scene_of(number_of_windows)
     at = took("frames on the map", at)
+    outlines = [footprint(view.pose, view.camera, scene.ground) for view in scene.views]
+    pairs = overlapping_pairs(outlines, MISPLACED_M, NEIGHBOURS)
+    at = took("candidate pairs", at)
     ownership, _ = nearest_nadir(scene, used, cell_px_of(scene))
     at = took("who owns what", at)
     halo_px = BLENDS["multi_band"].halo_px(REACH_PX)
@@ -94,9 +111,11 @@ def planned(number_of_windows: int) -> dict[str, Any]:
     took("steps and cells asked of frames", at)
     return {
         "frames": len(scene.views),
+        "pairs": len(pairs),
         "windows": len(order),
         "steps_of_several": sum(len(step.parts) > 1 for step in steps),
         "seconds": clock,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
 
 
@@ -104,7 +123,12 @@ def main() -> None:
     """Prints what planning took."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--windows", type=int, default=50_000)
-    print(json.dumps(planned(ask.parse_args().windows)))
+    add_options(ask)
+    asked = ask.parse_args()
+    found = planned(asked.windows)
+    print(json.dumps(found))
+    took_s, peak_gb = sum(found["seconds"].values()), found["peak_mb"] / 1e3
+    write_rows(asked, [ROW.row(None, took_s=took_s, peak_gb=peak_gb, **found)])
 
 
 if __name__ == "__main__":
