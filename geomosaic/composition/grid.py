@@ -60,8 +60,8 @@ def output_grid(
     names: Sequence[str],
     max_gigapixels: float = MAX_GIGAPIXELS,
 ) -> OutputGrid:
-    """The smallest grid that holds every frame's bounds, its corner whole cells of seams and whole steps of
-    blends from the pixels' origin, or whole tiles from that of an earlier mosaic.
+    """The smallest grid that holds every frame's bounds. Its corner lies whole cells of seams and whole steps
+    of blends from the pixels' origin, or whole tiles from that of an earlier mosaic.
 
     Args: names: of all the survey's frames, for the message.
     Raises: `InputError` if there is no frame, or if the mosaic would be larger than max_gigapixels or than

@@ -23,6 +23,7 @@ from geomosaic.adjustment.procedure.control_points import placed_by_control, wit
 from geomosaic.adjustment.procedure.fallback import with_fallbacks
 from geomosaic.adjustment.procedure.first_solution import begun
 from geomosaic.adjustment.procedure.lens_start import with_lens_starts
+from geomosaic.adjustment.procedure.levelling import levelled_block
 from geomosaic.adjustment.procedure.model_selection import (
     GOOD_PX,
     chosen_model,
@@ -115,6 +116,19 @@ def again(
 def _task(work: BlockState) -> BlockTask:
     """Its block by few tie points, whose flights are off as found before."""
     return BlockTask(work.block, work.settings, work.few, work.rough, flights_sd_m(work.found.problem))
+
+
+def _ground_levelled(work: BlockState) -> BlockState:
+    """Of cameras that look ahead, while nothing says where down is: solved again over level ground."""
+    found = levelled_block(work.block, work.found)
+    if found is None:
+        return work
+    text = f"nothing says where down is, and the cameras look {found.ahead_deg:.0f}° ahead of the ground's "
+    text += (
+        "perpendicular: the ground is taken for level; if it slopes, give attitudes or positions with --pos"
+    )
+    work = replace(work, block=found.block, notes=(*work.notes, Warn("ground-levelled", "", text)))
+    return work.then(block_solution(_task(work), found.poses))
 
 
 def _wrong_ones_resected(work: BlockState) -> BlockState:
@@ -243,6 +257,7 @@ def _accuracy_stated(work: BlockState) -> BlockState:
 
 
 PROCEDURE: dict[str, Callable[[BlockState], BlockState]] = {
+    "level ground": _ground_levelled,
     "wrong frames resected": _wrong_ones_resected,
     "heights": _heights_freed,
     "order of reading": _read_in_order,
