@@ -28,8 +28,8 @@ _AHEAD = tuned(
 
 @dataclass(frozen=True)
 class LevelledBlock:
-    """A block whose cameras are taken to look at level ground as they do on the whole, poses (solved ones
-    turned as one) to begin with, and by how much the cameras look ahead."""
+    """A block whose cameras are taken to look at level ground as they do on the whole. poses: the solved ones
+    turned as one, to begin with. ahead_deg: by how much the cameras look ahead."""
 
     block: Block
     poses: Poses
