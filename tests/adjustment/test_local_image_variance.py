@@ -43,6 +43,20 @@ def test_crowns_in_the_wind_are_distinguished_from_still_ground() -> None:
     assert (sure == ~crowns).mean() > 0.9
 
 
+def test_blunders_flung_to_one_place_are_no_noise_of_it() -> None:
+    """Forty points a thousand kilometres off, with residuals of ten million pixels: the place is no land whose
+    observations are good to that."""
+    rng = np.random.default_rng(7)
+    points_m, views = rng.uniform(0.0, 100.0, (2000, 3)), np.full(2000, 3)
+    points_m[:40] += 1e6
+    tracks, length = residuals(views, np.full(2000, 0.3), 8)
+    length[:120] = 1e7
+    found = local_factors(tracks, points_m, length, np.ones(len(length), bool))
+    assert found[:40].max() < 60.0
+    assert (length[:120] / found[tracks.point[:120]]).min() > 1e5, "blunders by their deviations"
+    assert np.abs(np.log(found[40:])).max() < 0.8
+
+
 def test_what_is_unknown_counts_as_ever() -> None:
     """Points that nobody sees, or that have no say; and blocks too small to tell places apart."""
     rng = np.random.default_rng(5)

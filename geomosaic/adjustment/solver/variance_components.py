@@ -28,6 +28,9 @@ from geomosaic.matching.tracks import Tracks
 _NEIGHBOURS = tuned(8, "points", "fewer: chance; more: they reach beyond a crown")
 _FEWEST = tuned(100, "points", "of a block; fewer: places cannot be distinguished")
 EXACT_PX = tuned(1e-4, "px", "of a point's residuals, so that exact ones have a logarithm")
+_NOISE = tuned(
+    30.0, "median residuals", "of what moves; less: crowns in a storm; more: blunders far off weigh"
+)
 _TIMES = tuned((0.5, 4.0), "times its own change", "beyond: chance where unknowns are still on their way")
 
 
@@ -37,13 +40,15 @@ def local_factors(tracks: Tracks, points_m: Floats, length_px: Floats, counts: B
     The logarithm of each point's variance is averaged over neighbours, weighted by its redundancy. (Bartlett
     and Kendall 1946, The statistical analysis of variance-heterogeneity and the logarithmic transformation.)
     It is shrunk to the median by how much more it scatters than chance explains (Efron and Morris 1975, Data
-    analysis using Stein's estimator, section 2). Args: points_m (p, 3); length_px, counts (m,): of each
+    analysis using Stein's estimator, section 2). Points that errors fling to one place are no noise of it: no
+    residual counts as more than 30 usual ones. Args: points_m (p, 3); length_px, counts (m,): of each
     observation, its residual and whether it counts.
     """
     out = np.ones(len(points_m))
     use = counts & np.isfinite(length_px)
     views = np.bincount(tracks.point[use], minlength=len(out))
-    squares = np.bincount(tracks.point[use], length_px[use] ** 2, minlength=len(out))
+    most_px = _NOISE * max(float(np.median(length_px[use])), EXACT_PX) if use.any() else 0.0
+    squares = np.bincount(tracks.point[use], np.minimum(length_px[use], most_px) ** 2, minlength=len(out))
     known = np.flatnonzero(views >= 2)
     if len(known) < _FEWEST:
         return out
