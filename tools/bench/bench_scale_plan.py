@@ -48,7 +48,7 @@ ROW = RowKind(
     FAST,
     "{windows:,} windows over {frames:,} frames planned, with {pairs:,} candidate pairs",
     "",
-    "{took_s:.1f} s, {peak_gb:.2f} GB",
+    "{took_s:.0f} s of the processors, {peak_gb:.2f} GB",
     measured=("pairs",),
 )
 
