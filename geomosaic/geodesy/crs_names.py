@@ -15,16 +15,19 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from pyproj import CRS, datadir
+from pyproj import CRS, Transformer, datadir
 from pyproj.crs import CompoundCRS
 from pyproj.database import query_crs_info
 from pyproj.enums import PJType
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 
-_EPSG: Final = re.compile(r"EPSG[\s:_]*(\d{3,7})(?:\s*\+\s*(?:EPSG[\s:_]*)?(\d{3,7}))?(?!\d)", re.IGNORECASE)
+_EPSG: Final = re.compile(r"EPSG[\s:_]*(\d{3,7})(?!\d)", re.IGNORECASE)
+_HEIGHTS: Final = re.compile(r"\s*\)?\s*(?:\([^()]*\)\s*)?(?:\+|,\s*crs:)\s*(.*)", re.IGNORECASE)
+"""What follows a code where heights are named too."""
+_VERTICAL: Final = re.compile(r"(?:EPSG[\s:_]*|^)(\d{3,7})(?!\d)", re.IGNORECASE)
 _WKT: Final = re.compile(
     r"(PROJ(CS|CRS|ECTEDCRS)|GEOG(CS|CRS|RAPHICCRS)|GEOD(CRS|ETICCRS)|COMP(D_CS|OUNDCRS)|BOUNDCRS)\s*[\[(]",
     re.IGNORECASE,
@@ -107,7 +110,7 @@ def stated_crs(text: str) -> StatedCrs | None:
     if groups := _named(text):
         return StatedCrs(text, groups, by_name=True)
     horizontal, plus, vertical = (part.strip() for part in text.rpartition("+"))
-    if plus and (height := _vertical(vertical)) and (over := stated_crs(horizontal)):
+    if plus and (height := _heights(vertical)) and (over := stated_crs(horizontal)):
         return StatedCrs(text, over.groups, height, by_name=True)
     return None
 
@@ -122,8 +125,15 @@ def coded_crs(text: str) -> StatedCrs | None:
     text = text.strip()
     code = text
     if not is_wkt(text):
-        if epsg := _EPSG.search(text):
-            code = f"EPSG:{epsg[1]}+{epsg[2]}" if epsg[2] else f"EPSG:{epsg[1]}"
+        epsg = _EPSG.search(text)
+        if epsg and not text[: epsg.start()].rstrip().endswith("+"):
+            code = f"EPSG:{epsg[1]}"
+            if not text.startswith("+") and (named := _HEIGHTS.match(text, epsg.end())):
+                if (height := _heights(named[1])) is None:
+                    raise InputError(
+                        f"{shown(named[1])} in {shown(text)} is no vertical datum that PROJ knows"
+                    )
+                code += f"+{height.removeprefix('EPSG:')}"
         elif re.fullmatch(r"\d{4,6}", text):
             code = f"EPSG:{text}"
         elif not re.match(r"\+proj=\w|(ESRI|IGNF|OGC):\w+$", text, re.IGNORECASE):
@@ -134,7 +144,18 @@ def coded_crs(text: str) -> StatedCrs | None:
         raise InputError(f"{shown(text)} is no coordinate reference system that PROJ knows") from error
     if not (crs.is_geographic or crs.is_projected):
         raise InputError(f"{label(crs)} is a {crs.type_name}, neither geographic nor a map projection")
-    return StatedCrs(text, ((code,),))
+    return StatedCrs(text, (((_code_of_unreachable(crs) if is_wkt(text) else None) or code,),))
+
+
+def _code_of_unreachable(crs: CRS) -> str | None:
+    """The code that a system states of itself, where PROJ knows no way into it as it is written: Metashape
+    misspells a parameter of oblique Mercator projections. None elsewhere."""
+    try:
+        Transformer.from_crs("EPSG:4979", crs)
+    except ProjError:
+        stated = ((crs.source_crs if crs.is_bound else None) or crs).to_json_dict().get("id")
+        return f"{stated['authority']}:{stated['code']}" if stated else None
+    return None
 
 
 def required_crs(text: str, fix: str) -> StatedCrs:
@@ -194,8 +215,10 @@ def _utm(datum: str, zone: int, letter: str) -> tuple[tuple[str, ...], ...]:
     return tuple((code,) for code in likeliest)
 
 
-def _vertical(text: str) -> str | None:
-    """The code of a vertical CRS by its name, with or without `height`."""
+def _heights(text: str) -> str | None:
+    """The code of a vertical CRS by its code, or by its name with or without `height`."""
+    if code := _VERTICAL.search(text):
+        return f"EPSG:{code[1]}"
     known = _verticals()
     return known.get(_plain(text)) or known.get(_plain(f"{text} height"))
 

@@ -24,6 +24,12 @@ def longitudes_near(lon_deg: Floats, about_deg: float) -> Floats:
     return np.asarray(lon_deg - 360.0 * np.rint((lon_deg - about_deg) / 360.0))
 
 
+def middle_of(lonlat: Floats) -> tuple[float, float]:
+    """Median longitude and latitude of places (n, 2), also where these lie on both sides of 180 degrees."""
+    lon = float(np.median(longitudes_near(lonlat[:, 0], lonlat[0, 0])))
+    return (lon + 180.0) % 360.0 - 180.0, float(np.median(lonlat[:, 1]))
+
+
 def meridian_radius_m(lat_rad: ArrayLike) -> Floats:
     """Radius of curvature in the meridian, M = a (1 - e²) / (1 - e² sin² B)^(3/2)."""
     w_sq = 1.0 - ECCENTRICITY_SQ * np.sin(np.asarray(lat_rad, dtype=np.float64)) ** 2

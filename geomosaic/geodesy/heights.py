@@ -17,6 +17,7 @@ from geomosaic.constants import sourced
 from geomosaic.doors.unwarned import unwarned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.egm96 import undulation_m
+from geomosaic.geodesy.ellipsoid import longitudes_near
 
 ELLIPSOIDAL: Final = "ellipsoidal"
 LENGTHS_M = sourced(
@@ -124,8 +125,7 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
     if not vertical.is_vertical or "ellips" in vertical.name.lower():
         return np.zeros(lon_deg.shape)
     heights = CompoundCRS(name="heights of a vertical datum", components=["EPSG:4326", vertical])
-    south, north = max(float(lat_deg.min()) - 0.01, -90.0), min(float(lat_deg.max()) + 0.01, 90.0)
-    near = AreaOfInterest(float(lon_deg.min()) - 0.01, south, float(lon_deg.max()) + 0.01, north)
+    near = area_about(lon_deg, lat_deg)
     with unwarned(UserWarning):  # a better grid is missing: judged below
         group = TransformerGroup(
             heights, "EPSG:4979", always_xy=True, area_of_interest=near, allow_ballpark=False
@@ -136,10 +136,19 @@ def ellipsoidal_offsets_m(vertical: CRS, lon_deg: Floats, lat_deg: Floats) -> Fl
             return height
     if vertical.to_epsg() == GEOIDS["EGM96"]:
         return undulation_m(lon_deg, lat_deg)
-    raise InputError(
-        f"the geoid model for '{vertical.name}' is not installed",
-        fix=_installing(missing_grids(group.unavailable_operations)),
-    )
+    grids = missing_grids(group.unavailable_operations)
+    if group.transformers and not grids:
+        problem = f"the geoid model for '{vertical.name}' does not reach all of the places"
+        raise InputError(problem, fix="take those far from the survey out")
+    raise InputError(f"the geoid model for '{vertical.name}' is not installed", fix=installing(grids, "it"))
+
+
+def area_about(lon_deg: Floats, lat_deg: Floats) -> AreaOfInterest:
+    """Where PROJ is to choose its operation for places; west is above east where they cross 180 degrees."""
+    lon = longitudes_near(lon_deg, float(lon_deg.flat[0]))
+    west, east = ((x + 180.0) % 360.0 - 180.0 for x in (float(lon.min()) - 0.01, float(lon.max()) + 0.01))
+    south, north = max(float(lat_deg.min()) - 0.01, -90.0), min(float(lat_deg.max()) + 0.01, 90.0)
+    return AreaOfInterest(west, south, east, north)
 
 
 def missing_grids(operations: Sequence[Any]) -> list[Any]:
@@ -154,8 +163,10 @@ def missing_grids(operations: Sequence[Any]) -> list[Any]:
     return min(zip(lacking, operations, strict=True), key=rank, default=([], None))[0]
 
 
-def _installing(grids: Sequence[Any]) -> str:
+def installing(grids: Sequence[Any], what: str) -> str:
+    """How PROJ's grids are installed; what: they are called."""
     if grids and all(grid.url for grid in grids):
-        return "install it: " + " && ".join(f"geomosaic geoid fetch {grid.short_name}" for grid in grids)
+        fetches = (f"geomosaic geoid fetch {grid.short_name}" for grid in grids)
+        return f"install {what}: {' && '.join(fetches)}"
     names = ", ".join(grid.short_name for grid in grids) or "its grid"
     return f"copy {names} into PROJ's data folder, which geomosaic doctor names"

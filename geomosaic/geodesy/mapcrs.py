@@ -14,7 +14,7 @@ from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import crs_of, required_crs
-from geomosaic.geodesy.ellipsoid import longitudes_near
+from geomosaic.geodesy.ellipsoid import longitudes_near, middle_of
 
 LOCAL_CRS = (
     'ENGCRS["local frame in units of its own",EDATUM["nowhere on Earth"],CS[Cartesian,2],'
@@ -23,6 +23,7 @@ LOCAL_CRS = (
 """Of a mosaic that nothing puts on the Earth. Programs that need a unit read it as metres."""
 _GIVE_CODE = "give the EPSG code of a map projection with --crs, such as EPSG:n"
 _SAME_M = tuned(0.01, "m", "by which versions of one system may differ; more would take a datum for another")
+_AROUND_DEG = tuned(0.2, "deg", "about the frames: less leaves tears in their views; more writes WKT in vain")
 _MERIDIAN_DEG = tuned(1e-4, "deg", "11 m to either side: shorter loses digits; longer curves")
 _LOCAL_PLANE = "+proj=aeqd +lat_0=0 +lon_0=0 +ellps=WGS84 +units=m"
 """Geometry goes on as if the local frame lay at longitude and latitude 0."""
@@ -129,11 +130,35 @@ def outside_area_m(crs: CRS, lon_deg: float, lat_deg: float) -> float:
     return float(Geod(ellps="WGS84").inv(lon_deg, lat_deg, lon, lat)[2])
 
 
+def one_operation(crs: str, lonlat: Floats) -> str:
+    """A CRS by its name, as WKT where PROJ would move places about some by more than one operation.
+
+    PROJ chooses by the place, which would leave a tear of metres in the map. The WKT's remark is the
+    operation at the middle, in PROJ's words: `MapProjection` takes that one everywhere.
+
+    Args: lonlat: (n, 2) degrees.
+    """
+    projection, (lon_deg, lat_deg) = MapProjection(crs), middle_of(lonlat)
+    lon, lat = longitudes_near(lonlat[:, 0], lon_deg), lonlat[:, 1]
+    corners = [
+        ((x + 180.0) % 360.0 - 180.0, min(max(y, -90.0), 90.0))
+        for x in (lon.min() - _AROUND_DEG, lon.max() + _AROUND_DEG)
+        for y in (lat.min() - _AROUND_DEG, lat.max() + _AROUND_DEG)
+    ]
+    operation = projection.operation_at(lon_deg, lat_deg).definition
+    if all(projection.operation_at(*corner).definition == operation for corner in corners):
+        return crs
+    stated = CRS.from_user_input(crs).to_2d().to_json_dict()
+    return CRS.from_json_dict({**stated, "remarks": operation}).to_wkt()
+
+
 @lru_cache(maxsize=32)
 def _map_from_geodetic(crs: str) -> Transformer:
-    crs = _LOCAL_PLANE if is_local(crs) else crs
+    system = CRS.from_user_input(_LOCAL_PLANE if is_local(crs) else crs)
     try:
-        return Transformer.from_crs("EPSG:4979", CRS.from_user_input(crs).to_2d(), always_xy=True)
+        if system.remarks is not None and system.remarks.startswith("proj=pipeline"):
+            return Transformer.from_pipeline(system.remarks)
+        return Transformer.from_crs("EPSG:4979", system.to_2d(), always_xy=True)
     except ProjError as error:
         problem = f"PROJ knows no way into the coordinate reference system ({error})"
         raise InputError(problem, fix="give one with an EPSG code") from error
@@ -144,6 +169,15 @@ class MapProjection:
     """A map CRS by its name (`EPSG:32615` or WKT), moving points between it and WGS 84."""
 
     crs: str
+
+    def operation_at(self, lon_deg: float, lat_deg: float) -> Transformer:
+        """What PROJ moves a place by, with its name, accuracy and definition."""
+        way = _map_from_geodetic(self.crs)
+        way.transform(lon_deg, lat_deg)
+        try:
+            return way.get_last_used_operation()
+        except ProjError:  # there is nothing to choose from
+            return way
 
     def map_from_geodetic(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> Floats:
         """Easting and northing in metres, shape (..., 2)."""
@@ -167,6 +201,13 @@ class MapProjection:
         )
         lonlat = _map_from_geodetic(self.crs).transform(east.ravel(), north.ravel(), direction="INVERSE")
         return np.stack(lonlat, axis=-1).reshape((*east.shape, 2))
+
+    def scale_at(self, lon_deg: float, lat_deg: float) -> float:
+        """Length on the map by length on the ellipsoid at a place, to where it differs most from 1."""
+        ends = Geod(ellps="WGS84").fwd([lon_deg] * 2, [lat_deg] * 2, [0.0, 90.0], [1.0] * 2)[:2]
+        metre_m = self.map_from_geodetic(*ends) - self.map_from_geodetic(lon_deg, lat_deg)
+        scales = np.linalg.svd(metre_m, compute_uv=False)
+        return float(scales[np.argmax(np.abs(scales - 1.0))])
 
     def grid_convergence_rad(self, lon_deg: ArrayLike, lat_deg: ArrayLike) -> Floats:
         """Angle from grid north to true north, positive where true north lies west of grid north.

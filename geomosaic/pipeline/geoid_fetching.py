@@ -1,9 +1,10 @@
-"""Geoid grids of PROJ's collection, fetched into PROJ's data folder of the user."""
+"""Grids of PROJ's collection, of geoids and of shifts between datums, fetched into its folder of the user."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,7 @@ from geomosaic.pipeline import files
 
 COLLECTION: Final = "https://cdn.proj.org/"
 _GRIDS: Final = (".tif", ".gtx")
+_READERS: Final = ("vgridshift +multiplier=1", "hgridshift")
 
 
 def grid_names(name: str) -> list[str]:
@@ -60,9 +62,15 @@ def fetch_grid(name: str, source: str, stopped: Callable[[], bool]) -> Path:
                 copy(look(parsed(given)), file, stopped)
         else:
             temporary.write_bytes(Path(given).read_bytes())
-        try:
-            Transformer.from_pipeline(f'+proj=vgridshift +grids="{temporary}" +multiplier=1')
-        except ProjError as error:
-            fix = f"give {name} as {COLLECTION} has it"
-            raise FileError("it is no geoid grid that PROJ reads", file=given, fix=fix) from error
+        if not any(_reads(reader, temporary) for reader in _READERS):
+            raise FileError(
+                "it is no grid that PROJ reads", file=given, fix=f"give {name} as {COLLECTION} has it"
+            )
     return path
+
+
+def _reads(reader: str, grid: Path) -> bool:
+    with suppress(ProjError):
+        Transformer.from_pipeline(f'+proj={reader} +grids="{grid}"')
+        return True
+    return False

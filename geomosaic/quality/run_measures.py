@@ -83,7 +83,9 @@ def measure_polygons(rasters: RunRasters, polygons: Shapes, file: Path) -> tuple
                 fix = "correct it in a GIS (QGIS: Fix geometries)"
                 raise InputError(f"polygon {number} crosses itself or is empty", file=file, fix=fix)
             sd_m = relative_sd_m(accuracy, rasters.summary, shapely.get_coordinates(polygon))
-            found.append(MeasuredPolygon(area_of(polygon, sd_m, scale, crs), _volume(rasters, polygon)))
+            area = area_of(polygon, sd_m, scale, crs)
+            share = 1.0 if area.ellipsoidal is None else area.ellipsoidal / area.value
+            found.append(MeasuredPolygon(area, _volume(rasters, polygon, share)))
     return crs.name, found
 
 
@@ -126,8 +128,11 @@ def scale_sd_of(summary: Mapping[str, Any]) -> float:
     return 1e-3 * float(stated) if isinstance(stated, int | float) and np.isfinite(stated) else 0.0
 
 
-def _volume(rasters: RunRasters, polygon: Any) -> Volume | None:
-    """Over the run's surface, None where that does not lie under all of the polygon."""
+def _volume(rasters: RunRasters, polygon: Any, share: float) -> Volume | None:
+    """Over the run's surface, None where that does not lie under all of the polygon.
+
+    Args: share: of the polygon's area on the ellipsoid in that on the map. Heights are the same on both.
+    """
     if rasters.surface is None or rasters.confidence is None:
         return None
     with open_raster(rasters.surface, OWN) as surface, open_raster(rasters.confidence, OWN) as confidence:
@@ -146,7 +151,7 @@ def _volume(rasters: RunRasters, polygon: Any) -> Volume | None:
         sds = [sampled(confidence, 1, at) for at in (inside, rim)]
     if not len(inside) or not all(np.isfinite(height).all() for height in heights):
         return None
-    return volume_of(heights[0], heights[1], sds[0], sds[1], abs(of.a * of.e))
+    return volume_of(heights[0], heights[1], sds[0], sds[1], abs(of.a * of.e) * share)
 
 
 def _window(raster: Raster, at_m: Floats) -> Window:

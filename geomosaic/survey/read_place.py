@@ -9,11 +9,14 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.arrays import Floats
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import label, required_crs
+from geomosaic.geodesy.ellipsoid import middle_of
 from geomosaic.geodesy.local import LocalFrame
-from geomosaic.geodesy.mapcrs import map_crs, utm_crs
+from geomosaic.geodesy.mapcrs import MapProjection, map_crs, one_operation, utm_crs
 from geomosaic.survey.control_use import lonlat_of_control, used_control
+from geomosaic.survey.datum_shift import check_shift
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.elevation import read_elevation
 from geomosaic.survey.inputs import SurveyInputs
@@ -22,6 +25,8 @@ from geomosaic.survey.names import FrameNames
 from geomosaic.survey.observations import observe
 from geomosaic.survey.places import check_area
 from geomosaic.survey.zone import proposing_zone
+
+_OUT_OF_SCALE = tuned(0.01, "share", "of lengths: less warns of national grids; more hides wrong measures")
 
 
 def with_control(draft: SurveyDraft) -> SurveyDraft:
@@ -39,8 +44,8 @@ def with_control(draft: SurveyDraft) -> SurveyDraft:
     if draft.without_place:
         _check_no_place_needed(draft.inputs)
     elif not draft.located:
-        lon_deg, lat_deg = np.median(lonlat_of_control(draft.control), axis=0).tolist()
-        draft = replace(draft, observed=observe(draft.headers, draft.pos, anywhere=(lon_deg, lat_deg)))
+        amid = middle_of(lonlat_of_control(draft.control))
+        draft = replace(draft, observed=observe(draft.headers, draft.pos, anywhere=amid))
     return draft
 
 
@@ -70,9 +75,8 @@ def with_elevation(draft: SurveyDraft) -> SurveyDraft:
 
 def with_work_frame(draft: SurveyDraft) -> SurveyDraft:
     """East, north and up at the survey's middle, at the height of the ground."""
-    lon_deg, lat_deg = np.median(draft.lonlat, axis=0).tolist()
     height_m = _ground_height_m(draft.observed.positions, draft.control, draft.heights_m)
-    return replace(draft, work_frame=LocalFrame((lon_deg + 180.0) % 360.0 - 180.0, lat_deg, height_m))
+    return replace(draft, work_frame=LocalFrame(*middle_of(draft.lonlat), height_m))
 
 
 def _ground_height_m(
@@ -98,15 +102,30 @@ def with_map_crs(draft: SurveyDraft) -> SurveyDraft:
     if draft.inputs.crs != "auto":
         with proposing_zone((), [middle]):
             crs, warnings = _wanted_crs(draft.inputs.crs, middle)
-        return replace(draft, map_crs=crs.to_string(), crs_warnings=tuple(warnings))
+        name = one_operation(crs.to_string(), draft.lonlat)
+        return replace(draft, map_crs=name, crs_warnings=tuple(warnings))
     return draft if draft.without_place else replace(draft, map_crs=utm_crs(*middle))
 
 
 def _wanted_crs(text: str, middle: tuple[float, float]) -> tuple[CRS, list[Warn]]:
-    """A CRS, and what was assumed of it. Args: middle: of the map, longitude and latitude."""
+    """A CRS, and what is to be known of it. Args: middle: of the map, longitude and latitude.
+
+    Raises: `InputError` for a CRS that has no coordinates there.
+    """
     crs = map_crs(text, middle)
     warnings = []
     if not required_crs(text, "").is_name_of(crs):
         taken = f"--crs '{text}' is taken as {label(crs)}; give its EPSG code if it is another"
         warnings.append(Warn("crs-by-name", "", taken))
-    return crs, [*warnings, *check_area(crs, *middle, "the frames")]
+    warnings += check_area(crs, *middle, "the frames")
+    projection = MapProjection(crs.to_string())
+    if not np.isfinite(projection.map_from_geodetic(*middle)).all():
+        where = "{:.3f}, {:.3f} deg".format(*middle)
+        fix = "give the EPSG code of a map projection of that place, such as EPSG:n"
+        raise InputError(f"--crs '{text}' has no coordinates for the frames ({where})", fix=fix)
+    scale = projection.scale_at(*middle)
+    if abs(scale - 1.0) > _OUT_OF_SCALE:
+        wrong = f"--crs '{text}': lengths and pixels on the map are {scale:.4g} times those on the ground"
+        better = f"give a CRS that is true to scale there, such as {utm_crs(*middle)}"
+        warnings.append(Warn("crs-out-of-scale", "", f"{wrong}; {better}"))
+    return crs, [*warnings, *check_shift(crs, *middle, "--crs")]

@@ -12,6 +12,7 @@ import numpy as np
 
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.estimation.robust import LEAST_OBSERVATIONS
+from geomosaic.geodesy.ellipsoid import middle_of
 from geomosaic.geodesy.mapcrs import utm_crs
 from geomosaic.survey.header import read_header
 from geomosaic.survey.onboard import onboard_position
@@ -38,7 +39,7 @@ def proposing_zone(frames: Collection[Path], near: Collection[LonLat] = ()) -> I
 
 def zone_of(lonlat: Collection[LonLat]) -> str:
     """The code of the UTM zone (`EPSG:32633`) in the middle of positions, '' without any."""
-    return utm_crs(*np.median(np.array([*lonlat]), axis=0).tolist()) if lonlat else ""
+    return utm_crs(*middle_of(np.array([*lonlat]))) if lonlat else ""
 
 
 def tagged_positions(frames: Collection[Path]) -> list[LonLat]:

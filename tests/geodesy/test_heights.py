@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -21,8 +22,11 @@ from web_server import Server
 from geomosaic.errors import InputError
 from geomosaic.geodesy import egm96
 from geomosaic.geodesy.heights import ellipsoidal_offset_m, ellipsoidal_offsets_m, height_datum
+from geomosaic.survey.control import read_control
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
+from geomosaic.survey.names import FrameNames
+from geomosaic.survey.pos import read_pos
 from geomosaic.survey.read import check_survey_files, read_survey
 
 FULL = Path("/usr/share/proj/egm96_15.gtx")
@@ -134,6 +138,43 @@ def test_a_dem_without_datum_counts_from_the_datum_given(tmp_path: Path) -> None
     assert "dem-datum-assumed" not in [w.code for w in survey.warnings]
 
 
+@pytest.mark.parametrize(
+    ("places", "undulations"),
+    [
+        ([(179.998, -16.8), (-179.998, -16.8)], [52.117, 52.103]),
+        ([(7.0 + k / 25.0, 46.0) for k in range(5)], [51.280, 51.408, 51.536, 51.664, 51.792]),
+        ([(9.1, 48.7), (9.1, 48.7), (13.0, 52.0)], [48.625, 48.625, 41.810]),
+    ],
+)
+def test_each_row_of_a_table_has_the_geoid_of_its_place(
+    places: list[tuple[float, float]], undulations: list[float], tmp_path: Path
+) -> None:
+    """On both sides of 180 degrees, along 12 km, and in a list of a whole region."""
+    pos, gcp = tmp_path / "pos.csv", tmp_path / "gcp.csv"
+    rows = [f"{k}.jpg,{lon},{lat},100" for k, (lon, lat) in enumerate(places)]
+    pos.write_text("\n".join(["frame,lon,lat,height_orthometric", *rows]), encoding="utf-8")
+    marks = [f"{row},0.jpg,{k},30" for k, row in enumerate(rows)]
+    gcp.write_text("\n".join(["name,lon,lat,height,image,col,row", *marks]), encoding="utf-8")
+    found = [row.height_ellipsoidal_m for row in read_pos(pos).rows]
+    assert found == pytest.approx(np.array(undulations) + 100.0, abs=0.002)
+    points = read_control(gcp, FrameNames(["0.jpg"]), datum=height_datum("EGM96")).points
+    assert [p.height_ellipsoidal_m for p in points] == pytest.approx(found, abs=1e-9)
+
+
+def test_proj_s_grid_counts_on_both_sides_of_180_degrees(tmp_path: Path) -> None:
+    """A geoid of 30 m about the line, and of no other place."""
+    head = struct.pack(">4d2i", -18.0, 179.0, 0.25, 0.25, 9, 9)
+    (tmp_path / "egm96_15.gtx").write_bytes(head + np.full(81, 30.0, ">f4").tobytes())
+    lon, lat = np.array([179.998, -179.998]), np.array([-16.8, -16.8])
+    before = pyproj.datadir.get_data_dir()
+    pyproj.datadir.set_data_dir(f"{before}:{tmp_path}")
+    try:
+        found = ellipsoidal_offsets_m(CRS.from_epsg(5773), lon, lat)
+    finally:
+        pyproj.datadir.set_data_dir(before)
+    assert found == pytest.approx([30.0, 30.0])
+
+
 def test_a_model_without_its_grid_names_a_step_that_works(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f")
     message = (
@@ -201,7 +242,7 @@ def test_what_is_no_grid_is_refused_and_nothing_stays(tmp_path: Path) -> None:
     page.write_text("no grid", encoding="utf-8")
     home.mkdir()
     done = fetched(home, "EGM2008", "--from", str(page))
-    assert done.returncode == 2 and "it is no geoid grid that PROJ reads" in done.stderr
+    assert done.returncode == 2 and "it is no grid that PROJ reads" in done.stderr
     assert not [*home.iterdir()]
     assert "there is no such file" in fetched(home, "EGM2008", "--from", str(home)).stderr
 

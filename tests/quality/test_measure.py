@@ -111,12 +111,12 @@ def test_a_heap_on_tilted_ground_has_its_own_volume() -> None:
     assert found.sd == pytest.approx(600.0 * 0.05)
 
 
-def raster(path: Path, bands: list[np.ndarray], nodata: float = -9999.0) -> Path:
+def raster(path: Path, bands: list[np.ndarray], nodata: float = -9999.0, epsg: int = 32632) -> Path:
     """Pixels of 1 m from (600000, 5300100)."""
     rows, cols = bands[0].shape
     made = gdal.GetDriverByName("GTiff").Create(str(path), cols, rows, len(bands), gdal.GDT_Float32)
     reference = osr.SpatialReference()
-    reference.ImportFromEPSG(32632)
+    reference.ImportFromEPSG(epsg)
     made.SetSpatialRef(reference)
     made.SetGeoTransform((600_000.0, 1.0, 0.0, 5_300_100.0, 0.0, -1.0))
     for number, values in enumerate(bands, start=1):
@@ -128,6 +128,7 @@ def raster(path: Path, bands: list[np.ndarray], nodata: float = -9999.0) -> Path
 
 
 def test_the_surface_of_a_run_gives_volumes_and_none_past_its_end(tmp_path: Path) -> None:
+    """100 km off UTM's meridian 1 m is 0.99972299 m of map: a heap of 100 m² by 3 m has 300.17 m³."""
     up, sd = np.full((100, 100), 350.0), np.full((100, 100), 0.1)
     up[40:50, 40:50] += 3.0
     up[:, 90:] = -9999.0
@@ -147,11 +148,29 @@ def test_the_surface_of_a_run_gives_volumes_and_none_past_its_end(tmp_path: Path
     file = geojson(tmp_path / "heap.geojson", "Polygon", [[*square, square[0]]], [[*beyond, beyond[0]]])
     _, (heap, past) = measure_polygons(rasters, read_shapes(file, POLYGON), file)
     assert heap.volume is not None
-    assert (heap.volume.above, heap.volume.below) == (pytest.approx(300.0), 0.0)
-    assert heap.volume.sd == pytest.approx(3600.0 * 0.1 * np.sqrt(2.0), rel=1e-5)
+    assert (heap.volume.above, heap.volume.below) == (pytest.approx(300.1663, abs=1e-4), 0.0)
+    assert heap.volume.sd == pytest.approx(3600.0 / 0.99972299**2 * 0.1 * np.sqrt(2.0), rel=1e-5)
     assert past.volume is None and np.isnan(past.area.sd)
     own_m = np.sqrt(0.5**2 - 0.4**2 + (0.1 * np.hypot(2.0 / 2.0 / np.sqrt(np.log(2.0)), 12**-0.5)) ** 2)
     assert heap.area.sd == pytest.approx(own_m * np.sqrt(4 * (60.0**2 + 60.0**2) / 4.0), rel=1e-3)
+
+
+def test_a_volume_on_a_map_out_of_scale_is_that_on_the_ground(tmp_path: Path) -> None:
+    """Mercator at 43 degrees north, where its parallels are 1.36347 and its meridians 1.36839 times as long."""
+    up, one = np.full((100, 100), 350.0), np.ones((100, 100))
+    up[40:50, 40:50] += 3.0
+    paths = [tmp_path / f"{name}.tif" for name in ("accuracy", "surface", "confidence")]
+    of = zip(paths, (one, up, one), strict=True)
+    accuracy, surface, confidence = (raster(path, [values], epsg=3857) for path, values in of)
+    square = [[600_020.0, 5_300_080.0], [600_080.0, 5_300_080.0], [600_080.0, 5_300_020.0]]
+    ring = [*square, [600_020.0, 5_300_020.0], square[0]]
+    file = geojson(tmp_path / "heap.geojson", "Polygon", [ring], crs="EPSG:3857")
+    _, (heap,) = measure_polygons(
+        RunRasters(accuracy, {}, surface, confidence), read_shapes(file, POLYGON), file
+    )
+    assert heap.volume is not None and heap.area.ellipsoidal is not None
+    assert heap.volume.above == pytest.approx(160.7927, abs=1e-4)
+    assert heap.volume.above / 300.0 == pytest.approx(heap.area.ellipsoidal / heap.area.value)
 
 
 def test_a_run_has_an_accuracy_raster_on_its_mosaics_grid(few_run: Path) -> None:

@@ -47,7 +47,7 @@ def test_heights_count_as_x_and_y_do(code: str, tmp_path: Path) -> None:
     point, notes = control(tmp_path, f"{code}\n{x:.3f} {y:.3f} 820.21 1 2 a.jpg P\n")
     assert (point.lon_deg, point.lat_deg) == pytest.approx(PLACES[code], abs=1e-8)
     assert point.height_ellipsoidal_m == pytest.approx(820.21 * FOOT_M[code], abs=1e-9)
-    assert notes == ["height-unit-assumed", "height-datum-assumed"]
+    assert notes == ["datum-shift-unsure", "height-unit-assumed", "height-datum-assumed"]
 
 
 @pytest.mark.parametrize("code", PLACES)
@@ -103,3 +103,51 @@ def test_units_at_the_end_of_a_name() -> None:
     ]
     with pytest.raises(InputError, match="unknown unit 'ell'"):
         column_of("height (ell)", aliases)
+
+
+NEW_YORK = (-73.97, 40.78)
+STATED_OR_GIVEN = [("EPSG:2263\n", None), ("", "EPSG:2263")]
+"""Long Island in US survey feet, in the first line or by --pos-crs."""
+
+
+@pytest.mark.parametrize(("line", "given"), STATED_OR_GIVEN)
+def test_heights_next_to_longitude_and_latitude_count_as_x_and_y(
+    line: str, given: str | None, tmp_path: Path
+) -> None:
+    """A table that has both places: 400 US survey feet are 121.92 m."""
+    x, y = Transformer.from_crs("EPSG:4326", "EPSG:2263", always_xy=True).transform(*NEW_YORK)
+    path = tmp_path / "gcp.csv"
+    path.write_text(
+        f"{line}name,easting,northing,elevation,longitude,latitude,image,col,row\n"
+        f"P,{x:.3f},{y:.3f},400,{NEW_YORK[0]},{NEW_YORK[1]},a.jpg,1,2\n"
+    )
+    file = read_control(path, FrameNames(("a.jpg",)), crs=given)
+    assert file.points[0].height_ellipsoidal_m == pytest.approx(121.92024, abs=1e-5)
+    assert "height-unit-assumed" in {note.code for note in file.notes}
+
+
+def test_all_heights_and_deviations_without_a_unit_count_as_x_and_y(tmp_path: Path) -> None:
+    x, y = feet(MICHIGAN)
+    path = tmp_path / "pos.csv"
+    path.write_text(f"frame,x,y,z,agl,sd_e,sd_n,sd_z\na.jpg,{x:.3f},{y:.3f},1000,400,0.1,0.1,0.2\n")
+    file = read_pos(path, crs=MICHIGAN)
+    (row,) = file.rows
+    assert row.height_above_ground_m == pytest.approx(121.92)
+    assert (row.sd_east_m, row.sd_north_m) == pytest.approx((0.03048, 0.03048))
+    assert row.sd_vertical_m == pytest.approx(0.06096)
+    (text,) = [w.text for w in file.warnings if w.code == "height-unit-assumed"]
+    assert "height, height_above_ground, sd_vertical" in text and "foot" in text
+    path.write_text(f"frame,x,y,z_m,agl_m,sd_e_m,sd_n_m,sd_z_m\na.jpg,{x:.3f},{y:.3f},1000,400,1,1,2\n")
+    file = read_pos(path, crs=MICHIGAN)
+    (row,) = file.rows
+    assert (row.height_ellipsoidal_m, row.height_above_ground_m) == (1000.0, 400.0)
+    assert (row.sd_east_m, row.sd_vertical_m) == (1.0, 2.0)
+    assert "height-unit-assumed" not in {w.code for w in file.warnings}
+
+
+def test_deviations_of_control_in_feet(tmp_path: Path) -> None:
+    x, y = feet(MICHIGAN)
+    point, _ = control(
+        tmp_path, f"{MICHIGAN}\nname,x,y,z,sd,image,col,row\nP,{x:.3f},{y:.3f},820.21,0.1,a.jpg,1,2\n"
+    )
+    assert (point.sd_horizontal_m, point.sd_vertical_m) == pytest.approx((0.03048, 0.03048))
