@@ -92,8 +92,8 @@ class SurveyParams(StageParams):
     camera_kind: str | None = param(
         None,
         help="frames of which of the aircraft's cameras are used, by their tag ImageSource: wide, zoom, "
-        "thermal; wide+thermal: both as bands of one mosaic, the first is adjusted; without it those that "
-        "have most pixels",
+        "thermal, ms; wide+thermal: both as bands of one mosaic, the first is adjusted; without it those "
+        "that are most",
     )
     every: int = param(1, help="every how many frames one is used, in the order of exposure", ge=1)
     height_datum: str | None = param(
@@ -148,7 +148,7 @@ def _work_frame(survey: Survey, context: Context) -> LocalFrame:
 
 
 @stage(
-    "survey.read", "Read the survey", group="Survey", version=49, outputs="survey", wants_frames=True,
+    "survey.read", "Read the survey", group="Survey", version=50, outputs="survey", wants_frames=True,
     check=_check, files=_files, plans=_plans, goes_on=True,
 )  # fmt: skip
 def survey_read(params: SurveyParams, context: Context) -> Survey:

@@ -50,6 +50,7 @@ POSITION: Final = {
 ATTITUDE: Final = {
     "dji-gimbal": AttitudeAccuracy(3.0, 0.5, "stabilised gimbal; its yaw comes from the compass"),
     "dji-flight": AttitudeAccuracy(5.0, 5.0, "the aircraft's attitude, not the camera's"),
+    "mavlink": AttitudeAccuracy(5.0, 5.0, "the aircraft's attitude by its autopilot, not the camera's"),
     "parrot-camera": AttitudeAccuracy(3.0, 1.0, "camera attitude from the autopilot"),
     "sensefly": AttitudeAccuracy(5.0, 3.0, "autopilot of a light fixed wing, camera not stabilised"),
     "xmp-camera": AttitudeAccuracy(5.0, 3.0, "small IMU next to the camera"),

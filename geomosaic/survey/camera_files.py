@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +28,10 @@ _PLAIN_KEYS: Final = (
     "name", "width_px", "height_px", "focal_length_px", "focal_length_mm", "pixel_size_um",
     "principal_col_px", "principal_row_px", "focal_length_sd_px", "readout_s", "kind", *TERMS,
 )  # fmt: skip
+_TERM: Final = re.compile(r"[bkpst]\d+|t(au)?_?[xy]")
+"""Names of terms of a lens: OpenCV's k1 to k6, p1, p2, s1 to s4, tau; affinity and shear as b1, b2."""
+_FISHEYE_TERMS: Final = ("k1", "k2", "k3", "k4")
+"""Of OpenCV's and OpenSfM's fisheyes; the fourth of `TERMS` is their k4."""
 _FIX: Final = "give cameras.json, or YAML with width_px, height_px and focal_length_px"
 
 
@@ -48,6 +54,18 @@ class _Entry:
             problem = "has no" if value is None else f"has {shown(value)} for"
             raise self.error(f" {problem} {key}", "give it as a number")
         return float(value)
+
+    def rounding(self, key: str) -> float:
+        """Half a unit of the last digit of a number, as it is written."""
+        return 0.5 * 10.0 ** int(Decimal(str(self.values[key])).as_tuple().exponent)
+
+    def terms(self, known: Sequence[str] = TERMS) -> dict[str, float]:
+        """The lens's terms by our names. Raises: `InputError` for one beyond those known that isn't 0."""
+        there = (key for key in map(str, self.values) if _TERM.fullmatch(key) and key not in known)
+        if more := [key for key in there if self.number(key) != 0.0]:
+            problem = f": its lens has {', '.join(more)} other than 0, which isn't handled"
+            raise self.error(problem, f"calibrate it with {', '.join(known)} alone")
+        return {ours: self.number(its, 0.0) for ours, its in zip(TERMS, known, strict=False)}
 
     def pair(self, key: str) -> tuple[float, float]:
         """Two numbers above 0."""
@@ -108,16 +126,14 @@ def _opensfm(entry: _Entry) -> Camera:
         known = f"known: {', '.join(sorted(_OPENSFM_MODELS))}"
         raise entry.error(f": projection '{projection}' isn't handled", known)
     width, height = get("width"), get("height")
-    size = max(width, height)
-    focal = get("focal") if "focal" in entry.values else get("focal_x")
-    other = get("focal_y") if "focal_y" in entry.values else focal
-    if abs(other - focal) > 0.01 * focal:
-        problem = f": focal_x {focal:g} and focal_y {other:g} differ by more than 1 %"
-        raise entry.error(problem, "calibrate with square pixels")
-    focal_px = size * ((focal + other) / 2.0)
-    kind, terms = _OPENSFM_MODELS[projection], [get(k, 0.0) for k in TERMS]
-    if kind == "fisheye":
-        terms[3:] = get("k4", 0.0), 0.0
+    size, kind = max(width, height), _OPENSFM_MODELS[projection]
+    given = [key for key in ("focal", "focal_x", "focal_y") if key in entry.values]
+    focals = {key: get(key) for key in given or ["focal_x"]}
+    least, most = min(focals.values()), max(focals.values())
+    if most - least > 0.01 * abs(most):
+        problem = f": {' and '.join(f'{k} {v:g}' for k, v in focals.items())} differ by more than 1 %"
+        raise entry.error(problem, "calibrate with square pixels, or leave out the wrong one")
+    focal_px = size * (least + most) / 2.0
     return Camera(
         name=entry.name,
         width_px=round(width),
@@ -125,7 +141,7 @@ def _opensfm(entry: _Entry) -> Camera:
         focal_length_px=focal_px,
         principal_col_px=width / 2.0 + size * get("c_x", 0.0),
         principal_row_px=height / 2.0 + size * get("c_y", 0.0),
-        **dict(zip(("k1", "k2", "k3", "p1", "p2"), terms, strict=True)),
+        **entry.terms(_FISHEYE_TERMS if kind == "fisheye" else TERMS),
         focal_length_sd_px=focal_px * FOCAL_LENGTH["camera-file"].sd_relative,
         kind=kind,
     )
@@ -153,7 +169,7 @@ def _orthority(entry: _Entry) -> Camera:
         focal_length_px=focal,
         principal_col_px=width / 2.0 + size * get("cx", 0.0),
         principal_row_px=height / 2.0 + size * get("cy", 0.0),
-        **{k: get(k, 0.0) for k in TERMS},
+        **entry.terms(),
         focal_length_sd_px=focal * FOCAL_LENGTH["camera-file"].sd_relative,
         kind="brown",
     )
@@ -168,13 +184,7 @@ def _plain(entry: _Entry) -> Camera:
     kind = values.get("kind", "brown")
     if not isinstance(kind, str) or kind not in LENSES:
         raise UnknownNameError("kind of lens", str(kind), LENSES, file=entry.path)
-    if "focal_length_px" in values or "focal_length_mm" not in values:
-        focal = get("focal_length_px")
-    else:
-        pixel_um = get("pixel_size_um")
-        if not pixel_um > 0.0:
-            raise entry.error(f" has {shown(pixel_um)} for pixel_size_um", "give the side of a pixel")
-        focal = 1000.0 * get("focal_length_mm") / pixel_um
+    focal = _plain_focal_px(entry)
     width, height = get("width_px"), get("height_px")
     focal_sd = get("focal_length_sd_px", abs(focal) * FOCAL_LENGTH["camera-file"].sd_relative)
     if not 0.0 <= focal_sd <= abs(focal):
@@ -187,7 +197,28 @@ def _plain(entry: _Entry) -> Camera:
         focal_length_px=focal,
         principal_col_px=get("principal_col_px", width / 2.0),
         principal_row_px=get("principal_row_px", height / 2.0),
-        **{k: get(k, 0.0) for k in TERMS},
+        **entry.terms(),
         focal_length_sd_px=focal_sd,
         kind=kind,
     )
+
+
+def _plain_focal_px(entry: _Entry) -> float:
+    """The focal length in pixels. Raises: `InputError` where that in mm is another one than the digits of all
+    three numbers allow."""
+    get, values = entry.number, entry.values
+    in_pixels = "focal_length_px" in values
+    if "focal_length_mm" not in values or (in_pixels and "pixel_size_um" not in values):
+        return get("focal_length_px")
+    length_mm, pixel_um = get("focal_length_mm"), get("pixel_size_um")
+    if not pixel_um > 0.0:
+        raise entry.error(f" has {shown(pixel_um)} for pixel_size_um", "give the side of a pixel")
+    focal = 1000.0 * length_mm / pixel_um
+    if not in_pixels:
+        return focal
+    in_px = get("focal_length_px")
+    off_um = in_px * entry.rounding("pixel_size_um") + entry.rounding("focal_length_px") * pixel_um
+    if abs(in_px * pixel_um - 1000.0 * length_mm) > off_um + 1000.0 * entry.rounding("focal_length_mm"):
+        problem = f": focal_length_px is {in_px:g}, but focal_length_mm and pixel_size_um give {focal:.1f}"
+        raise entry.error(problem, "leave out the wrong one")
+    return in_px

@@ -12,7 +12,7 @@ from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.model import UnusedImage
 from geomosaic.survey.plausible import NEIGHBOURS
 from geomosaic.survey.rig import AT_ONCE_S, BandHeader, CaptureGroups, capture_by_name, capture_by_tag
-from geomosaic.survey.strays import Stray, camera_kind
+from geomosaic.survey.strays import BANDS, Stray, camera_kind
 
 _Key = Callable[[FrameHeader], str]
 JOINED: Final = "+"
@@ -24,8 +24,15 @@ def captures_of_kinds(headers: Sequence[FrameHeader], kinds: Sequence[str]) -> C
 
     Files belong together by a capture's tag, else by names that are alike but for the camera's letter
     (`DJI_0001_W.JPG`, `DJI_0001_T.JPG`), else by time.
-    Raises: `InputError` where a camera has no file, or took none with the first one.
+    Raises: `InputError` where a camera has no file, took none with the first one, or has files of several
+    bands.
     """
+    if BANDS in kinds:
+        raise InputError(
+            f"the bands of the camera '{BANDS}' can't be mosaicked with another camera's",
+            file=headers[0].path.parent,
+            fix="mosaic each camera by itself with --camera-kind",
+        )
     files = {kind: [h for h in headers if camera_kind(h) == kind] for kind in kinds}
     for kind, of in files.items():
         if not of:

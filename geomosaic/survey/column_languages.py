@@ -88,6 +88,26 @@ DEGREES: Final = frozenset(
 )
 """Degrees in other languages. `grad` next to an English name is a gon."""
 METRES: Final = frozenset(map(plain, ("Meter", "mètres", "metros", "metri", "metry", "м", "米", "メートル")))
+_DIRECTIONS: Final = {
+    "N": (
+        "N", "North", "Nord", "Noord", "Norte", "Północ", "Sever", "Север", "Kuzey", "北", "北纬", "北緯",
+        "북", "북위",
+    ),
+    "S": (
+        "S", "South", "Süd", "Zuid", "Sud", "Sur", "Sul", "Południe", "Jih", "Юг", "Güney", "南", "南纬",
+        "南緯", "남", "남위",
+    ),
+    "E": (
+        "E", "East", "Ost", "Oost", "Est", "Este", "Leste", "Wschód", "Východ", "Восток", "Doğu", "东", "東",
+        "东经", "東経", "동", "동경",
+    ),
+    "W": (
+        "W", "West", "Ouest", "Oeste", "Ovest", "Zachód", "Západ", "Запад", "Batı", "西", "西经", "西経",
+        "서", "서경",
+    ),
+}  # fmt: skip
+DIRECTIONS: Final = {plain(word): letter for letter, words in _DIRECTIONS.items() for word in words}
+"""English letter of a direction by its word. The letter O is missing: it is German east and French west."""
 _CODE_PAGES: Final = ("latin-1", "gb18030", "cp1251", "cp1250", "cp1254", "shift_jis", "euc_kr")
 """Encodings of tables that spreadsheets write where Windows has no Unicode set."""
 

@@ -67,6 +67,8 @@ _NO_UNITS: Final = frozenset(
     )
 )
 """What stands in brackets besides units: a system, an axis, what heights count from."""
+_IN_PIXELS: Final = {"x": "col", "y": "row"}
+"""What columns are whose unit is a pixel."""
 _SECOND_NAMES: Final = frozenset(("frame", "name"))
 """Columns that tables have twice."""
 _BRACKETS: Final = re.compile(r"[\[(]([^\])]*)[\])]?")
@@ -112,11 +114,17 @@ def column_of(name: str, aliases: Aliases, path: Path | None = None) -> tuple[st
 
 def columns_of(names: Sequence[str], aliases: Aliases, path: Path) -> list[tuple[str | None, str]]:
     """`column_of` each name of a header. Of two columns of names, such as a path and a file's name, that of
-    the first alias counts, and the other is unknown.
+    the first alias counts, and the other is unknown. x and y in pixels are col and row, unless these are
+    there.
 
     Raises: `InputError` for two columns that mean the same.
     """
     found = [column_of(name, aliases, path) for name in names]
+    there = {its for its, _ in found}
+    for i, (its, unit) in enumerate(found):
+        if its in _IN_PIXELS and unit in ("px", "pixel", "pixels"):
+            mark = _IN_PIXELS[its]
+            found[i] = (mark if mark in aliases and mark not in there else None, "")
     for column in {its for its, _ in found if its is not None}:
         which = [i for i, (its, _) in enumerate(found) if its == column]
         if column in _SECOND_NAMES:

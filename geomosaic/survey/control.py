@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from pyproj import CRS
@@ -26,10 +25,9 @@ from geomosaic.survey.places import NOWHERE, places_of
 from geomosaic.survey.plausible import RESURVEYED
 from geomosaic.survey.pos import deviation
 from geomosaic.survey.table import ParsedTable
-from geomosaic.survey.table_heights import heights_of
+from geomosaic.survey.table_heights import HEIGHTS, heights_of, in_units_of
 
 LEAST_POINTS = sourced(2, "points", "that place a block without positions", "a similarity has 4 unknowns")
-_HEIGHTS: Final = ("height_ellipsoidal", "height_orthometric", "height")
 
 
 @dataclass(frozen=True)
@@ -64,8 +62,9 @@ def read_control(
     """
     table, stated = control_table(path, frames, crs)
     found = places_of(table, stated, near, GIVE_CRS)
+    table, units = in_units_of(table, found.crs, datum)
     heights, doubts = heights_of(table, found.crs, found.lonlat, datum)
-    given = np.concatenate([table.numbers(c) for c in _HEIGHTS if c in table.factors] or [heights])
+    given = np.concatenate([table.numbers(c) for c in HEIGHTS if c in table.factors] or [heights])
     if len(heights) > 1 and np.isfinite(given).any() and not np.nan_to_num(given).any():
         heights, doubts = np.full(len(heights), np.nan), []
     places = np.column_stack([found.lonlat, heights])
@@ -107,7 +106,7 @@ def read_control(
         path=path,
         points=tuple(points),
         absent=tuple(absent),
-        notes=(*found.notes, *doubts, *repeated, *(note for note in notes if note is not None)),
+        notes=(*found.notes, *units, *doubts, *repeated, *(note for note in notes if note is not None)),
     )
 
 

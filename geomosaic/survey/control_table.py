@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -42,10 +41,6 @@ GIVE_CRS: Final = (
     f"write the EPSG code of x and y in the first line of the --gcp file, such as EPSG:n{OR_POS_CRS}"
 )
 _GCP_LIST: Final = ("x", "y", "height", "col", "row", "image", "name")
-_MEASURED: Final = re.compile(
-    r"((?:\S+\s+){5})(\S.*?\.(?:jpe?g|tiff?|png|dng|hei[cf]))(?=\s|$)", re.IGNORECASE
-)
-"""Of a line of gcp_list.txt what stands before the image, and the image up to its extension."""
 
 
 def control_table(
@@ -79,13 +74,4 @@ def _gcp_list(path: Path, lines: list[Line]) -> ParsedTable:
     described = len(fields) > 4 and not is_number(fields[4])
     if fields and (not is_number(fields[0]) or len(fields) in (4, 5) or described):
         return read_table(path, lines, ALIASES, ("name", "x", "y", "height"))
-    lines = [replace(line, text=_quoted_image(line.text)) for line in lines]
     return read_table(path, lines, ALIASES, _GCP_LIST)
-
-
-def _quoted_image(text: str) -> str:
-    """A line separated by blanks with an image that isn't here in quotes where its name holds blanks."""
-    found = _MEASURED.match(text)
-    if found is None or '"' in text or len(found[2].split()) == 1:
-        return text
-    return f'{found[1]}"{found[2]}"{text[found.end() :]}'

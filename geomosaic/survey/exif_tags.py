@@ -42,10 +42,10 @@ _ANYWHERE: Final[Mapping[int, str]] = {0x010F: "Make", 0x0110: "Model", 0x0132: 
 """Of the main directory, that some programs write into that of Exif: rpicam-apps of Raspberry Pi."""
 _KINDS: Final[Mapping[int, tuple[str, ...]]] = {
     1: ("u1",), 2: ("S1",), 3: ("u2",), 4: ("u4",), 5: ("u4", "u4"), 7: ("u1",), 8: ("i2",), 9: ("i4",),
-    10: ("i4", "i4"), 11: ("f4",), 12: ("f8",),
+    10: ("i4", "i4"), 11: ("f4",), 12: ("f8",), 13: ("u4",),
 }  # fmt: skip
 """Numpy's types by field type, of a ratio both numbers'; others are skipped: TIFF 6.0 (Adobe 1992), section
-2."""
+2; pointers as type 13, as FLIR's Vue Pro R writes them: Adobe PageMaker 6.0 TIFF Technical Notes (1995)."""
 LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
 
 

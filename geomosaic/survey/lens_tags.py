@@ -115,10 +115,12 @@ def fisheye(header: FrameHeader) -> bool:
 
 
 def label(header: FrameHeader) -> str:
-    """Make and model, each word once, then what distinguishes the cameras of one rig."""
+    """Make and model, each word once, then what distinguishes the cameras of one rig: its band, or the band's
+    wavelength, and its number."""
     xmp = header.xmp or {}
     words = list(dict.fromkeys(f"{header.exif.make} {header.exif.model}".split())) or ["camera"]
-    band, index = xmp.get("Camera:BandName", ""), number(xmp, "Camera:RigCameraIndex")
+    names = ("Camera:BandName", "drone-dji:BandName", "drone-dji:CentralWavelength")
+    band, index = next(filter(None, map(xmp.get, names)), ""), number(xmp, "Camera:RigCameraIndex")
     if band and "," not in band and header.bands == 1:
         words.append(band)
     if index is not None:

@@ -76,7 +76,7 @@ def observation_warnings(
             "xmp-unreadable": header.xmp is None,
             "attitude-unknown": a.yaw_deg is None and a.pitch_deg is None,
             "attitude-in-part": (a.yaw_deg is None) != (a.pitch_deg is None),
-            "attitude-of-aircraft": a.source == "dji-flight",
+            "attitude-of-aircraft": a.source in ("dji-flight", "mavlink"),
             "frame-looks-to-horizon": a.pitch_deg is not None and a.pitch_deg > 70.0,
             "image-edited": "viewer" in xmp.get("xap:CreatorTool", "").lower(),
             "positions-all-alike": alike,

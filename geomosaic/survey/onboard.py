@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from geomosaic.arrays import Floats
 from geomosaic.camera.rotation import Rotation
+from geomosaic.constants import sourced
 from geomosaic.survey.accuracy import ATTITUDE, POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.exif import Exif
 from geomosaic.survey.header import FrameHeader
@@ -17,6 +18,8 @@ from geomosaic.survey.model import Attitude, Position
 from geomosaic.survey.tagged_place import tagged_place
 from geomosaic.survey.xmp import Xmp, number
 
+_FLOAT = sourced(range(32, 50), "RtkFlag", "floating point solution", "DJI Matrice 4 Series, User Manual")
+_FIXED = sourced(50, "RtkFlag", "solution with fixed ambiguities", "DJI Matrice 4 Series, User Manual")
 _NONE = ATTITUDE["none"]
 UNKNOWN_ATTITUDE = Attitude(None, None, None, _NONE.sd_yaw_deg, _NONE.sd_tilt_deg, "none")
 
@@ -34,7 +37,7 @@ class OnboardHeights:
 def onboard_heights(exif: Exif, xmp: Xmp) -> OnboardHeights:
     """Absolute height (datum as the drone has it) and height above ground or take-off."""
     by_rtk = xmp.get("drone-dji:AltitudeType", "").lower() == "rtkalt"
-    rtk = by_rtk or number(xmp, "drone-dji:RtkFlag") == 50.0
+    rtk = by_rtk or number(xmp, "drone-dji:RtkFlag") == _FIXED
     height = number(xmp, "drone-dji:AbsoluteAltitude", "sensefly:AbsoluteAltitude")
     if height is None:
         height = exif.altitude_m
@@ -46,7 +49,9 @@ def onboard_heights(exif: Exif, xmp: Xmp) -> OnboardHeights:
         "Camera:HeightAboveGround",
         "drone-parrot:GroundDistance",
     )
-    take_off = number(xmp, "drone-dji:RelativeAltitude", "drone-parrot:RelativeAltitude")
+    take_off = number(
+        xmp, "drone-dji:RelativeAltitude", "drone-parrot:RelativeAltitude", "FLIR:MAVRelativeAltitude"
+    )
     above = ground if ground is not None else take_off
     if above is not None and above <= 1.0:  # written as 0 by receivers that don't know
         above = None
@@ -74,9 +79,14 @@ def onboard_position(exif: Exif, xmp: Xmp) -> Position | None:
     return replace(position, datum_stated=not heights.datum_unknown)
 
 
+def rtk_source(flag: float | None) -> str:
+    """The source of `accuracy.POSITION` by DJI's quality of a fix (RtkFlag; Q in Timestamp.MRK)."""
+    return "rtk-fixed" if flag == _FIXED else "rtk-float" if flag in _FLOAT else "exif"
+
+
 def _position_accuracy(exif: Exif, xmp: Xmp) -> tuple[float, float, float, str]:
     """Standard deviations east, north and up, and where they come from."""
-    source = {50.0: "rtk-fixed", 34.0: "rtk-float"}.get(number(xmp, "drone-dji:RtkFlag") or 0.0, "exif")
+    source = rtk_source(number(xmp, "drone-dji:RtkFlag"))
     if source != "exif":
         stated = [number(xmp, f"drone-dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
     else:
@@ -99,17 +109,18 @@ def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
     """How the camera was turned, as body angles (`Attitude`).
 
     The gimbal's angles are the camera's own and are never mixed with the aircraft's. Where there are only the
-    aircraft's, they are taken with wide sigmas (source `dji-flight`). Three gimbal angles of exactly 0 are a
-    field that was never filled (DJI's Mini). Makers differ. DJI and Parrot write gimbal angles (pitch -90 at
-    the nadir). Pix4D's `Camera:` angles are a body's (pitch 0 at the nadir), but a pitch nearer to -90 than
-    to 0 is a gimbal's there too. senseFly's `Camera:Roll` has the opposite sign (as OpenDroneMap found).
+    aircraft's, they are taken with wide sigmas (sources `dji-flight`, `mavlink`). Three angles of exactly 0
+    are a field that was never filled (DJI's Mini, FLIR's Vue Pro R). Makers differ. DJI and Parrot write
+    gimbal angles (pitch -90 at the nadir). Pix4D's `Camera:` angles are a body's (pitch 0 at the nadir), but
+    a pitch nearer to -90 than to 0 is a gimbal's there too. senseFly's `Camera:Roll` has the opposite sign
+    (as OpenDroneMap found).
     """
     for source, prefix in (("dji-gimbal", "drone-dji:Gimbal"), ("parrot-camera", "drone-parrot:Camera")):
         yaw, pitch, roll = (number(xmp, f"{prefix}{axis}Degree") for axis in ("Yaw", "Pitch", "Roll"))
         if pitch is not None and any((yaw, pitch, roll)):
             return _from_gimbal(yaw, pitch, roll, source)
     yaw, pitch, roll = (number(xmp, f"Camera:{axis}") for axis in ("Yaw", "Pitch", "Roll"))
-    if pitch is not None or yaw is not None:
+    if any((yaw, pitch, roll)):
         if pitch is not None and abs(pitch + 90.0) < 45.0:
             return _from_gimbal(yaw, pitch, roll, "parrot-camera")
         maker = "sensefly" if "sensefly" in exif.make.lower() else "xmp-camera"
@@ -119,9 +130,10 @@ def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
     pitch, roll = number(xmp, "sensefly:PitchAngle"), number(xmp, "sensefly:RollAngle")
     if pitch is not None or yaw is not None:
         return _attitude(yaw, pitch, roll, "sensefly")
-    yaw, pitch, roll = (number(xmp, f"drone-dji:Flight{axis}Degree") for axis in ("Yaw", "Pitch", "Roll"))
-    if pitch is not None or yaw is not None:
-        return _attitude(yaw, pitch, roll, "dji-flight")
+    for source, name in (("dji-flight", "drone-dji:Flight{}Degree"), ("mavlink", "FLIR:MAV{}")):
+        yaw, pitch, roll = (number(xmp, name.format(axis)) for axis in ("Yaw", "Pitch", "Roll"))
+        if pitch is not None or yaw is not None:
+            return _attitude(yaw, pitch, roll, source)
     return UNKNOWN_ATTITUDE
 
 

@@ -15,11 +15,14 @@ from geomosaic.doors.files import TEXT_BYTES, read_text
 from geomosaic.doors.plain import shown
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import AmbiguousCrsError, StatedCrs, crs_of, label, required_crs
-from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
-from geomosaic.geodesy.heights import unit_m, vertical_crs
-from geomosaic.geodesy.mapcrs import MapProjection, outside_area_m
+from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m, middle_of
+from geomosaic.geodesy.heights import unit_m
+from geomosaic.geodesy.mapcrs import MapProjection, one_operation, outside_area_m
 from geomosaic.survey.accuracy import CONTROL
+from geomosaic.survey.column_languages import DIRECTIONS, plain
 from geomosaic.survey.column_names import Aliases
+from geomosaic.survey.datum_shift import check_shift
+from geomosaic.survey.degrees import LETTERS
 from geomosaic.survey.model import Warn
 from geomosaic.survey.table import ParsedTable
 
@@ -100,7 +103,7 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     Of several systems that a name may mean, and of both orders of x and y, the first that puts the items near
     the frames is taken. Where these have no position, it is the first in whose area of use the items lie.
     Longitudes and latitudes are in the geographic CRS that is stated, else in WGS 84. Columns of these names
-    that hold eastings and northings are read as such.
+    that hold eastings and northings are read as such. Heights of a table that has both are in the stated CRS.
 
     Args: near: longitudes and latitudes (k, 2) of the frames; fix: how a CRS is given, for errors.
     Raises: `AmbiguousCrsError` where systems are left that put the items at different places. `InputError`
@@ -110,12 +113,12 @@ def places_of(table: ParsedTable, stated: StatedCrs | None, near: Floats, fix: s
     by_axes = {"x", "y"} <= has
     filled = all(np.isfinite(table.numbers(c)).any() for c in ("lon", "lat"))
     if {"lon", "lat"} <= has and (filled or not by_axes):
-        lonlat = np.column_stack([_signed(table, "lon", "w"), _signed(table, "lat", "s")])
+        lonlat = np.column_stack([_signed(table, "lon"), _signed(table, "lat")])
         meant = None if stated is None else _of_degrees(table, stated, lonlat)
         if stated is None or by_axes or meant is None:
             _check_range(table, lonlat)
-            heights = None if stated is None or stated.line is None else _with_heights(stated)
-            return TablePlaces(lonlat, heights, None, [])
+            of_axes = stated.meant(stated.groups[0])[0] if stated is not None and by_axes else None
+            return TablePlaces(lonlat, of_axes, None, [])
         return _in_crs(table, meant, lonlat, near, fix)
     if stated is None:
         raise InputError("x and y have no coordinate reference system", file=table.path, fix=fix)
@@ -144,12 +147,6 @@ def _of_degrees(table: ParsedTable, stated: StatedCrs, lonlat: Floats) -> Stated
     return None
 
 
-def _with_heights(stated: StatedCrs) -> CRS | None:
-    """The stated CRS where it says what heights count from."""
-    crs = stated.meant(stated.groups[0])[0]
-    return None if vertical_crs(crs) is None else crs
-
-
 def _in_crs(table: ParsedTable, stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> TablePlaces:
     """Where x and y (n, 2) lie, in the unit of the CRS that is stated."""
     try:
@@ -171,18 +168,31 @@ def _in_crs(table: ParsedTable, stated: StatedCrs, xy: Floats, near: Floats, fix
         xy = xy[:, ::-1]
     if crs.is_geographic:
         _check_range(table, xy)
-    horizontal = MapProjection(crs.to_2d().to_wkt())
+    plan = crs.to_2d().to_wkt()
+    lonlat = MapProjection(plan).geodetic_from_map(*xy.T)
+    _check_range(table, lonlat)
+    horizontal = MapProjection(one_operation(plan, near if len(near) else lonlat))
     lonlat = horizontal.geodetic_from_map(*xy.T)
     _check_range(table, lonlat)
-    lon, lat = np.median(lonlat, axis=0)
-    notes += check_area(crs, lon, lat, "the positions", table.path)
+    notes += check_area(crs, *middle_of(lonlat), "the positions", table.path)
+    notes += check_shift(crs, *middle_of(near if len(near) else lonlat), name)
     return TablePlaces(lonlat, crs, None if crs.is_geographic else horizontal, notes)
 
 
-def _signed(table: ParsedTable, column: str, negative: str) -> Floats:
-    """A column (n,) of degrees, negative where another column names that hemisphere."""
-    degrees, side = table.required(column), table.texts(f"{column}_ref")
-    return np.where([(s or "").lower().startswith(negative) for s in side], -np.abs(degrees), degrees)
+def _signed(table: ParsedTable, column: str) -> Floats:
+    """A column (n,) of degrees, negative where another column names the south or the west.
+
+    Raises: `InputError` naming the line of a direction that is not known.
+    """
+    degrees, (positive, negative) = table.required(column), LETTERS[column]
+    for row, text in enumerate(table.texts(f"{column}_ref")):
+        direction = None if text is None else DIRECTIONS.get(plain(text), text)
+        if direction == negative:
+            degrees[row] = -abs(degrees[row])
+        elif direction not in (None, positive):
+            problem = f"{shown(direction)} is no known direction for {column}"
+            raise table.error(row, problem, f"write {positive} or {negative}")
+    return degrees
 
 
 def _in_its_unit(table: ParsedTable, stated: StatedCrs) -> Floats:
@@ -218,10 +228,10 @@ def _chosen(stated: StatedCrs, xy: Floats, near: Floats, fix: str) -> tuple[CRS,
 def _fitting(group: Sequence[CRS], xy: Floats, near: Floats, margin_m: float) -> dict[CRS, Floats]:
     """The systems that put points near the frames, else in their area of use or so near to it, and where."""
     if len(near) and len(group) > 1:
-        group = [crs for crs in group if outside_area_m(crs, *np.median(near, axis=0)) == 0.0]
+        group = [crs for crs in group if outside_area_m(crs, *middle_of(near)) == 0.0]
     found = {crs: lonlat for crs in group if (lonlat := _lonlat(crs, xy)) is not None}
     if not len(near):
-        return {c: at for c, at in found.items() if outside_area_m(c, *np.median(at, axis=0)) <= margin_m}
+        return {c: at for c, at in found.items() if outside_area_m(c, *middle_of(at)) <= margin_m}
     reached = {}
     for crs, lonlat in found.items():
         away_m, reach_m = away_from(near, lonlat)

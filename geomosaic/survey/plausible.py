@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.interior import Camera
-from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, tuned
+from geomosaic.constants import CHOSEN, NORMAL_PER_MAD, SLIGHT, tuned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.ellipsoid import mid_latitude_offset_m
 from geomosaic.survey.model import Attitude, Position, Warn
@@ -92,13 +92,22 @@ def plausible_positions(
 def plausible_attitudes(
     names: Sequence[str], attitudes: Sequence[Attitude], unknown: Attitude
 ) -> tuple[tuple[Attitude, ...], list[Warn]]:
-    """The attitudes, `unknown` in place of those with an angle beyond half a turn, and a warning of them."""
+    """The attitudes, `unknown` in place of those with an angle beyond half a turn, and warnings of these and
+    of cameras that look above the horizon."""
     given = [[abs(t) for t in (a.pitch_deg, a.roll_deg) if t is not None] for a in attitudes]
     tilts = [max(t, default=0.0) for t in given]
     wrong = np.array([not t <= 180.0 for t in tilts], dtype=bool)
     kept = tuple(unknown if w else a for a, w in zip(attitudes, wrong, strict=True))
     texts = [f"a tilt of {t:g} degrees" for t in tilts]
-    return kept, [warn("attitude-absurd", names, wrong, texts)] if wrong.any() else []
+    warnings = [warn("attitude-absurd", names, wrong, texts)] if wrong.any() else []
+    down = [math.prod(math.cos(math.radians(t or 0.0)) for t in (a.pitch_deg, a.roll_deg)) for a in kept]
+    up = [name for name, its in zip(names, down, strict=True) if its < -SLIGHT]
+    if up:
+        few = f" ({len(up)} of {len(names)} frames: {some(up)})" if 1 < len(up) < len(names) else ""
+        text = "the camera looks above the horizon, and its ground may be missing; correct the sign of pitch "
+        text += f"and roll with --pos if it looked down, else take it out of the folder{few}"
+        warnings.append(Warn("frame-looks-up", up[0] if len(up) == 1 else "", text))
+    return kept, warnings
 
 
 def warn(

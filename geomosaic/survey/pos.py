@@ -21,8 +21,8 @@ from geomosaic.survey.names import NO_NAMES, FrameNames, some
 from geomosaic.survey.places import NOWHERE, check_columns, given_crs, places_of
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.rtklib_events import is_rtklib_events, read_rtklib_events
-from geomosaic.survey.table import Line, ParsedTable, read_lines, read_table, split
-from geomosaic.survey.table_heights import heights_of
+from geomosaic.survey.table import Line, ParsedTable, quoted_image, read_lines, read_table, split
+from geomosaic.survey.table_heights import heights_of, in_units_of
 from geomosaic.survey.timestamp_mrk import is_timestamp_mrk, read_timestamp_mrk
 
 ALIASES: Final[Aliases] = {
@@ -131,6 +131,7 @@ def read_pos(
         notes.append(Warn("pos-columns-ignored", "", text))
     places = places_of(table, stated, NOWHERE, _GIVE_CRS)
     lonlat = places.lonlat
+    table, units = in_units_of(table, places.crs, datum)
     heights, doubts = heights_of(table, places.crs, lonlat, datum)
     grid = places.projection or (MapProjection(utm_crs(*lonlat[0])) if pix4d else None)
     angles, source, assumed = read_angles(table, attitude_convention, grid, lonlat)
@@ -165,7 +166,7 @@ def read_pos(
         )
     ]
     datum_stated = all(doubt.code != "height-datum-assumed" for doubt in doubts)
-    return PosFile(path, tuple(rows), (*notes, *places.notes, *doubts, *assumed), datum_stated)
+    return PosFile(path, tuple(rows), (*notes, *places.notes, *units, *doubts, *assumed), datum_stated)
 
 
 def _table(
@@ -186,14 +187,17 @@ def _table(
     if lines and not has_numbers(lines[0]) and any(names_known(lines[0], ALIASES, path)):
         table = read_table(path, lines, ALIASES)
         check_columns(table, ALIASES, "frame", "frame's name")
-        used = table.without("status", "left_out")
+        of = zip(table.texts("status"), table.texts("lon"), table.texts("x"), strict=True)
+        nowhere = [s == "left_out" or (s == "rejected" and lon is None and x is None) for s, lon, x in of]
+        used = table.without(nowhere)
         if not used.lines:
             raise InputError("all its frames are left out", file=path, fix="give a line per frame in use")
         return used, file_crs, False
     if odm is not None:
         return read_table(path, lines, ALIASES, _GEO_TXT), odm, False
     data = [line for line in lines if not line.comment]
-    count = len(split(data[0].text, data[0].text)) if data else 0
+    first = quoted_image(data[0].text, 0) if data else ""
+    count = len(split(first, first)) if data else 0
     projected = file_crs is not None and not all(crs_of(c).is_geographic for c in file_crs.groups[0])
     columns = (_PIX4D if count in (3, 4, 6) else _PIX4D_TURNED)[:count]
     if projected:

@@ -22,7 +22,7 @@ from geomosaic.survey.observations import observe, on_datum
 from geomosaic.survey.onboard import platform_of
 from geomosaic.survey.other_files import unused_files
 from geomosaic.survey.platforms import with_platforms
-from geomosaic.survey.rig import captures
+from geomosaic.survey.rig import captured_files, captures
 from geomosaic.survey.strays import (
     Stray,
     bands_and_type,
@@ -46,8 +46,8 @@ def readable_frames(inputs: SurveyInputs, inspect: Inspect, progress: Progress |
     masked, strict = inputs.damaged == "mask", inputs.strict
     found = usable(files, inspect, mask_damaged=masked, strict=strict, progress=progress)
     headers, in_time = _in_order(found.headers)
-    all_timed = in_time and len(headers) == len(files)
-    pos = inputs.positions(FrameNames(files.values(), [h.name for h in headers] if all_timed else ()))
+    together = captured_files(headers) if len(headers) == len(files) else ()
+    pos = inputs.positions(FrameNames(files.values(), together))
     text = (
         f"images in folders next to the frames are not used: {some(inner)}; give the folder above to use all"
     )

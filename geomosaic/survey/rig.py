@@ -65,12 +65,8 @@ def captures(headers: Sequence[FrameHeader]) -> CaptureGroups | None:
     """
     if any(h.bands != 1 for h in headers):
         return None
-    found = [_by_tags(h) for h in headers]
-    by_name = any(f is None for f in found)
-    if by_name:
-        found = [_by_name(h) for h in headers]
-    files = [f for f in found if f is not None]
-    if len(files) < len(headers) or not _grouped(files) or (by_name and not _at_once(files)):
+    files = _files(headers)
+    if not files:
         _check_one_band(headers)
         return None
     own_band = min(Counter(f.band for f in files).items(), key=lambda item: _rank(item[0], item[1], files))[0]
@@ -81,6 +77,17 @@ def captures(headers: Sequence[FrameHeader]) -> CaptureGroups | None:
             others.setdefault(file.band, {})[own[file.capture].header.name] = file
     lost = tuple(f.header for f in files if f.capture not in own)
     return CaptureGroups(tuple(own.values()), others, lost)
+
+
+def captured_files(headers: Sequence[FrameHeader]) -> list[list[str]]:
+    """The names of the files of each capture, in the headers' order: as `captures` finds them, else by tags
+    of captures alone, and without these a file each."""
+    of = {f.header.name: f.capture for f in _files(headers)}
+    found: dict[str, list[str]] = {}
+    for header in headers:
+        capture = of.get(header.name) or capture_by_tag(header) or header.name
+        found.setdefault(capture, []).append(header.name)
+    return list(found.values())
 
 
 def incomplete_captures(rig: CaptureGroups, used: Sequence[str]) -> list[Warn]:
@@ -98,6 +105,17 @@ def incomplete_captures(rig: CaptureGroups, used: Sequence[str]) -> list[Warn]:
                 f"{_COPY_BANDS}"
             )
     return [Warn("capture-incomplete", "", text) for text in out]
+
+
+def _files(headers: Sequence[FrameHeader]) -> list[BandHeader]:
+    """A rig's files with their bands and captures, none where they are not a rig's."""
+    found = [_by_tags(h) for h in headers]
+    by_name = any(f is None for f in found)
+    if by_name:
+        found = [_by_name(h) for h in headers]
+    files = [f for f in found if f is not None]
+    of_rig = len(files) == len(headers) and _grouped(files) and not (by_name and not _at_once(files))
+    return files if of_rig else []
 
 
 def _check_one_band(headers: Sequence[FrameHeader]) -> None:

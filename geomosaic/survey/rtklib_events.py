@@ -33,7 +33,7 @@ def is_rtklib_events(path: Path) -> bool:
 
 
 def read_rtklib_events(path: Path, frames: FrameNames) -> PosFile:
-    """A row for each frame: the n-th event is the n-th frame's in order of capture (`FrameNames.in_order`).
+    """A row for each frame: the n-th event is the n-th capture's in order (`FrameNames.exposed`).
 
     Raises: `InputError` naming the file, the line and the fix.
     """
@@ -41,15 +41,16 @@ def read_rtklib_events(path: Path, frames: FrameNames) -> PosFile:
     comments = [line for line in lines if line.text.startswith("%")]
     columns = _columns(path, comments)
     rows = [_row(path, line, columns) for line in lines if line.text and not line.text.startswith("%")]
-    names = frames.in_order
-    if len(rows) != len(names):
+    exposed = frames.exposed(len(rows))
+    if exposed is None:
         raise InputError(
-            f"has {len(rows)} events, and there are {len(names)} frames",
+            f"has {len(rows)} events, and there are {len(frames.all)} frames",
             file=path,
             fix="give the flight's frames alone, or put their names into a table with the events' places",
         )
     above_sea = any("geodetic" in line.text.lower() for line in comments if "out height" in line.text)
-    found = tuple(replace(row, name=name) for row, name in zip(rows, names, strict=True))
+    pairs = zip(rows, exposed, strict=True)
+    found = tuple(replace(row, name=name) for row, names in pairs for name in names)
     return PosFile(path, found, (), datum_stated=not above_sea)
 
 
@@ -70,7 +71,8 @@ def _row(path: Path, line: Line, columns: dict[str, int]) -> PosRow:
         )
     except (ValueError, IndexError) as error:
         raise InputError(f"line {line.number} is no event", file=path, fix=_FIX) from error
-    if not (abs(lat) <= 90.0 and abs(lon) <= 180.0 and math.isfinite(height)):
+    known = math.isfinite(height) and math.isfinite(quality) and (lat or lon)
+    if not (known and abs(lat) <= 90.0 and abs(lon) <= 180.0):
         raise InputError(
             f"line {line.number}: {lat:g}, {lon:g}, {height:g} m is no place", file=path, fix=_FIX
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -25,9 +25,10 @@ EIGHTH: Final = REDUCTIONS[-1]
 
 @dataclass(frozen=True)
 class HalfGrey:
-    """A JPEG's brightness (rows, cols, 1) at half its size."""
+    """A JPEG's brightness (rows, cols, 1) at half its size. version: of how it is made."""
 
     pixels: Bytes
+    version: ClassVar[int] = 1
 
     @classmethod
     def of(cls, half: Bytes) -> HalfGrey:
@@ -37,9 +38,10 @@ class HalfGrey:
 
 @dataclass(frozen=True)
 class EighthColours:
-    """A JPEG's pixels (rows, cols, bands) at an eighth of its size."""
+    """A JPEG's pixels (rows, cols, bands) at an eighth of its size. version: as that of `HalfGrey`."""
 
     pixels: Bytes
+    version: ClassVar[int] = 1
 
     @classmethod
     def of(cls, half: Bytes) -> EighthColours:

@@ -30,6 +30,8 @@ from geomosaic.survey.platforms import LEAST_FRAMES
 from geomosaic.survey.plausible import NEIGHBOURS, Limit
 
 LEAVE_OUT: Final = ("auto", "none")
+BANDS: Final = "ms"
+"""The kind of a multispectral camera, whose files are one a band."""
 COPY: Final = Limit(0.995, "correlation", "of small versions of copies; neighbours have less", CHOSEN)
 _COPY_GREYS = tuned(4.0, "grey levels", "of mean and contrast: more takes bands for copies")
 LOW: Final = Limit(0.3, "usual heights", "above ground: sees a tenth of what others see, in a climb", CHOSEN)
@@ -40,7 +42,7 @@ BLURRED: Final = Limit(
 )
 SPREADS: Final = Limit(6.0, "robust deviations", "of the frames' own fine detail, on top", CHOSEN)
 _WORDS: Final = {
-    "frame-other-bands": "other bands or type than most frames have",
+    "frame-other-bands": "other bands or pixel type than the frames of the mosaic",
     "frame-other-camera": "taken by another of the aircraft's cameras (--camera-kind chooses one)",
     "frame-no-temperature": "without temperatures that can be read",
     "frame-copy": "copies of other frames",
@@ -94,14 +96,15 @@ def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:
 
 def other_kinds(headers: Sequence[FrameHeader], camera: str | None = None) -> list[Stray]:
     """Frames of other bands or pixels, or of another of the aircraft's cameras, than the kind that counts.
-    That is the kind with most pixels in all, among those of the camera asked for.
+    That is the kind with most files among those of the camera asked for. Of kinds with more than half as many
+    files, it is the one with most pixels.
 
     Args: camera: one of `camera_kind`.
     Raises: `InputError` where no frame is of that camera.
     """
-    kinds: Counter[tuple[int, str, str]] = Counter()
+    kinds, pixels = Counter(map(_kind_of, headers)), Counter[tuple[int, str, str]]()
     for h in headers:
-        kinds[_kind_of(h)] += h.width_px * h.height_px
+        pixels[_kind_of(h)] += h.width_px * h.height_px
     there = [kind for kind in kinds if camera is None or kind[2] == camera]
     if not there:
         named = ", ".join(sorted({kind[2] for kind in kinds if kind[2]})) or "none"
@@ -109,16 +112,18 @@ def other_kinds(headers: Sequence[FrameHeader], camera: str | None = None) -> li
             f"no frame is of the camera '{camera}' (by the tag ImageSource there are: {named})",
             fix="give --camera-kind one of these, or leave it out",
         )
-    usual = max(there, key=lambda kind: (kinds[kind], kind[2] == "wide", kind))
+    most = max(kinds[kind] for kind in there)
+    many = [kind for kind in there if 2 * kinds[kind] > most]
+    usual = max(many, key=lambda kind: (pixels[kind], kind[2] == "wide", kind))
     out = []
     for h in headers:
-        if _kind_of(h)[:2] != usual[:2]:
-            text = f"has {bands_and_type(h.bands, h.dtype)}, most frames {bands_and_type(*usual[:2])}"
-            out.append(_out("frame-other-bands", h, text))
-        elif _kind_of(h) != usual:
-            its, other = (kind or "unnamed" for kind in (usual[2], camera_kind(h)))
-            text = f"is of the {other} camera, the mosaic of the {its} one"
+        alike, its = _kind_of(h)[:2] == usual[:2], camera_kind(h)
+        if its != usual[2] and (its or alike):
+            text = f"is of the {its or 'unnamed'} camera, the mosaic of the {usual[2] or 'unnamed'} one"
             out.append(_out("frame-other-camera", h, text))
+        elif not alike:
+            text = f"has {bands_and_type(h.bands, h.dtype)}, the mosaic's frames {bands_and_type(*usual[:2])}"
+            out.append(_out("frame-other-bands", h, text))
     return out
 
 
@@ -127,10 +132,10 @@ def _kind_of(header: FrameHeader) -> tuple[int, str, str]:
 
 
 def camera_kind(header: FrameHeader) -> str:
-    """Which of the aircraft's cameras took the frame: wide, zoom, thermal, or what DJI's tag names it; empty
-    without the tag."""
-    source = (header.xmp or {}).get("drone-dji:ImageSource", "").lower().removesuffix("camera")
-    return "thermal" if source.startswith("infra") else source
+    """Which of the aircraft's cameras took the frame: wide, zoom, thermal, ms (all bands of a multispectral
+    one), or what DJI's tag names it; empty without the tag."""
+    source = (header.xmp or {}).get("drone-dji:ImageSource", "").lower().removesuffix("camera").rstrip("_ ")
+    return "thermal" if source.startswith("infra") else BANDS if source.startswith("ms_") else source
 
 
 def copies(headers: Sequence[FrameHeader], looks: Sequence[FrameAppearance | None]) -> list[Stray]:

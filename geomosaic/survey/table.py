@@ -37,6 +37,12 @@ _UNKNOWN: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--"})
 _SEPARATOR_NAMED: Final = re.compile(r"sep=.", re.IGNORECASE)
 """The first line of a table that Excel is to open."""
 _NUMBER: Final = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_COMMENT: Final = re.compile(r"#+\s*|//+(?!/|[^/\s]+/[^/\s])\s*")
+"""A comment's mark; `//server/share` is a path."""
+_IMAGES: Final = frozenset(("frame", "image"))
+"""Columns of images' names, which may hold blanks."""
+_IMAGE: Final = r"(\S.*?\.(?:jpe?g|tiff?|png|dng|hei[cf]))(?=\s|$)"
+"""A name up to its extension."""
 
 
 @dataclass(frozen=True)
@@ -79,9 +85,9 @@ class ParsedTable:
             values.append(value)
         return np.array(values) * self.factors[column]
 
-    def without(self, column: str, text: str) -> ParsedTable:
-        """The table without the rows whose column holds this text."""
-        kept = [i for i, value in enumerate(self.texts(column)) if value != text]
+    def without(self, rows: Sequence[bool]) -> ParsedTable:
+        """The table without some rows (n,)."""
+        kept = [i for i, out in enumerate(rows) if not out]
         cells = {name: [texts[i] for i in kept] for name, texts in self.cells.items()}
         return replace(self, lines=tuple(self.lines[i] for i in kept), cells=cells)
 
@@ -126,7 +132,8 @@ def read_lines(path: Path, item: str) -> list[Line]:
             problem = f"line {number} has {len(raw):,} characters"
             raise FileError(problem, file=path, fix=f"give lines of at most {MOST_PARTS:,} characters")
         stripped = raw.strip()
-        bare = stripped.lstrip("/" if stripped.startswith("//") else "#").lstrip()
+        mark = _COMMENT.match(stripped)
+        bare = stripped[mark.end() :] if mark else stripped
         if bare and not (number == 1 and _SEPARATOR_NAMED.fullmatch(bare)):
             lines.append(Line(number, bare, bare != stripped))
     return lines
@@ -188,6 +195,17 @@ def _has_decimal_commas(text: str) -> bool:
     return len(with_comma) > 1 and all(re.fullmatch(r"[-+]?\d+,\d+", field, re.ASCII) for field in with_comma)
 
 
+def quoted_image(text: str, before: int) -> str:
+    """A line separated by blanks with the image's name in quotes where it holds blanks.
+
+    Args: before: how many fields stand before the image.
+    """
+    found = re.match(rf"((?:\S+\s+){{{before}}}){_IMAGE}", text, re.IGNORECASE)
+    if found is None or '"' in text or len(found[2].split()) == 1:
+        return text
+    return f'{found[1]}"{found[2]}"{text[found.end() :]}'
+
+
 def is_number(text: str) -> bool:
     """Whether a field is a number, be it with a decimal comma."""
     return _NUMBER.fullmatch(text.replace(",", ".", 1)) is not None
@@ -225,11 +243,14 @@ def read_table(
         like = next((line.text for line in lines if not line.comment), "")
         known = [*columns]
         factors = dict.fromkeys(columns, 1.0)
+    image = next((i for i, column in enumerate(known) if column in _IMAGES), None)
     numbers, rows = [], []
     for line in lines:
         if line.comment:
             continue
         fields = _fields(line.text, like, len(known))
+        if image is not None and _separator(like) == " " and (columns or len(fields) > len(known)):
+            fields = _fields(quoted_image(line.text, image), like, len(known))
         while len(fields) > len(known) and not fields[-1]:
             fields.pop()
         if columns is None and len(fields) > len(known):

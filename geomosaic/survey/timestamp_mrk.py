@@ -20,10 +20,10 @@ from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.survey.accuracy import POSITION, RTK_SD_FLOOR_M
 from geomosaic.survey.model import Warn
 from geomosaic.survey.names import FrameNames
+from geomosaic.survey.onboard import rtk_source
 from geomosaic.survey.pos_row import PosFile, PosRow
 from geomosaic.survey.table import Line, read_lines
 
-_QUALITY: Final = {50: "rtk-fixed", 34: "rtk-float", 16: "exif"}
 _WORD: Final = re.compile(r"[^\s,\[\]]+")
 _FIX: Final = "give the file as the drone wrote it, or positions as a table with a header"
 
@@ -83,9 +83,8 @@ def _exposure(path: Path, line: Line) -> tuple[int, PosRow | None]:
         raise InputError(problem, file=path, fix=_FIX)
     if fix == 0 or (lat_deg == 0.0 and lon_deg == 0.0):
         return number, None
-    return number, exposure_row(
-        line.number, (lon_deg, lat_deg, height_m), (east, north, up), _QUALITY.get(fix)
-    )
+    place = (lon_deg, lat_deg, height_m)
+    return number, exposure_row(line.number, place, (east, north, up), rtk_source(fix))
 
 
 def exposure_row(
@@ -103,18 +102,18 @@ def exposure_row(
     return PosRow("", line, *place, sd_east_m=sd_east, sd_north_m=sd_north, sd_vertical_m=sd_up)
 
 
-def _frames_of(numbers: Sequence[int], frames: FrameNames) -> list[list[str]] | None:
-    """The frames of each exposure; None where neither names nor order tell."""
+def _frames_of(numbers: Sequence[int], frames: FrameNames) -> Sequence[Sequence[str]] | None:
+    """The frames of each exposure; None where neither names nor order tell. The number is the last in the
+    names, or one before it where that is in several."""
     names = frames.in_order
-    by_number: dict[int, dict[str, str]] = {}
-    for name in names:
-        *_, (number, kind) = re.findall(r"(\d+)(\D*)", PurePath(name).stem) or [("-1", name)]
-        if kind in by_number.setdefault(int(number), {}):
-            return None  # of two flights
-        by_number[int(number)][kind] = name
-    found = [[*by_number.get(number, {}).values()] for number in numbers]
-    if sum(map(len, found)) == len(names):
-        return found
-    if len(numbers) == len(names):
-        return [[name] for name in names]
+    parts = {name: re.findall(r"(\d+)(\D*)", PurePath(name).stem) or [("-1", name)] for name in names}
+    for place in range(-1, -min(map(len, parts.values()), default=0) - 1, -1):
+        by_number: dict[int, dict[str, str]] = {}
+        for name, its in parts.items():
+            by_number.setdefault(int(its[place][0]), {})["".join(sum(its[place:], ())[1:])] = name
+        found = [[*by_number.get(number, {}).values()] for number in numbers]
+        if sum(map(len, found)) == len(names):
+            return found
+        if place == -1 and sum(map(len, by_number.values())) == len(names):
+            return frames.exposed(len(numbers))
     return None

@@ -16,12 +16,14 @@ from geomosaic.survey.exif_tags import LONGEST_BYTES
 
 Xmp = dict[str, str]
 """Texts by `room:Name`, whatever prefix the file uses: rooms are `drone-dji`, `drone-parrot`,
-`sensefly`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the namespace's
-last word."""
+`sensefly`, `FLIR`, `Camera` (Pix4D's, also used by Parrot, MicaSense and senseFly), `DLS`, else the
+namespace's last word."""
 
 _OPENINGS: Final = tuple(re.compile(rb"<((?:\w{1,40}:)?%s)[\s/>]" % name) for name in (b"xmpmeta", b"RDF"))
 _LONG_NAMESPACE: Final = re.compile(rb"xmlns(?::[\w.-]{1,40})?\s{0,9}=\s{0,9}[\"'][^\"']{300}")
 _NUMBER: Final = re.compile(r"([-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?)(?:/(\d+))?", re.ASCII)
+_UNCLOSED: Final = re.compile(rb"(=\"[^\"<>]{0,300}\")(\s{0,9}<[A-Za-z])")
+"""An attribute, then the next tag: the mark between them is missing in packets of FLIR's Vue Pro R."""
 _MOST_PREFIXES = tuned(100, "prefixes", "of a packet: far more than programs write; each is declared")
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 
@@ -32,7 +34,8 @@ def parse_xmp(data: bytes) -> Xmp | None:
 
     Simple properties count, written as attributes or as elements; an ordered list as its items between
     commas, of other lists the first item. Prefixes
-    that the packet uses but never declares (seen in drones' firmware) are declared for it.
+    that the packet uses but never declares (seen in drones' firmware) are declared for it, and a start tag
+    that is never closed (FLIR's Vue Pro R) is closed.
     """
     found: Xmp = {}
     rest = data[:SHORT_BYTES]
@@ -40,9 +43,10 @@ def parse_xmp(data: bytes) -> Xmp | None:
         packet, rest = rest[at], rest[at.stop :]
         if packet.count(b"<") > MOST_PARTS or _LONG_NAMESPACE.search(packet):
             return None
-        try:
-            root = fromstring(_declared(packet), forbid_dtd=True)
-        except (ParseError, DefusedXmlException, ValueError, LookupError):
+        root = _root(packet)
+        if root is None:
+            root = _root(_UNCLOSED.sub(rb"\1>\2", packet))
+        if root is None:
             return None
         for description in root.iter(f"{{{_RDF}}}Description"):
             for name, value in description.attrib.items():
@@ -50,6 +54,14 @@ def parse_xmp(data: bytes) -> Xmp | None:
             for child in description:
                 found.setdefault(_flat(child.tag), _text(child))
     return found
+
+
+def _root(packet: bytes) -> Element | None:
+    """The packet's tree; None where it can't be read."""
+    try:
+        return fromstring(_declared(packet), forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError, LookupError):
+        return None
 
 
 def _packet(data: bytes) -> slice | None:
@@ -99,7 +111,9 @@ def _flat(name: str) -> str:
         (r"drone-parrot", "drone-parrot"),
         (r"[/:]camera\b(?!-)", "Camera"),
         (r"sensefly", "sensefly"),
+        (r"\bflir\b", "FLIR"),
         (r"[/:]dls\b", "DLS"),
+        (r"[/:]drone\b(?!-)", "drone-dji"),  # Autel's newer firmware
     ):
         if re.search(pattern, uri, re.IGNORECASE):
             return f"{room}:{local}"

@@ -95,6 +95,13 @@ def test_what_was_not_taken_at_once_is_an_error(tmp_path: Path) -> None:
         kinds_of(tmp_path, "wide+zoom")
 
 
+def test_bands_are_not_mosaicked_with_another_camera(tmp_path: Path) -> None:
+    """A capture has several files of them, of which none stands for the others."""
+    picture(tmp_path / "a_W.JPG", "W", 0)
+    with pytest.raises(InputError, match="bands of the camera 'ms' can't be mosaicked with another camera's"):
+        kinds_of(tmp_path, "wide+ms")
+
+
 def degrees(rgb: np.ndarray) -> np.ndarray:
     """The temperature of ground of a colour: in parts warmer where it is darker, in parts where it is redder."""
     r, g, b = np.moveaxis(rgb.astype(np.float32) / 255.0, -1, 0)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from geomosaic.errors import InputError
 from geomosaic.survey.column_languages import ENGLISH
 from geomosaic.survey.column_names import column_of
 from geomosaic.survey.control import read_control
@@ -71,3 +72,36 @@ def test_english_names_keep_their_meaning() -> None:
     assert {*ENGLISH.values()} <= {
         name for names in (*ALIASES.values(), *CONTROL_COLUMNS.values()) for name in names
     }
+
+
+SIDES = [
+    ("S", "W"), ("South", "West"), ("Süd", "West"), ("Zuid", "West"), ("Sud", "Ouest"), ("Sur", "Oeste"),
+    ("Sul", "Oeste"), ("Sud", "Ovest"), ("Południe", "Zachód"), ("Jih", "Západ"), ("Юг", "Запад"),
+    ("Güney", "Batı"), ("南", "西"), ("남", "서"), ("s", "w"), ("SUD", "OUEST"),
+    ("N", "E"), ("North", "East"), ("Nord", "Ost"), ("Noord", "Oost"), ("Norte", "Este"), ("Norte", "Leste"),
+    ("Nord", "Est"), ("Północ", "Wschód"), ("Sever", "Východ"), ("Север", "Восток"), ("Kuzey", "Doğu"),
+    ("北", "東"), ("북", "동"), ("", ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("lat", "lon"), SIDES)
+def test_directions(tmp_path: Path, lat: str, lon: str) -> None:
+    """The first sixteen are south and west."""
+    path = tmp_path / "pos.csv"
+    head = "name;GPSLatitude;GPSLatitudeRef;GPSLongitude;GPSLongitudeRef"
+    path.write_text(f"{head}\na.jpg;33.5;{lat};8.25;{lon}\n", encoding="utf-8")
+    (row,) = read_pos(path).rows
+    sign = -1.0 if SIDES.index((lat, lon)) < 16 else 1.0
+    assert (row.lat_deg, row.lon_deg) == (sign * 33.5, sign * 8.25)
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "named"),
+    [("N", "O", "'O'"), ("down", "E", "'down'"), ("E", "E", "'E'"), ("N", "S", "'S'")],
+)
+def test_directions_that_are_not_known_are_refused(tmp_path: Path, lat: str, lon: str, named: str) -> None:
+    """O is east in German and west in French."""
+    path = tmp_path / "pos.csv"
+    path.write_text(f"name,lat,lat_ref,lon,lon_ref\na.jpg,33.5,N,8.25,E\nb.jpg,33.5,{lat},8.25,{lon}\n")
+    with pytest.raises(InputError, match=f"line 3: {named} is no known direction for l.*write [NE] or [SW]"):
+        read_pos(path)

@@ -392,3 +392,23 @@ def test_an_unknown_kind_is_refused_in_any_line_of_a_point(read: Read) -> None:
     for kinds in (("", "check"), ("check", "")):
         (point,), _ = read(head + first.format(kinds[0]) + second.format(kinds[1]))
         assert point.check
+
+
+@pytest.mark.parametrize(
+    ("names", "at"),
+    [
+        ("lon,lat,height_ellipsoidal,image,x_px,y_px", (5.5, 6.5)),
+        ("lon,lat,height_ellipsoidal,image,X [pixel],Y [pixel]", (5.5, 6.5)),
+        ("lon,lat,height_ellipsoidal,image,col,row,x_px,y_px", (5.5, 6.5)),
+    ],
+)
+def test_x_and_y_in_pixels_are_marks(read: Read, names: str, at: tuple[float, float]) -> None:
+    """Unless the table has col and row, which count."""
+    more = ",80,90" if "col" in names else ""
+    (point,), _ = read(f"name,{names}\nP,9.1,48.7,412,a.jpg,5.5,6.5{more}\n")
+    assert (point.lon_deg, point.images) == (9.1, (("a.jpg", *at),))
+
+
+def test_blanks_in_the_name_of_an_image_that_is_not_here_under_a_header(read: Read) -> None:
+    (point,), _ = read("name lon lat height image col row\nP 9.1 48.7 412 old img 7.JPG 1 2\n")
+    assert (point.name, point.lat_deg, point.images) == ("P", 48.7, ())

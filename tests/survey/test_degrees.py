@@ -59,3 +59,26 @@ def test_a_height_with_minutes_is_refused(tmp_path: Path) -> None:
     path.write_text("frame;lat;lon;height\na.jpg;48;8;500 12\n")
     with pytest.raises(InputError, match="'500 12' is no number for height"):
         read_pos(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "33 51 30.5 S",
+        "33:51:30.5S",
+        "33°51'30.5 S",
+        "33°51'30.5S",
+        "33d51m30.5s S",
+        "33 51 30.5 s",
+        "33:51:30.5s",
+        "S 33 51 30.5",
+    ],
+)
+def test_the_south_is_no_unit_of_seconds(text: str) -> None:
+    assert degrees_of(text, "lat") == pytest.approx(-33.8584722, abs=1e-6)
+    assert degrees_of(text, "lon") is None
+
+
+def test_a_small_s_next_to_minutes_in_m_is_a_unit() -> None:
+    assert degrees_of("33 d 51 m 30.5 s N", "lat") == pytest.approx(33.8584722, abs=1e-6)
+    assert degrees_of("33d51min30.5s", "lon") == pytest.approx(33.8584722, abs=1e-6)

@@ -161,3 +161,21 @@ def test_heights_that_are_feet_by_the_tags_are_named(tmp_path: Path, height: flo
     survey = read_survey(SurveyInputs(folder, pos=tmp_path / "pos.csv"))
     texts = [w.text for w in survey.warnings if w.code == "heights-elsewhere"]
     assert bool(texts) == named and all("name the column height_ft" in text for text in texts)
+
+
+def test_a_system_that_metashape_misspells_is_that_of_its_code(tmp_path: Path) -> None:
+    """Its CH1903+ / LV95 has a parameter that PROJ doesn't know. Truth: EPSG:2056's own false origin."""
+    wkt = (
+        'PROJCS["CH1903+ / LV95",GEOGCS["CH1903+",DATUM["CH1903+",SPHEROID["Bessel 1841",6377397.155,'
+        '299.1528128,AUTHORITY["EPSG","7004"]],TOWGS84[674.374,15.056,405.346,0,0,0,0],'
+        'AUTHORITY["EPSG","6150"]],PRIMEM["Greenwich",0,AUTHORITY["EPSG","8901"]],'
+        'UNIT["degree",0.01745329251994328,AUTHORITY["EPSG","9102"]],AUTHORITY["EPSG","4150"]],'
+        'PROJECTION["Oblique_Mercator",AUTHORITY["EPSG","9815"]],'
+        'PARAMETER["latitude_of_center",46.95240555555561],PARAMETER["longitude_of_center",7.439583333333329],'
+        'PARAMETER["azimuth",90],PARAMETER["recitified_grid_angle",90],PARAMETER["scale_factor",1],'
+        'PARAMETER["false_easting",2600000],PARAMETER["false_northing",1200000],'
+        'UNIT["metre",1,AUTHORITY["EPSG","9001"]],AUTHORITY["EPSG","2056"]]'
+    )
+    head = "#Label,X/Easting,Y/Northing,Z/Altitude,Yaw,Pitch,Roll\n"
+    (row,) = pos(tmp_path, f"# CoordinateSystem: {wkt}\n{head}a.jpg,2600000,1200000,560,0,0,0\n").rows
+    assert (row.lon_deg, row.lat_deg) == pytest.approx((7.438632, 46.951083), abs=1e-6)

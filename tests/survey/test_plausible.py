@@ -31,9 +31,16 @@ from geomosaic.errors import InputError
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.heights import FrameHeights, with_missing_heights
 from geomosaic.projection.ground import flat_ground, node_spacing_m
+from geomosaic.survey.exif import Exif
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Position, Warn
-from geomosaic.survey.plausible import lens_problem, plausible_positions, strange_lenses
+from geomosaic.survey.onboard import UNKNOWN_ATTITUDE, onboard_attitude
+from geomosaic.survey.plausible import (
+    lens_problem,
+    plausible_attitudes,
+    plausible_positions,
+    strange_lenses,
+)
 from geomosaic.survey.read import read_survey
 from geomosaic_simulate.survey import SimulatedSurvey
 
@@ -465,3 +472,18 @@ def test_flat_ground_follows_the_earth_however_far_it_reaches(reach_m: float) ->
 def test_an_unknown_extent_is_no_ground() -> None:
     with pytest.raises(InputError, match="extent is unknown"):
         node_spacing_m([0.0, np.nan], [1.0, 1.0], 1.0)
+
+
+def test_cameras_that_look_up_are_named() -> None:
+    """A gimbal pitch of +90 is a roll of 180 of a body; a gimbal roll of 180 at the nadir looks down."""
+    up = onboard_attitude(Exif(), {"drone-dji:GimbalYawDegree": "20", "drone-dji:GimbalPitchDegree": "90"})
+    down = onboard_attitude(
+        Exif(),
+        {f"drone-dji:Gimbal{a}Degree": v for a, v in (("Yaw", "20"), ("Pitch", "-90"), ("Roll", "180"))},
+    )
+    rolled = replace(down, roll_deg=178.0)
+    level = replace(down, pitch_deg=90.0)
+    kept, warnings = plausible_attitudes("abcd", [up, down, rolled, level], UNKNOWN_ATTITUDE)
+    assert kept == (up, down, rolled, level)
+    (warning,) = warnings
+    assert warning.code == "frame-looks-up" and warning.text.endswith("(2 of 4 frames: a, c)")

@@ -67,7 +67,9 @@ def test_frames_without_gps_are_placed_by_the_images(tmp_path: Path, flown: Path
         "no position: placed by the images; give it with --pos if its ground is missing (3 "
     )
     assert line.endswith(" of 7 frames: F0007.jpg, F0002.jpg, F0004.jpg)")
-    assert np.abs(_off_m(tmp_path / "run", flown / "both")).max() < 1.0
+    off_m = _off_m(tmp_path / "run", flown / "both")
+    assert len(off_m) == 6 and np.abs(off_m).max() < 1.0
+    assert np.isnan(_places(tmp_path / "run" / "positions.csv")["F0007.jpg"]).all(), "it lies nowhere"
 
 
 @pytest.mark.proof

@@ -133,6 +133,29 @@ def test_files_of_captures_without_the_first_band_are_named(tmp_path: Path) -> N
     assert survey.band == "Red" or (len(lost) == 1 and "1Red.jpg" in lost[0])
 
 
+@pytest.mark.parametrize("tags", ["all", "none", "colour too"])
+def test_an_event_of_rtklib_is_a_capture_of_the_rig(tmp_path: Path, tags: str) -> None:
+    """By tags, by names, and where the aircraft's colour camera takes part."""
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    events = ["% GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m)"]
+    for capture in range(3):
+        for k, band in enumerate(("Green", "Red", "NIR")):
+            xmp = b"" if tags == "none" else rig_xmp(f"A{capture}", band, k, 550.0)
+            grey_frame(folder / f"IMG_000{capture}_{k + 1}.jpg", capture, xmp)
+        if tags == "colour too":
+            xmp = rig_xmp(f"A{capture}", "RGB", 9, 0.0)
+            write_jpeg(folder / f"IMG_000{capture}_0.jpg", np.zeros((9, 12, 3), np.uint8), xmp=xmp)
+        place = f"48.8000{capture}1 9.1000{capture}2 50{capture}.25"
+        events.append(f"2024/05/17 10:11:0{capture}.364 {place} 1 17 0.03 0.04 0.05")
+    (tmp_path / "rig_events.pos").write_text("\n".join(events) + "\n")
+    survey = read_survey(SurveyInputs(folder, pos=tmp_path / "rig_events.pos", strict=tags != "colour too"))
+    assert [(f.position.lat_deg, f.position.lon_deg) for f in survey.frames] == [
+        (48.800001, 9.100002), (48.800011, 9.100012), (48.800021, 9.100022),
+    ]  # fmt: skip
+    assert [f.position.height_ellipsoidal_m for f in survey.frames] == [500.25, 501.25, 502.25]
+
+
 @pytest.mark.parametrize("strict", [True, False])
 def test_a_pos_file_may_list_all_files_of_a_rig(tmp_path: Path, strict: bool) -> None:
     """Where the frame's own line is missing, that of another band of its capture stands in."""

@@ -46,6 +46,18 @@ def test_the_nth_event_is_the_nth_frames(tmp_path: Path) -> None:
     assert found.datum_stated
 
 
+def test_captures_of_a_rig_count_where_they_are_as_many_as_the_events(tmp_path: Path) -> None:
+    path = tmp_path / "flight_events.pos"
+    path.write_text(HEADER + EVENTS, encoding="utf-8")
+    rig = [("a_R.tif", "a_N.tif"), ("c_R.tif", "c_N.tif"), ("b_R.tif", "b_N.tif")]
+    of_rig = read_pos(path, frames=FrameNames([n for names in rig for n in names], rig))
+    found = [(row.name, row.height_ellipsoidal_m) for row in of_rig.rows]
+    assert found[:3] == [("a_R.tif", 612.1234), ("a_N.tif", 612.1234), ("c_R.tif", 612.2234)]
+    assert len(found) == 6
+    alike = FrameNames(["b.jpg", "a.jpg", "c.jpg"], [("b.jpg", "a.jpg", "c.jpg")])
+    assert [row.name for row in read_pos(path, frames=alike).rows] == ["b.jpg", "a.jpg", "c.jpg"]
+
+
 def test_heights_above_the_sea_state_no_datum(tmp_path: Path) -> None:
     geodetic = HEADER.replace("out height : ellipsoidal", "out height : geodetic")
     assert not read(tmp_path, geodetic + EVENTS, "a1.jpg", "a2.jpg", "a3.jpg").datum_stated
@@ -60,3 +72,15 @@ def test_other_counts_and_other_columns_are_named_errors(tmp_path: Path) -> None
         )
     with pytest.raises(InputError, match="line 8 is no event"):
         read(tmp_path, HEADER + EVENTS.replace("47.123656789", "forty"), "a1.jpg", "a2.jpg", "a3.jpg")
+
+
+@pytest.mark.parametrize(("old", "new"), [("   1  17", " nan  17"), ("   1  17", " inf  17")])
+def test_a_quality_that_is_no_number_is_a_named_error(tmp_path: Path, old: str, new: str) -> None:
+    with pytest.raises(InputError, match="line 6"):
+        read(tmp_path, HEADER + EVENTS.replace(old, new), "a.jpg", "b.jpg", "c.jpg")
+
+
+def test_an_event_at_zero_is_a_named_error(tmp_path: Path) -> None:
+    text = HEADER + EVENTS.replace("47.123456789   -1.123456789", "0.000000000    0.000000000")
+    with pytest.raises(InputError, match="line 6"):
+        read(tmp_path, text, "a.jpg", "b.jpg", "c.jpg")

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning
 from survey_files import dji_xmp, exif_block, gps, image, write_jpeg
 
 from geomosaic.errors import InputError
+from geomosaic.survey.header import FrameHeader, read_header
 from geomosaic.survey.inputs import SurveyInputs
+from geomosaic.survey.lens_tags import label
 from geomosaic.survey.pixels import read_pixels
 from geomosaic.survey.read import read_survey
+from geomosaic.survey.strays import camera_kind, other_kinds
 
 LON, LAT, STEP = 9.1234567, 48.7654321, 2.7e-4
 SIZE = (320, 240)
@@ -163,7 +169,7 @@ def test_other_bands_and_other_cameras(folder: Path) -> None:
     frame(folder / "DJI_0004.JPG", 4, pixels=image(*SIZE, 1))
     write_jpeg(folder / "Screenshot.jpg", image(200, 100, seed=99))
     assert left_out_but_kinds(folder) == {
-        "DJI_0004.JPG": "has 1 band of uint8, most frames 3 bands of uint8",
+        "DJI_0004.JPG": "has 1 band of uint8, the mosaic's frames 3 bands of uint8",
         "Screenshot.jpg": "the frame doesn't report its focal length",
     }
 
@@ -238,3 +244,82 @@ def test_the_cameras_of_one_aircraft_are_distinguished(tmp_path: Path) -> None:
     assert "pos-line-without-frame" not in warned
     with pytest.raises(InputError, match="there are: thermal, wide, zoom"):
         read_survey(SurveyInputs(tmp_path, camera_kind="lidar"))
+
+
+def write_tiff(path: Path, values: np.ndarray, **xmp: object) -> FrameHeader:
+    """A TIFF of bands (b, h, w), with DJI's tags where there are any."""
+    size = {"width": values.shape[2], "height": values.shape[1], "count": len(values)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", driver="GTiff", dtype=values.dtype, **size) as out:
+            out.write(values)
+            if xmp:
+                out.update_tags(ns="xml:XMP", **{"xml:XMP": dji_xmp(**xmp).decode()})
+                out.update_tags(EXIF_Make="DJI", EXIF_Model="M3M")
+        return read_header(path)
+
+
+BANDS = {"G": 560, "R": 650, "RE": 730, "NIR": 860}
+"""Of a Mavic 3 Multispectral, in nm."""
+
+
+def test_the_bands_of_a_multispectral_camera_are_one_kind(tmp_path: Path) -> None:
+    """A Mavic 3 Multispectral names each band a camera of its own; its RGB pictures are another kind."""
+    grey = np.full((1, 24, 32), 900, dtype=np.uint16)
+    bands = [
+        write_tiff(
+            tmp_path / f"DJI_{i:04d}_MS_{band}.TIF",
+            grey,
+            ImageSource=f"MS_{band}_CAMERA",
+            CentralWavelength=nm,
+        )
+        for i in range(3)
+        for band, nm in BANDS.items()
+    ]
+    colours = [
+        read_header(frame(tmp_path / f"DJI_{i:04d}_D.JPG", i, ImageSource="RGB_CAMERA")) for i in range(3)
+    ]
+    assert {camera_kind(h) for h in bands} == {"ms"}
+    assert other_kinds(bands) == []
+    for asked, left in (("ms", colours), ("rgb", bands), (None, colours)):
+        out = other_kinds([*bands, *colours], asked)
+        assert [o.name for _, o in out] == [h.name for h in left]
+        assert {code for code, _ in out} == {"frame-other-camera"}
+    assert [label(h) for h in bands[:4]] == [f"DJI M3M {nm}" for nm in BANDS.values()]
+
+
+@pytest.mark.parametrize(
+    ("source", "kind"),
+    [
+        ("WideCamera", "wide"),
+        ("WIDE_CAMERA", "wide"),
+        ("InfraredCamera", "thermal"),
+        ("INFRARED_CAMERA", "thermal"),
+        ("MS_RE_CAMERA", "ms"),
+    ],
+)
+def test_what_tags_call_a_camera(tmp_path: Path, source: str, kind: str) -> None:
+    assert camera_kind(read_header(frame(tmp_path / "a.jpg", 0, ImageSource=source))) == kind
+
+
+def test_an_old_map_in_the_folder_does_not_displace_the_survey(folder: Path) -> None:
+    """A DSM and an orthophoto with more pixels than all twelve frames."""
+    write_tiff(folder / "dsm.tif", np.zeros((1, 1200, 1000), dtype=np.float32))
+    write_tiff(folder / "ortho.tif", np.zeros((5, 1200, 1000), dtype=np.uint8))
+    survey = read_survey(SurveyInputs(folder))
+    assert len(survey.frames) == 12
+    assert {out.name: out.reason for out in survey.left_out} == {
+        "dsm.tif": "has 1 band of float32, the mosaic's frames 3 bands of uint8",
+        "ortho.tif": "has 5 bands of uint8, the mosaic's frames 3 bands of uint8",
+    }
+
+
+def test_of_kinds_with_about_as_many_files_the_one_with_most_pixels_counts(tmp_path: Path) -> None:
+    """One wide picture is missing, and the thermal ones are small."""
+    for i in range(6):
+        seen = image(*SIZE, seed=i)
+        if i:
+            frame(tmp_path / f"DJI_{i:04d}_W.JPG", i, pixels=seen, ImageSource="WideCamera")
+        frame(tmp_path / f"DJI_{i:04d}_T.JPG", i, pixels=seen[::2, ::2], ImageSource="InfraredCamera")
+    headers = [read_header(path) for path in sorted(tmp_path.iterdir())]
+    assert [o.name for _, o in other_kinds(headers)] == [f"DJI_{i:04d}_T.JPG" for i in range(6)]

@@ -169,6 +169,36 @@ def test_orthority_yaml(tmp_path: Path) -> None:
         ("a: {width: 100}\n", "c.yaml", "camera 'a' has none of projection_type, focal_len, width_px"),
         ("a: {focal_len: 1, im_size: [100, 80], sensor_size: [1, 2]}", "c.yaml", "differ in shape"),
         ("a: {focal_len: 1, im_size: 100}", "c.yaml", "im_size isn't"),
+        (
+            "a: {type: opencv, focal_len: 1, im_size: [100, 80], k1: -0.1, k4: 0.3, k5: 0.02, k6: 0}",
+            "c.yaml",
+            "its lens has k4, k5 other than 0, which isn't handled; calibrate it with k1, k2, k3, p1, p2 alone",
+        ),
+        ("a: {type: opencv, focal_len: 1, im_size: [9, 8], s4: 1.0e-3}", "c.yaml", "its lens has s4 other"),
+        ("a: {type: opencv, focal_len: 1, im_size: [9, 8], tau_x: 1.0e-3}", "c.yaml", "lens has tau_x"),
+        ("a: {type: opencv, focal_len: 1, im_size: [9, 8], ty: 1.0e-3}", "c.yaml", "lens has ty other"),
+        ({"a": {**BROWN, "k4": 0.3}}, "c.json", "its lens has k4 other than 0"),
+        (
+            {
+                "a": {
+                    "projection_type": "fisheye",
+                    "width": 9,
+                    "height": 8,
+                    "focal": 0.5,
+                    "k4": 0.1,
+                    "p1": 0.1,
+                }
+            },
+            "c.json",
+            "its lens has p1 other than 0, which isn't handled; calibrate it with k1, k2, k3, k4 alone",
+        ),
+        ({"a": {**BROWN, "focal": 0.7}}, "c.json", "focal 0.7 and focal_x 0.66 and focal_y 0.662 differ by"),
+        (
+            "width_px: 4000\nheight_px: 3000\nfocal_length_px: 3000\n"
+            "focal_length_mm: 8.8\npixel_size_um: 2.4\n",
+            "c.yaml",
+            "focal_length_px is 3000, but focal_length_mm and pixel_size_um give 3666.7; leave out the wrong",
+        ),
     ],
 )
 def test_bad_camera_files(tmp_path: Path, content: object, name: str, message: str) -> None:
@@ -176,6 +206,18 @@ def test_bad_camera_files(tmp_path: Path, content: object, name: str, message: s
     with pytest.raises(InputError, match=message) as caught:
         read_cameras(path)
     assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_terms_of_zero_and_lengths_that_agree_as_written_are_read(tmp_path: Path) -> None:
+    """8.8 mm by 2.4 um are 3525 px to 3806 px, by the digits that are written."""
+    zeros = {"a": {**BROWN, "focal": 0.661, "k4": 0.0, "s1": 0, "tau_x": 0.0}}
+    assert read_cameras(written(tmp_path, zeros))[0].focal_length_px == pytest.approx(0.661 * 5472)
+    text = "width_px: 4000\nheight_px: 3000\nfocal_length_px: {}\nfocal_length_mm: 8.8\npixel_size_um: {}\n"
+    for focal_px, pixel_um in ((3667, 2.4), (3700.5, 2.4), (3666.7, 2.40001)):
+        (camera,) = read_cameras(written(tmp_path, text.format(focal_px, pixel_um), "c.yaml"))
+        assert camera.focal_length_px == focal_px
+    with pytest.raises(InputError, match=r"focal_length_px is 3700\.5, but"):
+        read_cameras(written(tmp_path, text.format(3700.5, 2.40001), "c.yaml"))
 
 
 def test_a_misspelt_key_is_named(tmp_path: Path) -> None:

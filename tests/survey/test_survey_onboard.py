@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -25,7 +26,13 @@ from geomosaic.errors import FileError
 from geomosaic.survey.exif import Exif, exif_from_block, exif_from_gdal
 from geomosaic.survey.header import read_header
 from geomosaic.survey.jpeg import read_structure
-from geomosaic.survey.onboard import onboard_attitude, onboard_heights, onboard_position, platform_of
+from geomosaic.survey.onboard import (
+    onboard_attitude,
+    onboard_heights,
+    onboard_position,
+    platform_of,
+    rtk_source,
+)
 from geomosaic.survey.tagged_place import APART, FINER, SIGNED, tagged_place
 from geomosaic.survey.xmp import number, parse_xmp
 
@@ -327,3 +334,57 @@ def test_the_error_that_exif_reports_is_the_positions_deviation() -> None:
     assert position is not None and (position.sd_east_m, position.sd_north_m) == (1.75, 1.75)
     finer = onboard_position(exif_from_block(block), {"Camera:GPSXYAccuracy": "0.5"})
     assert finer is not None and finer.sd_east_m == 0.5
+
+
+STEPS = [1.0, 0.1, 0.01, 0.001]
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("cut", [np.round, np.floor])
+def test_a_position_that_a_program_rounded_gives_way_to_the_exact_one(
+    step: float, cut: Callable[[float], float]
+) -> None:
+    """RTK's position in XMP, and its EXIF copy in whole steps of seconds of arc: 30 m to 3 cm."""
+    exact = (87.39957843, -42.09046037)
+    lon, lat = (float(cut(3600.0 * abs(a) / step)) * step / 3600.0 for a in exact)
+    xmp = {"drone-dji:GpsLongitude": str(exact[0]), "drone-dji:GpsLatitude": str(exact[1])}
+    place = tagged_place(Exif(lon_deg=lon, lat_deg=-lat), xmp)
+    assert place is not None and (place.lon_deg, place.lat_deg) == exact
+    assert place.by == (FINER if step == 1.0 else "")
+
+
+def test_a_rounded_position_farther_off_than_its_step_counts() -> None:
+    """Both were taken at other moments: 0.5 seconds apart, in whole tenths."""
+    own = (87.0 + 0.3 / 3600.0, 42.0 + 0.7 / 3600.0)
+    xmp = {"drone-dji:GpsLongitude": "87.0002222", "drone-dji:GpsLatitude": "42.0003333"}
+    place = tagged_place(Exif(lon_deg=own[0], lat_deg=own[1]), xmp)
+    assert place is not None and (place.lon_deg, place.lat_deg) == own
+
+
+@pytest.mark.parametrize(
+    ("flag", "source", "sd_m"),
+    [("16", "exif", 5.0), ("32", "rtk-float", 0.4), ("34", "rtk-float", 0.4), ("49", "rtk-float", 0.4),
+     ("50", "rtk-fixed", 0.4), ("51", "exif", 5.0)],
+)  # fmt: skip
+def test_every_float_solution_has_the_deviation_that_it_states(flag: str, source: str, sd_m: float) -> None:
+    tags = dji(RtkFlag=flag, RtkStdLon="0.4", RtkStdLat="0.4", RtkStdHgt="0.6")
+    position = onboard_position(Exif(lon_deg=120.0, lat_deg=24.0), tags)
+    assert position is not None and (position.source, position.sd_east_m) == (source, sd_m)
+    assert rtk_source(float(flag)) == source
+
+
+def test_autels_newer_firmware_writes_djis_names() -> None:
+    """Under a prefix of its own, whether it declares it or not; other makers' namespaces stay apart."""
+    names = {"GimbalYawDegree": "12.5", "GimbalPitchDegree": "-90.0", "AbsoluteAltitude": "+412.5"}
+    declared = parse_xmp(xmp_attributes("http://www.autelrobotics.com/drone/1.0/", "drone", **names))
+    attributes = " ".join(f'drone:{name}="{value}"' for name, value in names.items())
+    undeclared = parse_xmp(
+        f"<x:xmpmeta><rdf:RDF><rdf:Description {attributes}/></rdf:RDF></x:xmpmeta>".encode()
+    )
+    for found in (declared, undeclared):
+        assert found is not None
+        attitude = onboard_attitude(Exif(), found)
+        assert (attitude.source, attitude.yaw_deg) == ("dji-gimbal", pytest.approx(12.5))
+        assert onboard_heights(Exif(), found).height_m == 412.5
+    other = parse_xmp(xmp_attributes("https://www.skydio.com/drone-skydio/1.0/", "drone-skydio", Yaw="1"))
+    assert other is not None and other["drone-skydio:Yaw"] == "1"

@@ -16,6 +16,7 @@ from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.geodesy.mapcrs import MapProjection
 from geomosaic.survey.column_names import ANGLES, column_of
 from geomosaic.survey.inputs import SurveyInputs
+from geomosaic.survey.names import FrameNames
 from geomosaic.survey.pos import ALIASES, read_pos
 from geomosaic.survey.pos_row import PosFile
 from geomosaic.survey.read import check_survey_files
@@ -323,3 +324,36 @@ def test_the_guide_lists_every_alias() -> None:
     for column, names in ALIASES.items():
         line = next(line for line in guide.splitlines() if line.startswith(f"| {column} |"))
         assert line.endswith(f"| {', '.join(f'`{name}`' for name in names)} |")
+
+
+def test_paths_of_a_server_are_no_comments(tmp_path: Path) -> None:
+    path = tmp_path / "pos.csv"
+    path.write_text(
+        "// of the flight in May\n//a comment\n////////\nname,lon,lat\n"
+        "//server/share/a.jpg,9.1,48.7\n//nas/b.jpg,9.2,48.8\n// c.jpg,9.3,48.9\n"
+    )
+    assert [row.name for row in read_pos(path).rows] == ["//server/share/a.jpg", "//nas/b.jpg"]
+
+
+@pytest.mark.parametrize(
+    "head", ["EPSG:4326\n", "", "frame lat lon height\n", "lat lon frame height\n"], ids=len
+)
+def test_names_with_blanks_of_frames_that_are_not_here(tmp_path: Path, head: str) -> None:
+    """In geo.txt, in Pix4D's table and under a header: the line is one without a frame."""
+    lines = ["old img 0009.JPG {0} {1} 412", "a.jpg {0} {1} 412"]
+    if head.startswith("lat"):
+        lines = ["{0} {1} old img 0009.JPG 412", "{0} {1} a.jpg 412"]
+    place = ("9.1", "48.7") if head.startswith("EPSG") else ("48.7", "9.1")
+    path = tmp_path / "geo.txt"
+    path.write_text(head + "\n".join(line.format(*place) for line in lines) + "\n")
+    rows = read_pos(path, frames=FrameNames(["a.jpg"])).rows
+    assert [(r.name, r.lon_deg, r.lat_deg, r.height_ellipsoidal_m) for r in rows] == [
+        ("old img 0009.JPG", 9.1, 48.7, 412.0), ("a.jpg", 9.1, 48.7, 412.0)
+    ]  # fmt: skip
+
+
+def test_a_label_before_a_path_is_not_joined_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "pos.txt"
+    path.write_text("frame lat lon height source\nIMG_1 48.7 9.1 412 raw/IMG_1.jpg\n")
+    (row,) = read_pos(path).rows
+    assert (row.name, row.lat_deg) == ("IMG_1", 48.7)

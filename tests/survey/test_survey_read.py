@@ -261,7 +261,7 @@ def test_frames_that_lack_what_is_needed(tmp_path: Path) -> None:
 
 def test_a_map_crs_must_be_one(tmp_path: Path) -> None:
     folder = survey_folder(tmp_path / "f", 1)
-    for with_heights in ("EPSG:25832+7837", "UTM 32N + EGM96 height"):
+    for with_heights in ("EPSG:25832+7837", "UTM 32N + EGM96 height", "EPSG:25832 + EGM96 height"):
         with pytest.raises(InputError, match="has heights too"):
             read_survey(SurveyInputs(folder, crs=with_heights))
     with pytest.raises(InputError, match="no map projection in metres"):

@@ -70,3 +70,16 @@ def test_the_drones_file_next_to_the_frames_is_found(tmp_path: Path) -> None:
     assert "pos" not in project_files(tmp_path), "of another flight"
     (tmp_path / "geo.txt").write_text("EPSG:4326\n")
     assert project_files(tmp_path)["pos"].name == "geo.txt"
+
+
+@pytest.mark.parametrize("name", ["DJI_20240611103000_{:04d}_V_Solar2.JPG", "DJI_20240611_{:04d} (1).JPG"])
+def test_a_digit_behind_the_number_is_none_of_it(tmp_path: Path, name: str) -> None:
+    found = read(tmp_path, LINES, *(name.format(n) for n in (3, 1, 2)))
+    assert [(r.name, r.line) for r in found.rows] == [(name.format(1), 1), (name.format(2), 2)]
+
+
+def test_all_float_solutions_state_their_deviations(tmp_path: Path) -> None:
+    """Qualities 32 to 49 are floating point solutions: DJI Matrice 4 Series, User Manual."""
+    text = LINES.replace("\t34,Q", "\t48,Q")
+    row = read(tmp_path, text, "1.jpg", "2.jpg", "3.jpg").rows[1]
+    assert (row.sd_east_m, row.sd_north_m, row.sd_vertical_m) == (0.8, 0.9, 1.7)
