@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -16,6 +16,10 @@ from geomosaic.requests.mosaic_request import MosaicRequest
 
 if TYPE_CHECKING:
     from geomosaic.marking.session import MarkingSession
+
+
+_OF_SURVEY: Final = ("pos", "pos_crs", "height_datum", "camera", "dem", "ground_height")
+"""Options that `geomosaic mosaic` takes as well."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ def control(asked: ControlOptions) -> None:
 
     unused = [n for n in ("pos", "camera", "dem", "ground_height") if getattr(asked, n) is not None]
     if asked.run is not None and unused:
-        flag = f"--{unused[0].replace('_', '-')}"
+        flag = _flag(unused[0])
         raise InputError(
             f"{flag} has no effect with --run, whose poses count", fix=f"leave out {flag} or --run"
         )
@@ -90,6 +94,10 @@ def control(asked: ControlOptions) -> None:
         _serve(MarkingSession(oriented, surveyed, folder), asked)
 
 
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 def _serve(session: MarkingSession, asked: ControlOptions) -> None:
     """Shows the page until Ctrl-C, and says what to do next."""
     from geomosaic.marking.marked_points import TABLE
@@ -101,6 +109,9 @@ def _serve(session: MarkingSession, asked: ControlOptions) -> None:
         try:
             server.serve_forever()
         except KeyboardInterrupt:
-            gcp = shlex.join(["--gcp", str(session.folder / TABLE)])
-            print(f"next       geomosaic mosaic {shlex.quote(str(asked.frames))} {gcp}")
+            command = ["geomosaic", "mosaic", str(asked.frames), "--gcp", str(session.folder / TABLE)]
+            for name in _OF_SURVEY:
+                if (value := getattr(asked, name)) is not None:
+                    command += [_flag(name), str(value)]
+            print(f"next       {shlex.join(command)}")
             raise

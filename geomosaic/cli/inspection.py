@@ -72,6 +72,8 @@ def inspect(asked: InspectOptions) -> None:
     from geomosaic.recording.inspect.summary import summary
     from geomosaic.recording.inspect.tables import show_summary
 
+    check_new(asked.png, "--png")
+    check_new(asked.repair, "--repair")
     path = recording_file(asked.recording)
     recorded = read_recording(path)
     if asked.repair is not None:
@@ -124,8 +126,6 @@ def _repair(recorded: Recording, out: Path) -> None:
     from geomosaic.pipeline import files
     from geomosaic.recording.file.repair import repaired
 
-    if out.exists():
-        raise OutputError("is there already", file=out, fix="give another name with --repair")
     with files.writing(out) as temporary:
         count = repaired(recorded, temporary)
     print(f"repaired   {out}, {count} messages")
@@ -163,6 +163,7 @@ def diff(
     from geomosaic.recording.inspect.compare import compare
     from geomosaic.recording.inspect.difference_tables import show_difference
 
+    check_new(png, "--png")
     of_a, of_b = (_answers(read_recording(recording_file(path))) for path in (a, b))
     difference = compare(of_a.recording, of_b.recording, of_a.solved, of_b.solved)
     if png is not None:
@@ -170,6 +171,13 @@ def diff(
         files.write_bytes(png, picture)
     print(json.dumps(difference, indent=2)) if as_json else show_difference(difference, new_console())
     raise typer.Exit(0 if difference["equal"] else 1)
+
+
+def check_new(out: Path | None, option: str) -> None:
+    """Raises: `OutputError` where something has the name of a file to be written. option: the one that gives
+    the name."""
+    if out is not None and os.path.lexists(out):
+        raise OutputError("is there already", file=out, fix=f"give another name with {option}")
 
 
 def recording_file(path: Path) -> Path:

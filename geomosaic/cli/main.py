@@ -94,6 +94,11 @@ def _failed(error: Exception, stop: Stop) -> int:
         return _fail(f"{name}...: the name is too long for the file system; give a shorter one", 2, error)
     if isinstance(error, FileNotFoundError) and _nowhere():
         return _fail("the current folder was removed; change to another one (cd) and run again", 2, error)
+    from geomosaic.pipeline.files import is_output_error
+
+    if is_output_error(error):
+        where = error.filename or "standard output"
+        return _fail(f"{where}: can't be written ({error.strerror}); free some space", 2, error)
     text = f"{type(error).__name__}: {error} (a fault of geomosaic; for details set GEOMOSAIC_TRACEBACK=1)"
     return _fail(text, 1, error)
 
@@ -114,9 +119,10 @@ def _fail(text: str, exit_code: int, error: Exception | None = None) -> int:
         traceback.print_exception(error)
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
     if sys.stderr is not None:
-        with suppress(BrokenPipeError):
+        with suppress(OSError):
             if sys.stdout is not None:
                 sys.stdout.flush()  # the error is the last line, also where both go into one file
+        with suppress(OSError):
             print(f"geomosaic: {line}", file=sys.stderr, flush=True)
     return exit_code
 

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.cli.running import print_named
-from geomosaic.errors import OutputError
+from geomosaic.pipeline.files import refusals_named
 from geomosaic.pipeline.recipe import Recipe
+from geomosaic.requests.perform import check_folder
 
 if TYPE_CHECKING:
     from geomosaic.pipeline.reporter import Reporter
@@ -53,13 +54,14 @@ def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
     """Runs the stages up to the last that looks ahead, in a folder that goes, and prints what they found: for
     people, or as JSON with numbers.
 
-    Raises: what the run itself would raise up to there, `OutputError` for a place that can't be written to.
+    Raises: what the run itself would raise up to there, also of its folder.
     """
     from geomosaic.pipeline.run_options import RunOptions
     from geomosaic.pipeline.runner import run
 
     recipe, output = job.recipe, job.folder
     recipe.check_files(run_folder=output)
+    check_folder(job)
     ahead = [i for i, step in enumerate(recipe.steps) if step.stage.looks_ahead]
     begun = _Begun(
         recipe.name, recipe.description, recipe.seed, recipe.steps[: ahead[-1] + 1 if ahead else 0],
@@ -67,8 +69,8 @@ def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
     )  # fmt: skip
     listening: Any = _Listening(reporter)
     summary: dict[str, Any] = {"metrics": {}, "warnings": []}
-    if ahead:
-        with _near(output) as folder:
+    with _near(output) as folder:
+        if ahead:
             how = RunOptions(workers=job.how.workers, dask=job.how.dask)
             summary = run(begun, folder, how, reporter=listening)
     if as_json:
@@ -96,9 +98,10 @@ def show_plan(job: Job, reporter: Reporter, as_json: bool) -> None:
 
 @contextmanager
 def _near(output: Path) -> Iterator[Path]:
-    """A folder for a while on the disk that the run would be written to."""
-    near = next(p for p in (output.absolute(), *output.absolute().parents) if p.is_dir())
-    if not os.access(near, os.W_OK):
-        raise OutputError("can't be written to", file=near, fix="choose another output folder with -o")
-    with tempfile.TemporaryDirectory(prefix=".geomosaic-plan-", dir=near) as folder:
+    """A folder for a while on the disk that the run would be written to. Raises: `OutputError` where none can
+    be made."""
+    near = next(p for p in (output.absolute(), *output.absolute().parents) if os.path.lexists(p))
+    with refusals_named(output):
+        made = tempfile.TemporaryDirectory(prefix=".geomosaic-plan-", dir=near)
+    with made as folder:
         yield Path(folder)

@@ -59,7 +59,7 @@ class _Lines:
 class ProgressLines(_Lines):
     """One line when a stage begins, ends or warns, and one every ten seconds in between.
 
-    When the reader of a pipe goes away, the run goes on unheard.
+    When the reader of a pipe goes away, or the disk is full, the run goes on unheard.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
@@ -72,7 +72,7 @@ class ProgressLines(_Lines):
         if self._stream is not None:
             try:
                 print(printable(text), file=self._stream, flush=True)
-            except BrokenPipeError:
+            except OSError:
                 self._stream = None
         self._next_s = time.monotonic() + _SECONDS_BETWEEN_LINES
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from geomosaic.cli.inspection import RecordingFile, recording_file
+from geomosaic.cli.inspection import RecordingFile, check_new, recording_file
 
 
 def view(
@@ -27,6 +27,8 @@ def view(
     from geomosaic.recording import read_recording
     from geomosaic.recording.rerun import view as rerun_view
 
+    check_new(save, "--save")
+    check_new(screenshot, "--screenshot")
     recorded = read_recording(recording_file(recording))
     with tempfile.TemporaryDirectory(prefix="geomosaic-view-") as folder:
         rrd = save or Path(folder) / f"{recorded.path.stem}.rrd"

@@ -20,9 +20,13 @@ def until_all_have_come(request: WatchRequest, *, quiet: bool) -> None:
     """Shows previews of the frames that arrive, until none has for `request.after` seconds.
 
     Raises: `FileError` for what is no folder; `InputError` for what the whole run could not use, such as
-    frames of a format that needs a reader.
+    frames of a format that needs a reader; `OutputError` for a folder that it could not write to.
     """
-    request.recipe().check_files(skip={0})  # the first reads the frames, which are to come
+    from geomosaic.requests.perform import check_folder
+
+    job = request.job()
+    job.recipe.check_files(skip={0})  # the first reads the frames, which are to come
+    check_folder(job)
     shown, before, changed = Files(), Files(), time.monotonic()
     while True:
         there = _frames(request.frames)

@@ -40,7 +40,7 @@ class EarlierRun:
     @property
     def mark(self) -> str:
         """What names all that it made."""
-        return fingerprint_of_json({n: of["fingerprint"] for n, of in self.summary["artefacts"].items()})
+        return fingerprint_of_json(_marks(self.summary))
 
     def artefact(self, name: str, kind: type) -> Any:
         """What a stage made of it; None where it made none, or not of this type."""
@@ -68,23 +68,34 @@ class EarlierRun:
 
 
 def begun(folder: RunFolder, recipe: Recipe, options: RunOptions) -> EarlierRun | None:
-    """A folder without the last run's summary; the finished run that this one goes on from, if it does.
+    """A folder without the last run's summary, but for `RunFolder.last`; the finished run that this one goes
+    on from, if it does. Its summary is kept until the next one is finished.
 
     The recording of a run that was killed or failed, and so left no summary, says where it was: it stays.
-    Raises: as `_finished`.
+    Raises: as `finished`.
     """
-    earlier = _finished(folder, recipe) if options.incremental else None
+    earlier = finished(folder, recipe) if options.incremental else None
+    if earlier is not None and folder.within(RUN_JSON).exists():
+        with folder.writing(EARLIER) as path:
+            files.write_json(path, earlier.summary)
     recording = folder.within(RECORDING)
     if RECORDING in folder.made() and recording.is_file() and not folder.within(RUN_JSON).exists():
         recording.replace(folder.claim(UNFINISHED))
+    with suppress(FileError, KeyError, TypeError, AttributeError):
+        folder.last = _marks(read_summary(folder.path))
     folder.remove(RUN_JSON)
     if earlier is None:
         folder.remove(EARLIER)
     return earlier
 
 
-def _finished(folder: RunFolder, recipe: Recipe) -> EarlierRun:
-    """The finished run in a folder, whose summary is kept until the next one is finished.
+def _marks(summary: Mapping[str, Any]) -> dict[str, str]:
+    """The fingerprints of a run's artefacts, by name."""
+    return {name: of["fingerprint"] for name, of in summary["artefacts"].items()}
+
+
+def finished(folder: RunFolder, recipe: Recipe) -> EarlierRun:
+    """The finished run in a folder, which is left as it is.
 
     Raises: `InputError` if there is none, or one by other options or another version.
     """
@@ -110,9 +121,6 @@ def _finished(folder: RunFolder, recipe: Recipe) -> EarlierRun:
                 raise _by_other_options(folder, f"its {step.stage.id}.{option} is {before}")
     if not there:
         raise InputError(f"{WORK} has lost results of the run there", file=folder.path, fix=_WHOLE)
-    if name == RUN_JSON:
-        with folder.writing(EARLIER) as path:
-            files.write_json(path, summary)
     return EarlierRun(folder, summary)
 
 

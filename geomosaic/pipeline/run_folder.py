@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
@@ -26,7 +26,8 @@ class RunFolder:
     """A run's folder: `work/` is its cache, and only files that the marker lists are replaced or removed.
 
     overwrite: files that geomosaic did not make may be replaced where a result has their name. passing: the
-    run leaves what others made alone. No link inside the folder is ever followed.
+    run leaves what others made alone. last: the fingerprints of the artefacts, by name, of the finished run
+    that this one replaces. No link inside the folder is ever followed.
     """
 
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:
@@ -36,14 +37,14 @@ class RunFolder:
         self._made, self._results = (set(), set()) if there is None else there
         self._listing = threading.RLock()
         self.passing = False
+        self.last: dict[str, str] = {}
 
     @classmethod
-    def opened(cls, path: Path, results: Iterable[str] = (), *, overwrite: bool = False) -> RunFolder:
-        """The folder, made where missing, marked, and proven to be writable.
+    def checked(cls, path: Path, results: Iterable[str] = (), *, overwrite: bool = False) -> RunFolder:
+        """The folder of a run that is to come; nothing is made.
 
-        Raises `OutputError`, before anything is made, if it holds files and no marker, or if one of the
-        results to be written is there and not in the marker's list. Raises `FileError` for a path that is
-        not in UTF-8.
+        Raises `OutputError` if it holds files and no marker, or if one of the results to be written is there
+        and not in the marker's list. Raises `FileError` for a path that is not in UTF-8.
         """
         check_name(path.absolute())
         folder = cls(path, overwrite=overwrite)
@@ -58,6 +59,13 @@ class RunFolder:
             )
         for name in results:
             folder._check_free(name)
+        return folder
+
+    @classmethod
+    def opened(cls, path: Path, results: Iterable[str] = (), *, overwrite: bool = False) -> RunFolder:
+        """The folder, made where missing, marked, and proven to be writable. Raises: as `checked`, before
+        anything is made."""
+        folder = cls.checked(path, results, overwrite=overwrite)
         files.make_folder(folder.path)
         folder._change()
         return folder
@@ -83,11 +91,12 @@ class RunFolder:
                 self._change(listed={name})
         return self.within(name)
 
-    def note(self, names: Iterable[str]) -> None:
-        """Lists files that a stage wrote by itself."""
+    def note(self, names: Iterable[str], *, results: bool = False) -> None:
+        """Lists files that a stage wrote by itself. results: they go with the run that they are of."""
         with self._listing:
-            if not self._made.issuperset(more := set(names)):
-                self._change(listed=more)
+            more = set(names)
+            if not self._made.issuperset(more) or (results and not self._results.issuperset(more)):
+                self._change(listed=more, results=more if results else ())
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
@@ -106,6 +115,12 @@ class RunFolder:
     def stale(self, made: Iterable[str]) -> frozenset[str]:
         """Results of earlier runs, whatever their recipes, that are not among those made now."""
         return frozenset(self._made & self._results - set(made))
+
+    def repeats(self, marks: Mapping[str, str], unsure: Collection[str]) -> bool:
+        """Whether a run makes the artefacts of the last one again. marks: as `last`; unsure: those that say
+        nothing of it."""
+        names = {*marks, *self.last}.difference(unsure)
+        return bool(self.last) and all(marks.get(name) == self.last.get(name) for name in names)
 
     def made(self) -> frozenset[str]:
         """The names in the marker's list."""

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,8 @@ def run(
 ) -> dict[str, Any]:
     """Runs every stage, from the cache in RUN/work where nothing it depends on has changed.
 
-    What the finished run did not use is then deleted from RUN/work, and results of earlier runs of any recipe
-    that this one did not make are deleted too. A preview deletes nothing and writes no run.json.
+    What the finished run did not use is then deleted from RUN/work. So are results of earlier runs of any
+    recipe that this one did not make, with exports of them. A preview deletes nothing and writes no run.json.
     given: outcomes of steps (by index) that are not to be run, as taken from a recording.
     Returns what run.json holds. Raises `CancelledError` on Ctrl-C, and whatever a stage raises; the
     recording then ends with the error, and the folder has no run.json, but finished work stays cached.
@@ -169,7 +170,7 @@ class _Run:
         for i, step in enumerate(self._recipe.steps):
             if i in given:
                 recorded = given[i].manifest()
-                self._check_recorded(given[i])
+                given[i].check_unchanged(self._hashes, partial(self._hashing, 0, 0))
                 self._lineages.append(lineage_of({name: entry["files"] for name, entry in recorded.items()}))
                 manifest |= {f"{step.stage.id}.{name}": entry for name, entry in recorded.items()}
                 continue
@@ -183,17 +184,6 @@ class _Run:
         self._hashes.save()
         self._summary.begin(self._recipe, manifest)
 
-    def _check_recorded(self, given: ReplayedStage) -> None:
-        """What a recorded stage found holds for the files it read, and only for them."""
-        for path, mark in given.read_files():
-            self._log.reporter.progress(0, 0, "reading inputs")
-            if self._hashes.of_input(path) != mark:
-                raise FileError(
-                    "has changed since the recording, which holds the old one",
-                    file=path,
-                    fix="run the recipe again, or put the old file back",
-                )
-
     def _tidy(self) -> None:
         """Removes what earlier runs left and this one did not make or use."""
         self._cache.prune(self._used)
@@ -201,7 +191,12 @@ class _Run:
         self._hashes.forget_unasked()
 
     def _remove_stale(self, left: Sequence[RecipeStep] = ()) -> None:
-        """Removes results of earlier runs, of any recipe. left: steps to come, whose results stay."""
+        """Removes results of earlier runs, of any recipe; none where this is the last one again, so that its
+        exports stay. left: steps to come, whose results stay."""
+        unsure = [step.stage.outputs for step in self._recipe.steps if step in left or not step.stage.cached]
+        marks = {name: handle.fingerprint for name, handle in self._artefacts.items()}
+        if self._folder.repeats(marks, set().union(*unsure)):
+            return
         made = {RUN_JSON, RECORDING, *(path.relative_to(self._folder.path).as_posix() for path in self._used)}
         for name in self._folder.stale(made.union(*(step.stage.results for step in left))):
             if not self._hashes.reads_within(self._folder.within(name)):

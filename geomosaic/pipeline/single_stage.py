@@ -76,6 +76,7 @@ def run_stage(
             for line in warning_lines(context.notes.warnings):
                 reporter.warning(line)
     check_outputs(stage, values)
-    folder.note(path.relative_to(folder.path).as_posix() for path in context.kept)
+    written = (path.relative_to(folder.path).as_posix() for path in context.kept)
+    folder.note(written, results=bool(stage.inputs))
     reporter.stage_finished(time.monotonic() - started, "work")
     return values, context.notes

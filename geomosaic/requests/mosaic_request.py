@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from geomosaic.errors import FileError, InputError, UnknownNameError
 from geomosaic.requests.mosaic_stages import OPTIONAL, ROOFS, STAGES, WITH_ROOFS
@@ -206,8 +207,25 @@ class MosaicRequest(SurveyRequest):
         if self.align_to is not None:
             given["survey.read"]["crs"] = crs_of(self.align_to, self.crs)
         named = "mosaic", f"frames of {self.frames.name}"
-        return recipe_of(named, stages, given, self.seed, self.set)
+        recipe = recipe_of(named, stages, given, self.seed, self.set)
+        _check_used(recipe.steps[0].params.model_dump())
+        return recipe
 
     def folder(self, recipe: Recipe) -> Path:
         """Where the run goes: what is asked for, or a folder next to the frames."""
         return self.output or default_folder(self.frames, "mosaic")
+
+
+def _check_used(read: Mapping[str, Any]) -> None:
+    """Raises: `InputError` for an option of a file that is neither given nor in the folder of frames. read:
+    the parameters of survey.read."""
+    from geomosaic.survey.folder import project_files
+
+    if read["pos_crs"] is None and not read["gcp_optional"]:
+        return
+    there = {kind for kind in ("pos", "gcp") if read[kind] is not None} | project_files(read["frames"]).keys()
+    if read["pos_crs"] is not None and not there:
+        problem = "--pos-crs has an effect only on a POS or a control file"
+        raise InputError(problem, fix="add --pos FILE or --gcp FILE")
+    if read["gcp_optional"] and "gcp" not in there:
+        raise InputError("--gcp-optional has an effect only on a control file", fix="add --gcp FILE")

@@ -16,12 +16,24 @@ def perform(job: Job, reporter: Reporter) -> dict[str, Any]:
     """Runs it. Returns run.json's content. Raises: what the run raises."""
     from geomosaic.pipeline.runner import run
 
+    if job.how.incremental:
+        check_folder(job)  # before the run makes it
     try:
         return run(job.recipe, job.folder, job.how, given=job.given, reporter=reporter)
     except FileError as error:
         if job.given:
             _name_missing(job, error)
         raise
+
+
+def check_folder(job: Job) -> None:
+    """Raises: what the run would raise of its folder before it begins; nothing is written there."""
+    from geomosaic.pipeline.earlier_run import finished
+    from geomosaic.pipeline.run_folder import RunFolder
+
+    folder = RunFolder.checked(job.folder, sorted(job.recipe.results()), overwrite=job.how.overwrite)
+    if job.how.incremental:
+        finished(folder, job.recipe)
 
 
 def _name_missing(job: Job, error: FileError) -> None:

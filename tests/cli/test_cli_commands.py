@@ -150,6 +150,31 @@ def test_a_closed_pipe_is_no_fault(output: str, code: int, desk: Desk) -> None:
     assert json.loads((desk.folder / "run" / "run.json").read_text())["frames"]["total"] == 4
 
 
+@pytest.mark.parametrize("arguments", [["stages"], ["stages", "--json"], ["--version"]])
+def test_a_full_disk_under_the_output_is_named(arguments: list[str], desk: Desk) -> None:
+    """It counted as a fault of geomosaic."""
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.run(
+            [*COMMAND, *arguments],
+            env=desk.environment,
+            text=True,
+            timeout=60,
+            stdout=full,
+            stderr=subprocess.PIPE,
+        )
+    line = "geomosaic: standard output: can't be written (No space left on device); free some space\n"
+    assert (process.returncode, process.stderr) == (2, line)
+
+
+def test_a_run_goes_on_where_the_disk_of_its_progress_is_full(desk: Desk) -> None:
+    arguments = [*COMMAND, "run", "toy.yaml", "-o", "run", "--workers", "1"]
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.run(
+            arguments, cwd=desk.folder, env=desk.environment, stderr=full, stdout=subprocess.PIPE, timeout=60
+        )
+    assert process.returncode == 0 and (desk.folder / "run" / "run.json").exists()
+
+
 def test_a_failure_that_nobody_hears_keeps_its_exit_code(desk: Desk) -> None:
     reader, writer = os.pipe()
     os.close(reader)

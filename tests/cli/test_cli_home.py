@@ -84,6 +84,36 @@ def test_a_dry_run_refuses_what_the_run_refuses(frames: Path, capsys: pytest.Cap
     assert "gigapixels at 0.001 m" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("output", "more", "problem"),
+    [
+        ("theirs", (), "is not empty and not geomosaic's"),
+        ("new", ("--incremental",), "there is no finished run to go on from"),
+        ("/dev/null", (), "a file stands where a folder is needed"),
+        ("/dev/null", ("--overwrite",), "a file stands where a folder is needed"),
+        ("/proc/x", (), "/proc/x: "),
+    ],
+)
+def test_a_dry_run_refuses_the_folder_that_the_run_refuses(
+    frames: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    output: str,
+    more: tuple[str],
+    problem: str,
+) -> None:
+    """In one line, and nothing is written."""
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs" / "notes.txt").write_text("mine")
+    before = all_below(tmp_path)
+    said = []
+    for dry in ((), ("--dry-run",)):
+        assert geomosaic("mosaic", frames, "-o", tmp_path / output, "-q", *more, *dry) == 2
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1] and problem in said[0] and said[0].count("\n") == 1
+    assert all_below(tmp_path) == before
+
+
 def test_a_recipe_by_name_quietly_into_a_folder_next_to_the_frames(
     frames: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,3 +34,33 @@ def test_the_first_and_the_repeated_call_print_the_same(plugged: Desk) -> None: 
     assert first == plugged.ask("export", "toy", "run")[1] == "run/export.txt\n"
     shutil.rmtree(plugged.folder / "run" / "work")
     assert plugged.ask("export", "toy", "run")[1] == first
+
+
+def test_an_export_goes_with_the_run_that_it_is_of(plugged: Desk) -> None:  # noqa: F811
+    """It stays where the same run is made again, also without its cache."""
+    export, mine = plugged.folder / "run" / "export.txt", plugged.folder / "run" / "mine.txt"
+    run = ("run", "toy.yaml", "-o", "run", "--workers", "1")
+    assert plugged.ask(*run)[0] == 0
+    mine.write_text("not geomosaic's")
+    assert plugged.ask("export", "toy", "run")[0] == 0 and export.read_text() == "30.00 3"
+    assert plugged.ask(*run)[0] == 0 and export.read_text() == "30.00 3"
+    shutil.rmtree(plugged.folder / "run" / "work")
+    assert plugged.ask(*run)[0] == 0 and export.read_text() == "30.00 3"
+    assert plugged.ask(*run, "--set", "toy.power.power=3")[0] == 0
+    assert not export.exists() and mine.read_text() == "not geomosaic's"
+    assert plugged.ask("export", "toy", "run")[0] == 0 and export.read_text() == "100.00 3"
+    (plugged.folder / "numbers.txt").write_text("1\n2\n")
+    assert plugged.ask(*run, "--set", "toy.power.power=3")[0] == 0
+    assert not export.exists() and mine.exists()
+
+
+def test_an_export_goes_where_the_run_between_has_failed(plugged: Desk) -> None:  # noqa: F811
+    run = ("run", "toy.yaml", "-o", "run", "--workers", "1")
+    assert plugged.ask(*run)[0] == 0
+    assert plugged.ask("export", "toy", "run")[0] == 0
+    numbers = (plugged.folder / "numbers.txt").read_text()
+    (plugged.folder / "numbers.txt").write_text("13\n")
+    assert plugged.ask(*run)[0] != 0
+    (plugged.folder / "numbers.txt").write_text(numbers)
+    assert plugged.ask(*run)[0] == 0
+    assert not (plugged.folder / "run" / "export.txt").exists()

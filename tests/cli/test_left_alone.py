@@ -8,7 +8,7 @@ import pytest
 from small_surveys import geomosaic, mosaic, small_survey
 
 from geomosaic.cli.watch import until_all_have_come
-from geomosaic.errors import InputError
+from geomosaic.errors import InputError, OutputError
 from geomosaic.pipeline.reporter import Silent
 from geomosaic.requests.perform import perform
 from geomosaic.requests.watch_request import WatchRequest
@@ -60,11 +60,39 @@ def test_no_replay_goes_onto_its_own_run(
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"set": ["mosaic.compose.blnd=hard"]}, {"edges": "foo"}, {"adjust": "bundel"}, {"aoi": "none.gpkg"}],
+    [
+        {"set": ["mosaic.compose.blnd=hard"]},
+        {"edges": "foo"},
+        {"adjust": "bundel"},
+        {"aoi": "none.gpkg"},
+        {"incremental": True},
+        {"output": Path("/dev/null")},
+    ],
 )
 def test_watch_names_what_the_whole_run_cannot_use_at_once(tmp_path: Path, wrong: dict[str, object]) -> None:
     (tmp_path / "card").mkdir()
-    with pytest.raises(InputError):
-        until_all_have_come(
-            WatchRequest(frames=tmp_path / "card", output=tmp_path / "run", **wrong), quiet=True
-        )
+    given = {"frames": tmp_path / "card", "output": tmp_path / "run"} | wrong
+    with pytest.raises((InputError, OutputError)):
+        until_all_have_come(WatchRequest(**given), quiet=True)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (("inspect", "RUN"), "--png"),
+        (("inspect", "RUN"), "--repair"),
+        (("diff", "RUN", "RUN"), "--png"),
+        (("view", "RUN"), "--save"),
+        (("view", "RUN"), "--screenshot"),
+    ],
+)
+def test_a_file_of_others_is_not_replaced(
+    few_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], option: str
+) -> None:
+    theirs = tmp_path / "theirs.png"
+    theirs.write_text("mine")
+    asked = [few_run if word == "RUN" else word for word in command]
+    assert geomosaic(*asked, option, theirs) == 2
+    assert f"{theirs}: is there already; give another name with {option}" in capsys.readouterr().err
+    assert theirs.read_text() == "mine"

@@ -72,10 +72,10 @@ def test_a_result_that_is_not_made_again_goes(toys: Toys) -> None:  # noqa: F811
     """Among new results an old one would be of another run."""
     toys.run()
     folder = RunFolder(toys.run_folder)
-    folder.claim("extra.txt").write_text("an export's")
+    folder.claim("extra.txt").write_text("no result")
     folder.claim("old.txt").write_text("old")
     (toys.run_folder / "mine.txt").write_text("mine")
-    recipe = toys.recipe()
+    recipe = toys.recipe("toy.power.power=3")
     writes = next(step.stage for step in recipe.steps if step.stage.id == "toy.write")
     assert writes.results == ("total.txt", "old.txt")
     run(recipe, toys.run_folder)
@@ -167,18 +167,18 @@ def test_two_commands_that_write_at_once_both_list_what_they_made(tmp_path: Path
 
 
 def test_results_of_another_recipe_do_not_outlive_its_run(toys: Toys) -> None:  # noqa: F811
-    """A dense surface would be measured under a mosaic of other poses. What commands made of the run stays."""
+    """A dense surface would be measured under a mosaic of other poses. What commands made of it goes too."""
     toys.run()
-    RunFolder(toys.run_folder).note(["tiles.txt"])
+    RunFolder(toys.run_folder).note(["tiles.txt"], results=True)
     for name in ("tiles.txt", "mine.txt"):
         (toys.run_folder / name).write_text("x")
     whole = toys.recipe()
     short = replace(whole, steps=whole.steps[:1])
     run(short, toys.run_folder, RunOptions(preview=True))
-    assert (toys.run_folder / "total.txt").exists()
+    assert (toys.run_folder / "total.txt").exists() and (toys.run_folder / "tiles.txt").exists()
     run(short, toys.run_folder)
     there = {p.name for p in toys.run_folder.iterdir()}
-    assert there == {MARKER, "mine.txt", "tiles.txt", "run.json", "run.mcap", "work"}
+    assert there == {MARKER, "mine.txt", "run.json", "run.mcap", "work"}
 
 
 def test_a_result_of_another_recipe_that_is_read_stays(toys: Toys) -> None:  # noqa: F811
