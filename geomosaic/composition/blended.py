@@ -11,7 +11,7 @@ from geomosaic.composition.area import Area
 from geomosaic.composition.blends import BLENDS
 from geomosaic.composition.frame_part import FramePart
 from geomosaic.composition.frame_source import FrameSource
-from geomosaic.composition.kept_tile import KeptTile
+from geomosaic.composition.kept_tile import KeptTile, TilePixels
 from geomosaic.composition.model import OutputGrid
 from geomosaic.composition.spread import SpooledResult
 from geomosaic.composition.tiles import TILE_PX, PackedTile, TileKind
@@ -50,7 +50,7 @@ class Wanted:
     around: Window
     parts: tuple[tuple[int, slice, slice], ...]
     gives: tuple[SpooledResult[FramePart], ...]
-    kept: KeptTile | None = None
+    kept: TilePixels | None = None
 
     @classmethod
     def of(
@@ -61,7 +61,7 @@ class Wanted:
     ) -> Wanted:
         """A step of the plan, without the frames themselves, which all windows share."""
         if kept is not None:
-            return cls(step.window, step.window, (), (), kept)
+            return cls(step.window, step.window, (), (), kept.read(step.window))
         parts = tuple((part.source.number, part.rows, part.cols) for part in step.parts)
         return cls(step.window, step.around, parts, tuple(gives[number] for number, *_ in parts))
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.windows import Window as RasterWindow
 
-from geomosaic.arrays import Ints64
+from geomosaic.arrays import Bools, Ints64
 from geomosaic.composition.window import Composed, Window
-from geomosaic.doors.at_hand import at_hand
 from geomosaic.doors.raster import OWN, open_raster
 
 
@@ -30,18 +29,34 @@ class KeptTile:
     row: int
     numbers: Ints64
 
+    def read(self, window: Window) -> TilePixels:
+        """The tile's content, of a window's size. The run reads it: its workers may not see the files."""
+        at = RasterWindow(self.col, self.row, window.width, window.height)
+        with open_raster(self.raster, OWN) as raster:
+            pixels, valid = _padded(raster, at), _padded(raster, at, mask=True)[0] > 0
+        with open_raster(self.sources, OWN) as raster:
+            return TilePixels(pixels, valid, _padded(raster, at)[0], self.numbers)
+
+
+@dataclass(frozen=True)
+class TilePixels:
+    """What a tile of an earlier mosaic holds. pixels (bands, h, w); valid (h, w); given (h, w): the source of
+    each pixel there, from 1. numbers: see `KeptTile`."""
+
+    pixels: NDArray[Any]
+    valid: Bools
+    given: NDArray[Any]
+    numbers: Ints64
+
     def composed(self, window: Window) -> Composed:
         """The tile as a window of the present mosaic."""
-        at = RasterWindow(self.col, self.row, window.width, window.height)
-        with open_raster(at_hand(self.raster), OWN) as raster:
-            pixels = np.ascontiguousarray(np.moveaxis(_padded(raster, at), 0, -1))
-            valid = _padded(raster, at, mask=True)[0] > 0
-        with open_raster(at_hand(self.sources), OWN) as raster:
-            given = np.where(valid, _padded(raster, at)[0].astype(np.int64), 0)
-        numbers = np.unique(self.numbers[given[valid] - 1])
+        valid = self.valid
+        shown = np.where(valid, self.pixels, self.pixels.dtype.type(0))
+        pixels = np.ascontiguousarray(np.moveaxis(shown, 0, -1))
+        given = self.numbers[self.given[valid].astype(np.int64) - 1]
+        numbers = np.unique(given)
         label = np.full(valid.shape, -1, dtype=np.int16)
-        label[valid] = np.searchsorted(numbers, self.numbers[given[valid] - 1])
-        pixels[~valid] = 0
+        label[valid] = np.searchsorted(numbers, given)
         all_numbers = tuple(int(n) for n in numbers)
         return Composed(window, pixels, valid, label, all_numbers, all_numbers)
 

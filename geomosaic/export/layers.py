@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from geomosaic.adjustment.model import Adjusted
+from geomosaic.arrays import Floats
 from geomosaic.composition.model import Mosaic
 from geomosaic.export import looks
 from geomosaic.export.ellipses import error_ellipses, exaggeration
@@ -83,13 +84,15 @@ class _Layers:
         self.gsd_m = np.array(
             [
                 ground_sampling_distance_m(adjusted.poses[i], adjusted.cameras[i], adjusted.ground)
-                for i in range(len(self.names))
+                if placed
+                else np.nan
+                for i, placed in enumerate(orientation.placed)
             ]
         )
 
     def frames(self) -> MapFeatures:
         o = self.orientation
-        points = shapely.points(np.column_stack([o.map_m, o.lon_lat_height[:, 2]]))
+        points = self._points(np.column_stack([o.map_m, o.lon_lat_height[:, 2]]))
         return MapFeatures(
             "frames", "Adjusted projection centres", "PointZ", points, self._orientation(), looks.frames()
         )
@@ -99,7 +102,8 @@ class _Layers:
         for i, camera in enumerate(self.adjusted.cameras):
             ground = footprint(self.adjusted.poses[i], camera, self.adjusted.ground)
             ring = map_from_work(self.survey, ground[np.isfinite(ground).all(axis=1)])
-            outlines.append(shapely.Polygon(ring) if len(ring) >= 3 else None)
+            seen = len(ring) >= 3 and self.orientation.placed[i]
+            outlines.append(shapely.Polygon(ring) if seen else None)
         fields = {**self._frame_fields(), "area_m2": [np.nan if p is None else p.area for p in outlines]}
         return MapFeatures(
             "footprints", "What each frame sees", "Polygon", outlines, fields, looks.footprints()
@@ -111,12 +115,12 @@ class _Layers:
         at[:, 2] -= height_m
         fields = {
             **self._frame_fields(),
-            "height_above_ground_m": height_m,
+            "height_above_ground_m": np.where(self.orientation.placed, height_m, np.nan),
             "pos_source": [f.position.source for f in self.survey.frames],
             "attitude_source": [f.attitude.source for f in self.survey.frames],
             "moved_m": self.orientation.moved_m,
         }
-        points = shapely.points(map_from_work(self.survey, at))
+        points = self._points(map_from_work(self.survey, at))
         text = "Ground below the POS positions"
         return MapFeatures("nadir_points", text, "Point", points, fields, looks.nadir_points())
 
@@ -192,6 +196,10 @@ class _Layers:
         }
         text = "What frames see and the mosaic leaves out"
         return MapFeatures("trimmed", text, "MultiPolygon", shapes, fields, looks.trimmed())
+
+    def _points(self, at: Floats) -> NDArray[np.object_]:
+        """Points (n, 2 or 3) of the frames; none for those without a place."""
+        return np.asarray(np.where(self.orientation.placed, shapely.points(at), None), dtype=np.object_)
 
     def _frame_fields(self) -> dict[str, Any]:
         frames = self.survey.frames

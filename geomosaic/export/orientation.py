@@ -29,8 +29,8 @@ class Orientations:
     north at the frame, in the order of `Rotation.from_omega_phi_kappa`. covariance_m2 (n, 3, 3): of easting,
     northing, up; sd_m (n, 3): the same as deviations. sd_omega_phi_kappa_deg (n, 3). Frames that no
     adjustment moved keep the deviations of their POS; those in plan are unknown where nobody reported the
-    position. moved_m (n,): distance in space from the prior position. turned_deg (n,): angle between prior
-    and adjusted rotation.
+    position. Rejected frames without a reported position have no place. moved_m (n,): distance in space from
+    the prior position. turned_deg (n,): angle between prior and adjusted rotation.
     """
 
     names: tuple[str, ...]
@@ -44,6 +44,11 @@ class Orientations:
     sd_omega_phi_kappa_deg: Floats
     moved_m: Floats
     turned_deg: Floats
+
+    @property
+    def placed(self) -> Bools:
+        """Which frames (n,) have a place."""
+        return np.asarray(np.isfinite(self.map_m).all(axis=1))
 
 
 def orientations(survey: Survey, prior: Poses, adjusted: Adjusted) -> Orientations:
@@ -59,13 +64,16 @@ def orientations(survey: Survey, prior: Poses, adjusted: Adjusted) -> Orientatio
     still = (moved_m < SLIGHT) & (np.abs(turn - np.eye(3)).max(axis=(-1, -2)) < SLIGHT)
     place, axes = _covariances(adjusted, prior, still)
     place[still & position_assumed(prior), :2] = np.nan
+    nowhere = position_assumed(prior) & (np.array(adjusted.status) == "rejected")
+    place[nowhere] = np.nan
+    at_m = np.where(nowhere[:, None], np.nan, poses.positions_m)
     covariance_m2 = _turned_covariance(grid, place)
     angles = _turned_covariance(_angles_from_axes(omega, phi) @ grid, axes)
     return Orientations(
         names=tuple(frame.name for frame in survey.frames),
         status=adjusted.status,
-        lon_lat_height=_lon_lat_height(survey, poses.positions_m),
-        map_m=map_from_work(survey, poses.positions_m),
+        lon_lat_height=_lon_lat_height(survey, at_m),
+        map_m=map_from_work(survey, at_m),
         yaw_pitch_roll_deg=np.degrees(np.stack([yaw % (2.0 * np.pi), pitch - np.pi / 2.0, roll], axis=-1)),
         omega_phi_kappa_deg=np.degrees(np.stack([omega, phi, kappa], axis=-1)),
         covariance_m2=covariance_m2,

@@ -29,7 +29,7 @@ _SHARE_OF_SPACING = 0.03
 class ResidualLayers:
     """The layers tie_points, residuals, image_residuals, control and control_residuals.
 
-    frames_m (n, 2): where each frame is on the map.
+    frames_m (n, 2): where each frame is on the map. Frames that are nowhere (NaN) put nothing on the ground.
     """
 
     def __init__(self, survey: Survey, adjusted: Adjusted, frames_m: Floats) -> None:
@@ -145,7 +145,8 @@ class ResidualLayers:
         out = np.full((len(frame), 3), np.nan)
         a = self.adjusted
         for i, mine in frame_by_frame(frame):
-            out[mine] = ground_from_image(a.poses[i], a.cameras[i], a.ground, image_px[which[mine]])
+            if np.isfinite(self.frames_m[i]).all():
+                out[mine] = ground_from_image(a.poses[i], a.cameras[i], a.ground, image_px[which[mine]])
         return out
 
 

@@ -278,11 +278,12 @@ class Context:
         """
         return self._items.mapped(name, function, items, None, without_bytes)
 
-    def optional_cache(self, returns: type[Result], path: str) -> OptionalCache[Result]:
-        """A cache entry for a result of this type and this file's content, shared between stages of a run."""
+    def optional_cache(self, returns: type[Result], path: str, version: int = 1) -> OptionalCache[Result]:
+        """A cache entry for a result of this type and this file's content, shared between stages. version: of
+        how the result is made."""
         if not self.key:
             return OptionalCache(returns, None)
-        mark = fingerprint_of_json([returns.__name__, self._hashes.of_file(Path(path))])
+        mark = fingerprint_of_json([returns.__name__, version, self._hashes.of_file(Path(path))])
         return OptionalCache(returns, self._folder.within(f"{WORK}/spared/items/{mark[:2]}/{mark[2:]}"))
 
     @contextmanager

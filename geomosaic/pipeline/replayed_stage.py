@@ -20,6 +20,7 @@ from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import encode
 from geomosaic.pipeline.context import Notes, RunFile
 from geomosaic.pipeline.files import path_within
+from geomosaic.pipeline.hashes import FileHashes
 from geomosaic.pipeline.input_files import files_of
 from geomosaic.pipeline.recipe import Recipe
 from geomosaic.pipeline.run_folder import RunFolder
@@ -67,12 +68,12 @@ class ReplayedStage:
                 entries[name] = dataclasses.replace(entries[name], fingerprint=mark)
         return dataclasses.replace(self, outputs=outputs, entries=entries, replaced=replaced)
 
-    def messages(self) -> Iterator[tuple[str, str, bytes]]:
-        """Topic, schema and bytes of all the stage recorded, for `Recorder.copy`."""
+    def messages(self) -> Iterator[tuple[str, str, bytes, bool]]:
+        """All the stage recorded, for `Recorder.copy`."""
         yield from stage_messages(self.recording, self.record.index)
         for text in self.added:
             line = Log(level=Log.Level.WARNING, message=text, name=self.record.stage_id)
-            yield "/log", Log.DESCRIPTOR.full_name, line.SerializeToString()
+            yield "/log", Log.DESCRIPTOR.full_name, line.SerializeToString(), False
 
     def with_warning(self, code: str, text: str) -> ReplayedStage:
         """The same with one more warning, in its notes and in its log."""
@@ -102,12 +103,19 @@ class ReplayedStage:
                 )
         return {name: moved(entry, self.places) for name, entry in found.items()} if self.places else found
 
-    def read_files(self) -> Iterator[tuple[Path, str]]:
-        """The files the recorded stage read, as far as they are still there, with their recorded hashes."""
-        for entry in self.manifest().values():
-            for path, mark in files_of(entry):
-                if S_ISREG(mode_of(path)):
-                    yield path, mark
+    def check_unchanged(self, hashes: FileHashes, progress: Callable[[], None]) -> None:
+        """What a recorded stage found holds for the files that it read. Raises: `FileError` for one of those
+        that are still there which has changed."""
+        for path, mark in (file for entry in self.manifest().values() for file in files_of(entry)):
+            if not S_ISREG(mode_of(path)):
+                continue
+            progress()
+            if hashes.of_input(path) != mark:
+                raise FileError(
+                    "has changed since the recording, which holds the old one",
+                    file=path,
+                    fix="run the recipe again, or put the old file back",
+                )
 
 
 def moved(entry: Mapping[str, Any], places: Mapping[Path, Path]) -> dict[str, Any]:

@@ -58,7 +58,7 @@ def _rows(path: Path) -> dict[str, list[float]]:
         )
     out = {}
     for line, row in enumerate(rows, start=2):
-        if row.get("status") == "left_out":
+        if row.get("status") == "left_out" or (row.get("status") == "rejected" and not row["lon_deg"]):
             continue
         try:
             numbers = [float(row[c]) for c in _NUMBERS]

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from geomosaic.adjustment.model import Adjusted
-from geomosaic.arrays import Floats
+from geomosaic.arrays import Bools, Floats
 from geomosaic.composition.model import Mosaic
 from geomosaic.export.ellipses import error_ellipses, exaggeration
 from geomosaic.export.on_map import map_from_work
@@ -39,14 +39,15 @@ _JUMPS_PX: Final = 3.0
 """From here on a seam is called bad: `quality.verdict`'s limit."""
 
 
-def map_footprints_m(survey: Survey, adjusted: Adjusted) -> list[Floats]:
-    """The frames' outlines on the map, (k, 2) each, without points whose ray misses the ground."""
+def map_footprints_m(survey: Survey, adjusted: Adjusted, placed: Bools) -> list[Floats]:
+    """The outlines on the map, (k, 2) each, without points whose ray misses the ground; of frames without a
+    place (`Orientations.placed`) none."""
     per_side = 4 if len(survey.frames) <= _FINE_OUTLINES else 1
     out = []
     for i, camera in enumerate(adjusted.cameras):
         outline = footprint(adjusted.poses[i], camera, adjusted.ground, per_side)
         seen = outline[np.isfinite(outline).all(axis=1)]
-        out.append(map_from_work(survey, seen) if len(seen) else np.empty((0, 2)))
+        out.append(map_from_work(survey, seen) if len(seen) and placed[i] else np.empty((0, 2)))
     return out
 
 
@@ -105,7 +106,7 @@ class FrameLayers:
 
     def _frames(self) -> MapLayer:
         status = ["" if s == "tied" else s for s in self.adjusted.status]
-        known = np.atleast_1d(np.isfinite(self._at_m).all(axis=1))
+        known = self.orientation.placed
         return MapLayer(
             "frames", "Frames", "#ffffff",
             points=[flat(p, self.origin) if k else [] for p, k in zip(self._at_m, known, strict=True)],
@@ -129,7 +130,7 @@ class FrameLayers:
             for q, words in ((0.5, "in the median pair"), (0.05, "or fewer in 5 %"))
             if self.ties.pairs
         )
-        known = np.atleast_1d(np.isfinite(self._at_m).all(axis=1))
+        known = self.orientation.placed
 
         def between(pairs: Iterable[tuple[int, int]]) -> list[list[float]]:
             return [flat(self._at_m[list(p)], self.origin) for p in pairs if known[list(p)].all()]
@@ -142,7 +143,7 @@ class FrameLayers:
 
     def _moves(self) -> MapLayer:
         before = map_from_work(self.survey, self.placement.poses.positions_m)
-        vectors = map_from_work(self.survey, self.adjusted.poses.positions_m) - before
+        vectors = self._at_m - before
         factor = exaggeration(np.linalg.norm(vectors, axis=1), before)
         note = f"from the given position to the adjusted one, {_larger(factor)}"
         lines = arrows(before, vectors, factor, self.origin)
@@ -160,6 +161,7 @@ class FrameLayers:
         taken = usable[thinned(len(usable), _MOST_ARROWS)]
         a = self.adjusted
         at = ground_from_images(left[taken], px[taken], a.poses, a.cameras, a.ground)
+        at[~self.orientation.placed[left[taken]]] = np.nan
         start = map_from_work(self.survey, at)
         vectors = map_from_work(self.survey, at + np.pad(shift[taken], ((0, 0), (0, 1)))) - start
         length = np.linalg.norm(vectors, axis=1)

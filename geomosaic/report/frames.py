@@ -89,8 +89,8 @@ def render_report(report: FramesReport) -> str:
     survey, placement, ties, adjusted = report.survey, report.placement, report.ties, report.adjusted
     mosaic, comparison, verdict = report.mosaic, report.comparison, report.verdict
     image = report.image or glance(report.mosaic_file)
-    footprints_m = map_footprints_m(survey, adjusted)
     orientation = orientations(survey, placement.poses, adjusted)
+    footprints_m = map_footprints_m(survey, adjusted, orientation.placed)
     points = point_figures(adjusted)
     mapped = mapped_points(survey, points)
     judged = verdict_section(survey, verdict, mosaic.grid.gsd_m, points)

@@ -71,7 +71,7 @@ class ReportParams(StageParams):
 
 
 @stage(
-    "export.report", "Write the report", group="Export", version=12, outputs="report_file", cached=False,
+    "export.report", "Write the report", group="Export", version=13, outputs="report_file", cached=False,
     results=("report.html", ACCURACY_REPORT, PDF),
 )  # fmt: skip
 def export_report(

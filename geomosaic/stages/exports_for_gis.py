@@ -34,7 +34,7 @@ TITLE = "Mosaic"
 
 
 @stage(
-    "export.layers", "Write layers and positions", group="Export", version=13,
+    "export.layers", "Write layers and positions", group="Export", version=14,
     outputs=("layers_file", "positions_file"), results=(POSITIONS, LAYERS), concurrent=True,
 )  # fmt: skip
 def export_layers(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +21,11 @@ from geomosaic.composition.grid import output_grid
 from geomosaic.composition.model import MapPixels
 from geomosaic.composition.ownership import Ownership, by_nearest_nadir
 from geomosaic.composition.raster import MosaicFiles
+from geomosaic.composition.spread import InProcessSpooler, SpooledResult, Spooler
 from geomosaic.composition.tiles import TILE_PX
 from geomosaic.composition.tones import Tones
 from geomosaic.composition.views import PosedFrames, frame_views
+from geomosaic.doors.at_hand import Copies, reading_copies
 from geomosaic.pipeline.artefact_reader import decode
 from geomosaic.pipeline.artefacts import encode
 
@@ -55,6 +59,7 @@ class Scene:
         ownership: Ownership | None = None,
         tones: Tones | None = None,
         names: Sequence[str] = (),
+        spread: Spooler | None = None,
     ) -> Made:
         """A mosaic, and how many of its tiles were kept."""
         files = MosaicFiles(self.folder / f"{name}.tif", self.folder / f"{name}-sources.tif")
@@ -63,11 +68,30 @@ class Scene:
             tuple(names or self.names), earlier, lambda tiles, kept: noted.append((tiles, kept))
         )
         how = CompositionOptions("multi_band", tones=tones, keeping=keeping)
-        compose(frames, ownership or self.ownership, files, how)
+        compose(frames, ownership or self.ownership, files, how, spread)
         assert files.sources is not None
         ((tiles, kept),) = noted
         tiles = decode(encode(tiles), ComposedTiles)
         return EarlierMosaic(files.raster, files.sources, tiles), kept
+
+
+class WithoutDisk(InProcessSpooler):
+    """Whose workers see no file of the run, and have been sent none."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._copies = Copies(folder, folder / "copies")
+
+    @contextmanager
+    def spooled(
+        self, name: str, function: Callable[[Any], Any], items: Iterable[Any], keys: Sequence[Any]
+    ) -> Iterator[Sequence[SpooledResult[Any]]]:
+        def there(item: Any) -> Any:
+            with reading_copies(self._copies):
+                return function(item)
+
+        with super().spooled(name, there, items, keys) as made:
+            yield made
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +129,13 @@ def test_nothing_changed(scene: Scene, first: EarlierMosaic) -> None:
     assert (sources(again) == sources(first)).all()
     assert digest(again.raster) == digest(first.raster)
     assert digest(again.sources) == digest(first.sources)
+
+
+def test_workers_without_a_shared_disk_get_the_tiles_alone(scene: Scene, first: EarlierMosaic) -> None:
+    """Not the files of the earlier mosaic, which may be too large to be sent."""
+    far, kept = scene.made("far", scene.frames, first, spread=WithoutDisk(scene.folder))
+    assert kept == len(first.tiles.places)
+    assert digest(far.raster) == digest(first.raster) and digest(far.sources) == digest(first.sources)
 
 
 def test_frames_that_only_touch_a_tile(scene: Scene) -> None:

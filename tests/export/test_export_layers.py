@@ -38,7 +38,9 @@ from geomosaic.matching.model import TiePair, TiePoints
 from geomosaic.placement.model import Placement
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import flat_ground
+from geomosaic.quality.positions import read_poses
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
+from geomosaic.survey.pos import read_pos
 
 CONTRACT = (
     "frame status lon_deg lat_deg height_ellipsoidal_m easting_m northing_m yaw_deg pitch_deg roll_deg "
@@ -214,6 +216,42 @@ def test_arrows_run_from_the_given_to_the_adjusted_position(package, tmp_path):
     assert [feature[f"moved_{axis}_m"] for axis in "enu"] == pytest.approx(expected, abs=3e-3)
     (start, end) = feature.GetGeometryRef().GetPoints()
     assert np.subtract(end, start) == pytest.approx(expected[:2], abs=3e-3)
+
+
+def test_rejected_frames_without_a_position_are_nowhere(package, tmp_path):
+    """The last two, which are tied to each other alone, lie in no layer; without a position but tied to
+    others, the second frame has a place."""
+    _, (survey, placement, ties, adjusted, mosaic) = package
+    sd_m = placement.poses.positions_sd_m.copy()
+    sd_m[[1, 4, 5]] = 1e5
+    placement = replace(placement, poses=replace(placement.poses, positions_sd_m=sd_m))
+    status = ("tied", "tied", "rejected", "tied", "rejected", "rejected")
+    adjusted = replace(adjusted, status=status)
+    ties = replace(ties, pairs=(ties.pairs[0], replace(ties.pairs[1], left=4, right=5)))
+    o = orientations(survey, placement.poses, adjusted)
+    assert o.placed.tolist() == [True, True, True, True, False, False]
+    write_positions(tmp_path / "p.csv", o)
+    place = (*COLUMNS[2:7], *COLUMNS[13:16], "moved_m")
+    assert place[4:7] == ("northing_m", "sd_e_m", "sd_n_m")
+    unknown = [[row[name] == "" for name in place] for row in rows(tmp_path / "p.csv")]
+    assert unknown[2] == [False] * 9 and unknown[4] == unknown[5] == [True] * 9
+    assert unknown[1] == [False] * 5 + [True, True, False, True]
+    names = [f.name for f in survey.frames]
+    assert [row.name for row in read_pos(tmp_path / "p.csv").rows] == names[:4]
+    read_back = read_poses(tmp_path / "p.csv", names[:4], HOME).positions_m
+    assert np.abs(read_back - adjusted.poses.positions_m[:4]).max() < 1e-3
+    write_layers(tmp_path / "l.gpkg", SolvedSurvey(survey, placement, ties, adjusted, mosaic))
+    dataset = ogr.Open(str(tmp_path / "l.gpkg"))
+    for name in ("frames", "footprints", "nadir_points"):
+        shown = [feature.GetGeometryRef() is not None for feature in dataset.GetLayer(name)]
+        assert shown == [True, True, True, True, False, False], name
+    assert dataset.GetLayer("frames").GetFeature(5)["gsd_m"] is None
+    assert dataset.GetLayer("nadir_points").GetFeature(5)["height_above_ground_m"] is None
+    for name in ("tie_points", "residuals"):
+        assert [feature["left_frame"] for feature in dataset.GetLayer(name)] == ["frame 00.tif"] * 3
+    assert [feature["frame"] for feature in dataset.GetLayer("error_ellipses")] == [
+        f"frame 0{k}.tif" for k in (0, 2, 3)
+    ]
 
 
 def test_layers_bring_their_styles(package, tmp_path):

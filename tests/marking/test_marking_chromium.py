@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -219,8 +221,16 @@ def test_a_mosaic_takes_the_marks(survey: TargetSurvey, oriented: OrientedFrames
 
 
 def test_the_command_serves_saves_and_ends(survey: TargetSurvey, tmp_path: Path) -> None:
+    """The next command has the options that were given."""
     command = [sys.executable, "-m", "geomosaic.cli.main", "control", survey.frames, "--points", survey.rover]
-    command += ["--camera", survey.camera, "-o", tmp_path / "marks", "-q"]
+    given = [
+        "--height-datum",
+        "ellipsoidal",
+        "--camera",
+        shutil.copy(survey.camera, tmp_path / "a camera.json"),
+    ]
+    given = [str(text) for text in (*given, "--ground-height", 500.5)]
+    command += [*given, "-o", tmp_path / "marks", "-q"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         word, url = process.stdout.readline().split()
@@ -231,7 +241,9 @@ def test_the_command_serves_saves_and_ends(survey: TargetSurvey, tmp_path: Path)
         process.send_signal(signal.SIGINT)
         said = process.stdout.read()
     assert process.returncode == 130
-    assert f"--gcp {tmp_path / 'marks' / TABLE}" in said
+    (line,) = (line for line in said.splitlines() if line.startswith("next "))
+    after = ["geomosaic", "mosaic", str(survey.frames), "--gcp", str(tmp_path / "marks" / TABLE), *given]
+    assert shlex.split(line)[1:] == after
     assert "F0001.jpg,5.000,5.000" in (tmp_path / "marks" / TABLE).read_text()
 
 

@@ -316,7 +316,8 @@ def test_a_worker_at_rest_forgets_what_it_recalled(tmp_path: Path) -> None:
 
 
 def test_what_spares_work_counts_for_nothing(tmp_path: Path) -> None:
-    """It lies by the type and the file's content, alike for every stage; it is there or not; it names nothing."""
+    """It lies by type, version and the file's content, alike for every stage; it is there or not; it names
+    nothing."""
     (tmp_path / "a").write_text("1")
     (tmp_path / "b").write_text("1")
     (tmp_path / "c").write_text("2")
@@ -330,6 +331,7 @@ def test_what_spares_work_counts_for_nothing(tmp_path: Path) -> None:
         known = found.found()
         assert known is not None and known.at.tolist() == [0.0, 1.0, 2.0]
     assert other.optional_cache(Keypoints, str(tmp_path / "c")).found() is None
+    assert other.optional_cache(Keypoints, str(tmp_path / "a"), 2).found() is None
     assert content_of([there, 1])[0] == content_of([OptionalCache(Keypoints, None), 1])[0]
     assert there.path is not None
     there.path.write_bytes(b"spoiled")

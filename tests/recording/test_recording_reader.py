@@ -208,8 +208,8 @@ def test_a_chunk_that_would_burst_is_not_unpacked(tmp_path: Path, declared: int)
 def test_what_a_stage_reported_can_be_reported_again(scene: Path, tmp_path: Path) -> None:
     recording = read_recording(scene)
     reported = list(stage_messages(recording, 1))
-    assert [schema for _, schema, _ in reported].count("geomosaic.PairOffsets") == 3
-    assert {topic for topic, _, _ in reported}.isdisjoint({"/stages", "/artefacts", "/frames"})
+    assert [schema for _, schema, *_ in reported].count("geomosaic.PairOffsets") == 3
+    assert {topic for topic, *_ in reported}.isdisjoint({"/stages", "/artefacts", "/frames"})
     with Recorder(tmp_path / "again.mcap", fixed_time=True) as recorder:
         recorder.begin_run(RECIPE, {}, {})
         for message in reported:

@@ -100,8 +100,8 @@ def test_a_replay_tells_them_again(tmp_path: Path) -> None:
     with Recorder(tmp_path / "b.mcap", fixed_time=True) as recorder:
         recorder.begin_run("name: strips\n", {"geomosaic": "0.1.0"}, {})
         recorder.stage_started("ccd.offsets", 1, {"method": "joint"}, {})
-        for topic, schema, data in stage_messages(recording, 0):
-            recorder.copy(topic, schema, data)
+        for message in stage_messages(recording, 0):
+            recorder.copy(*message)
         recorder.stage_finished("ccd.offsets", StageEnd())
         recorder.stage_started("spooled", 1, {}, {})
         replay_calls(tmp_path / "spool", recorder)
@@ -223,8 +223,8 @@ def test_what_is_left_is_reported_again(tmp_path: Path) -> None:
     with Recorder(tmp_path / "b.mcap", fixed_time=True) as recorder:
         recorder.begin_run("name: strips\n", {"geomosaic": "0.1.0"}, {})
         recorder.stage_started("quality.strips", 2, {}, {})
-        for topic, schema, data in stage_messages(recording, 1):
-            recorder.copy(topic, schema, data)
+        for message in stage_messages(recording, 1):
+            recorder.copy(*message)
         replay_calls(tmp_path / "spool", recorder)
     again = read_recording(tmp_path / "b.mcap")
     assert [r.pair for r in again.strip_residuals] == [0, 2, 4]

@@ -166,6 +166,22 @@ def test_clock_times_rise_strictly_and_frames_have_the_time_of_their_exposure(tm
     assert all(t.recorded_ns > 1.6e18 for t in times) and [t.frame for t in times] == list(FRAMES)
 
 
+def test_copied_messages_keep_the_time_of_an_exposure_alone(tmp_path: Path) -> None:
+    """The third frame has none: its messages have the time at which they are copied."""
+    with Recorder(tmp_path / "old.mcap") as recorder:
+        record(recorder)
+    with Recorder(tmp_path / "new.mcap") as recorder:
+        for message in stage_messages(read_recording(tmp_path / "old.mcap"), 0):
+            recorder.copy(*message)
+    with (tmp_path / "new.mcap").open("rb") as file:
+        found = [(c.topic, m) for _, c, m in make_reader(file).iter_messages(log_time_order=False)]
+    for topic in ("/frames", "/location/observed"):
+        written = [m for at, m in found if at == topic]
+        times = [m.timestamp.ToNanoseconds() for m in decoded(tmp_path / "new.mcap", topic)]
+        assert times == [1_500_000_000_250_000_000, 1_500_000_002_250_000_000, written[2].log_time]
+        assert times == [m.publish_time for m in written]
+
+
 def test_poses_and_points_as_foxglove_has_them(scene: Path) -> None:
     """A point is in a frame where transform and calibration put it, by OpenCV."""
     tf, camera = (decoded(scene, topic)[1] for topic in ("/tf", "/cameras/FC_220"))

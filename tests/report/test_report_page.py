@@ -19,8 +19,10 @@ from geomosaic.adjustment.model import Adjusted
 from geomosaic.errors import FileError
 from geomosaic.export.orientation import orientations
 from geomosaic.geodesy.mapcrs import LOCAL_CRS
+from geomosaic.matching.model import TiePoints
 from geomosaic.pipeline.stage import Context
 from geomosaic.report import warnings
+from geomosaic.report.frame_layers import FrameLayers, map_footprints_m
 from geomosaic.report.frames import FramesReport, render_report
 from geomosaic.report.glance import glance
 from geomosaic.report.parts import frame_table
@@ -145,6 +147,35 @@ def test_the_table_measures_from_the_prior(run):
     last = table.rows[-1]
     assert last.kind == "placed" and last.cells[6].by == "0" and last.cells[2].text == "–"
     assert sum(int(r.cells[6].by) for r in table.rows) == 2 * sum(len(p) for p in run["ties"].pairs)
+
+
+def test_rejected_frames_without_a_position_are_not_on_the_map(run):
+    """The last two, which are tied to each other alone."""
+    sd_m = run["placement"].poses.positions_sd_m.copy()
+    sd_m[10:] = 1e5
+    placement = replace(run["placement"], poses=replace(run["placement"].poses, positions_sd_m=sd_m))
+    adjusted = replace(run["adjusted"], status=("tied",) * 10 + ("rejected",) * 2)
+    pair = replace(run["ties"].pairs[0], left=10, right=11)
+    adjusted = replace(adjusted, residuals_m=adjusted.residuals_m[:1])
+    o = orientations(run["survey"], placement.poses, adjusted)
+    outlines_m = map_footprints_m(run["survey"], adjusted, o.placed)
+    drawn = FrameLayers(
+        *(
+            run["survey"],
+            placement,
+            TiePoints((pair,)),
+            adjusted,
+            o,
+            outlines_m,
+            np.array([690_000.0, 5.33e6]),
+        ),
+        pixel_m=0.1,
+    )
+    layers = {layer.name: layer for layer in drawn.all(run["mosaic"], None, None)}
+    for shapes in (layers["frames"].points, layers["footprints"].areas):
+        assert [bool(shape) for shape in shapes] == [True] * 10 + [False] * 2
+    assert len(layers["moves"].lines) == 10
+    assert layers["ties"].lines == layers["residuals"].lines == []
 
 
 def test_equal_warnings_are_counted_and_routine_ones_folded(run):

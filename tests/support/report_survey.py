@@ -79,7 +79,7 @@ def made_up_run(
     adjusted = Adjusted(after, (CAMERA,) * n, status, rounds, tuple(residuals), ground)
     placement = Placement(prior, tuple(map(int, number)), tuple(map(int, line)), tuple(near), 0.1, "rigorous")
     ties = TiePoints(tuple(pairs), ((0, n - 1),))
-    outline = np.concatenate(map_footprints_m(survey, adjusted))
+    outline = np.concatenate(map_footprints_m(survey, adjusted, np.ones(n, dtype=bool)))
     grid, file, comparison = _mosaic(folder, outline, with_comparison)
     summary = {
         "frames": {"total": n, "tied": n - 1, "placed": 1, "rejected": 0},

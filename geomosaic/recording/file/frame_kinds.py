@@ -208,15 +208,13 @@ def _take_geojson(recording: Recording, message: Any, at: At) -> None:
 FRAME_KINDS = (
     Kind(
         CompressedImage, "/frames, /images/NAME, /chips, /strips", "images",
-        level="normal", calls=(image, frame_image), take=_take_image, captured=True,
+        level="normal", calls=(image, frame_image), take=_take_image,
     ),
     Kind(FrameTime, "/frames/times", level="normal"),
-    Kind(
-        LocationFix, "/location/STATUS", calls=(location,), captured=True, parse=_location_of,
-    ),
-    Kind(FrameTransform, "/tf", "block", calls=(pose,), take=_take_transform, captured=True),
-    Kind(CameraCalibration, "/cameras/NAME", "block", take=_take_calibration, captured=True),
-    Kind(PosesInFrame, "/path", calls=(flown_path,), captured=True),
-    Kind(PointCloud, "/points/NAME", "block", "normal", calls=(points,), take=_take_points, captured=True),
+    Kind(LocationFix, "/location/STATUS", calls=(location,), parse=_location_of),
+    Kind(FrameTransform, "/tf", "block", calls=(pose,), take=_take_transform),
+    Kind(CameraCalibration, "/cameras/NAME", "block", take=_take_calibration),
+    Kind(PosesInFrame, "/path", calls=(flown_path,)),
+    Kind(PointCloud, "/points/NAME", "block", "normal", calls=(points,), take=_take_points),
     Kind(GeoJSON, "/footprints/NAME, /map/strips", "plan of strips", calls=(geojson,), take=_take_geojson),
 )  # fmt: skip

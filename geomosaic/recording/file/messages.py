@@ -52,7 +52,7 @@ class Kind:
     empty: nowhere. level: from which it is recorded. calls: what stages call to record it, each a generator
     of messages from plain values and arrays; the recorder sets `stage_id`, `stage_index` and `iteration`.
     take: adds a decoded message to what is known of a recording; ValueError for one that no run writes.
-    captured: its time is that of the exposure, where known. parse: the message of its bytes.
+    parse: the message of its bytes.
     """
 
     message: Any
@@ -61,7 +61,6 @@ class Kind:
     level: str = "summary"
     calls: tuple[Callable[..., Topics], ...] = ()
     take: Callable[[Recording, Any, At], None] | None = None
-    captured: bool = False
     parse: Callable[[bytes], Any] | None = None
 
     @property

@@ -76,8 +76,9 @@ def recorded_images(path: Path, topic: str) -> Iterator[tuple[str, bytes]]:
                 yield message.frame_id, message.data
 
 
-def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str, str, bytes]]:
-    """Topic, schema and bytes of all that a stage recorded, for `Recorder.copy`; no events, no artefacts.
+def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str, str, bytes, bool]]:
+    """All that a stage recorded, for `Recorder.copy`: topic, schema, bytes, and whether the time is that of
+    an exposure. No events, no artefacts.
 
     Raises FileError where its beginning and end can't be found.
     """
@@ -94,7 +95,8 @@ def stage_messages(recording: Recording, stage_index: int) -> Iterator[tuple[str
                     raise FileError(text, file=recording.path, fix="run the recipe again") from error
                 now = -1 if event.finished else event.stage_index
             elif now == stage_index:
-                yield item.topic, item.schema, item.record.data
+                captured = item.record.publish_time != item.record.log_time
+                yield item.topic, item.schema, item.record.data, captured
 
 
 def artefact_data(recording: Recording, entry: ArtefactEntry) -> bytes:

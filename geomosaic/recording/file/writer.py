@@ -237,9 +237,9 @@ class Recorder:
             self.privacy.message(message)
         self._file.write(topic, message)
 
-    def copy(self, topic: str, schema: str, data: bytes) -> None:
-        """A message of another recording as it is, but for its time, unless that is of an exposure. See
-        `reader.stage_messages`.
+    def copy(self, topic: str, schema: str, data: bytes, captured: bool = False) -> None:
+        """A message of another recording as it is, but for its time, unless that is of an exposure
+        (`captured`). See `reader.stage_messages`.
 
         Raises InputError if it is none that a stage records, or damaged.
         """
@@ -252,7 +252,7 @@ class Recorder:
             message = kind.of(data)
         except DAMAGED as error:
             raise InputError(f"a {schema} is damaged", fix="replay from an earlier stage") from error
-        if "timestamp" in message.DESCRIPTOR.fields_by_name and not kind.captured:
+        if "timestamp" in message.DESCRIPTOR.fields_by_name and not captured:
             message.ClearField("timestamp")
         self._write(topic, message)
 
