@@ -20,7 +20,7 @@ def until_all_have_come(request: WatchRequest, *, quiet: bool) -> None:
     """Shows previews of the frames that arrive, until none has for `request.after` seconds.
 
     Raises: `FileError` for what is no folder; `InputError` for what the whole run could not use, such as
-    frames of a format that needs a reader; `OutputError` for a folder that it could not write to.
+    frames of a format that needs a reader. Raises: `OutputError` for a folder that it could not write to.
     """
     from geomosaic.requests.perform import check_folder
 

@@ -83,7 +83,7 @@ class SurveyRequest(FramesRequest, ABC):
     camera_kind: str | None = asked(
         Option(
             "frames of one of the aircraft's cameras: wide, zoom, thermal; wide+thermal: of both as bands of "
-            "one mosaic [the one with most pixels]",
+            "one mosaic [the one with most files]",
             "KIND",
             RARE,
             sets="survey.read.camera_kind",

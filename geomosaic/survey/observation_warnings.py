@@ -25,7 +25,7 @@ _TEXTS: Final = {
     "if the map lies wrong, give --pos",
     "hemisphere-by-xmp": "EXIF and XMP differ in north or south, east or west: XMP's signs are taken; if the "
     "map lies wrong, give --pos",
-    "position-by-xmp": "EXIF's position is cut to whole seconds or minutes of arc: XMP's is taken",
+    "position-by-xmp": "EXIF's position is rounded to coarser parts of a degree than XMP's, which is taken",
     "position-contradicts": "EXIF and XMP give different positions: EXIF's is taken; if the map lies wrong, "
     "give positions by --pos",
     "xmp-unreadable": "the XMP packet is damaged and was not used: heights and attitude in it are lost; copy "

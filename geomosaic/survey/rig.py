@@ -47,7 +47,8 @@ class CaptureGroups:
     """A rig's files, grouped.
 
     own: one file of each capture, all of the same band, which stands for the capture. others: of each other
-    band by name, the files by the own file's name. incomplete: files whose capture has no own one.
+    band by name, the files by the own file's name. incomplete: files whose capture has no own one, copies,
+    and those without the tags that most have.
     """
 
     own: tuple[BandHeader, ...]
@@ -75,7 +76,8 @@ def captures(headers: Sequence[FrameHeader]) -> CaptureGroups | None:
     for file in sorted(files, key=lambda f: (f.wavelength_nm or 0.0, f.index or 0.0, natural_key(f.band))):
         if file.band != own_band and file.capture in own:
             others.setdefault(file.band, {})[own[file.capture].header.name] = file
-    lost = tuple(f.header for f in files if f.capture not in own)
+    used = {f.header.name for f in files if f.capture in own}
+    lost = tuple(h for h in headers if h.name not in used)
     return CaptureGroups(tuple(own.values()), others, lost)
 
 
@@ -95,7 +97,7 @@ def incomplete_captures(rig: CaptureGroups, used: Sequence[str]) -> list[Warn]:
     out = []
     if lost := rig.incomplete:
         out.append(
-            f"{len(lost)} files of captures without the rig's first band are not used: "
+            f"{len(lost)} files are not used, copies, or of captures without tags or the rig's first band: "
             f"{some(h.name for h in lost)}; {_COPY_BANDS}"
         )
     for band, files in rig.others.items():
@@ -108,14 +110,15 @@ def incomplete_captures(rig: CaptureGroups, used: Sequence[str]) -> list[Warn]:
 
 
 def _files(headers: Sequence[FrameHeader]) -> list[BandHeader]:
-    """A rig's files with their bands and captures, none where they are not a rig's."""
-    found = [_by_tags(h) for h in headers]
-    by_name = any(f is None for f in found)
-    if by_name:
-        found = [_by_name(h) for h in headers]
-    files = [f for f in found if f is not None]
-    of_rig = len(files) == len(headers) and _grouped(files) and not (by_name and not _at_once(files))
-    return files if of_rig else []
+    """A rig's files with their bands and captures, none where they are not a rig's. Without those that lack
+    tags which most have, and without copies."""
+    tagged = [f for f in map(_by_tags, headers) if f is not None]
+    if 2 * len(tagged) > len(headers):
+        once = {(f.capture, f.band): f for f in reversed(tagged)}  # the first, of copies
+        files = [f for f in tagged if once[f.capture, f.band] is f]
+        return files if _grouped(files) else []
+    files = [f for f in map(_by_name, headers) if f is not None]
+    return files if len(files) == len(headers) and _grouped(files) and _at_once(files) else []
 
 
 def _check_one_band(headers: Sequence[FrameHeader]) -> None:
@@ -173,11 +176,12 @@ def capture_by_name(header: FrameHeader) -> str:
 def _by_tags(header: FrameHeader) -> BandHeader | None:
     xmp: Xmp = header.xmp or {}
     capture = capture_by_tag(header)
-    band = xmp.get("Camera:BandName", "")
+    band = xmp.get("Camera:BandName") or xmp.get("drone-dji:BandName", "")
     if not capture or not band or "," in band:
         return None
     index = number(xmp, "Camera:RigCameraIndex")
-    return BandHeader(header, capture, band, number(xmp, "Camera:CentralWavelength"), index)
+    wavelength_nm = number(xmp, "Camera:CentralWavelength", "drone-dji:CentralWavelength")
+    return BandHeader(header, capture, band, wavelength_nm, index)
 
 
 def _by_name(header: FrameHeader) -> BandHeader | None:

@@ -133,6 +133,33 @@ def test_files_of_captures_without_the_first_band_are_named(tmp_path: Path) -> N
     assert survey.band == "Red" or (len(lost) == 1 and "1Red.jpg" in lost[0])
 
 
+def test_a_copy_and_a_file_without_tags_stop_no_rig(tmp_path: Path) -> None:
+    for capture in range(3):
+        for k, band in enumerate(("Green", "Red")):
+            grey_frame(
+                tmp_path / f"DJI_{capture}{k}.jpg", capture, rig_xmp(f"A{capture}", band, k, 550.0 + k)
+            )
+    grey_frame(tmp_path / "DJI_11 - Copy.jpg", 1, rig_xmp("A1", "Red", 1, 551.0))
+    grey_frame(tmp_path / "DJI_30.jpg", 3)
+    survey = read_survey(SurveyInputs(tmp_path))
+    assert [f.name for f in survey.frames] == ["DJI_00.jpg", "DJI_10.jpg", "DJI_20.jpg"]
+    (lacking,) = [w.text for w in survey.warnings if w.code == "capture-incomplete"]
+    assert lacking.startswith("2 files are not used") and "DJI_30.jpg" in lacking
+
+
+def test_bands_that_dji_names_in_its_own_room_are_found(tmp_path: Path) -> None:
+    """Mavic 3M, by DJI's M3M Image Processing Guide: band and wavelength are DJI's own properties."""
+    for capture in range(2):
+        for band, wavelength in (("Red", 650), ("Green", 560)):
+            tags = {"CaptureUUID": f"A{capture}", "BandName": band, "CentralWavelength": wavelength}
+            xmp = xmp_attributes("http://www.dji.com/drone-dji/1.0/", "drone-dji", **tags)
+            grey_frame(tmp_path / f"{capture}{band}.jpg", capture, xmp)
+    survey = read_survey(SurveyInputs(tmp_path))
+    assert [f.name for f in survey.frames] == ["0Green.jpg", "1Green.jpg"]
+    assert survey.band == "Green"
+    assert [(b.name, b.wavelength_nm) for b in survey.other_bands] == [("Red", 650.0)]
+
+
 @pytest.mark.parametrize("tags", ["all", "none", "colour too"])
 def test_an_event_of_rtklib_is_a_capture_of_the_rig(tmp_path: Path, tags: str) -> None:
     """By tags, by names, and where the aircraft's colour camera takes part."""
