@@ -217,15 +217,11 @@ class MosaicRequest(SurveyRequest):
 
 
 def _check_used(read: Mapping[str, Any]) -> None:
-    """Raises: `InputError` for an option of a file that is neither given nor in the folder of frames. read:
-    the parameters of survey.read."""
+    """Raises: `InputError` for the CRS of a file that is neither given nor in the folder of frames. read: the
+    parameters of survey.read."""
     from geomosaic.survey.folder import project_files
 
-    if read["pos_crs"] is None and not read["gcp_optional"]:
-        return
-    there = {kind for kind in ("pos", "gcp") if read[kind] is not None} | project_files(read["frames"]).keys()
-    if read["pos_crs"] is not None and not there:
+    given = read["pos"] is not None or read["gcp"] is not None
+    if read["pos_crs"] is not None and not given and not project_files(read["frames"]):
         problem = "--pos-crs has an effect only on a POS or a control file"
         raise InputError(problem, fix="add --pos FILE or --gcp FILE")
-    if read["gcp_optional"] and "gcp" not in there:
-        raise InputError("--gcp-optional has an effect only on a control file", fix="add --gcp FILE")

@@ -45,7 +45,7 @@ _KINDS: Final[Mapping[int, tuple[str, ...]]] = {
     10: ("i4", "i4"), 11: ("f4",), 12: ("f8",), 13: ("u4",),
 }  # fmt: skip
 """Numpy's types by field type, of a ratio both numbers'; others are skipped: TIFF 6.0 (Adobe 1992), section
-2; pointers as type 13, as FLIR's Vue Pro R writes them: Adobe PageMaker 6.0 TIFF Technical Notes (1995)."""
+2. Pointers may be of type 13, as in FLIR's Vue Pro R: Adobe PageMaker 6.0 TIFF Technical Notes (1995)."""
 LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged length says up to 4 GB")
 
 

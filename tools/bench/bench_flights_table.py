@@ -9,7 +9,7 @@ Row = Mapping[str, Any]
 _COLUMNS = (
     "flight", "exit", "frames tied", "parts", "sigma, px", "reprojection, px", "seams, px: median, 90, 95 %",
     "verdict", "control, m: plan, height", "check points, m: plan, height", "mosaic, px", "trimmed",
-    "time, s", "memory, MB", "folder over raw mosaic", "commit", "missed",
+    "processors, s", "memory, MB", "folder over raw mosaic", "commit", "missed",
 )  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def _cells(name: str, row: Row) -> list[str]:
         _points(row.get("check")),
         f"{mosaic['width']} x {mosaic['height']}" if mosaic else "-",
         "-" if trimmed is None else f"{100 * trimmed:.1f} %",
-        f"{row['wall_s']:.0f}",
+        f"{row['processor_s']:.0f}",
         f"{row['peak_mb']:.0f}",
         _number(row.get("folder_over_raw"), 2),
         row["commit"],
