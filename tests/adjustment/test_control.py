@@ -84,6 +84,21 @@ def test_points_known_in_plan_alone_have_no_say_in_height() -> None:
     assert (alone.n_height, alone.rmse_up_m, alone.le90_m, alone.ce90_m) == (0, None, None, 1.0)
 
 
+def test_points_known_in_plan_alone_do_not_lift_a_block_to_its_prior_ground() -> None:
+    """RTK positions over land 20 m below what was taken for it before: the points' heights are that ground's."""
+    flown = fly(3, points=900, position_sd_m=np.array([0.03, 0.03, 0.05]))
+    control = tuple(
+        replace(c, enu_m=np.array([*c.enu_m[:2], 20.0]), sd_m=np.array([0.02, 0.02, 1e5]))
+        for c in surveyed(flown, CORNERS)
+    )
+    ground = replace(flown.block.ground, up_m=flown.block.ground.up_m + 20.0)
+    block = replace(flown.block, ground=ground, control=control)
+    adjusted = METHODS["bundle"](block, Settings(model="given"))
+    off_m = adjusted.poses.positions_m - flown.truth.positions_m
+    assert rms(off_m).max() < 0.1
+    assert "positions-shifted" not in {w.code for w in adjusted.warnings}
+
+
 def test_residual_is_surveyed_minus_found() -> None:
     """True poses, exact pixels. A point surveyed 0.3 m too far east, 0.2 m too far south and 0.5 m too high
     says just that. Seen once, it is found on the ground."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adjustment_blocks import Flown, fly, hills, level
+from test_control import surveyed
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
@@ -68,3 +69,31 @@ def test_flat_ground_stays_flat_at_two_levels(seed: int) -> None:
 def test_relief_is_still_seen() -> None:
     block, _, _ = parted(fly(2, lines=3, per_line=10, noise_px=0.1, points=1600, relief=hills))
     assert METHODS["bundle"](block, Settings(model="given")).ground.kind == "tie_surface"
+
+
+def test_parts_without_positions_lie_on_their_own_control() -> None:
+    """Five points in one part, three in the other: one similarity would put the second 80 m off."""
+    flown = fly(1, 3, 10, points=1500)
+    block, truth, part = parted(flown)
+    number = {name: k for k, name in enumerate(block.names)}
+    places = [(-5.0, 5.0), (85.0, 0.0), (40.0, 20.0), (-5.0, 35.0), (85.0, 40.0)]
+    control = tuple(
+        replace(c, observations=seen)
+        for c in surveyed(
+            flown, np.array([*places, (-5.0, 135.0), (85.0, 140.0), (40.0, 160.0)]), noise_px=0.3
+        )
+        if (
+            seen := tuple(
+                (number[n], x, y) for i, x, y in c.observations if (n := flown.block.names[i]) in number
+            )
+        )
+    )
+    poses = replace(
+        block.poses,
+        positions_m=np.tile([40.0, 40.0, 100.0], (len(part), 1)),
+        positions_sd_m=np.full((len(part), 3), 1e5),
+        rotations_sd_rad=np.tile([0.17, 0.17, np.pi], (len(part), 1)),
+    )
+    adjusted = METHODS["bundle"](replace(block, poses=poses, control=control), Settings(model="given"))
+    off_m = np.linalg.norm(adjusted.poses.positions_m - truth.positions_m, axis=1)
+    assert off_m.max() < 3.0

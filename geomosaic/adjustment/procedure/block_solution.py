@@ -171,16 +171,23 @@ def _nearest_to_rays(tracks: Tracks, poses: Poses, lenses: Sequence[Camera], gro
 def _shift_to_control(block: Block, poses: Poses, cameras: tuple[Camera, ...]) -> tuple[Floats, Bools]:
     """Median of control minus its place by the poses, (3,), and along which axes (3,) it shows another datum.
     It does where three points or more agree on more than the positions' deviations and the points' scatter
-    explain."""
+    explain. Heights of points known in plan only, or seen in one image, are the prior ground's and count
+    nothing."""
     used = replace(block, control=tuple(c for c in block.control if not c.check), cameras=cameras)
-    off = np.array([c.residual_m for c in control_residuals(used, poses)])
-    if not len(off):
-        return np.zeros(3), np.zeros(3, dtype=bool)
-    shift = np.median(off, axis=0)
-    scatter_m = NORMAL_PER_MAD * np.median(np.abs(off - shift), axis=0)
-    of_shift_m = np.sqrt(np.pi / 2.0 / len(off)) * scatter_m  # a median's, of normal errors
-    sd_m = np.hypot(np.median(block.poses.positions_sd_m, axis=0), of_shift_m)
-    return shift, np.asarray((len(off) >= 3) & (np.abs(shift) > THREE_SIGMA * sd_m))
+    found = control_residuals(used, poses)
+    off = np.array([c.residual_m for c in found]).reshape(-1, 3)
+    nowhere_m = POSITION["none"].sd_vertical_m
+    off[[c.images < 2 or c.surveyed_sd_m[2] >= nowhere_m for c in found], 2] = np.nan
+    shift, datum = np.zeros(3), np.zeros(3, dtype=bool)
+    for axis, sd_m in enumerate(np.median(block.poses.positions_sd_m, axis=0)):
+        known = off[np.isfinite(off[:, axis]), axis]
+        if len(known):
+            shift[axis] = np.median(known)
+            scatter_m = NORMAL_PER_MAD * np.median(np.abs(known - shift[axis]))
+            of_shift_m = np.sqrt(np.pi / 2.0 / len(known)) * scatter_m  # a median's, of normal errors
+            beyond = np.abs(shift[axis]) > THREE_SIGMA * np.hypot(sd_m, of_shift_m)
+            datum[axis] = len(known) >= 3 and beyond
+    return shift, datum
 
 
 def _with_control(

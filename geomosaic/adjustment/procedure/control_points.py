@@ -23,6 +23,7 @@ from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.linear import inverse, is_parallel, singular_values, solve
 from geomosaic.estimation.robust import STRONG, cauchy_cost
 from geomosaic.estimation.similarity import Similarity3D
+from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
@@ -234,11 +235,14 @@ def _miss_px(poses: Poses, cameras: Sequence[Camera], control: GroundControl, sc
 
 def placed_by_control(block: Block, free: Free) -> Poses | None:
     """The free block's poses after the similarity of space onto the control points. None where a frame has a
-    position, or with fewer than three control points in two images each or on a line. Also None where frames
+    position, where the block has several parts, or with fewer than three control points in two images each or
+    on a line. Also None where frames
     would be tilted by more than stated while the points leave the turn about their line open. Then
     similarities of the plane georeference the block."""
     used = [c for c in in_several_images(block.control) if not c.check]
-    if len(used) < 3 or not position_assumed(block.poses).all():
+    parts = connected_parts(len(block.names), block.ties.frames)
+    in_parts = sum(len(part) > 1 for part in parts) > 1
+    if len(used) < 3 or in_parts or not position_assumed(block.poses).all():
         return None
     poses, cameras = free(replace(block, control=()))
     at = np.array([rays_meet_m(poses, cameras, c) for c in used])

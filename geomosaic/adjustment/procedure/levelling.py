@@ -17,6 +17,7 @@ from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import exp_turn
 from geomosaic.constants import ROUNDS, SLIGHT, tuned
+from geomosaic.estimation.linear import eigen_each
 from geomosaic.estimation.robust import LEAST_OBSERVATIONS, cauchy_weight
 from geomosaic.placement.prior import position_assumed, tilt_assumed
 from geomosaic.survey.accuracy import ATTITUDE
@@ -80,7 +81,8 @@ def _across(points_m: Floats) -> Floats:
     """The direction (3,), upwards, across the robust plane of points (p, 3): their least spread."""
     weight = np.ones(len(points_m))
     for _ in range(ROUNDS):
-        normal = np.linalg.eigh(np.cov(points_m.T, aweights=weight))[1][:, 0]
+        spread = np.cov(points_m.T, aweights=weight)
+        normal = eigen_each(spread[None])[1][0, :, 0]
         off = np.abs((points_m - np.average(points_m, axis=0, weights=weight)) @ normal)
         weight = cauchy_weight(off / max(1.5 * float(np.median(off)), SLIGHT))
     return np.asarray(normal * np.copysign(1.0, normal[2]))
