@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Geod, Transformer
 from pyproj.exceptions import ProjError
+from pyproj.transformer import TransformerGroup
 
 from geomosaic.arrays import Floats
 from geomosaic.constants import tuned
+from geomosaic.doors.unwarned import unwarned
 from geomosaic.errors import InputError
 from geomosaic.geodesy.crs_names import crs_of, required_crs
 from geomosaic.geodesy.ellipsoid import longitudes_near, middle_of
@@ -157,7 +159,11 @@ def _map_from_geodetic(crs: str) -> Transformer:
     system = CRS.from_user_input(_LOCAL_PLANE if is_local(crs) else crs)
     try:
         if system.remarks is not None and system.remarks.startswith("proj=pipeline"):
-            return Transformer.from_pipeline(system.remarks)
+            with unwarned(UserWarning):  # of grids that are missing, `datum_shift` warns
+                known = TransformerGroup("EPSG:4979", system.to_2d(), always_xy=True).transformers
+            for operation in known:  # a stranger's remark counts only where PROJ knows the operation itself
+                if operation.definition == system.remarks:
+                    return operation
         return Transformer.from_crs("EPSG:4979", system.to_2d(), always_xy=True)
     except ProjError as error:
         problem = f"PROJ knows no way into the coordinate reference system ({error})"

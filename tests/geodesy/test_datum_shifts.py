@@ -207,3 +207,13 @@ def test_a_map_without_coordinates_for_the_frames_is_refused(tmp_path: Path) -> 
 def test_the_proposed_zone_is_that_of_frames_on_both_sides_of_180_degrees() -> None:
     assert zone_of([(179.994, -16.8), (-179.998, -16.8)]) == "EPSG:32760"
     assert zone_of([(179.998, -16.8), (-179.994, -16.8)]) == "EPSG:32701"
+
+
+def test_a_stranger_s_remark_moves_no_map() -> None:
+    """A remark counts only where it is an operation that PROJ itself knows between the systems."""
+    plain = CRS.from_user_input(GAUSS_KRUGER)
+    remark = "proj=pipeline step proj=affine xoff=1000 step proj=utm zone=32"
+    crs = CRS.from_json_dict({**plain.to_json_dict(), "remarks": remark}).to_wkt()
+    assert "xoff=1000" in crs
+    moved, own = (MapProjection(c).map_from_geodetic(12.0, 49.0) for c in (crs, plain.to_string()))
+    assert moved == pytest.approx(own, abs=1e-3)
