@@ -187,6 +187,32 @@ def test_level_land_goes_on_level_and_says_so() -> None:
     assert tie_surface(Heights(at, sd, LOW, HIGH, 100.0), rough=True).sd_m is None
 
 
+def woods(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """Trees of 8 m on a third of the hills."""
+    return np.asarray(hills(east, north) + 8.0 * (np.sin(east / 19.0 + 1.0) + np.cos(north / 27.0) > 0.6))
+
+
+def waves(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """The hills by a model whose errors are alike over tens of metres."""
+    off = np.sin(2.0 * np.pi * east / 150.0 + 0.3) * np.cos(2.0 * np.pi * north / 150.0 + 1.0)
+    return np.asarray(hills(east, north) + 2.0 * off)
+
+
+@pytest.mark.parametrize(
+    ("land", "model", "most_m"), [(woods, hills, 1.0), (hills, waves, 1.0), (hills, hills, 0.6)]
+)
+def test_errors_of_a_dem_do_not_drag_the_block(land, model, most_m: float) -> None:  # type: ignore[no-untyped-def]
+    """Woods above a terrain model, a model off by 2 m, an exact one. Were each of 2,500 tie points an
+    observation of its own, the first two would move the block by 5 and 6 m."""
+    axis = np.arange(-300.0, 500.0, 5.0)
+    dem = GroundSurface("dem", -300.0, -300.0, 5.0, model(*np.meshgrid(axis, axis)))
+    flown = fly(1, 4, 8, relief=land, points=2500, ground=dem, there_and_back=True)
+    adjusted = pose_block(flown.block, Settings(model="given"))
+    off_m = adjusted.poses.positions_m - flown.truth.positions_m
+    assert np.sqrt(np.mean(off_m[:, :2] ** 2, axis=0)).max() < most_m
+    assert (np.abs(off_m) < 3.5 * adjusted.poses.positions_sd_m).all()
+
+
 def line(seed: int, base_m: float, relief=level, frames: int = 8) -> Block:  # type: ignore[no-untyped-def]
     """One line of frames that reach 60 m along it, 100 m above zero, base_m apart."""
     rng = np.random.default_rng(seed)

@@ -99,6 +99,24 @@ def test_points_known_in_plan_alone_do_not_lift_a_block_to_its_prior_ground() ->
     assert "positions-shifted" not in {w.code for w in adjusted.warnings}
 
 
+def test_what_rtk_positions_are_off_by_in_common_does_not_outvote_control() -> None:
+    """84 positions of 3 cm, all 11 cm off, and four points of 2 cm at the corners. Check points were 7 cm off
+    where each position counted as one of 84 independent witnesses."""
+    stated_m, off_m = np.array([0.03, 0.03, 0.05]), np.array([0.1, 0.05, 0.14])
+    flown = fly(3, 6, 14, relief=hills, points=1500, position_sd_m=0.3 * stated_m, there_and_back=True)
+    poses = flown.block.poses
+    sd_m = np.tile(stated_m, (len(poses), 1))
+    poses = replace(poses, positions_m=poses.positions_m + off_m, positions_sd_m=sd_m)
+    corners = np.array([[5.0, 5.0], [195.0, 5.0], [5.0, 230.0], [195.0, 230.0]])
+    control = surveyed(flown, corners, hills, noise_px=0.3)
+    seen = surveyed(
+        flown, flown.rng.uniform(corners[0], corners[3], (20, 2)), hills, check=True, noise_px=0.3
+    )
+    block = replace(flown.block, poses=poses, control=(*control, *seen))
+    found, _ = residuals(METHODS["bundle"](block, Settings(model="given")), check=True)
+    assert np.abs(found[:, :2].mean(axis=0)).max() < 0.04
+
+
 def test_residual_is_surveyed_minus_found() -> None:
     """True poses, exact pixels. A point surveyed 0.3 m too far east, 0.2 m too far south and 0.5 m too high
     says just that. Seen once, it is found on the ground."""

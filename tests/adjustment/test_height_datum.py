@@ -14,6 +14,7 @@ from survey_files import survey_folder
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, GroundControl, Settings
 from geomosaic.adjustment.procedure.common_offsets import common_error, with_common_error
+from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.camera.exterior import Poses
 from geomosaic.geodesy.local import LocalFrame
@@ -154,6 +155,18 @@ def test_heights_that_may_count_from_the_take_off_tell_no_datum(
     )
     found_m = common_height_sd_m(replace(survey, frames=low), np.zeros(6), above_m=100.0)
     assert found_m == pytest.approx(np.hypot(15.0, stated_m), rel=1e-4)
+
+
+def test_heights_with_a_stated_datum_hide_the_receivers_error(survey: Survey) -> None:
+    """Heights of 0.2 m that scatter by a tenth of it: 0.2² (1 - 0.1² / 0.5) m² may be common to all. Those of
+    a receiver of 20 m are off by 2.1 m in common, in plan as in height."""
+    block = block_of(of_pos(survey, 0.2, datum_stated=True))
+    calm = Components({HORIZONTAL: 0.1, VERTICAL: 0.1})
+    found = np.sqrt(common_error(block, block.poses, block.ground, calm))
+    assert found == pytest.approx([0.198] * 3, abs=1e-4)
+    rough = replace(block, poses=replace(block.poses, positions_sd_m=np.full((6, 3), 20.0)))
+    found = np.sqrt(common_error(rough, block.poses, block.ground, calm))
+    assert found == pytest.approx([2.1 * 0.98**0.5] * 3, abs=1e-4)
 
 
 def test_a_drift_is_shared_too(survey: Survey) -> None:

@@ -246,15 +246,15 @@ def test_the_point_coordinates_right_side_is_the_slope_of_their_cost() -> None:
     assert (plan, up) == pytest.approx((1.6 * given[0] / weight[0] ** 0.5, 0.9 * given[2] / weight[2] ** 0.5))
 
 
-@pytest.mark.parametrize("as_one", [False, True])
-def test_the_terrains_right_side_is_the_slope_of_its_cost(as_one: bool) -> None:
+@pytest.mark.parametrize("places", [1.0, 7.0, np.inf])
+def test_the_terrains_right_side_is_the_slope_of_its_cost(places: float) -> None:
     """On a plane that rises by 0.1 to the east and falls by 0.05 to the north; its deviation goes with the
     frames' mean height and the level."""
     problem, at = flown_problem()
     east, north = np.meshgrid(np.arange(-100.0, 200.0, 5.0), np.arange(-100.0, 200.0, 5.0))
     plane = GroundSurface("dem", -100.0, -100.0, 5.0, 1.0 + 0.1 * east - 0.05 * north)
     bound, share = np.arange(len(at.points_m)) % 5 > 0, problem.image.frame_share()
-    terrain = Terrain(plane, 0.02, 3.0, bound, share, as_one=as_one)
+    terrain = Terrain(plane, 0.02, 3.0, bound, share, places=places)
     at = replace(at, shared=at.shared + 1.5 * np.eye(at.layout.size)[at.layout.level])
     normals = terrain.add_to(without_images(problem, at), at, COMPONENTS)
     pose, points, shared = cost_slopes(terrain, at)
@@ -279,7 +279,7 @@ def test_points_far_below_unknown_ground_do_not_draw_its_level_down() -> None:
     points_m[::20, 2] = -10.0 * height
     flat = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
     bound, share = np.ones(len(points_m), dtype=bool), problem.image.frame_share()
-    terrain = Terrain(flat, 0.042, 15.0, bound, share, as_one=True)
+    terrain = Terrain(flat, 0.042, 15.0, bound, share, places=1.0)
     levels_m = np.linspace(-5.0, 1.0, 601) * height
     at = replace(at, points_m=points_m)
     of_level = np.eye(at.layout.size)[at.layout.level]

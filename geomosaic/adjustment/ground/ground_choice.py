@@ -49,7 +49,7 @@ def off_ground_m(block: Block, ground: GroundSurface, bundle: Solution, part: In
     spread = NORMAL_PER_MAD * float(np.median(np.abs(off[well] - np.median(off[well]))))
     own = float(np.median(bundle.points_sd_m[well, 2]))
     rough = float(np.sqrt(max(spread**2 - own**2, 0.0)))
-    return float(np.clip(rough, 0.1 * least_m, least_m if flat else DEM_SD_M))
+    return float(np.clip(rough, 0.1 * least_m, least_m if flat else np.inf))
 
 
 def _above(ground: GroundSurface, bundle: Solution) -> Floats:

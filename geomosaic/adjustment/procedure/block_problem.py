@@ -37,6 +37,7 @@ from geomosaic.placement.reach import flying_heights_m
 CRUISE_M_PER_S = sourced(10.0, "m/s", "of unknown velocities", "DJI Pilot 2: mapping at 1 to 15 m/s")
 _ZERO_SD_RAD_PER_S = tuned(0.05, "rad/s", "of a small gyroscope's zero; less: it is followed")
 _RELIEF = tuned(0.042, "share of the flying height", "of unknown ground; less: hills are pressed flat")
+_ALIKE_M = tuned(50.0, "m", "side of a square in which a DEM errs alike; less: woods drag the block")
 _LEVEL_SD_M = tuned(2.0, "m", "of the ground's level: datums and geoid models of a DEM, barometers")
 
 
@@ -80,7 +81,7 @@ def block_problem(block: Block, settings: Settings, tracks: Tracks, points_m: Fl
         interior=interior,
         points=points,
         frames=(*frames, rotation) if rotation else tuple(frames),
-        terrain=terrain_of(block, image),
+        terrain=_terrain(block, image, points_m),
     )
 
 
@@ -192,15 +193,25 @@ def _zero_unknown(block: Block, settings: Settings) -> bool:
     return block.poses.turns is not None and settings.rate_sd_rad_per_s is None
 
 
-def terrain_of(block: Block, image: ImageObservations) -> Terrain:
-    """A DEM binds the tie points; a level ground only determines their common height. Relief is alike over
-    many points: all of them together count as one, else they would tilt the block against the attitudes."""
+def _terrain(block: Block, image: ImageObservations, points_m: Floats) -> Terrain:
+    """A DEM binds the tie points (p, 3); a level ground only determines their common height. Relief is alike
+    over many points: all of them together count as one, else they would tilt the block against the attitudes.
+    Woods and errors of a DEM are alike in squares of `_ALIKE_M`, each of which counts as one."""
     height, bound, share = flying_height_m(block), ~image.control, image.frame_share()
     if block.ground.kind == "dem":
-        return Terrain(block.ground, DEM_SD_M / height, _LEVEL_SD_M, bound, share)
+        squares = np.unique(np.floor(points_m[:, :2] / _ALIKE_M), axis=0)
+        return Terrain(block.ground, DEM_SD_M / height, _LEVEL_SD_M, bound, share, places=len(squares))
     reported_sd_m = min(float(np.median(block.poses.positions_sd_m[:, 2])), height)
     level_sd_m = float(max(_RELIEF * height, _LEVEL_SD_M, reported_sd_m))
-    return Terrain(block.ground, _RELIEF, level_sd_m, bound, share, as_one=True)
+    return Terrain(block.ground, _RELIEF, level_sd_m, bound, share, places=1.0)
+
+
+def near_ground(block: Block, problem: BlockProblem, off_m: float) -> Terrain:
+    """The terrain of a problem from which points are off by a deviation in m. Level ground that was found
+    flat binds each point by itself."""
+    assert problem.terrain is not None
+    places = problem.terrain.places if block.ground.kind == "dem" else np.inf
+    return replace(problem.terrain, sd_share=off_m / flying_height_m(block), places=places)
 
 
 def part_of_frames(block: Block) -> Ints:

@@ -10,7 +10,6 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import (
     LEAST_POINTS,
     chosen_ground,
-    flying_height_m,
     levelled,
     lies_flat,
     off_ground_m,
@@ -19,12 +18,16 @@ from geomosaic.adjustment.ground.ground_choice import (
 from geomosaic.adjustment.model import Block, Settings, SolveStep
 from geomosaic.adjustment.procedure.block_problem import (
     block_problem,
+    near_ground,
     part_of_frames,
-    terrain_of,
     with_control,
     with_offset,
 )
-from geomosaic.adjustment.procedure.common_offsets import common_error
+from geomosaic.adjustment.procedure.common_offsets import (
+    common_error,
+    flights_error_sd_m,
+    stated_sd_m,
+)
 from geomosaic.adjustment.procedure.control_points import control_residuals
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.single_points import clearances_m, too_near
@@ -112,8 +115,7 @@ def block_solution(
     if ground.kind == "tie_surface":
         return free_points if rough else _at_last(free_points)
     off_m = off_ground_m(block, ground, _of_ties(solved, ties), part)
-    near = replace(terrain_of(block, controlled.image), sd_share=off_m / flying_height_m(block), as_one=False)
-    bound_problem = replace(controlled, terrain=near)
+    bound_problem = replace(controlled, terrain=near_ground(block, controlled, off_m))
     bound = solve(bound_problem, solved.poses, solved, last)
     steps += bound.steps
     ground = levelled(ground, _of_ties(bound, ties))
@@ -194,9 +196,9 @@ def _with_control(
     block: Block, problem: BlockProblem, poses: Poses, free: Solution | None, options: SolveOptions
 ) -> tuple[BlockProblem, Solution, Bools]:
     """The solution with control points, begun from the free one shifted onto them, so that each point is
-    compared with the others. Positions have an offset in common, with the deviation of their common error, or
-    unbounded where they are of another datum. Otherwise their common error would outweigh control and bend
-    the block."""
+    compared with the others. Positions have an offset in common, with the deviation of their common error, at
+    least as stated, or unbounded where they are of another datum. Otherwise their common error would outweigh
+    control and bend the block."""
     lenses, begun = (free.cameras, free.poses) if free else (problem.cameras, poses)
     shift, datum = _shift_to_control(block, begun, tuple(lenses[k] for k in block.lens_of))
     begun = replace(begun, positions_m=begun.positions_m + shift)
@@ -205,7 +207,8 @@ def _with_control(
     again: Start | None = None
     if free is not None:
         if not datum.any():
-            offset_sd_m = np.sqrt(common_error(block, free.poses, block.ground, free.components))
+            common_m = np.sqrt(common_error(block, free.poses, block.ground, free.components))
+            offset_sd_m = np.maximum(common_m, stated_sd_m(block.poses))
         points = np.concatenate([free.points_m + shift, problem.points.given_m[len(free.points_m) :]])
         level = free.estimate.layout.level
         shared = free.estimate.shared + np.eye(free.estimate.layout.size)[level] * shift[2]
@@ -222,7 +225,7 @@ def _with_flights(
     flights are off by stays unknown, see `common_error`."""
     if flights_sd_m(problem).any() or not block.flight_of.any():
         return problem, free
-    sd_m = np.sqrt(common_error(block, free.poses, block.ground, free.components)) * [1.0, 1.0, 0.0]
+    sd_m = flights_error_sd_m(block.poses) * [1.0, 1.0, 0.0]
     if not sd_m.any():
         return problem, free
     problem = with_offset(problem, sd_m)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomosaic.adjustment.model import Block
-from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
+from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL, VERTICAL
 from geomosaic.adjustment.terms.term import Components
 from geomosaic.arrays import Floats
 from geomosaic.camera.exterior import Poses
@@ -26,32 +26,37 @@ def common_error(
     block: Block, poses: Poses, ground: GroundSurface, components: Components | None = None
 ) -> Floats:
     """Variances (3,), east, north and up in m², of an error that all reported positions may have in common,
-    which their residuals do not show. Args: poses, ground: as found. components: of methods that estimate
-    them; without them the deviations in plan contain all."""
-    in_height = _in_height(block, poses, ground)
+    which their residuals do not show. Positions of one receiver on one flight scatter less than stated; the
+    error takes the rest of the stated variance, but for what a receiver's errors do not have in common over a
+    flight. Args: poses, ground: as found. components: of methods that estimate them; without them the
+    deviations contain all but the datum."""
     if components is None:
-        return np.array([0.0, 0.0, in_height])
-    anywhere = POSITION["none"].sd_horizontal_m ** 2
-    of_positions = np.append(_in_plan(block.poses, components[HORIZONTAL]), in_height)
-    return np.asarray(np.clip(of_positions, 0.0, anywhere))
+        return np.array([0.0, 0.0, _in_height(block, poses, ground, 0.0)])
+    scatter = np.array([components[HORIZONTAL]] * 2 + [components[VERTICAL]])
+    hidden = flights_error_sd_m(block.poses) ** 2 * np.maximum(1.0 - scatter**2 / _MAY_BE_CHANCE, 0.0)
+    hidden[2] = _in_height(block, poses, ground, hidden[2])
+    return np.asarray(np.clip(hidden, 0.0, POSITION["none"].sd_horizontal_m ** 2))
 
 
-def _in_plan(given: Poses, horizontal: float) -> Floats:
-    """Variance (2,) of a common shift in plan. Positions of one receiver on one flight scatter less than
-    stated; the shift takes the rest of the stated variance. It is at most what a receiver's errors have in
-    common over a flight."""
+def flights_error_sd_m(given: Poses) -> Floats:
+    """Deviations (3,), east, north and up, of what reported positions of one flight are off by in common. It
+    is as stated, but at most a receiver's; in height by as much more as is stated."""
+    stated_m = stated_sd_m(given)
+    in_plan_m = float(stated_m[:2].max())
+    return stated_m * min(1.0, _COMMON_SD_M / in_plan_m) if in_plan_m else stated_m
+
+
+def stated_sd_m(given: Poses) -> Floats:
+    """Medians (3,) of the deviations that are stated, zeros where no position is known."""
     known = ~position_assumed(given)
-    if not known.any():
-        return np.zeros(2)
-    stated = np.median(given.positions_sd_m[known, :2], axis=0)
-    rest = stated**2 * max(1.0 - horizontal**2 / _MAY_BE_CHANCE, 0.0)
-    return np.minimum(rest, _COMMON_SD_M**2)
+    return np.asarray(np.median(given.positions_sd_m[known], axis=0)) if known.any() else np.zeros(3)
 
 
-def _in_height(block: Block, poses: Poses, ground: GroundSurface) -> float:
+def _in_height(block: Block, poses: Poses, ground: GroundSurface, hidden_m2: float) -> float:
     """Variance of a common shift in height, by the datum and the drift of the heights. A datum that is not
     stated adds the receiver's deviation, which frames share, and that of the zero height. Zero is the
-    ellipsoid, the sea or, where the ground comes out about height 0, the take-off."""
+    ellipsoid, the sea or, where the ground comes out about height 0, the take-off. hidden_m2: what residuals
+    do not show of a stated one."""
     reference = block.heights
     if reference is None:
         return 0.0
@@ -69,7 +74,7 @@ def _in_height(block: Block, poses: Poses, ground: GroundSurface) -> float:
     off = reference.height_m[known] - found_m
     spread_m = NORMAL_PER_MAD * float(np.median(np.abs(off - np.median(off))))
     drift_m = spread_m if spread_m > THREE_SIGMA * stated_m or datum_m else 0.0
-    return datum_m**2 + drift_m**2
+    return (datum_m**2 if datum_m else hidden_m2) + drift_m**2
 
 
 def with_common_error(poses: Poses, variance_m2: Floats) -> Poses:

@@ -15,7 +15,7 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import flying_height_m, off_ground_m, surface_of
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.procedure.block_problem import block_problem, part_of_frames, terrain_of
+from geomosaic.adjustment.procedure.block_problem import block_problem, near_ground, part_of_frames
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.blunder_detection import contradicted_frames, counted_shares
 from geomosaic.adjustment.procedure.changed_part import (
@@ -171,7 +171,7 @@ def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) 
     problem, ground = found.problem, earlier.adjusted.ground
     if ground.kind != "tie_surface":
         off_m = off_ground_m(part, ground, found, part_of_frames(part)[ties.frame[_first(ties)]])
-        near = replace(terrain_of(part, problem.image), sd_share=off_m / flying_height_m(part), as_one=False)
+        near = near_ground(part, problem, off_m)
         problem = replace(problem, terrain=near)
     return converged_solution(_weighed(problem, found), found), ties
 

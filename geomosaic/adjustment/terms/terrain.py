@@ -30,15 +30,15 @@ class Terrain(Term):
     """Tie points lie on a surface, up to one common level. Cauchy's function outweighs trees and roofs.
     sd_share: deviation of a point from the surface by the frames' mean height above it (in metres it would be
     smaller for a shrinking block). level_sd_m: of the surface as a whole. bound (p,): which points lie on it.
-    frame_share (f,): each frame's share of all observations, its weight in the mean height. as_one: all
-    points together count as one."""
+    frame_share (f,): each frame's share of all observations, its weight in the mean height. places: how many
+    independent points all of them together count as, since near ones err alike; at most their number."""
 
     ground: GroundSurface
     sd_share: float
     level_sd_m: float
     bound: Bools
     frame_share: Floats
-    as_one: bool = False
+    places: float = np.inf
 
     name: ClassVar[str] = "terrain"
 
@@ -58,7 +58,7 @@ class Terrain(Term):
     @cached_property
     def point_weight(self) -> float:
         """What the cost of a point counts for."""
-        return 1.0 / max(int(self.bound.sum()), 1) if self.as_one else 1.0
+        return min(1.0, self.places / max(int(self.bound.sum()), 1))
 
     def cost(self, at: Estimate, components: Components) -> float:
         return float(self.cost_of(at.points_m[self.bound], self.sd_m(at), at.level_m).sum())
