@@ -161,11 +161,11 @@ def test_heights_with_a_stated_datum_hide_the_receivers_error(survey: Survey) ->
     """Heights of 0.2 m that scatter by a tenth of it: 0.2² (1 - 0.1² / 0.5) m² may be common to all. Those of
     a receiver of 20 m are off by 2.1 m in common, in plan as in height."""
     block = block_of(of_pos(survey, 0.2, datum_stated=True))
-    calm = Components({HORIZONTAL: 0.1, VERTICAL: 0.1})
-    found = np.sqrt(common_error(block, block.poses, block.ground, calm))
+    steady = Components({HORIZONTAL: 0.1, VERTICAL: 0.1})
+    found = np.sqrt(common_error(block, block.poses, block.ground, steady))
     assert found == pytest.approx([0.198] * 3, abs=1e-4)
     rough = replace(block, poses=replace(block.poses, positions_sd_m=np.full((6, 3), 20.0)))
-    found = np.sqrt(common_error(rough, block.poses, block.ground, calm))
+    found = np.sqrt(common_error(rough, block.poses, block.ground, steady))
     assert found == pytest.approx([2.1 * 0.98**0.5] * 3, abs=1e-4)
 
 

@@ -26,10 +26,12 @@ def common_error(
     block: Block, poses: Poses, ground: GroundSurface, components: Components | None = None
 ) -> Floats:
     """Variances (3,), east, north and up in m², of an error that all reported positions may have in common,
-    which their residuals do not show. Positions of one receiver on one flight scatter less than stated; the
-    error takes the rest of the stated variance, but for what a receiver's errors do not have in common over a
-    flight. Args: poses, ground: as found. components: of methods that estimate them; without them the
-    deviations contain all but the datum."""
+    which their residuals do not show. Positions of one receiver on one flight scatter less than stated.
+    The error takes the rest of the stated variance, as far as a receiver's errors last for a flight.
+
+    Args: poses, ground: as found. components: of methods that estimate them; without them the deviations
+    contain all but the datum.
+    """
     if components is None:
         return np.array([0.0, 0.0, _in_height(block, poses, ground, 0.0)])
     scatter = np.array([components[HORIZONTAL]] * 2 + [components[VERTICAL]])
