@@ -35,7 +35,8 @@ class GroundControl:
 class ControlResidual:
     """Residual of a control or check point. check: it took no part in the solve. images: in how many it was
     measured. residual_m: surveyed minus found, east, north and up; sd_m: its standard deviation, too large
-    for a point that took part. surveyed_sd_m: of the surveyed coordinates alone."""
+    for a point that took part. surveyed_sd_m: of the surveyed coordinates alone; common_sd_m: of the error
+    that all positions share."""
 
     name: str
     check: bool
@@ -43,6 +44,7 @@ class ControlResidual:
     residual_m: Floats
     sd_m: Floats
     surveyed_sd_m: Floats
+    common_sd_m: Floats = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)

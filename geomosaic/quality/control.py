@@ -77,13 +77,16 @@ def means(values: Floats) -> Floats:
 
 def control_blunders(points: Sequence[ControlResidual]) -> Bools:
     """Which of n points of one kind are blunders against the others, see `estimation.robust.blunders`. A
-    vector that all have in common is the map's shift, not a blunder."""
+    vector that all have in common is the map's shift, not a blunder. Deviations that all share do not
+    count."""
     found = np.zeros(len(points), dtype=bool)
     residual_m = known_residuals_m(points)
+    sds_m = np.array([(p.sd_m, p.common_sd_m, p.surveyed_sd_m) for p in points]).reshape(-1, 3, 3)
     for axis in range(3):
         known = np.flatnonzero(np.isfinite(residual_m[:, axis]))
-        sd_m = np.array([p.sd_m[axis] for p in points])[known]
-        found[known] |= blunders(residual_m[known, axis], sd_m)
+        sd_m, common_m, surveyed_m = sds_m[known, :, axis].T
+        own_m = np.sqrt(np.maximum(sd_m**2 - common_m**2, surveyed_m**2))
+        found[known] |= blunders(residual_m[known, axis], own_m)
     return found
 
 

@@ -220,6 +220,39 @@ def test_control_places_frames_without_ties() -> None:
     assert np.abs(before).max() > 0.5
 
 
+@pytest.mark.parametrize("check", [False, True])
+def test_a_point_without_marks_is_no_control(check: bool) -> None:
+    flown = fly(3)
+    empty = GroundControl("empty", np.array([40.0, 45.0, 0.0]), SD_M, check, ())
+    adjusted, without = adjusted_with(flown, (empty,)), adjusted_with(flown, ())
+    assert np.array_equal(adjusted.poses.positions_m, without.poses.positions_m)
+    assert adjusted.control == () and not without.warnings
+    assert [w.code for w in adjusted.warnings] == ["control-points-unused"]
+    assert "(empty)" in adjusted.warnings[0].text
+    assert adjusted_with(flown, (empty,), "error_sharing").control == ()
+
+
+def test_two_marks_of_a_point_in_one_image_count_as_their_mean() -> None:
+    """A second mark of the same point in the same image, 1 px to the right and below."""
+    flown = fly(3)
+    first, *others = surveyed(flown, CORNERS, noise_px=0.3)
+    (i, col, row), *rest = first.observations
+    mean, apart, same = (
+        adjusted_with(flown, (replace(first, observations=(*marks, *rest)), *others))
+        for marks in (
+            [(i, col + 0.5, row + 0.5)],
+            [(i, col, row), (i, col + 1.0, row + 1.0)],
+            [(i, col + 0.5, row + 0.5)] * 2,
+        )
+    )
+    for its in (apart, same):
+        assert its.poses.positions_m == pytest.approx(mean.poses.positions_m, abs=1e-6)
+        assert its.control[0].images == len(rest) + 1
+    assert [w.code for w in apart.warnings] == ["control-mark-repeated"]
+    assert "(GCP-0)" in apart.warnings[0].text
+    assert not (mean.warnings or same.warnings)
+
+
 @pytest.mark.parametrize("method", sorted(set(METHODS) - {"bundle"}))
 def test_other_methods_only_judge_by_it(method: str) -> None:
     flown = fly(7)

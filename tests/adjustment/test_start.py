@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adjustment_blocks import Flown, fly
+from test_control import surveyed
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Block, Settings
@@ -74,6 +75,19 @@ def test_the_scale_is_that_of_the_positions() -> None:
     assert np.sqrt(np.mean(left**2)) < 1.0
     extent = np.ptp(start.positions_m[:, :2], axis=0) / np.ptp(flown.truth.positions_m[:, :2], axis=0)
     assert extent == pytest.approx([1.0, 1.0], abs=0.03)
+
+
+@pytest.mark.parametrize("sd_m", [5e3, 2e4])
+def test_positions_stated_to_kilometres_begin_as_those_that_nobody_states(sd_m: float) -> None:
+    """100 m up. Their weights in the first step were so small that no level of the adjustment could be
+    solved, and positions stayed as given, 1.1 m off each way."""
+    flown = fly(3)
+    stated_m = np.tile([sd_m, sd_m, 2.0], (18, 1))
+    block = with_reported(flown, positions_sd_m=stated_m)
+    assert np.abs(begun(block).positions_m - flown.truth.positions_m)[:, :2].max() < 2.0
+    adjusted = METHODS["bundle"](block, Settings(model="given"))
+    off_m = (adjusted.poses.positions_m - flown.truth.positions_m)[:, :2]
+    assert np.sqrt(np.mean(off_m**2)) < 0.4 and not adjusted.warnings
 
 
 def test_positions_that_lie_don_t_pull() -> None:
@@ -156,7 +170,7 @@ def test_a_part_is_georeferenced_as_one(whole: complex) -> None:
     place = rng.uniform(-80.0, 80.0, 21) + 1j * rng.uniform(-40.0, 40.0, 21)
     nadir = whole * place + (12.0 - 5.0j) + rng.normal(0.0, 1.0, 21) + 1j * rng.normal(0.0, 1.0, 21)
     nadir[::3] += rng.uniform(60.0, 200.0, 7) * np.exp(1j * rng.uniform(0.0, 6.0, 7))
-    beliefs = PlanPriors(nadir, np.full(21, 5.0), np.full(21, 0.05), np.full(21, 0.15))
+    beliefs = PlanPriors(nadir, np.full(21, 5.0), np.full(21, 0.05), np.full(21, 0.15), np.full(21, 1e4))
     fixes = Fixes(np.arange(21), np.zeros(21, np.complex128), nadir, np.full(21, 5.0))
     found, shift, trust = georeferenced(np.ones(21, np.complex128), place, beliefs, fixes)
     assert found == pytest.approx(whole, abs=0.02)
@@ -172,7 +186,9 @@ def test_frames_of_an_ascent_on_the_spot_keep_the_scale_of_their_heights(seed: i
     height_m = np.linspace(40.0, 240.0, 6)
     place = np.radians(5.0) * height_m * (rng.normal(size=6) + 1j * rng.normal(size=6))
     at = 0.2 * (rng.normal(size=6) + 1j * rng.normal(size=6))
-    beliefs = PlanPriors(at, np.hypot(5.0, 0.05 * height_m), np.full(6, 0.05), 15.0 / height_m)
+    beliefs = PlanPriors(
+        at, np.hypot(5.0, 0.05 * height_m), np.full(6, 0.05), 15.0 / height_m, 100.0 * height_m
+    )
     fixes = Fixes(np.arange(6), np.zeros(6, np.complex128), at, beliefs.position_sd_m)
     found, _, _ = georeferenced(np.ones(6, np.complex128), place, beliefs, fixes)
     assert abs(found) == pytest.approx(1.0, rel=0.05)
@@ -182,8 +198,27 @@ def test_frames_of_an_ascent_on_the_spot_keep_the_scale_of_their_heights(seed: i
 def test_two_positions_give_the_scale_if_they_are_farther_apart_than_their_deviations(
     apart_m: float, scale: float
 ) -> None:
-    beliefs = PlanPriors(np.array([0j, apart_m + 0j]), np.full(2, 5.0), np.full(2, 0.05), np.full(2, 0.3))
+    at = np.array([0j, apart_m + 0j])
+    beliefs = PlanPriors(at, *np.full((2, 4), [5.0, 0.05, 0.3, 1e4]).T)
     place = np.array([0j, 50.0 + 0j])
     fixes = Fixes(np.arange(2), np.zeros(2, np.complex128), beliefs.nadir, beliefs.position_sd_m)
     found, _, _ = georeferenced(np.ones(2, np.complex128), place, beliefs, fixes)
     assert abs(found) == pytest.approx(scale, rel=0.05)
+
+
+def test_one_control_point_shifts_a_part_without_positions_and_leaves_its_scale() -> None:
+    """Two images of one point, which least squares brought together: 18 frames shrank to 0.08."""
+    flown = fly(3)
+    unknown = with_reported(
+        flown,
+        positions_m=np.tile([40.0, 40.0, 100.0], (18, 1)),
+        positions_sd_m=np.full((18, 3), 1e5),
+        rotations_sd_rad=np.tile([0.17, 0.17, np.pi], (18, 1)),
+    )
+    block = replace(unknown, control=surveyed(flown, np.array([[40.0, 45.0]]), noise_px=0.3))
+    for poses in (begun(block), METHODS["bundle"](block, Settings(model="given")).poses):
+        from_end_to_end_m = [p.positions_m[-1, :2] - p.positions_m[0, :2] for p in (poses, flown.truth)]
+        found_m, true_m = np.linalg.norm(from_end_to_end_m, axis=1)
+        assert found_m == pytest.approx(true_m, rel=0.02)
+        assert poses.positions_m[:, 2] == pytest.approx(np.full(18, 100.0), abs=5.0)
+        assert np.abs(poses.positions_m - flown.truth.positions_m)[:, :2].max() < 6.0

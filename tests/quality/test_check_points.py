@@ -101,6 +101,20 @@ def test_two_blunders_do_not_hide_each_other() -> None:
     assert len(texts) == 2 and "'P2'" in texts[0] and "'P9'" in texts[1]
 
 
+def test_an_error_that_all_positions_share_hides_no_blunder() -> None:
+    """2 m off eleven others that scatter by 0.3 m, on a map that is as a whole off by 1.4 m at one
+    deviation."""
+    rng = np.random.default_rng(6)
+    residual_m = rng.normal(0.0, 0.3, (12, 3)) + [1.0, -1.0, 0.5]
+    residual_m[4, 1] = 1.0
+    sd_m, shared_m = np.full(3, np.hypot(1.4, 0.3)), np.full(3, 1.4)
+    some = [
+        ControlResidual(f"P{k}", True, 3, off, sd_m, SURVEYED_M, shared_m) for k, off in enumerate(residual_m)
+    ]
+    assert np.flatnonzero(control_blunders(some)).tolist() == [4]
+    assert not control_blunders([replace(p, common_sd_m=np.zeros(3)) for p in some]).any()
+
+
 def test_of_four_points_none_is_named() -> None:
     """The fifth shows which of them is wrong."""
     four = points(4, {1: [5.0, 0.0, 0.0]}, sd_m=1.0)

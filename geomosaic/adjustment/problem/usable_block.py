@@ -90,23 +90,51 @@ def as_filed(adjusted: Adjusted, block: Block) -> Adjusted:
 
 def usable(block: Block) -> tuple[Block, tuple[Warn, ...]]:
     """The block with finite poses, deviations, tie points and control points, and warnings of what was
-    removed. A position or attitude that is not finite counts as unknown, as does a deviation that is NaN.
-    Deviations of zero or less become the least that a survey can have."""
+    removed or averaged. A position or attitude that is not finite counts as unknown, as does a deviation that
+    is NaN. Deviations of zero or less become the least that a survey can have."""
     poses, warnings = _usable_poses(block)
     ties, lost = _usable_ties(block.ties)
     if lost:
         text = f"{lost} tie points have coordinates that are no numbers and are left out: nothing to do"
         warnings.append(Warn("tie-points-not-finite", "", text))
-    most_m = POSITION["none"].sd_vertical_m
-    control = tuple(replace(c, sd_m=_sound(c.sd_m, _LEAST_SD_M, most_m)) for c in block.control if _finite(c))
-    gone = [c.name for c in block.control if not _finite(c)]
-    if gone:
-        text = (
-            f"control or check points whose coordinates are no numbers are left out ({some(gone)}): correct "
-        )
-        text += "them in the --gcp file"
-        warnings.append(Warn("control-not-finite", "", text))
-    return replace(block, poses=poses, ties=ties, control=control), tuple(warnings)
+    control, notes = _usable_control(block.control)
+    return replace(block, poses=poses, ties=ties, control=control), (*warnings, *notes)
+
+
+def _usable_control(given: Sequence[GroundControl]) -> tuple[tuple[GroundControl, ...], list[Warn]]:
+    """Points that are finite and marked, at most once in an image."""
+    most_m, finite = POSITION["none"].sd_vertical_m, [c for c in given if _finite(c)]
+    marked = [c for c in finite if c.observations]
+    control = tuple(
+        replace(c, sd_m=_sound(c.sd_m, _LEAST_SD_M, most_m), observations=_once_an_image(c.observations))
+        for c in marked
+    )
+    gone = [c.name for c in given if not _finite(c)]
+    unmarked = [c.name for c in finite if not c.observations]
+    repeated = [
+        c.name
+        for c, once in zip(marked, control, strict=True)
+        if len(set(c.observations)) > len(once.observations)
+    ]
+    warnings = (
+        ("control-not-finite", gone, "coordinates are no numbers: the points are left out; correct them"),
+        ("control-points-unused", unmarked, "no image mark: the points are left out; mark them"),
+        ("control-mark-repeated", repeated, "marks of one image differ: their mean counts; correct them"),
+    )
+    return control, [
+        Warn(code, "", f"control or check points ({some(names)}): {text} in the --gcp file")
+        for code, names, text in warnings
+        if names
+    ]
+
+
+def _once_an_image(marks: Sequence[tuple[int, float, float]]) -> tuple[tuple[int, float, float], ...]:
+    """Marks of a point, in the mean where one image has several."""
+    by_image: dict[int, list[tuple[float, float]]] = {}
+    for i, col, row in marks:
+        by_image.setdefault(i, []).append((col, row))
+    means = {i: np.mean(at, axis=0).tolist() for i, at in by_image.items()}
+    return tuple((i, col, row) for i, (col, row) in means.items())
 
 
 def _usable_poses(block: Block) -> tuple[Poses, list[Warn]]:

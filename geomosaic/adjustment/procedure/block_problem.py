@@ -138,11 +138,13 @@ def with_offset(problem: BlockProblem, sd_m: Floats) -> BlockProblem:
 
 
 def _rolling_shutter_rotation(block: Block, settings: Settings) -> RollingShutterRotation | None:
-    """Rotation and drift of the frames while rows are read; None where all rows are read at once. Where
-    frames rotate, drifts across the view differ too little from a rate about an image axis."""
+    """Rotation and drift of the frames while rows are read; None where all rows are read at once. Frames of
+    cameras that read so have neither. Where frames rotate, drifts across the view differ too little from a
+    rate about an image axis."""
     if not settings.rolling_shutter and not any(c.readout_s for c in block.cameras):
         return None
-    readouts_s = np.array([c.readout_s or NOMINAL_READOUT_S for c in block.cameras])
+    unreported_s = NOMINAL_READOUT_S if settings.rolling_shutter else 0.0
+    readouts_s = np.array([c.readout_s or unreported_s for c in block.cameras])
     level = np.sqrt(np.maximum(1.0 - block.poses.rotations[:, 2] ** 2, 0.0))
     drift_sd = _gust_per_s(block, level) * np.abs(readouts_s)[:, None]
     drift_sd = drift_sd * (IMAGE_AXES[::-1] if settings.turning else np.ones(3))

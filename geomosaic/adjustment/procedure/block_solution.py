@@ -245,17 +245,11 @@ def _of_ties(solved: Solution, ties: Tracks) -> Solution:
 def points_on_ground(
     poses: Poses, cameras: Sequence[Camera], ground: GroundSurface, tracks: Tracks
 ) -> tuple[Floats, Tracks]:
-    """Each track's mean place on the ground; tracks that miss it are dropped."""
+    """Each track's mean place on the ground by the rays that meet it; tracks without any are dropped."""
     at = ground_from_images(tracks.frame, tracks.image_px, poses, cameras, ground)
     hit = np.isfinite(at).all(axis=1)
-    lost = np.bincount(tracks.point, ~hit, minlength=tracks.points) > 0
-    if not lost.any():
-        return _means(tracks, at), tracks
-    kept = chosen_tracks(tracks, ~lost)
-    return _means(kept, at[~lost[tracks.point]]), kept
-
-
-def _means(tracks: Tracks, at_m: Floats) -> Floats:
-    """Of what observations say (m, 3), for each point (p, 3)."""
-    sums = [np.bincount(tracks.point, column, tracks.points) for column in at_m.T]
-    return np.stack(sums, axis=1) / tracks.lengths[:, None]
+    hits = np.bincount(tracks.point, hit, tracks.points)
+    sums = [np.bincount(tracks.point, column, tracks.points) for column in np.where(hit, at.T, 0.0)]
+    met = hits > 0.0
+    points = np.stack(sums, axis=1)[met] / hits[met, None]
+    return points, tracks if met.all() else chosen_tracks(tracks, met)

@@ -70,7 +70,7 @@ def control_residuals(
     covariance after a bundle, which used the points that aren't for checking. Without it all are check
     points, and the poses' own deviations count as independent."""
     out = []
-    for c in block.control:
+    for c in (c for c in block.control if c.observations):
         found = _place(poses, block, c)
         if found is None:
             continue

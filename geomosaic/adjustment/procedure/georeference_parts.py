@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -39,16 +39,17 @@ class Fixes:
 class PlanPriors:
     """Priors of frames by GNSS and IMU, each (n,). nadir: nadir points, east + i north in m. Standard
     deviations: position_sd_m of the nadir points, yaw_sd_rad of headings, scale_sd of the scale by height and
-    focal length, as a share."""
+    focal length, as a share. anywhere_m: deviation of a nadir point of which nothing is known."""
 
     nadir: Complexes
     position_sd_m: Floats
     yaw_sd_rad: Floats
     scale_sd: Floats
+    anywhere_m: Floats
 
-    def of(self, f: Ints) -> PlanPriors:
+    def of(self, frames: Ints) -> PlanPriors:
         """Those of some frames."""
-        return PlanPriors(self.nadir[f], self.position_sd_m[f], self.yaw_sd_rad[f], self.scale_sd[f])
+        return PlanPriors(*(getattr(self, f.name)[frames] for f in fields(self)))
 
 
 def georeferenced(
@@ -56,9 +57,10 @@ def georeferenced(
 ) -> tuple[complex, complex, Floats]:
     """The similarity, at = whole * place + shift, of a part onto its fixes, and their weights (k,).
     Re-weighted least squares start from the least median of squares (Rousseeuw 1984) and from headings and
-    heights, which count as one frame's; the lower cost decides. Fixes that do not determine turn and scale,
-    as those of an ascent on the spot, only shift the part: least squares would shrink it to a point. Args:
-    shape (n,): turn and scale of each frame against the given ones; place (n,): nadir points."""
+    heights, which count as one frame's; the lower cost decides. Fixes that do not determine turn and scale
+    only shift the part, as those of an ascent on the spot or a single control point do. Least squares would
+    shrink it to a point. Args: shape (n,): turn and scale of each frame against the given ones; place (n,):
+    nadir points."""
     given = _by_headings(shape, priors)
     if not len(fixes.at):
         return given, complex(np.mean(priors.nadir - given * place)), np.zeros(0)
@@ -66,25 +68,24 @@ def georeferenced(
     sd = float(np.median(priors.scale_sd[fixes.frame])), float(min(np.median(priors.yaw_sd_rad), np.pi))
     tried = [_improved(whole, known, given, sd, fixes) for whole in (given, *_by_pairs(known, fixes))]
     _, whole, shift, weight = min(tried, key=lambda t: t[0])
-    if sd[0] >= 1.0 or _determined(fixes, whole * known + shift, weight):
+    if _determined(fixes, whole * known + shift, weight):
         return whole, shift, weight
     off = fixes.at - given * known
     return given, complex(np.median(off.real), np.median(off.imag)), weight
 
 
 def _determined(fixes: Fixes, fitted: Complexes, weight: Floats) -> bool:
-    """Whether fixes determine turn and scale: an F test of what a similarity explains of their scatter. Two
-    fixes, which leave no residual, must be farther apart than their deviations explain (chi-squared)."""
+    """Whether fixes determine turn and scale: an F test of what a similarity explains of their scatter. Fixes
+    which leave no residual, as two do, must be farther apart than their deviations explain (chi-squared)."""
     count = float(weight.sum())
     if not count:
         return False
     scatter = np.abs(fixes.at - (weight @ fixes.at) / count) ** 2
-    free = 2.0 * count - 4.0
-    if free < 1.0:
+    free, left = 2.0 * count - 4.0, float(weight @ np.abs(fixes.at - fitted) ** 2)
+    if free < 1.0 or left == 0.0:
         return bool(chdtrc(2.0, float((weight / fixes.sd_m**2) @ scatter)) < _BY_CHANCE)
-    left = float(weight @ np.abs(fixes.at - fitted) ** 2)
     explained = max(float(weight @ scatter) - left, 0.0)
-    return bool(left == 0.0 or fdtrc(2.0, free, explained / 2.0 / (left / free)) < _BY_CHANCE)
+    return bool(fdtrc(2.0, free, explained / 2.0 / (left / free)) < _BY_CHANCE)
 
 
 def _by_headings(shape: Complexes, priors: PlanPriors) -> complex:

@@ -112,11 +112,13 @@ def _priors(block: Block, nadir: Complexes, height_m: Floats) -> PlanPriors:
     position_sd_m = np.hypot(poses.positions_sd_m[:, :2].max(axis=1), _by_tilt_m(poses, height_m))
     focal = np.array([(c.focal_length_sd_px or 0.0) / c.focal_length_px for c in block.cameras])
     height = np.minimum(poses.positions_sd_m[:, 2] / np.maximum(height_m, 1.0), 0.5)
+    anywhere_m = _ANYWHERE * height_m
     return PlanPriors(
         nadir,
-        np.where(assumed, _ANYWHERE * height_m, position_sd_m),
+        np.where(assumed, anywhere_m, position_sd_m),
         np.minimum(poses.rotations_sd_rad[:, 2], np.pi),
         np.where(assumed, _ANYWHERE, np.hypot(height, np.maximum(focal, 0.01))),
+        anywhere_m,
     )
 
 
@@ -148,7 +150,8 @@ def _part(ties: _Ties, shape: Complexes, priors: PlanPriors, fixes: Fixes) -> tu
     for _ in range(ROUNDS):
         off, wanted = np.log(shape / first), (priors.nadir - middle) / whole
         prior_weight = np.full((len(shape), 2), 1.0 / _LOCAL_SD**2)
-        prior_weight[:, 1] = np.maximum(weight, SLIGHT) / (priors.position_sd_m / abs(whole)) ** 2
+        sd_m = np.minimum(priors.position_sd_m / np.sqrt(np.maximum(weight, SLIGHT)), priors.anywhere_m)
+        prior_weight[:, 1] = (abs(whole) / sd_m) ** 2
         before = whole * shape
         shape, place = _agreed(ties, shape, np.column_stack([-off, wanted]), prior_weight)
         whole, shift, of_fixes = georeferenced(shape, place, priors, fixes)

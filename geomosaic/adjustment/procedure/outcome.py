@@ -75,12 +75,13 @@ def unplaced_parts(block: Block) -> list[list[int]]:
 @dataclass(frozen=True)
 class BundleAccuracy:
     """Of a bundle's solution. propagate: see `control_residuals`. covariance (f, 6, 6): of the
-    poses. common_m2 (3,): see `common_error`. unsolved: frames that could not be solved for; rejected: frames
-    whose poses are rejected."""
+    poses. common_m2 (3,): see `common_error`. tied: frames with tie points in the solve; unsolved: frames
+    that could not be solved for; rejected: frames whose poses are rejected."""
 
     propagate: CovarianceOf
     covariance: Floats
     common_m2: Floats
+    tied: frozenset[int]
     unsolved: frozenset[int]
     rejected: frozenset[int]
 
@@ -89,12 +90,13 @@ def outcome(
     block: Block, poses: Poses, rounds: tuple[Round, ...], accuracy: BundleAccuracy | None = None
 ) -> Adjusted:
     """The outcome for poses found by any method; cameras and ground are the block's. `tied` are frames with
-    tie points. The others, and those unsolved, are `placed` by POS alone and moved with the tied ones around
-    them unless control points fix them. Frames of `unplaced_parts` and those rejected are `rejected`."""
-    tied = {i for pair in block.ties.frames for i in pair}
+    tie points, in a bundle with such whose rays meet the ground. The others, and those unsolved, are `placed`
+    by POS alone and moved with the tied ones around them unless control points fix them. Frames of
+    `unplaced_parts` and those rejected are `rejected`."""
+    tied = frozenset(i for pair in block.ties.frames for i in pair)
     nowhere = {i for part in unplaced_parts(block) for i in part}
     if accuracy is not None:
-        tied, nowhere = tied - accuracy.unsolved, nowhere | accuracy.rejected
+        tied, nowhere = accuracy.tied - accuracy.unsolved, nowhere | accuracy.rejected
     status = np.array(
         ["rejected" if i in nowhere else "tied" if i in tied else "placed" for i in range(len(block.names))]
     )
@@ -112,6 +114,9 @@ def outcome(
         sd = np.column_stack([poses.positions_sd_m, poses.rotations_sd_rad])
         covariance = np.where(untied[:, None, None], sd[:, :, None] ** 2 * np.eye(6), accuracy.covariance)
         covariance = covariance + np.diag(np.append(common_m2, np.zeros(3)))
+    control = control_residuals(block, poses, propagate)
+    if accuracy is not None:
+        control = tuple(replace(c, common_sd_m=np.sqrt(common_m2)) for c in control)
     plan_m, ends = keypoints_on_ground(block, poses, block.cameras, block.ground)
     return Adjusted(
         poses=with_common_error(poses, common_m2),
@@ -121,7 +126,7 @@ def outcome(
         residuals_m=tuple(plan_m[right] - plan_m[left] for left, right in ends),
         ground=block.ground,
         figures={"common_height_sd_m": float(np.sqrt(common_m2[2]))},
-        control=control_residuals(block, poses, propagate),
+        control=control,
         pose_covariance=covariance,
     )
 
@@ -190,6 +195,7 @@ def bundle_outcome(work: BlockState) -> Adjusted:
         propagate=covariance_of(solution, block.lens_of),
         covariance=solution.stated.pose_covariance,
         common_m2=common_m2,
+        tied=frozenset(np.unique(found.ties.frame).tolist()),
         unsolved=frozenset(np.flatnonzero(solution.left_out).tolist()),
         rejected=frozenset(rejected),
     )

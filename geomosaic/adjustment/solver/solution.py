@@ -13,7 +13,7 @@ from geomosaic.adjustment.problem.estimate import Estimate, UnknownLayout
 from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.terms.image_observations import IMAGE
 from geomosaic.adjustment.terms.term import Components
-from geomosaic.arrays import Bools, Floats
+from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.constants import tuned
@@ -36,20 +36,29 @@ def undetermined(problem: BlockProblem, at: Estimate, components: Components) ->
     shared = reduce_normals(replace(problem, fixed=None).normals(at, wider)).shared_covariance()
     sd = np.where(layout.optional, layout.sd, 0.0)
     free = np.flatnonzero(sd > 0.0)
+    weak = free[_weak(shared[np.ix_(free, free)] / np.outer(sd[free], sd[free]))]
+    return np.isin(np.arange(sd.size), weak)
+
+
+def _weak(covariance: Floats) -> Ints:
+    """The numbers of a covariance (n, n) over prior variances that have to be known, the worst first, until
+    the deviations of all others are below _DETERMINED."""
+    left, out = np.arange(len(covariance)), []
     try:
-        shown = inverse(shared[np.ix_(free, free)] / np.outer(sd[free], sd[free])) - np.eye(len(free))
-    except NotSolvableError:
-        return sd > 0.0
-    out, left = np.zeros(sd.size, dtype=bool), np.arange(len(free))
+        inverse(covariance)
+    except NotSolvableError:  # singular: rounding would choose
+        return left
     while left.size:
-        variance = np.diag(inverse(shown[np.ix_(left, left)] + np.eye(left.size)))
-        share = np.sqrt(np.where(variance < 0.0, np.inf, variance))
-        worst = int(share.argmax())
-        if share[worst] < _DETERMINED:
+        variance = np.diag(covariance)
+        variance = np.where(variance < 0.0, np.inf, variance)
+        worst = int(variance.argmax())
+        if variance[worst] < _DETERMINED**2:
             break
-        out[free[left[worst]]] = True
-        left = np.delete(left, worst)
-    return out
+        out.append(left[worst])
+        of_worst, others = covariance[worst], np.arange(left.size) != worst
+        covariance = covariance - np.outer(of_worst, of_worst) / of_worst[worst]
+        covariance, left = covariance[np.ix_(others, others)], left[others]
+    return np.array(out, dtype=np.intp)
 
 
 def with_unreported_readouts(

@@ -56,8 +56,11 @@ class Attitudes(FrameTerm):
     def _computed(self, at: Estimate) -> Floats:
         """Attitudes (f, 3, 3) as they would be reported without error."""
         boresight = exp_turn((CAMERA_FROM_BODY @ at.value(BORESIGHT, 3))[None])[0]
-        off = self._of_group() @ at.value(HEADINGS, len(self.groups_sd_rad))
-        return np.asarray(about_z(-off) @ at.rotations @ boresight)
+        return np.asarray(self._turned_in_common(at) @ at.rotations @ boresight)
+
+    def _turned_in_common(self, at: Estimate) -> Floats:
+        """Turns (f, 3, 3) about up by what reported headings are off by in common."""
+        return about_z(-self._of_group() @ at.value(HEADINGS, len(self.groups_sd_rad)))
 
     def component_names(self) -> tuple[str, ...]:
         return TILT, YAW
@@ -66,7 +69,11 @@ class Attitudes(FrameTerm):
         return slice(3, 6)
 
     def miss(self, at: Estimate) -> Floats:
-        return log_turn(self.reported.rotations @ np.swapaxes(self._computed(at), 1, 2))
+        """Turns about east and north once the heading is turned back, and the heading's about up. In one
+        rotation vector a heading far off would count as tilts, and tilts as heading."""
+        off = self.reported.rotations @ np.swapaxes(self._computed(at), 1, 2)
+        heading = np.arctan2(off[:, 1, 0] - off[:, 0, 1], off[:, 0, 0] + off[:, 1, 1])
+        return np.column_stack([log_turn(about_z(-heading) @ off)[:, :2], heading])
 
     def sd(self, components: Components) -> Floats:
         tilt, yaw = components[TILT], components[YAW]
@@ -74,8 +81,9 @@ class Attitudes(FrameTerm):
         return np.asarray(np.where(np.isfinite(sd_rad), sd_rad, np.inf))
 
     def derivatives(self, at: Estimate) -> tuple[Floats, list[tuple[str, Floats]]]:
-        by_pose = np.broadcast_to(np.eye(3, 6, 3), (len(at.rotations), 3, 6))
-        shared = [(BORESIGHT, at.rotations @ CAMERA_FROM_BODY)]
+        turned = self._turned_in_common(at)
+        by_pose = turned @ np.eye(3, 6, 3)
+        shared = [(BORESIGHT, turned @ at.rotations @ CAMERA_FROM_BODY)]
         if len(self.groups_sd_rad):
             shared.append((HEADINGS, self._of_group()[:, None] * np.array([0.0, 0.0, -1.0])[:, None]))
         return by_pose, shared
