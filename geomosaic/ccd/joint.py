@@ -151,6 +151,9 @@ def _of_pair(strips: Strips, k: int, whole: KnotOffsets, step: int, known_px: Fl
     outside = (at < -step) | (at > shared_lines(strips, pair) + step)
     sd_col, sd_line = (np.interp(at, centres, whole.sd_px[k, :, axis]) for axis in (0, 1))
     nearest = np.clip(np.rint((at - centres[0]) / step).astype(int), 0, knots - 1)
+    beyond = np.maximum(centres[0] - at, at - centres[-1]).clip(0.0) / step
+    growth = np.hypot(1.0 + beyond, beyond)  # of a line through two knots, carried on past them
+    sd_col, sd_line = sd_col * growth, sd_line * growth
     label = _labels(whole.own[k][nearest] >= 0.5, outside | unsure, np.maximum(sd_col, sd_line))
     sd_col[outside], sd_line[outside | unsure] = UNKNOWN_SD_PX, UNKNOWN_SD_PX
     return PairOffsets(pair, col, line, sd_col, sd_line, label)

@@ -24,6 +24,7 @@ from geomosaic.ccd.least_squares_matching import (
     KnotOffsetsMeasured,
     measure,
     pair_images,
+    seen_near,
 )
 from geomosaic.ccd.model import SURE_SD_PX, UNKNOWN_SD_PX, CcdSettings
 from geomosaic.ccd.motion import MotionPriors, Smoothed, first_priors, learned, smooth, smooth_with_shift
@@ -135,6 +136,7 @@ def solved_window(
         variance = variance + between_knots_variance(ready, now.offsets_px, used, likely.jitter_lines)
     sd_px = np.maximum(information, np.diag(_ANCHOR)) ** -0.5
     own: Bools = np.stack([c.fit >= _LEAST_FIT for c in cells]) & used
+    own &= seen_near(information * own[..., None], SURE_SD_PX)
     found = KnotOffsets(now.offsets_px, np.sqrt(variance), own.astype(np.float64))
     known_px = np.stack([pair.known_px[np.rint(centres).astype(int)] for pair in pairs])
     sure = own & (found.sd_px.max(axis=2) <= SURE_SD_PX)

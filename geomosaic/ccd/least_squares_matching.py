@@ -118,6 +118,15 @@ def measure(given: PairImages, curve_px: Floats, known_px: Floats, knot_lines: i
     return _weighed(cells, s * at.reshape(2, knots, -1).mean(axis=2).T)
 
 
+def seen_near(information: Floats, sd_px: float) -> Bools:
+    """Knots (knots,) that the images show to sd_px with no prior: all pairs over some knots together.
+
+    Args: information (pairs, knots, 2) px^-2 of dcol and dline; what is alike by chance has a little.
+    """
+    together = _ALIKE_KNOTS * uniform_filter1d(information.sum(axis=0), _ALIKE_KNOTS, axis=0)
+    return np.asarray(together.min(axis=1) >= sd_px**-2)
+
+
 @dataclass(frozen=True)
 class _Cells:
     """Sums over cells (knots, octaves, groups), in pixels of the octave.

@@ -2,6 +2,7 @@
 
 The curves bend steeply where that happens, but so they may elsewhere; what decides are the lines themselves.
 Up to one line the offset before explains them, from it on the offset after, and each fails on the other side.
+Both together explain them better than the curve without a step, which follows a steep motion.
 """
 
 from __future__ import annotations
@@ -112,12 +113,17 @@ def _step(pair: RowPair, curve: _PairCurve, knot: int) -> tuple[int, int] | None
     left, right = np.arange(knot - far, knot - near), np.arange(knot + near, knot + far)
     moved = np.stack([np.interp(at, np.arange(len(motion)), axis) for axis in motion.T])
     before, after = (_line(fitted, own[fitted], at) + moved for fitted in (left, right))
+    smooth = np.stack([np.interp(at, np.arange(len(own)), axis) for axis in (own + motion).T])
     middle = len(u) // 2
     jump = float(after[1, middle] - before[1, middle])
     tried = []
     for count in range(round(jump) - 1, round(jump) + 2):
         half = np.array([[0.0], [(count - jump) / 2]])
-        if count and (found := _split(pair, u, before - half, after + half)) is not None:
+        if (
+            count
+            and (found := _split(pair, u, np.stack([before - half, after + half, smooth]), knot_lines))
+            is not None
+        ):
             tried.append((*found, count))
     if not tried:
         return None
@@ -125,13 +131,17 @@ def _step(pair: RowPair, curve: _PairCurve, knot: int) -> tuple[int, int] | None
     return line, count
 
 
-def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float, int] | None:
-    """What misfit is left if a pair lies at `before` up to a line and then at `after`, and that line."""
-    misfit = np.stack([_misfit(pair, u, curve) for curve in (before, after)])
+def _split(pair: RowPair, u: Ints, curves_px: Floats, knot_lines: int) -> tuple[float, int] | None:
+    """What misfit is left if a pair lies on one curve up to a line and then on another, and that line.
+
+    Args: curves_px (3, 2, n): the one, the other, and the one that it lies on if there is no step. Within
+    knot_lines of a step that curve cannot follow it.
+    """
+    misfit = np.stack([_misfit(pair, u, curve) for curve in curves_px])
     seen = pair.valid[u].mean(axis=1)
     if not np.isfinite(misfit).all():
         return None
-    sums = np.concatenate([np.zeros((2, 1)), np.cumsum(misfit, axis=1)], axis=1)
+    sums = np.concatenate([np.zeros((2, 1)), np.cumsum(misfit[:2], axis=1)], axis=1)
     where = int(np.argmin(sums[0] - sums[1]))
     if not _SHARP_LINES <= where <= len(u) - _SHARP_LINES:
         return None
@@ -141,8 +151,11 @@ def _split(pair: RowPair, u: Ints, before: Floats, after: Floats) -> tuple[float
         < _LEAST_SEEN
     ):
         return None
-    (here, there), (back, then) = ahead.sum(axis=1), behind.sum(axis=1)
+    (here, there, _), (back, then, _) = ahead.sum(axis=1), behind.sum(axis=1)
     sharp = here < NOISE_SHARE * there and then < NOISE_SHARE * back
+    one, _, smooth = ahead[:, -knot_lines:].sum(axis=1)
+    _, other, still = behind[:, :knot_lines].sum(axis=1)
+    sharp &= one + other < smooth + still
     return (float(here + then), int(u[where])) if sharp else None
 
 
