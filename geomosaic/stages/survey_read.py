@@ -148,7 +148,7 @@ def _work_frame(survey: Survey, context: Context) -> LocalFrame:
 
 
 @stage(
-    "survey.read", "Read the survey", group="Survey", version=50, outputs="survey", wants_frames=True,
+    "survey.read", "Read the survey", group="Survey", version=51, outputs="survey", wants_frames=True,
     check=_check, files=_files, plans=_plans, goes_on=True,
 )  # fmt: skip
 def survey_read(params: SurveyParams, context: Context) -> Survey:

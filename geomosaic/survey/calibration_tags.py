@@ -32,6 +32,12 @@ _MISREPORTED_S = sourced(
     "MicaSense, imageprocessing",
 )
 _LIKE_S = sourced(1e-6, "s", "difference of the same exposure", "MicaSense, imageprocessing, metadata.py")
+_NEEDED: Final = {
+    "micasense": ("MicaSense:RadiometricCalibration", "ExposureTime", "PhotographicSensitivity"),
+    "parrot": ("Camera:SensorModel", "ExposureTime", "PhotographicSensitivity", "FNumber"),
+    "dji": ("drone-dji:SensorGain", "drone-dji:ExposureTime"),
+}
+"""The tags that a sensor model can't do without, by the camera's maker in lower case."""
 _FULL: Final = np.iinfo(np.uint16).max
 """The largest digital number, and the count of a saturated sunshine sensor."""
 
@@ -52,6 +58,20 @@ def sensor_model(header: FrameHeader) -> SensorModel | None:
     if header.bands != 1 or header.dtype != "uint16":
         return None
     return next((model for read in (_micasense, _parrot, _dji) if (model := read(header))), None)
+
+
+def missing_tags(header: FrameHeader) -> list[str]:
+    """The tags that the sensor model of the frame's maker needs and the frame lacks. It is empty for other
+    makers, and for frames with several bands or not in 16 bits."""
+    if header.bands != 1 or header.dtype != "uint16":
+        return []
+    exif = header.exif
+    optics = {"ExposureTime": exif.exposure_s, "PhotographicSensitivity": exif.iso, "FNumber": exif.f_number}
+    return [
+        tag.split(":")[-1]
+        for tag in _NEEDED.get(exif.make.lower(), ())
+        if not (optics[tag] if tag in optics else (header.xmp or {}).get(tag))
+    ]
 
 
 def temperature(header: FrameHeader) -> Quantity | None:

@@ -32,6 +32,7 @@ class Exif:
     hemisphere_assumed: the file doesn't say N or S, E or W, and north and east were taken. serial: of the
     camera's body. position_error_m: of the position in plan. iso: sensitivity; black_level: of a value, the
     mean over a sensor's colours. digital_zoom: how many times the image shows a part of the sensor enlarged.
+    gimbal_deg: yaw, pitch and roll by DJI's maker note, as in its XMP.
     """
 
     make: str = ""
@@ -53,6 +54,7 @@ class Exif:
     iso: float | None = None
     f_number: float | None = None
     black_level: float | None = None
+    gimbal_deg: tuple[float, float, float] | None = None
 
     @property
     def exposure(self) -> float | None:
@@ -116,6 +118,7 @@ def _exif(tags: Tags) -> Exif:
     if lat is None or lon is None or (lat == 0.0 and lon == 0.0):  # 0, 0: a receiver without a fix
         lat = lon = None
     altitude = number("GPSAltitude", positive=False)
+    yaw, pitch, roll = (number(f"Gimbal{axis}Degree", positive=False) for axis in ("Yaw", "Pitch", "Roll"))
     below = number("GPSAltitudeRef") in (1.0, 3.0)  # EXIF 3.0: 2 and 3 are above and below the ellipsoid
     per_unit, black = number("FocalPlaneXResolution"), tags.get("BlackLevel")
     mm = _MM_PER_UNIT.get(number("FocalPlaneResolutionUnit") or 2.0)
@@ -139,6 +142,7 @@ def _exif(tags: Tags) -> Exif:
         iso=number("ISOSpeed") or number("PhotographicSensitivity"),
         f_number=number("FNumber"),
         black_level=sum(black) / len(black) if isinstance(black, tuple) and black else None,
+        gimbal_deg=None if yaw is None or pitch is None or roll is None else (yaw, pitch, roll),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from geomosaic.constants import tuned
+from geomosaic.constants import sourced, tuned
 
 Tags = dict[str, str | tuple[float, ...]]
 """EXIF tags by their standard names (`GPSLatitude`), text or numbers."""
@@ -40,6 +40,11 @@ _TAGS: Final[Mapping[str, Mapping[int, str]]] = {
 1.4 for BlackLevel."""
 _ANYWHERE: Final[Mapping[int, str]] = {0x010F: "Make", 0x0110: "Model", 0x0132: "DateTime"}
 """Of the main directory, that some programs write into that of Exif: rpicam-apps of Raspberry Pi."""
+_MAKER_NOTE = sourced(0x927C, "tag", "the maker's own data", "CIPA DC-008 (EXIF), section 4.6.5")
+_DJI: Final[Mapping[int, str]] = {
+    0x0001: "Maker", 0x0009: "GimbalPitchDegree", 0x000A: "GimbalYawDegree", 0x000B: "GimbalRollDegree",
+}  # fmt: skip
+"""Of DJI's maker note, named as in its XMP, whose values they have: ExifTool, DJI tags."""
 _KINDS: Final[Mapping[int, tuple[str, ...]]] = {
     1: ("u1",), 2: ("S1",), 3: ("u2",), 4: ("u4",), 5: ("u4", "u4"), 7: ("u1",), 8: ("i2",), 9: ("i4",),
     10: ("i4", "i4"), 11: ("f4",), 12: ("f8",), 13: ("u4",),
@@ -52,7 +57,7 @@ LONGEST_BYTES = tuned(1000, "bytes", "of a value, a camera's name: a damaged len
 def tags_from_block(block: Block) -> Tags:
     """The tags of use here, without those that are damaged; empty where the block is no EXIF.
 
-    Three directories are read, each once: no loop of pointers, no count and no length makes it long.
+    Four directories are read, each once: no loop of pointers, no count and no length makes it long.
     """
     order = _byte_order(block)
     if not order:
@@ -62,7 +67,23 @@ def tags_from_block(block: Block) -> Tags:
         at = tags.pop(pointer, None)
         if isinstance(at, tuple) and len(at) == 1 and at[0] >= 0.0:
             tags = _directory(block, int(at[0]), order, {**_ANYWHERE, **_TAGS[pointer]}) | tags
+            if pointer == "Exif":
+                tags |= _dji_tags(block, int(at[0]), order)
     return tags
+
+
+def _dji_tags(block: Block, at: int, order: str) -> Tags:
+    """The gimbal's angles (degrees) of DJI's maker note in the directory at a place, empty without them.
+
+    The note is a directory in little-endian order, whatever the block's is. Its values are read from their
+    entries, so that programs which moved it did no harm.
+    """
+    for entry, number, kind, count in _entries(block, at, order):
+        if number == _MAKER_NOTE and kind == 7:
+            start = struct.unpack_from(f"{order}I", block, entry + 8)[0]
+            tags = _directory(bytes(block[start : start + min(count, LONGEST_BYTES)]), 0, "<", _DJI)
+            return tags if tags.pop("Maker", "") == "DJI\x00" else {}
+    return {}
 
 
 def xmp_from_block(block: Block, most_bytes: int) -> bytes:

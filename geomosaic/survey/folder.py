@@ -20,7 +20,8 @@ from geomosaic.survey.header import (
     check_blocks,
     mask_size_error,
 )
-from geomosaic.survey.names import FrameNames, frame_name, natural_key
+from geomosaic.survey.model import Warn
+from geomosaic.survey.names import FrameNames, frame_name, natural_key, some
 from geomosaic.survey.other_files import advice
 from geomosaic.survey.png import png_damage
 from geomosaic.survey.timestamp_mrk import matches
@@ -44,10 +45,10 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
     and TIFF files, else its PNG files, else its DNG or its HEIC files. Next to JPEG and TIFF files, PNG files
     are previews and masks.
 
-    If the folder itself has none, they are those of its folder `images` or `DCIM`, else of all folders in it,
-    four deep. A frame is called by its file's name; where several folders have it, with its folders' before
-    it (`100MEDIA_DJI_0001.JPG`). Hidden files and folders, links to folders, folders of runs, masks
-    (`NAME_mask.png`, `NAME.mask.tif`) and other inputs of the survey (its DEM) are no frames.
+    Where its folder `images` or `DCIM` has more, they are those of it. If neither has any, they are those of
+    all folders in it, four deep. A frame is called by its file's name; where several folders have it, with
+    its folders' before it (`100MEDIA_DJI_0001.JPG`). Hidden files and folders, links to folders, folders of
+    runs, masks (`NAME_mask.png`, `NAME.mask.tif`) and other inputs of the survey (its DEM) are no frames.
     Raises: `FileError` for what is no folder, `InputError` if there are no frames or their reader is missing.
     """
     folder = folder.absolute()
@@ -76,17 +77,19 @@ def frame_files(folder: Path, other: Collection[Path] = ()) -> dict[Path, str]:
 
 
 def _found(folder: Path, inputs: Collection[Path], suffixes: Collection[str]) -> tuple[list[Path], Path]:
-    """Frames with such suffixes and the folder to call them from: the folder's own, else those below it."""
+    """Frames with such suffixes and the folder to call them from: a home's, where it has more than the folder
+    itself, else the folder's own, else those below it."""
     files, folders = _listed(folder)
-    frames = _frames(files, inputs, suffixes)
-    if frames:
-        return frames, folder
-    homes = [f for f in folders if f.name.casefold() in _HOMES]
-    for top in (*homes, folder):
-        frames = [p for f in _below(top) for p in _frames(_listed(f)[0], inputs, suffixes)]
-        if frames:
-            return frames, top
-    return [], folder
+    own = _frames(files, inputs, suffixes)
+    for home in (f for f in folders if f.name.casefold() in _HOMES):
+        frames = _frames_below(home, inputs, suffixes)
+        if len(frames) > len(own):
+            return frames, home
+    return own or _frames_below(folder, inputs, suffixes), folder
+
+
+def _frames_below(folder: Path, inputs: Collection[Path], suffixes: Collection[str]) -> list[Path]:
+    return [p for f in _below(folder) for p in _frames(_listed(f)[0], inputs, suffixes)]
 
 
 def frame_folders(folder: Path, other: Collection[Path] = ()) -> dict[str, Path]:
@@ -108,10 +111,30 @@ def project_files(folder: Path) -> dict[str, Path]:
     return {"pos": by_drone[0], **found} if matches(by_drone[0], names) else found
 
 
-def unused_folders(folder: Path) -> list[str]:
-    """The folders in a folder of frames that hold JPEG or TIFF files too, which are not looked at."""
-    files, folders = _listed(folder.absolute())
-    return [f.name for f in folders if _frames(_listed(f)[0], ())] if _frames(files, ()) else []
+def unused_images(folder: Path, frames: Collection[Path], other: Collection[Path] = ()) -> list[Warn]:
+    """One warning of the JPEG and TIFF files that are no frames since they lie elsewhere.
+
+    They lie in folders next to the frames, or in a folder whose home holds the frames.
+
+    Args: frames and other: what `frame_files` found in the folder, and the survey's other inputs.
+    """
+    folder = folder.absolute()
+    files, folders = _listed(folder)
+    own = _frames(files, {p.absolute() for p in other})
+    if not own:
+        return []
+    if not set(own) <= set(frames):
+        home = next(iter(frames)).relative_to(folder).parts[0]
+        number = f"{len(own)} files are" if len(own) > 1 else "1 file is"
+        named = some(printable(p.name) for p in own)
+        text = f"{number} not used, as the folder {home} holds the frames: {named}"
+        return [Warn("files-not-used", "", f"{text}; to add them, move them there")]
+    inner = [f.name for f in folders if _frames(_listed(f)[0], ())]
+    if not inner:
+        return []
+    text = f"images in folders next to the frames are not used: {some(inner)}"
+    fix = f"to map those alone, give {folder.name}/{inner[0]}; to map all, move them into one folder"
+    return [Warn("frames-in-folders", "", f"{text}; {fix}")]
 
 
 def _listed(folder: Path) -> tuple[list[Path], list[Path]]:

@@ -108,12 +108,12 @@ def _position_accuracy(exif: Exif, xmp: Xmp) -> tuple[float, float, float, str]:
 def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
     """How the camera was turned, as body angles (`Attitude`).
 
-    The gimbal's angles are the camera's own and are never mixed with the aircraft's. Where there are only the
-    aircraft's, they are taken with wide sigmas (sources `dji-flight`, `mavlink`). Three angles of exactly 0
-    are a field that was never filled (DJI's Mini, FLIR's Vue Pro R). Makers differ. DJI and Parrot write
-    gimbal angles (pitch -90 at the nadir). Pix4D's `Camera:` angles are a body's (pitch 0 at the nadir), but
-    a pitch nearer to -90 than to 0 is a gimbal's there too. senseFly's `Camera:Roll` has the opposite sign
-    (as OpenDroneMap found).
+    The gimbal's angles are the camera's own and are never mixed with the aircraft's. DJI's maker note has
+    them too, for files whose XMP a program rewrote. Where there are only the aircraft's, they are taken with
+    wide sigmas (sources `dji-flight`, `mavlink`). Three angles of exactly 0 are a field that was never filled
+    (DJI's Mini, FLIR's Vue Pro R). Makers differ. DJI and Parrot write gimbal angles (pitch -90 at the
+    nadir). Pix4D's `Camera:` angles are a body's (pitch 0 at the nadir), but a pitch nearer to -90 than to 0
+    is a gimbal's there too. senseFly's `Camera:Roll` has the opposite sign (as OpenDroneMap found).
     """
     for source, prefix in (("dji-gimbal", "drone-dji:Gimbal"), ("parrot-camera", "drone-parrot:Camera")):
         yaw, pitch, roll = (number(xmp, f"{prefix}{axis}Degree") for axis in ("Yaw", "Pitch", "Roll"))
@@ -130,6 +130,8 @@ def onboard_attitude(exif: Exif, xmp: Xmp) -> Attitude:
     pitch, roll = number(xmp, "sensefly:PitchAngle"), number(xmp, "sensefly:RollAngle")
     if pitch is not None or yaw is not None:
         return _attitude(yaw, pitch, roll, "sensefly")
+    if exif.gimbal_deg is not None and any(exif.gimbal_deg):
+        return _from_gimbal(*exif.gimbal_deg, "dji-gimbal")
     for source, name in (("dji-flight", "drone-dji:Flight{}Degree"), ("mavlink", "FLIR:MAV{}")):
         yaw, pitch, roll = (number(xmp, name.format(axis)) for axis in ("Yaw", "Pitch", "Roll"))
         if pitch is not None or yaw is not None:

@@ -12,10 +12,10 @@ from geomosaic.survey.calibration_tags import temperature
 from geomosaic.survey.camera_kinds import JOINED, captures_of_kinds, other_cameras
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.extent import check_extent
-from geomosaic.survey.folder import unused_folders
+from geomosaic.survey.folder import unused_images
 from geomosaic.survey.header import JPEG_SUFFIXES, FrameHeader
 from geomosaic.survey.inputs import SurveyInputs
-from geomosaic.survey.model import Band, Frame, UnusedImage, Warn
+from geomosaic.survey.model import Band, Frame, UnusedImage
 from geomosaic.survey.motion_tags import turns_of, velocity_of
 from geomosaic.survey.names import FrameNames, natural_key, some
 from geomosaic.survey.observations import observe, on_datum
@@ -42,16 +42,12 @@ def readable_frames(inputs: SurveyInputs, inspect: Inspect, progress: Progress |
     """The POS file, the camera file, and the folder's frames that can be read, in order of capture."""
     files = inputs.frame_files()
     cameras = inputs.cameras()
-    inner = unused_folders(inputs.frames)
     masked, strict = inputs.damaged == "mask", inputs.strict
     found = usable(files, inspect, mask_damaged=masked, strict=strict, progress=progress)
     headers, in_time = _in_order(found.headers)
     together = captured_files(headers) if len(headers) == len(files) else ()
     pos = inputs.positions(FrameNames(files.values(), together))
-    text = (
-        f"images in folders next to the frames are not used: {some(inner)}; give the folder above to use all"
-    )
-    warnings = [*([Warn("frames-in-folders", "", text)] if inner else []), *unused_files(files)]
+    warnings = [*unused_images(inputs.frames, files, inputs.files.values()), *unused_files(files)]
     return SurveyDraft(inputs, pos, cameras, found, headers, in_time, folder_warnings=tuple(warnings))
 
 

@@ -16,7 +16,7 @@ from geomosaic.doors.raster import FRAME, open_raster, reading
 from geomosaic.errors import InputError
 from geomosaic.radiometry.panel import find_panel, middle_of
 from geomosaic.radiometry.quantity import UNCALIBRATED, reflectance
-from geomosaic.survey.calibration_tags import SensorModel, sensor_model, temperature
+from geomosaic.survey.calibration_tags import SensorModel, missing_tags, sensor_model, temperature
 from geomosaic.survey.draft import SurveyDraft
 from geomosaic.survey.header import FrameHeader
 from geomosaic.survey.lens_tags import label
@@ -165,8 +165,11 @@ def _model(header: FrameHeader) -> SensorModel:
     model = sensor_model(header)
     if model is None:
         problem = (
-            f"its tags hold no known sensor model (camera {label(header)}): MicaSense's, DJI's or Parrot's, "
-            "of frames with one band in 16 bits"
+            f"its tags lack {', '.join(lacking)}, without which its values have no known relation to light "
+            f"(camera {label(header)})"
+            if (lacking := missing_tags(header))
+            else f"its tags hold no known sensor model (camera {label(header)}): MicaSense's, DJI's or "
+            "Parrot's, of frames with one band in 16 bits"
         )
         raise InputError(problem, file=header.path, fix=_LEAVE)
     return model

@@ -30,6 +30,7 @@ from geomosaic.survey.platforms import LEAST_FRAMES
 from geomosaic.survey.plausible import NEIGHBOURS, Limit
 
 LEAVE_OUT: Final = ("auto", "none")
+_KEEP: Final = "--keep-strays uses them"
 BANDS: Final = "ms"
 """The kind of a multispectral camera, whose files are one a band."""
 COPY: Final = Limit(0.995, "correlation", "of small versions of copies; neighbours have less", CHOSEN)
@@ -52,7 +53,8 @@ _WORDS: Final = {
     "frame-blurred": "far more blurred than their neighbours, which are sharp",
     "frame-no-camera": "of another camera or of none, and without a reported focal length",
 }
-
+_APART: Final = frozenset({"frame-other-bands", "frame-other-camera", "frame-no-temperature"})
+"""Of images whose pixels or spectrum are not the mosaic's, so that --keep-strays would mix them or fail."""
 
 Stray = tuple[str, UnusedImage]
 """The code of its warning, and the frame."""
@@ -89,8 +91,8 @@ def stray_warnings(left_out: Sequence[Stray]) -> list[Warn]:
         names = [o.name for c, o in left_out if c == code]
         if names:
             few = f" ({len(names)}: {some(names)})" if len(names) > 1 else ""
-            text = f"left out: {words}{few}; --keep-strays uses them"
-            out.append(Warn(code, names[0] if len(names) == 1 else "", text))
+            fix = "put them into a folder of their own to map them" if code in _APART else _KEEP
+            out.append(Warn(code, names[0] if len(names) == 1 else "", f"left out: {words}{few}; {fix}"))
     return out
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ASCII, SHORT, LONG, RATIONAL, BYTE, SIGNED = 2, 3, 4, 5, 1, 10
+ASCII, SHORT, LONG, RATIONAL, BYTE, SIGNED, UNDEFINED, FLOAT = 2, 3, 4, 5, 1, 10, 7, 11
 IFD0 = {
     "Make": (0x010F, ASCII), "Model": (0x0110, ASCII), "Orientation": (0x0112, SHORT),
     "NewSubfileType": (0x00FE, LONG), "ImageWidth": (0x0100, LONG), "ImageLength": (0x0101, LONG),
@@ -22,7 +22,7 @@ IFD0 = {
 }  # fmt: skip
 EXIF = {
     "XmpOfExif": (0x02BC, BYTE), "DateTimeOriginal": (0x9003, ASCII), "OffsetTimeOriginal": (0x9011, ASCII),
-    "SubSecTimeOriginal": (0x9291, ASCII),
+    "SubSecTimeOriginal": (0x9291, ASCII), "MakerNote": (0x927C, UNDEFINED),
     "FocalLength": (0x920A, RATIONAL), "PixelXDimension": (0xA002, LONG), "PixelYDimension": (0xA003, LONG),
     "FocalPlaneXResolution": (0xA20E, RATIONAL), "FocalPlaneResolutionUnit": (0xA210, SHORT),
     "DigitalZoomRatio": (0xA404, RATIONAL), "FocalLengthIn35mmFilm": (0xA405, SHORT), "BodySerialNumber": (0xA431, ASCII),
@@ -61,6 +61,9 @@ def _payload(kind: int, value: object, order: str) -> tuple[bytes, int]:
     if kind == ASCII:
         text = str(value).encode() + b"\0"
         return text, len(text)
+    if kind == UNDEFINED:
+        assert isinstance(value, bytes)
+        return value, len(value)
     values = value if isinstance(value, tuple) else (value,)
     if kind in (RATIONAL, SIGNED):
         code = "II" if kind == RATIONAL else "ii"
@@ -68,6 +71,14 @@ def _payload(kind: int, value: object, order: str) -> tuple[bytes, int]:
         return b"".join(struct.pack(order + code, p.numerator, p.denominator) for p in pairs), len(pairs)
     code = {SHORT: "H", LONG: "I", BYTE: "B"}[kind]
     return b"".join(struct.pack(order + code, v) for v in values), len(values)
+
+
+def dji_maker_note(yaw: float, pitch: float, roll: float) -> bytes:
+    """A gimbal's angles as DJI's cameras write them into EXIF next to the aircraft's."""
+    floats = {6: 2.1, 7: 81.5, 8: 4.2, 9: pitch, 10: yaw, 11: roll}
+    entries = [struct.pack("<HHI4s", 1, ASCII, 4, b"DJI\0")]
+    entries += [struct.pack("<HHIf", tag, FLOAT, 1, value) for tag, value in floats.items()]
+    return struct.pack("<H", len(entries)) + b"".join(entries) + struct.pack("<I", 0)
 
 
 def dms(degrees: float) -> tuple[Fraction, Fraction, Fraction]:

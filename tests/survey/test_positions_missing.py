@@ -47,17 +47,22 @@ def _off_m(run: Path, truth: Path) -> np.ndarray:
     return np.array([found[name] - true[name] for name in sorted(true) if name in found])
 
 
+def write_strange(path: Path, tags_of: Path) -> None:
+    """A frame of other ground, with the tags of a frame without a position."""
+    with_tags = tags_of.read_bytes()
+    noise = np.random.default_rng(1).normal(0.0, 12.0, (240, 320, 1))
+    other = np.clip(image(320, 240, seed=8) + noise, 0, 255).astype(np.uint8)
+    strange = write_jpeg(path, other).read_bytes()
+    end_of_tags = with_tags.index(b"\xff\xdb")
+    path.write_bytes(with_tags[:end_of_tags] + strange[strange.index(b"\xff\xdb") :])
+
+
 def test_frames_without_gps_are_placed_by_the_images(tmp_path: Path, flown: Path) -> None:
     """Two of six have none, one of them at a turn of the flight; a seventh shows something else."""
     frames = shutil.copytree(flown / "both" / "frames", tmp_path / "frames")
     for name in ("F0002.jpg", "F0004.jpg"):
         shutil.copy(flown / "none" / "frames" / name, frames / name)
-    with_tags = (flown / "none" / "frames" / "F0001.jpg").read_bytes()
-    noise = np.random.default_rng(1).normal(0.0, 12.0, (240, 320, 1))
-    other = np.clip(image(320, 240, seed=8) + noise, 0, 255).astype(np.uint8)
-    strange = write_jpeg(frames / "F0007.jpg", other).read_bytes()
-    end_of_tags = with_tags.index(b"\xff\xdb")
-    (frames / "F0007.jpg").write_bytes(with_tags[:end_of_tags] + strange[strange.index(b"\xff\xdb") :])
+    write_strange(frames / "F0007.jpg", flown / "none" / "frames" / "F0001.jpg")
     assert mosaic(frames, tmp_path / "run", *FEW) == 0
     run_summary = summary(tmp_path / "run")
     assert run_summary["frames"] == {"total": 7, "tied": 6, "placed": 0, "rejected": 1}
@@ -102,6 +107,21 @@ def test_with_nothing_the_mosaic_lies_in_a_frame_of_its_own(tmp_path: Path, flow
     z, w = z - z.mean(), w - w.mean()
     turn = (w * z.conj()).sum() / (np.abs(z) ** 2).sum()
     assert np.abs(w - turn * z).max() < 0.7
+
+
+def test_a_frame_that_nothing_joins_to_a_map_without_positions_is_named(tmp_path: Path, flown: Path) -> None:
+    """A stranger was asked for a tie to "a frame that has a position", which none had."""
+    frames = shutil.copytree(flown / "none" / "frames", tmp_path / "frames")
+    write_strange(frames / "F0007.jpg", frames / "F0001.jpg")
+    assert mosaic(frames, tmp_path / "run", *FEW) == 0
+    lines = [w for w in summary(tmp_path / "run")["warnings"] if w["code"] == "not-placed"]
+    assert [(w["frame"], w["text"]) for w in lines] == [
+        (
+            "F0007.jpg",
+            "no tie points with the 6 frames that are mapped: left out of the mosaic; mosaic such frames by "
+            "themselves, or give positions with --pos",
+        )
+    ]
 
 
 def test_what_control_can_tell(tmp_path: Path, flown: Path) -> None:

@@ -103,6 +103,23 @@ def test_a_camera_without_a_known_model_is_an_error_that_names_the_option(flown:
         read(flown.frames)
 
 
+@pytest.mark.parametrize(
+    ("system", "maker", "tag"),
+    [("parrot", "Parrot", "SensorModel"), ("dji", "DJI", "SensorGain")],
+)
+def test_a_missing_tag_of_a_known_maker_is_named(
+    flown: SimulatedSurvey, tmp_path: Path, system: str, maker: str, tag: str
+) -> None:
+    """As Parrot's Sequoia of firmware 1.2.0, which writes all but SensorModel."""
+    rig_flight(flown.frames, tmp_path / "rig", RigFlight(system, panels=False))
+    for path in (tmp_path / "rig").glob("*.tif"):
+        made = path.read_bytes().replace(b"Maker\0", maker.encode().ljust(6, b"\0"))
+        path.write_bytes(made.replace(tag.encode(), b"X" * len(tag)))
+    says = rf"its tags lack {tag}, without .*\(camera {maker} .*\); leave out --radiometry reflectance"
+    with pytest.raises(InputError, match=says):
+        read(tmp_path / "rig")
+
+
 def test_a_thermal_band_keeps_its_temperature(flown: SimulatedSurvey, tmp_path: Path) -> None:
     rig_flight(flown.frames, tmp_path / "rig", RigFlight("micasense", panels=False))
     for path in (tmp_path / "rig").glob("*_3.tif"):

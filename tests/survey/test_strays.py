@@ -172,6 +172,10 @@ def test_other_bands_and_other_cameras(folder: Path) -> None:
         "DJI_0004.JPG": "has 1 band of uint8, the mosaic's frames 3 bands of uint8",
         "Screenshot.jpg": "the frame doesn't report its focal length",
     }
+    texts = {w.code: w.text for w in read_survey(SurveyInputs(folder)).warnings}
+    says = "left out: other bands or pixel type than the frames of the mosaic"
+    assert texts["frame-other-bands"] == f"{says}; put them into a folder of their own to map them"
+    assert texts["frame-no-camera"].endswith("; --keep-strays uses them")
 
 
 def test_panoramas_that_a_program_made_of_frames_of_an_unknown_lens(tmp_path: Path) -> None:

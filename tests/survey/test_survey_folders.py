@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 from small_surveys import mosaic, summary, warned
-from survey_files import drone_frame, survey_folder
+from survey_files import drone_frame, image, survey_folder, write_jpeg
 
 from geomosaic.doors.files import RUN_MARKER
 from geomosaic.errors import FileError, InputError
 from geomosaic.pipeline.context import Context
 from geomosaic.stages.survey_read import survey_read
-from geomosaic.survey.folder import frame_files, frame_folders
+from geomosaic.survey.folder import frame_files, frame_folders, unused_images
 from geomosaic.survey.inputs import SurveyInputs
 from geomosaic.survey.model import Survey
 from geomosaic.survey.read import read_survey
@@ -82,7 +82,39 @@ def test_frames_next_to_folders_count_alone_and_it_is_said(tmp_path: Path) -> No
     survey = read_survey(SurveyInputs(folder))
     assert [f.name for f in survey.frames] == ["DJI_0001.JPG", "DJI_0002.JPG"]
     (text,) = [w.text for w in survey.warnings if w.code == "frames-in-folders"]
-    assert text.startswith("images in folders next to the frames are not used: small")
+    assert text == (
+        "images in folders next to the frames are not used: small; to map those alone, give f/small; "
+        "to map all, move them into one folder"
+    )
+
+
+def test_a_projects_preview_is_not_its_only_frame(tmp_path: Path) -> None:
+    """As OpenDroneMap's Brighton Beach: the folder itself has fewer images than its folder of them."""
+    survey_folder(tmp_path / "beach" / "images", 3)
+    write_jpeg(tmp_path / "beach" / "brighton_beach.jpg", image(60, 40))
+    survey = read_survey(SurveyInputs(tmp_path / "beach"))
+    assert [f.name for f in survey.frames] == [f"DJI_000{i}.JPG" for i in (1, 2, 3)]
+    texts = [(w.code, w.text) for w in survey.warnings if "not used" in w.text]
+    says = "1 file is not used, as the folder images holds the frames: brighton_beach.jpg"
+    assert texts == [("files-not-used", f"{says}; to add them, move them there")]
+
+
+def test_a_folders_own_frames_count_where_its_home_has_no_more(tmp_path: Path) -> None:
+    flight = survey_folder(tmp_path / "flight", 2)
+    survey_folder(flight / "DCIM" / "100MEDIA", 2)
+    assert names(flight) == ["DJI_0001.JPG", "DJI_0002.JPG"]
+    assert frame_folders(flight) == {"": flight}
+    touched(flight / "DCIM" / "101MEDIA" / "DJI_0003.JPG")
+    assert frame_folders(flight) == {f"DCIM/10{i}MEDIA": flight / "DCIM" / f"10{i}MEDIA" for i in (0, 1)}
+
+
+def test_a_dem_next_to_the_folder_of_frames_is_no_unused_image(tmp_path: Path) -> None:
+    images = survey_folder(tmp_path / "images", 2)
+    touched(tmp_path / "dem.tif")
+    assert (
+        unused_images(tmp_path, frame_files(tmp_path, [tmp_path / "dem.tif"]), [tmp_path / "dem.tif"]) == []
+    )
+    assert frame_folders(tmp_path, [tmp_path / "dem.tif"]) == {"images": images}
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from survey_files import (
+    dji_maker_note,
     dji_xmp,
     dms,
     drone_frame,
@@ -166,6 +167,46 @@ def test_a_gimbal_of_zeros_was_never_filled() -> None:
     assert (attitude.source, attitude.yaw_deg, attitude.pitch_deg) == ("dji-flight", 19.3, -2.7)
     assert onboard_attitude(Exif(), dji(**zeros)).pitch_deg is None
     assert onboard_attitude(Exif(), dji(**zeros | {"GimbalYawDegree": "0.1"})).source == "dji-gimbal"
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_djis_maker_note_has_the_gimbal_where_xmp_has_none(order: str) -> None:
+    """The first frame of a Phantom 3 whose XMP a program wrote anew: -75.1, 85.3, 0."""
+    exif = exif_from_block(exif_block(order, Make="DJI", MakerNote=dji_maker_note(85.3, -75.1, 0.0)))
+    for xmp in ({}, {f"drone-dji:Gimbal{axis}Degree": "0" for axis in ("Yaw", "Pitch", "Roll")}):
+        found = onboard_attitude(exif, xmp | dji(FlightYawDegree="81.5", FlightPitchDegree="2.1"))
+        assert (found.source, found.sd_yaw_deg, found.sd_tilt_deg) == ("dji-gimbal", 3.0, 0.5)
+        assert (found.yaw_deg, found.pitch_deg) == (
+            pytest.approx(85.3, abs=1e-5),
+            pytest.approx(14.9, abs=1e-5),
+        )
+        assert found.roll_deg == pytest.approx(0.0, abs=1e-9)
+    xmp = dji(GimbalYawDegree="20", GimbalPitchDegree="-60", GimbalRollDegree="0")
+    assert onboard_attitude(exif, xmp).pitch_deg == pytest.approx(30.0)
+    assert onboard_attitude(exif, camera(12, 3, -2)).source == "xmp-camera"
+    assert (
+        onboard_attitude(exif_from_block(exif_block(MakerNote=dji_maker_note(0, 0, 0))), {}).source == "none"
+    )
+
+
+def test_a_damaged_maker_note_gives_no_angle() -> None:
+    whole = dji_maker_note(85.3, -75.1, 0.0)
+    long = whole + b"\xff" * 16384
+    assert exif_from_block(exif_block(MakerNote=long)).gimbal_deg == pytest.approx((85.3, -75.1, 0.0))
+    wrong = [
+        *(whole[:cut] for cut in (1, 2, 40, len(whole) - 5)),
+        b"\xff\xff" + bytes(16),
+        b"[ae_dbg_info:" + bytes(90),
+        whole.replace(b"DJI\0", b"SONY"),
+        dji_maker_note(85.3, float("nan"), 0.0),
+        dji_maker_note(85.3, float("inf"), 0.0),
+    ]
+    for note in wrong:
+        assert exif_from_block(exif_block(Make="DJI", MakerNote=note)).gimbal_deg is None, note[:16]
+    block = exif_block(Make="DJI", MakerNote=whole)
+    for at in range(block.index(b"\x7c\x92") + 4, block.index(b"\x7c\x92") + 12):
+        damaged = exif_from_block(block[:at] + b"\xff" + block[at + 1 :])
+        assert damaged.make == "DJI" and damaged.gimbal_deg in (None, exif_from_block(block).gimbal_deg)
 
 
 def test_flight_attitude_only_where_there_is_no_gimbal() -> None:
