@@ -47,7 +47,7 @@ def warning_lines(warnings: Sequence[Mapping[str, str]]) -> list[str]:
         elif code not in counted:
             counted.add(code)
             names = f"{', '.join(many[:_ONE_BY_ONE])} and {len(many) - _ONE_BY_ONE} more"
-            lines.append(f"{len(many)} frames ({names}): {code}; of the first: {text}")
+            lines.append(f"{len(many)} frames alike ({names}), such as {frame}: {text}")
     return lines
 
 

@@ -13,6 +13,8 @@ ASKED: Final = "{asked}"
 GRADES: Final = ("good", "doubtful", "bad")
 NOTED: Final = "noted"
 """The grade of an inner figure beyond its limit: it explains, but colours no verdict."""
+FIRST: Final = ("frames left out", "frames not tied")
+"""Of figures with the worst grade, these are named before others: they explain seams and deviations."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement, metres
 from geomosaic.quality.check_points import check_points
 from geomosaic.quality.control import control_blunders
-from geomosaic.quality.criteria import ASKED, CRITERIA, GRADES, NOTED, WARNED
+from geomosaic.quality.criteria import ASKED, CRITERIA, FIRST, GRADES, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
 from geomosaic.survey.names import some
@@ -108,7 +108,7 @@ def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, requ
         *_against(accuracy, required),
         *(Evidence(code, 1.0, "", *words) for code, words in WARNED.items() if code in warned),
     )
-    worst = max(evidence, key=lambda e: -1 if e.grade == NOTED else GRADES.index(e.grade))
+    worst = max(evidence, key=_weight)
     noted = worst.grade == NOTED
     return Verdict(
         grade=GRADES[0] if noted else worst.grade,
@@ -121,6 +121,10 @@ def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, requ
         seams=seen.seams,
         patterns=seen.patterns,
     )
+
+
+def _weight(of: Evidence) -> tuple[int, bool]:
+    return -1 if of.grade == NOTED else GRADES.index(of.grade), of.name in FIRST
 
 
 def _cause(worst: Evidence) -> str:

@@ -24,6 +24,7 @@ from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.placement.flights import flights_of
 from geomosaic.placement.graph import connected_parts
 from geomosaic.placement.model import Placement
+from geomosaic.placement.prior import position_assumed
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.quality.control import control_blunders, control_figures, control_warnings, precision_warnings
 from geomosaic.report.solved_figures import ground_reason
@@ -85,7 +86,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=121, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=122, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -217,10 +218,17 @@ def _warn_of_loose_frames(context: Context, block: Block, adjusted: Adjusted, by
     nowhere = {i for part in unplaced_parts(block) for i in part}
     if nowhere:
         left = [block.names[i] for i in sorted(nowhere)]
-        text = (
-            "no position, and no tie points with a frame that has one: left out of the mosaic; give "
-            "its position with --pos"
-        )
+        if position_assumed(block.poses).all():
+            mapped = sum(status != "rejected" for status in adjusted.status)
+            text = (
+                f"no tie points with the {mapped} frames that are mapped: left out of the mosaic; mosaic "
+                "such frames by themselves, or give positions with --pos"
+            )
+        else:
+            text = (
+                "no position, and no tie points with a frame that has one: left out of the mosaic; give "
+                "its position with --pos"
+            )
         few = f" ({some(left)})" if len(left) > 1 else ""
         context.warn("not-placed", left[0] if len(left) == 1 else "", text + few)
     parts = [part for part in parts if part[0] not in nowhere]

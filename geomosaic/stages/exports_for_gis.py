@@ -93,7 +93,7 @@ def _check_index(params: IndexParams) -> None:
 
 
 @stage(
-    "export.index", "Write an index of bands", group="Export", version=1, outputs="index_file",
+    "export.index", "Write an index of bands", group="Export", version=2, outputs="index_file",
     check=_check_index,
 )  # fmt: skip
 def export_index(mosaic_file: RunFile, params: IndexParams, context: Context) -> RunFile:
@@ -113,8 +113,11 @@ def export_index(mosaic_file: RunFile, params: IndexParams, context: Context) ->
     with context.writing(f"{file}.qml") as path:
         path.write_text(style, encoding="utf-8")
     if UNCALIBRATED.name in values:
-        text = f"{index.name} is of {values}: compare it within this map only, or calibrate the frames with "
-        text += "--radiometry reflectance"
+        warned = {warning["code"] for warning in context.summary().get("warnings", ())}
+        limit = "compare it within this map only, or"
+        if "exposure-varies" in warned:
+            limit = "it differs from frame to frame as exposures do;"
+        text = f"{index.name} is of {values}: {limit} calibrate the frames with --radiometry reflectance"
         context.warn("index-uncalibrated", "", text)
     context.metric(f"index.{index.name}", {"formula": index.formula, "values": values})
     return context.run_file(f"{file}.tif")

@@ -27,15 +27,18 @@ from geomosaic.composition.tone_solution import (
 )
 from geomosaic.composition.tones import Sampling, Tones, ToneSightings, lattice, sampled
 from geomosaic.composition.views import FrameView
+from geomosaic.constants import tuned
 from geomosaic.errors import InputError
 from geomosaic.matching.tracks import frame_by_frame
 from geomosaic.pipeline.function_stage import stage
 from geomosaic.pipeline.stage import Context, StageParams, param
 from geomosaic.projection.ground import GroundSurface
+from geomosaic.radiometry.quantity import UNCALIBRATED
 from geomosaic.stages.earlier_frames import earlier_numbers
 from geomosaic.stages.spares import spare_of
 from geomosaic.survey.model import Survey
 
+_ALIKE = tuned(0.1, "share", "exposures of a band that differ by less show no edges; more hides edges")
 _EVEN = ("auto", "always", "never")
 _LEVELS = ("auto", "frames", "common")
 
@@ -74,7 +77,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.tones", "Even the tones", group="Mosaic", version=20, outputs="tones", conclusions=_conclusions,
+    "mosaic.tones", "Even the tones", group="Mosaic", version=21, outputs="tones", conclusions=_conclusions,
     goes_on=True,
 )  # fmt: skip
 def mosaic_tones(
@@ -90,6 +93,8 @@ def mosaic_tones(
             "the bands of a multispectral rig are measured values and are not balanced",
             fix="leave out --set mosaic.tones.even",
         )
+    if measured:
+        _warn_of_exposures(survey, adjusted, context)
     alike = all(f.bands == bands for f in frames)
     images = alike and all(f.dtype == "uint8" for f in frames) and bands in (1, 3) and not measured
     if params.brighten and not images:
@@ -124,6 +129,22 @@ def mosaic_tones(
             tones = replace(tones, curve=curve_to_mid_grey(grey) if its == 1.0 else its)
             context.metric("tones.curve", tones.curve)
     return tones
+
+
+def _warn_of_exposures(survey: Survey, adjusted: Adjusted, context: Context) -> None:
+    """Names the bands of a rig whose recorded values differ from frame to frame as exposures do."""
+    own = (survey.band, survey.frames, survey.quantity)
+    varying = []
+    for name, frames, quantity in (own, *((b.name, b.frames, b.quantity) for b in survey.other_bands)):
+        shown = (f for f, status in zip(frames, adjusted.status, strict=True) if status != "rejected")
+        exposures = [f.exposure for f in shown if f is not None and f.exposure]
+        ratio = max(exposures, default=1.0) / min(exposures, default=1.0)
+        if ratio > 1.0 + _ALIKE and quantity in (None, UNCALIBRATED):
+            varying.append(f"{name} by a factor of {ratio:.2g}")
+    if varying:
+        text = f"exposures differ between frames ({', '.join(varying)}), and values are as recorded: "
+        text += "brightness and indices differ from frame to frame; give --radiometry reflectance where tags "
+        context.warn("exposure-varies", "", text + "allow it, else fly with one exposure")
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def _plans(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "placement.pos", "Place frames by POS", group="Placement", version=15, outputs="prior_placement",
+    "placement.pos", "Place frames by POS", group="Placement", version=16, outputs="prior_placement",
     plans=_plans,
 )  # fmt: skip
 def placement_pos(
@@ -117,9 +117,12 @@ def _heights(context: Context, survey: Survey, below_m: Floats) -> FrameHeights:
     heights, implausible = possible_heights(heights, below_m)
     if implausible.any():
         named = [n for n, wrong in zip(names, implausible, strict=True) if wrong]
+        usual_m = float((heights.m - below_m)[implausible][0])
         text = (
-            "the given height lies at the ground, below it or far above other frames: estimated from "
-            f"the images instead ({some(named)}); correct it with --pos, or the DEM with --dem-offset"
+            "the given height lies at the ground, below it or far above other frames: taken to fly "
+            f"{usual_m:.0f} m above the ground, as others do; the images correct that where they show it "
+            f"({some(named)}); leave out frames taken on the ground, correct heights with --pos, or the DEM "
+            "with --dem-offset"
         )
         context.warn("height-implausible", named[0] if len(named) == 1 else "", text)
     for name, height, floor in zip(names, heights.m, below_m, strict=True):

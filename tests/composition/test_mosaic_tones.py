@@ -15,6 +15,8 @@ from mosaic_scenes import CRS, make_survey
 from rasterio.warp import reproject
 from small_surveys import MAP_ALONE, made_map
 
+from geomosaic.adjustment.model import Adjusted
+from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
 from geomosaic.composition.hot_spot import SunBehind, hot_spot
 from geomosaic.composition.tone_deviations import Exposures
@@ -38,8 +40,10 @@ from geomosaic.composition.views import PosedFrames, frame_views
 from geomosaic.errors import InputError
 from geomosaic.pipeline.stage import Context
 from geomosaic.projection.footprint import ground_from_images
+from geomosaic.projection.ground import GroundSurface
+from geomosaic.radiometry.quantity import UNCALIBRATED, Quantity, reflectance
 from geomosaic.stages.mosaic_tones import mosaic_tones
-from geomosaic.survey.model import Band
+from geomosaic.survey.model import Band, Survey
 from geomosaic_simulate.plan import SurveyPlan
 from geomosaic_simulate.survey import simulate_frames
 
@@ -343,14 +347,58 @@ def test_a_frame_that_sees_far_more_land_is_sampled_at_fewer_nodes(tmp_path: Pat
 
 
 def test_a_rigs_bands_are_not_evened_by_one_bands_tones(tmp_path: Path) -> None:
-    survey, *_ = make_survey(tmp_path, lines=1, per_line=2, bands=1)
+    survey, poses, ground = make_survey(tmp_path, lines=1, per_line=2, bands=1)
     with_band = replace(survey, other_bands=(Band("NIR", 790.0, survey.camera_of(0), survey.frames),))
     stage, nobody = mosaic_tones(), cast(Context, None)
-    asked = {"survey": with_band, "ground": None, "adjusted": None}
+    asked = {"survey": with_band, "ground": None, "adjusted": adjusted(survey, poses, ground)}
     with pytest.raises(InputError, match=r"leave out --set mosaic\.tones\.even"):
         stage.run(asked, mosaic_tones.Params(even="always"), nobody)
     tones = stage.run(asked, mosaic_tones.Params(), nobody)["tones"]
     assert not tones.gain.any() and not tones.vignette.any()
+
+
+@pytest.mark.parametrize(
+    ("status", "quantity", "named"),
+    [
+        ("tied", None, "(NIR by a factor of 6.2)"),
+        ("tied", UNCALIBRATED, "(NIR by a factor of 6.2)"),
+        ("tied", reflectance("panel", absolute=True), ""),
+        ("rejected", UNCALIBRATED, ""),
+    ],
+)
+def test_a_rig_that_exposes_its_frames_differently_is_named(
+    tmp_path: Path, status: str, quantity: Quantity | None, named: str
+) -> None:
+    """A Parrot Sequoia: NIR from 1/2281 s to 1/370 s, green within a tenth; a file is missing."""
+    survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=4, bands=1)
+    greens, nirs = (1.0, 1.08, 1.04, 1.0), (1 / 2281, 1 / 2281, 1 / 2100, 1 / 370)
+    green, nir = (
+        tuple(replace(f, exposure=e) for f, e in zip(survey.frames, exposures, strict=True))
+        for exposures in (greens, nirs)
+    )
+    rig = replace(
+        survey,
+        frames=green,
+        band="Green",
+        quantity=quantity,
+        other_bands=(Band("NIR", 790.0, survey.camera_of(0), (None, *nir[1:]), quantity),),
+    )
+    found = replace(adjusted(survey, poses, ground), status=("tied", "tied", "tied", status))
+    context = Context(tmp_path / "run")
+    asked = {"survey": rig, "ground": ground, "adjusted": found}
+    mosaic_tones().run(asked, mosaic_tones.Params(), context)
+    warnings = [(w["code"], w["text"]) for w in context.notes.warnings]
+    if not named:
+        assert warnings == []
+        return
+    ((code, text),) = warnings
+    assert code == "exposure-varies" and named in text and "--radiometry reflectance" in text
+
+
+def adjusted(survey: Survey, poses: Poses, ground: GroundSurface) -> Adjusted:
+    """Frames that are right as they were placed."""
+    n = len(survey.frames)
+    return Adjusted(poses, (survey.camera_of(0),) * n, ("tied",) * n, (), (), ground)
 
 
 def uneven(found: Path, true: Path) -> float:

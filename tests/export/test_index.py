@@ -15,8 +15,10 @@ from geomosaic.composition.window import Composed, Window
 from geomosaic.errors import InputError, UnknownNameError
 from geomosaic.export.index import FORMULAS, USUAL, Index, index_ends, write_index
 from geomosaic.export.project_rasters import index_colours, index_layers, index_style
+from geomosaic.pipeline.stage import Context
 from geomosaic.radiometry.quantity import CENTIKELVIN, UNCALIBRATED, Quantity, reflectance
 from geomosaic.report.surface import index_picture
+from geomosaic.stages.exports_for_gis import export_index
 
 GRID = OutputGrid("EPSG:32632", 5e5, 5e6, 0.5, 40, 30)
 
@@ -87,6 +89,26 @@ def test_what_is_no_formula_is_an_error_and_is_not_executed(formula: str) -> Non
 def test_values_as_recorded_are_called_so(tmp_path: Path) -> None:
     with rasterio.open(written(tmp_path, "NDVI", UNCALIBRATED)) as found:
         assert found.tags()["VALUES"] == "uncalibrated values as recorded"
+
+
+@pytest.mark.parametrize(
+    ("warned", "limit"),
+    [
+        ([], "compare it within this map only, or"),
+        ([{"code": "exposure-varies"}], "it differs from frame to frame as exposures do;"),
+    ],
+)
+def test_an_index_of_uneven_exposures_is_not_called_comparable(
+    tmp_path: Path, warned: list[dict[str, str]], limit: str
+) -> None:
+    rig_mosaic(tmp_path / "mosaic.tif", UNCALIBRATED)
+    context = Context(tmp_path, work_folder=tmp_path / "work", summary={"warnings": warned})
+    asked = {"mosaic_file": context.run_file("mosaic.tif")}
+    export_index().run(asked, export_index.Params(formula="NDVI"), context)
+    assert [w["text"] for w in context.notes.warnings] == [
+        f"NDVI is of uncalibrated values as recorded: {limit} calibrate the frames with "
+        "--radiometry reflectance"
+    ]
 
 
 def test_a_picture_has_a_legend_and_a_style_the_same_ends(tmp_path: Path) -> None:

@@ -1,14 +1,20 @@
 """Implausible tags: heights on the ground, quarter turns of images that lie as all others do."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from mosaic_scenes import HOME, make_survey
 
 from geomosaic.camera.interior import Camera
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.matching.turned import possible_quarters, turned_frames
 from geomosaic.pipeline.reporter import warning_lines
+from geomosaic.pipeline.stage import Context
 from geomosaic.placement.graph import adjacent_frames
 from geomosaic.placement.heights import FrameHeights, ground_height_m, possible_heights, with_any_height
+from geomosaic.stages.placement_pos import placement_pos
 from geomosaic.survey.model import Attitude, Frame, Position, Survey
 
 
@@ -25,6 +31,24 @@ def test_heights_that_drift_below_the_ground_are_implausible_where_they_are_far_
     assert implausible.tolist() == [True, True, False, False, False, False, True]
     assert heights.m.tolist() == [370.0, 370.0, 365.0, 370.0, 380.0, 420.0, 370.0]
     assert heights.sd_m.tolist() == [35.0, 35.0, 15.0, 15.0, 15.0, 15.0, 35.0]
+
+
+def test_a_frame_on_the_ground_is_called_taken_to_fly_as_others_do(tmp_path: Path) -> None:
+    """Before take-off, 0.3 m above it; the others fly 48 m above the ground."""
+    survey, poses, ground = make_survey(tmp_path / "frames", lines=1, per_line=4)
+    ups = [0.3, 48.0, 48.0, 48.0]
+    high = HOME.geodetic_from_enu(np.column_stack([poses.positions_m[:, :2], ups]))[:, 2]
+    frames = tuple(
+        replace(f, position=replace(f.position, height_ellipsoidal_m=float(h)))
+        for f, h in zip(survey.frames, high, strict=True)
+    )
+    context = Context(tmp_path / "run")
+    asked = {"levelled_survey": replace(survey, frames=frames), "prior_ground": ground}
+    placed = placement_pos().run(asked, placement_pos.Params(), context)["prior_placement"]
+    assert placed.poses.positions_m[:, 2] == pytest.approx([48.0] * 4, abs=0.01)
+    (warning,) = [w for w in context.notes.warnings if w["code"] == "height-implausible"]
+    assert warning["frame"] == "frame 00.tif"
+    assert "taken to fly 48 m above the ground, as others do" in warning["text"]
 
 
 def test_heights_above_the_ground_stay_as_reported() -> None:
@@ -72,7 +96,7 @@ def test_many_alike_warnings_are_one_line() -> None:
     none = [{"code": "scale-doubtful", "frame": "", "text": "too large"}]
     assert warning_lines([*few[:1], *many, *none, *few[1:]]) == [
         "F1: looks up",
-        "5 frames (F1, F2, F3 and 2 more): yaw-wrong; of the first: its heading is 1",
+        "5 frames alike (F1, F2, F3 and 2 more), such as F1: its heading is 1",
         "too large",
         "F2: looks up",
     ]

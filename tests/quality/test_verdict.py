@@ -360,6 +360,19 @@ def test_frames_without_a_place_are_missing() -> None:
     assert verdict_of(lost, among, NOT_STATED, NOTHING_ASKED).grade == "good"
 
 
+def test_of_two_that_are_bad_the_frames_left_out_are_the_cause() -> None:
+    """A stranger's flight: 12 of 18 frames were left out, and the verdict named seams of 5 px alone."""
+    seams = seams_of(4.96, 4.96, 4.96)
+    lost = outcome(poses=known_to(1.0), status=("tied", "tied", "rejected", "rejected", "rejected"))
+    seen = VerdictInputs(seams, (), ((0, 1), (2,), (3,), (4,)), {0: 0.5, 1: 0.5}, NO_DOUBT, ("not-placed",))
+    verdict = verdict_of(lost, seen, NOT_STATED, NOTHING_ASKED)
+    assert verdict.cause.endswith("(frames left out 60 %)") and "--pos" in verdict.fix
+    assert {e.name for e in verdict.evidence if e.grade == "bad"} == {"seams", "frames left out"}
+    apart = replace(outcome(poses=known_to(1.0)), status=("tied", "placed", "tied", "tied", "tied"))
+    verdict = verdict_of(apart, replace(seen, land={0: 0.5, 1: 0.5}, warned=()), NOT_STATED, NOTHING_ASKED)
+    assert verdict.cause.endswith("(frames not tied 50 %)")
+
+
 def test_frames_count_by_the_land_that_they_give() -> None:
     """A frame without tie points at a corner, half a hundredth of the land, is no fault; a twentieth is."""
     lost = outcome(status=("tied",) * 4 + ("placed",))
