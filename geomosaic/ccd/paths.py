@@ -22,6 +22,9 @@ _WARMTH_PX = tuned(0.05, "px", "own change without relief: less forbids steps; m
 _CERTAIN = tuned(8.0, "deviations", "peak of a certain layer, its gain: more lets frequent clouds win")
 _FAR_COST = tuned(6.0, "log-likelihood", "cap of a far layer's cost: less admits clouds; more loses ground")
 _HOLD = tuned(0.4, "log-likelihood", "a bin's square off the level: less follows clouds; more misses relief")
+_DARK_CLOUDS = tuned(
+    3.0, "log-likelihood", "of clouds darker than ground: less lets wind decide; more fails over snow"
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected) -> Coa
     Two steps alternate. The evidence of all pairs is summed, each moved by its own slow part, and the best
     path is taken for the motion. Then each pair's evidence is summed over windows of 256 lines along the
     motion, and the best slow path is taken for its own part. Where a part of the scene stands out by its
-    brightness, the darker or the brighter part alone counts, whichever is rather the ground's.
+    brightness, the darker or the brighter part alone counts, whichever is rather the ground's. Few clouds
+    are the darker part.
 
     Args: volumes (pairs, blocks, h, c). brightness: (pairs, blocks) mean grey of the blocks.
     """
@@ -54,7 +58,7 @@ def coarse_offsets(volumes: Floats, brightness: Floats, likely: Expected) -> Coa
     offsets = [_px(volumes, _solve(np.where(of, 0.0, volumes), likely)) for of in hidden]
     dark, light = (np.median(of.reshape(-1, 2), axis=0) for of in offsets)
     far = np.abs(light - dark).max() > _BIN_PX
-    which = int(far and _cost(light, dark, likely) < _cost(dark, light, likely))
+    which = int(far and _DARK_CLOUDS + _cost(light, dark, likely) < _cost(dark, light, likely))
     return Coarse(offsets[which], parts[which])
 
 

@@ -55,7 +55,7 @@ class OffsetsParams(StageParams):
     ratio: float = param(_SETTINGS.ratio, help="SIFT: nearest distance to second, at most", ge=0.1, le=1.0)
 
 
-@stage("ccd.offsets", "Offsets between the strips", group="CCD strips", version=15, outputs="offsets")
+@stage("ccd.offsets", "Offsets between the strips", group="CCD strips", version=16, outputs="offsets")
 def ccd_offsets(strips: StripGeometry, params: OffsetsParams, context: Context) -> StripOffsets:
     """Where the right strip of each pair sees what the left one sees."""
     settings = CcdSettings(**params.model_dump(exclude={"method"}))

@@ -133,3 +133,21 @@ def test_lines_before_the_first_knot_have_larger_deviations():
     geometry, edges, _ = scene(PLAN)
     leading = next(p for p in solved(strips_in_memory(geometry, edges)) if geometry.side(p.pair) > 0)
     assert leading.sd_col_px[0] / leading.sd_col_px[7:9].mean() == pytest.approx(1.54, abs=0.05)
+
+
+def test_clouds_are_rather_the_brighter_part():
+    """Wind carries clouds against what their height does, so that their place alone passes for the ground's."""
+    plan = StripPlan(
+        width_px=512,
+        lines=6000,
+        ccds=4,
+        seed=412,
+        cloud_cover=0.5,
+        cloud_height_m=6446.0,
+        wind_m_per_s=17.6,
+        wind_deg=207.0,
+    )
+    geometry, edges, _ = scene(plan)
+    off, _, label = errors(plan, solved(strips_in_memory(geometry, edges)))
+    assert (label == MEASURED).mean() > 0.3
+    assert np.hypot(*off[label == MEASURED].T).max() < 0.2
