@@ -13,7 +13,10 @@ ASKED: Final = "{asked}"
 GRADES: Final = ("good", "doubtful", "bad")
 NOTED: Final = "noted"
 """The grade of an inner figure beyond its limit: it explains, but colours no verdict."""
-FIRST: Final = ("frames left out", "frames not tied")
+HOUSES: Final = "houses-lean"
+"""The warning that tall houses lean. Then jumps at seams don't show a wrong map."""
+JUMPS: Final = ("seams", "worst tenth of the seams")
+FIRST: Final = ("frames left out", "frames not tied", HOUSES)
 """Of figures with the worst grade, these are named before others: they explain seams and deviations."""
 
 
@@ -201,6 +204,11 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "doubtful",
         "lens and shutter could not be solved for and are as given",
         "give a calibrated lens (--camera), or more overlap",
+    ),
+    HOUSES: (
+        "doubtful",
+        "tall houses lean and are cut off at the seams; jumps there say nothing of the ground between them",
+        "fly higher, with more overlap, to see less of their walls",
     ),
     "positions-mirrored": (
         "bad",

@@ -16,7 +16,7 @@ from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement, metres
 from geomosaic.quality.check_points import check_points
 from geomosaic.quality.control import control_blunders
-from geomosaic.quality.criteria import ASKED, CRITERIA, FIRST, GRADES, NOTED, WARNED
+from geomosaic.quality.criteria import ASKED, CRITERIA, FIRST, GRADES, HOUSES, JUMPS, NOTED, WARNED
 from geomosaic.quality.ground_doubt import LandDoubt
 from geomosaic.quality.seam_check import SeamCheck
 from geomosaic.survey.names import some
@@ -101,8 +101,13 @@ def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, requ
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     if "not-placed" in warned:
         figures["frames left out"] = _left_out(adjusted, seen.parts)
-    judged = (_judged(name, value, required, seen.pixel_m) for name, value in figures.items())
-    good = GRADES[0]
+    judged = [_judged(name, value, required, seen.pixel_m) for name, value in figures.items()]
+    good, doubtful, _ = GRADES
+    if HOUSES in warned:
+        judged = [
+            replace(e, grade=min(e.grade, doubtful, key=GRADES.index)) if e.name in JUMPS else e
+            for e in judged
+        ]
     evidence = (
         *(e if e.grade == good else replace(e, effect=_effect(e, adjusted, seen, required)) for e in judged),
         *_against(accuracy, required),

@@ -327,7 +327,7 @@ def test_a_view_of_the_horizon_leaves_the_nodes_fine() -> None:
     hill_m = np.array([[30e3, 20e3, 400.0], [-25e3, 10e3, 300.0]])
     estimate = replace(near.estimate, points_m=np.concatenate([near.points_m, hill_m]))
     far = replace(near, estimate=estimate, points_sd_m=np.concatenate([near.points_sd_m, [[1e3] * 3] * 2]))
-    fine, ground = (surface_of(block, block.ground, its) for its in (near, far))
+    fine, ground = (surface_of(block, block.ground, its)[0] for its in (near, far))
     assert ground.spacing_m == pytest.approx(fine.spacing_m, rel=0.01)
     assert max(ground.up_m.shape) * ground.spacing_m < 1.2e3
     east, north = np.meshgrid(np.linspace(0.0, 80.0, 9), np.linspace(0.0, 90.0, 10))

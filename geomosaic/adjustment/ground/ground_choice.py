@@ -8,6 +8,7 @@ import numpy as np
 
 from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.ground.trial_surface import Heights
+from geomosaic.adjustment.ground.walls import points_on_walls
 from geomosaic.adjustment.model import Block
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.image_observations import IMAGE
@@ -83,7 +84,7 @@ def chosen_ground(
     few = len(points) < LEAST_POINTS
     if setting == "flat" or few or (setting == "auto" and np.mean(lengths > 2) < FEW):
         return flat, float("nan")
-    surface = surface_of(block, flat, bundle, rough=True)
+    surface = rough_surface(block, flat, bundle)
     relief = surface.up_at(points[:, 0], points[:, 1]) - flat.up_at(points[:, 0], points[:, 1])
     relief_px = _offset_px(block, relief - _bends(points, relief, part))
     return surface if setting == "tie_surface" or relief_px > _FLAT_PX else flat, relief_px
@@ -96,7 +97,7 @@ def _offset_px(block: Block, relief: Floats) -> float:
 
 def surface_and_relief(block: Block, flat: GroundSurface, bundle: Solution) -> tuple[GroundSurface, float]:
     """The rough surface of the points, and the offset by its relief in ground pixels, bends included."""
-    surface = surface_of(block, flat, bundle, rough=True)
+    surface = rough_surface(block, flat, bundle)
     up_m = surface.up_at(bundle.points_m[:, 0], bundle.points_m[:, 1])
     return surface, _offset_px(block, up_m - np.median(up_m))
 
@@ -118,17 +119,32 @@ def lies_flat(block: Block, flat: GroundSurface, free: Solution, bound: Solution
     )
 
 
+def rough_surface(block: Block, flat: GroundSurface, bundle: Solution) -> GroundSurface:
+    """The surface of the points, see `tie_surface`. flat: their level."""
+    return tie_surface(_heights(block, flat, bundle), rough=True)
+
+
 def surface_of(
-    block: Block, flat: GroundSurface, bundle: Solution, *, rough: bool = False, spread: Spread | None = None
-) -> GroundSurface:
-    """The surface of the points over all points and frames, as far as `_FARTHEST` around the frames. flat:
-    their level; others: see `tie_surface`."""
+    block: Block, flat: GroundSurface, bundle: Solution, spread: Spread | None = None
+) -> tuple[GroundSurface, float]:
+    """The surface of the points on the ground, and the share of the land under tall houses, whose points it
+    lacks (`points_on_walls`). flat: the level of all points; spread: see `tie_surface`."""
+    heights = _heights(block, flat, bundle)
+    surface = tie_surface(heights, spread=spread)
+    on_walls, share = points_on_walls(surface, heights.points_m, heights.height_m)
+    if on_walls.any():
+        surface = tie_surface(heights.without(on_walls), spread=spread)
+    return surface, share
+
+
+def _heights(block: Block, flat: GroundSurface, bundle: Solution) -> Heights:
+    """All points, and a grid over them and all frames, as far as `_FARTHEST` around the frames."""
     outlines = [footprint(bundle.poses[i], c, flat, 2)[:, :2] for i, c in enumerate(block.cameras)]
     at = np.concatenate([bundle.points_m[:, :2], *outlines])
     low_m, high_m = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
     height_m = float(np.median(heights_above_ground_m(bundle.poses, flat)))
     heights = Heights(bundle.points_m, bundle.points_sd_m[:, 2], low_m, high_m, height_m)
-    return tie_surface(_around(heights, bundle.poses.positions_m[:, :2]), rough=rough, spread=spread)
+    return _around(heights, bundle.poses.positions_m[:, :2])
 
 
 def _around(heights: Heights, nadirs_m: Floats) -> Heights:

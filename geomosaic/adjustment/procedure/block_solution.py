@@ -50,7 +50,8 @@ from geomosaic.survey.accuracy import POSITION
 class BlockSolution:
     """Tie points, the problem that was solved (with control points last), its solution, and the ground.
     offset (3,): axes along which control points show what all positions are off by in common. relief_px: see
-    `chosen_ground`, of a surface taken after flat ground failed. steps: of all solves that led here."""
+    `chosen_ground`, of a surface taken after flat ground failed. steps: of all solves that led here. houses:
+    share of the land under tall houses, which the ground lacks."""
 
     ties: Tracks
     problem: BlockProblem
@@ -59,6 +60,7 @@ class BlockSolution:
     relief_px: float
     offset: Bools
     steps: tuple[SolveStep, ...] = ()
+    houses: float = 0.0
 
     @property
     def of_ties(self) -> Solution:

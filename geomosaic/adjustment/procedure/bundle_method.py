@@ -230,8 +230,8 @@ def _by_all(work: BlockState) -> BlockState:
         work = work.then(found)
     if found.ground.kind == "tie_surface":
         solution = found.of_ties
-        ground = surface_of(block, levelled(block.ground, solution), solution, spread=work.spread)
-        found = replace(found, ground=ground)
+        ground, houses = surface_of(block, levelled(block.ground, solution), solution, work.spread)
+        found = replace(found, ground=ground, houses=houses)
     return replace(work, found=found)
 
 

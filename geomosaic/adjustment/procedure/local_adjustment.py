@@ -132,7 +132,7 @@ def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adju
         return None
     ground = adjusted.ground
     if ground.kind == "tie_surface":
-        ground = merged_surface(ground, surface_of(part, part.ground, solution))
+        ground = merged_surface(ground, surface_of(part, part.ground, solution)[0])
     earlier = replace(earlier, adjusted=replace(adjusted, ground=ground))
     return merged(block, earlier, changed, SolvedPart(part, ties, solution))
 

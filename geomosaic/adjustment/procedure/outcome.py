@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomosaic.adjustment.ground.ground_choice import flying_height_m
+from geomosaic.adjustment.ground.walls import leaning_houses
 from geomosaic.adjustment.ground_places import GroundPlaces
 from geomosaic.adjustment.model import (
     Adjusted,
@@ -222,6 +223,7 @@ def bundle_outcome(work: BlockState) -> Adjusted:
             *unsolved_frames(block, solution.left_out),
             *implausible_lenses(block.lenses, solution.implausible),
             *model_warnings(block, work.choice),
+            *leaning_houses(found.houses),
         ),
         figures=_figures(solution, found.ties)
         | ({"ground_relief_px": found.relief_px} if np.isfinite(found.relief_px) else {})
