@@ -32,6 +32,12 @@ _ZONES_H = sourced(
 _LEAST_UP = tuned(0.2, "sine of the sun's elevation", "lower: its shadow lies beyond every frame")
 _SEEN = tuned(0.5, "of the spot's peak", "less: slopes and vignettes of frames that see none look like one")
 _MOST = tuned(30_000, "sightings", "to look for a spot in: more take minutes of thousands of frames")
+_MOST_LOG = sourced(
+    math.log(2.0),
+    "log brightness",
+    "of a spot: where no shadow shows, light once scattered is twice as bright at most",
+    "Hapke 1986, Bidirectional reflectance spectroscopy 4, Icarus 67: B0 is 0 to 1",
+)
 _BY_CHANCE = tuned(1e-3, "probability", "of a spot where there is none; more: cars make some")
 
 
@@ -87,13 +93,14 @@ def hot_spot(rays: Floats, away: Floats, width_rad: float) -> Floats:
 class TonesLeft:
     """What evened frames differ by: logs (k, b) of sightings less their places' means, with their weights
     (k, b); known (m,): which sightings these are. design: of these sightings; priors: each band's part of
-    the normal equations."""
+    the normal equations. bent: by how much more logs differ than the light, in the median."""
 
     logs: Floats
     weight: Floats
     known: Bools
     design: ToneDesign
     priors: Sequence[csr_matrix]
+    bent: float = 1.0
 
     def some(self) -> TonesLeft:
         """Those of every n-th place, as many as tell; known (k,): which of these sightings."""
@@ -129,6 +136,13 @@ def shown_spot(behind: SunBehind, left: TonesLeft) -> tuple[Floats, float] | Non
         return None
     away = spots[best][0]
     return away, _width_rad(rays, away[left.design.frame], left)
+
+
+def can_be_spot(logs: Floats, bent: float) -> bool:
+    """Whether heights (b,) of a spot are those of hidden shadows: brighter in all bands, by a factor of two
+    at most. Others come from errors of another kind, such as of frames taken from one place. These show
+    each place under one angle, and tell nothing of the sun. bent: see `TonesLeft`."""
+    return bool((logs > 0.0).all() and (logs <= _MOST_LOG * bent).all())
 
 
 def _width_rad(rays: Floats, away: Floats, left: TonesLeft) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from geomosaic.arrays import Floats, Floats32
-from geomosaic.composition.hot_spot import SunBehind, TonesLeft, hot_spot, shown_spot
+from geomosaic.composition.hot_spot import SunBehind, TonesLeft, can_be_spot, hot_spot, shown_spot
 from geomosaic.composition.tone_deviations import GAIN_SD, Exposures, Scatter
 from geomosaic.composition.tone_equations import OF_A_FRAME, ToneDesign
 from geomosaic.composition.tones import ACROSS, GREYS, Tones, ToneSightings, powers
@@ -71,8 +71,9 @@ def solve_tones(
     if sun is not None and shown is not None:
         away, width_rad = shown
         spot = hot_spot(sun.rays, away[places.frame], width_rad)
-        tones, evenness, _ = _by_response(places, values, exposures, tones.white, spot)
-        tones = replace(tones, away=away, spot_width_rad=width_rad)
+        with_spot, its_evenness, _ = _by_response(places, values, exposures, tones.white, spot)
+        if with_spot.spot is not None and can_be_spot(with_spot.spot, left.bent):
+            tones, evenness = replace(with_spot, away=away, spot_width_rad=width_rad), its_evenness
     return tones, evenness
 
 
@@ -143,7 +144,7 @@ def _by_response(
     )
     before = logs - design.means(np.ones(len(frame)), logs)
     evenness = _evenness(grey * below, before, left)
-    return tones, evenness, TonesLeft(left, weight, known, design, priors)
+    return tones, evenness, TonesLeft(left, weight, known, design, priors, bent)
 
 
 def _solved(

@@ -295,16 +295,29 @@ def test_the_hot_spot_goes_where_frames_show_one(tmp_path: Path, spot: float) ->
 def test_the_hot_spots_width_and_height_are_found(seed: int, width_rad: float) -> None:
     """Frames that see 45 degrees to each side, with gains, slopes and a vignette besides; the sun stands 25
     degrees off the zenith. Vignettes and slopes absorb more of a wide spot than of a narrow one."""
+    tones = solved_with_spot(seed, width_rad, np.full(3, 0.4))
+    assert tones.spot is not None
+    assert tones.spot_width_rad == pytest.approx(width_rad, rel=0.2)
+    np.testing.assert_allclose(tones.spot, 0.4, rtol=0.2)
+
+
+@pytest.mark.parametrize("logs", [(-0.6, -0.7, -0.5), (0.4, 0.4, -0.2), (1.2, 1.1, 1.2)])
+def test_what_shadows_cannot_make_is_no_hot_spot(logs: tuple[float, ...]) -> None:
+    """A spot that is dark in a band, or thrice as bright. A sphere of frames taken from one place showed one
+    a third as bright as the ground about it: a quarter of its mosaic was burnt out."""
+    tones = solved_with_spot(31, 0.15, np.array(logs))
+    assert tones.spot is None and tones.away is None
+
+
+def solved_with_spot(seed: int, width_rad: float, logs: np.ndarray) -> Tones:
+    """Of 30 frames with a spot of these heights (3,), by their tones."""
     places, values, _, _, _ = sightings(seed, frames=30, slope_sd=0.05)
     rays = np.column_stack([places.offset, np.ones(len(places.frame))])
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     away = np.tile([0.3, -0.3, 0.9], (30, 1)) / np.linalg.norm([0.3, -0.3, 0.9])
     spot = hot_spot(rays, away[places.frame], width_rad)
-    values = (values * np.exp(0.4 * spot)[:, None]).astype(np.float32)
-    tones, _ = solve_tones(places, values, exposures(30), sun=SunBehind(away[None], rays))
-    assert tones.spot is not None
-    assert tones.spot_width_rad == pytest.approx(width_rad, rel=0.2)
-    np.testing.assert_allclose(tones.spot, 0.4, rtol=0.2)
+    values = (values * np.exp(spot[:, None] * logs)).astype(np.float32)
+    return solve_tones(places, values, exposures(30), sun=SunBehind(away[None], rays))[0]
 
 
 def test_sixteen_bits_tell_their_gains_as_eight_do(tmp_path: Path) -> None:

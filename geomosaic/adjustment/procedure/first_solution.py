@@ -32,7 +32,7 @@ def begun(
     tracks, few = all_and_few
     net = offset_net(given)
     start = start or start_poses(given, net)
-    block, notes = with_common_heading(placed_by_images(given, start), start)
+    block, start, notes = with_common_heading(placed_by_images(given, start), start)
     rolling = settings.rolling_shutter or any(c.readout_s for c in block.cameras)
     if rolling:
         start = _read_at_once(block, settings, few, start)

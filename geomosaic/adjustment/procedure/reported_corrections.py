@@ -12,7 +12,7 @@ from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.arrays import Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.rotation import about_z
-from geomosaic.constants import NORMAL_PER_MAD, tuned
+from geomosaic.constants import NORMAL_PER_MAD, SLIGHT, tuned
 from geomosaic.estimation.linear import inverse, least_squares, orthonormal
 from geomosaic.estimation.robust import FAR, LEAST_OBSERVATIONS, THREE_SIGMA
 from geomosaic.estimation.similarity import fit_similarity
@@ -60,11 +60,12 @@ def with_common_rate(block: Block, settings: Settings, solved: Solution) -> tupl
     return replace(block, poses=poses), replace(settings, rate_sd_rad_per_s=_OWN_SD_RAD_PER_S)
 
 
-def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
-    """The block with the headings of each connected part corrected by their common error, and a warning for
-    each part whose headings were observed. What the adjustment takes for such an error is limited by the
-    headings' deviation. The median turn from given to initial headings is common where it is beyond each
-    frame's limit and the frames' own scatter."""
+def with_common_heading(block: Block, start: Poses) -> tuple[Block, Poses, list[Warn]]:
+    """The block with the headings of each connected part corrected by their common error, initial poses that
+    go with it, and a warning for each part whose headings were observed. What the adjustment takes for such
+    an error is limited by the headings' deviation. The median turn from given to initial headings is common
+    where it is beyond each frame's limit and the frames' own scatter. Where it is within three deviations of
+    what the positions tell of a turn, as of frames that hover, the initial poses are turned instead."""
     observed, located = ~heading_assumed(block.poses), ~position_assumed(block.poses)
     limit = heading_limits_rad(block.poses)
     turned = np.einsum("nij,nkj->nik", start.rotations, block.poses.rotations)
@@ -81,6 +82,9 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
         scatter = NORMAL_PER_MAD * float(np.median(np.abs(apart - np.median(apart))))
         if abs(off) <= max(float(np.median(limit[mine])), 2.0 * scatter):
             continue
+        if observed[its[0]] and abs(off) <= THREE_SIGMA * _turn_sd_rad(block.poses, mine):
+            start = _turned(start, its, -off)
+            continue
         common[its] = off
         if not observed[its[0]]:
             continue
@@ -91,7 +95,24 @@ def with_common_heading(block: Block, start: Poses) -> tuple[Block, list[Warn]]:
         )
         warnings.append(Warn("headings-off", "", text))
     rotations = about_z(common) @ block.poses.rotations
-    return replace(block, poses=replace(block.poses, rotations=rotations)), warnings
+    return replace(block, poses=replace(block.poses, rotations=rotations)), start, warnings
+
+
+def _turn_sd_rad(poses: Poses, frames: Ints) -> float:
+    """Of a common turn by the reported positions of frames, whose errors count as alike for all of them."""
+    at_m = poses.positions_m[frames, :2]
+    spread_m = float(np.sqrt(np.square(at_m - at_m.mean(axis=0)).sum(axis=1).mean()))
+    return float(np.median(poses.positions_sd_m[frames, :2])) / max(spread_m, SLIGHT)
+
+
+def _turned(poses: Poses, frames: Ints, angle_rad: float) -> Poses:
+    """The poses with some frames turned together about their middle."""
+    turn = about_z(np.array([angle_rad]))[0]
+    positions_m, rotations = poses.positions_m.copy(), poses.rotations.copy()
+    middle_m = positions_m[frames].mean(axis=0)
+    positions_m[frames] = middle_m + (positions_m[frames] - middle_m) @ turn.T
+    rotations[frames] = turn @ rotations[frames]
+    return replace(poses, positions_m=positions_m, rotations=rotations)
 
 
 @dataclass(frozen=True)
