@@ -145,7 +145,7 @@ class SurveyDraft:
         )
 
     def _warnings(self) -> tuple[Warn, ...]:
-        by_name = "some frames have no time, or none has: they go by their names; rename them if they flew otherwise"
+        by_name = "frames without a time: all go by their names; rename them if they flew otherwise"
         return (
             *self.folder_warnings,
             *([] if self.rig is None else incomplete_captures(self.rig, self.names)),
