@@ -46,6 +46,17 @@ def counted_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
         return np.asarray(counts / np.bincount(tracks.frame, minlength=frames))
 
 
+def undetermined_frames(tracks: Tracks, bundle: Solution, frames: int) -> Bools:
+    """Which frames (n,) of tie points have too few of more than half the full weight for the six unknowns
+    of a pose, and no control points: their own positions say more than wrong matches do. A point that one
+    other frame sees gives one equation, one that more see gives two."""
+    good = bundle.weight[: len(tracks.frame)] > 0.5
+    seen = np.bincount(tracks.point, good, minlength=tracks.points)[tracks.point]
+    equations = np.bincount(tracks.frame, good * np.clip(seen - 1.0, 0.0, 2.0), minlength=frames)
+    of_ties = np.setdiff1d(tracks.frame, bundle.problem.tracks.frame[len(tracks.frame) :])
+    return np.isin(np.arange(frames), of_ties) & (equations < 6.0)
+
+
 def resected(tracks: Tracks, bundle: Solution, cameras: Sequence[Camera], wrong: Bools) -> Poses | None:
     """The bundle's poses with frames resected from points of at least two other frames; None where none is
     better than before. Random samples, then a quadratic programme of all points that agree (SQPnP, Terzakis
@@ -97,8 +108,9 @@ def _pose(ground_m: Floats, image_px: Floats, camera: Camera) -> tuple[Floats, F
 def contradicted_frames(block: Block, poses: Poses, shares: Floats) -> dict[int, Warn]:
     """Frames to leave out, by number. They are far from their positions, and either oblique among nadir views
     or with most tie points down-weighted. Over flat ground, views may converge to a second, oblique pose.
-    Args: shares (n,): `counted_shares`."""
+    Args: shares (n,): `counted_shares`, NaN for frames that are not judged."""
     far, limit = _off_m(block, poses)
+    far = np.where(np.isnan(shares), 0.0, far)
     tilt = np.degrees(np.arccos(np.clip(poses.rotations[:, 2, 2], -1.0, 1.0)))
     usual = float(np.median(tilt))
     aside = (tilt > usual + _UPRIGHT_DEG) & (usual <= _UPRIGHT_DEG) & (far > limit)
@@ -200,10 +212,10 @@ def undetermined_unknowns(shared: SharedUnknowns, cameras: Sequence[Camera]) -> 
     ]
 
 
-def unsolved_frames(block: Block, left_out: Bools) -> list[Warn]:
-    """Warnings of frames with singular equations."""
+def unsolved_frames(block: Block, unsolved: Bools) -> list[Warn]:
+    """Warnings of frames with singular equations or too few good tie points."""
     text = (
         "its tie points don't determine its pose; placed as its neighbours suggest, so seams may show there: "
         "fly more overlap, or take it out of the folder"
     )
-    return [Warn("pose-not-determined", block.names[i], text) for i in np.flatnonzero(left_out)]
+    return [Warn("pose-not-determined", block.names[i], text) for i in np.flatnonzero(unsolved)]

@@ -25,6 +25,7 @@ from geomosaic.adjustment.procedure.blunder_detection import (
     contradicted_frames,
     counted_shares,
     implausible_lenses,
+    undetermined_frames,
     undetermined_unknowns,
     unsolved_frames,
     wrong_tags,
@@ -77,7 +78,7 @@ def unplaced_parts(block: Block) -> list[list[int]]:
 class BundleAccuracy:
     """Of a bundle's solution. propagate: see `control_residuals`. covariance (f, 6, 6): of the
     poses. common_m2 (3,): see `common_error`. tied: frames with tie points in the solve; unsolved: frames
-    that could not be solved for; rejected: frames whose poses are rejected."""
+    that the images do not determine; rejected: frames whose poses are rejected."""
 
     propagate: CovarianceOf
     covariance: Floats
@@ -190,14 +191,15 @@ def bundle_outcome(work: BlockState) -> Adjusted:
     moves = (solution.poses.positions_m - given.poses.positions_m)[:, :2]
     shared, places = solution.shared_unknowns(), places_of(found)
     counted = counted_shares(found.ties, solution, len(block.names))
-    rejected = contradicted_frames(block, solution.poses, counted)
+    unsolved = found.solution.left_out | undetermined_frames(found.ties, found.solution, len(block.names))
+    rejected = contradicted_frames(block, solution.poses, np.where(unsolved, np.nan, counted))
     certain = with_common_error(solution.poses, common_m2)
     accuracy = BundleAccuracy(
         propagate=covariance_of(solution, block.lens_of),
         covariance=solution.stated.pose_covariance,
         common_m2=common_m2,
         tied=frozenset(np.unique(found.ties.frame).tolist()),
-        unsolved=frozenset(np.flatnonzero(solution.left_out).tolist()),
+        unsolved=frozenset(np.flatnonzero(unsolved).tolist()),
         rejected=frozenset(rejected),
     )
     as_found = replace(
@@ -220,7 +222,7 @@ def bundle_outcome(work: BlockState) -> Adjusted:
             *of_positions,
             *height_drift(given, solution.poses, observed).warnings(given),
             *undetermined_unknowns(shared, given.cameras),
-            *unsolved_frames(block, solution.left_out),
+            *unsolved_frames(block, unsolved),
             *implausible_lenses(block.lenses, solution.implausible),
             *model_warnings(block, work.choice),
             *leaning_houses(found.houses),
@@ -234,16 +236,16 @@ def bundle_outcome(work: BlockState) -> Adjusted:
         model=work.choice,
         shared=shared,
         image_residuals=image_residuals(found.ties, solution),
-        solved=None if work.turned else _solved(work, rejected),
+        solved=None if work.turned else _solved(work, unsolved, rejected),
     )
 
 
-def _solved(work: BlockState, rejected: Collection[int]) -> SolvedBlock:
+def _solved(work: BlockState, unsolved: Bools, rejected: Collection[int]) -> SolvedBlock:
     """What a later adjustment may begin from."""
     solution, names = work.found.solution, work.block.names
     at, slices = solution.estimate, solution.estimate.layout.slices
     certain = np.isin(np.arange(len(names)), np.unique(work.found.problem.tracks.frame))
-    certain &= ~solution.left_out
+    certain &= ~unsolved
     certain[list(rejected)] = False
     return SolvedBlock(
         names=tuple(name for name, its in zip(names, certain, strict=True) if its),
