@@ -290,6 +290,29 @@ def test_points_far_below_unknown_ground_do_not_draw_its_level_down() -> None:
     assert abs(levels_m[int(np.argmin(cost))]) < 0.03 * height
 
 
+def test_land_far_from_its_level_as_a_whole_is_drawn_to_it_in_full() -> None:
+    """Of points that count as one, the bulk isn't far: each had a tenth of its weight, and models that turn
+    frames came to land 30 m off in their first steps."""
+    problem, at = flown_problem()
+    points_m = at.points_m.copy()
+    points_m[:, 2] = np.random.default_rng(0).normal(0.0, 1.0, len(points_m))
+    points_m[::20, 2] = 500.0
+    flat = GroundSurface("flat", 0.0, 0.0, 1.0, np.zeros((1, 1)))
+    bound, share = np.ones(len(points_m), dtype=bool), problem.image.frame_share()
+    terrain = Terrain(flat, 0.042, 15.0, bound, share, places=1.0)
+    at = replace(at, points_m=points_m)
+    sd_m = terrain.sd_m(at)
+    assert terrain.weighed(at) is terrain
+    higher = replace(at, points_m=points_m + [0.0, 0.0, 10.0 * sd_m])
+    weighed = terrain.weighed(higher)
+    assert weighed.bulk == pytest.approx(10.0 / 0.6745, rel=0.05)
+    weight, *_ = weighed.rows(higher.points_m, bound, weighed.sd_m(higher), 0.0)
+    near, far = np.delete(weight, np.s_[::20]), weight[::20]
+    assert near.min() > 0.9 / (len(points_m) * sd_m**2)
+    assert far.max() < near.min()
+    assert replace(terrain, places=7.0).weighed(higher).bulk == 1.0
+
+
 @pytest.mark.parametrize("position_sd", [1.0, 1e4])
 def test_a_step_lifts_a_block_by_the_residuals_that_it_leaves(position_sd: float) -> None:
     """Also where positions are known to 10 km, so that hardly anything tells the block's scale."""

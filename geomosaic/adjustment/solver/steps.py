@@ -147,6 +147,10 @@ def _converge(progress: SolveState, most: int, stop: _Stop) -> tuple[SolveState,
     at, damping, cost, length = progress.at, 0.0, progress.cost, np.inf
     steps: list[SolveStep] = []
     while True:
+        terrain = problem.terrain and problem.terrain.weighed(at)
+        if terrain is not problem.terrain:
+            problem = replace(problem, terrain=terrain)
+            cost = problem.cost(at, components)
         normals = problem.normals(at, components)
         gain, moved, step_m = 0.0, 0.0, 0.0
         while True:
@@ -178,7 +182,7 @@ def _converge(progress: SolveState, most: int, stop: _Stop) -> tuple[SolveState,
         before, length = length, _length(reduced, step)
         little = gain <= stop.gain * max(cost, 1.0) or _left(length, before) <= stop.left
         if len(steps) >= most or (little and moved <= stop.move):
-            progress = replace(progress, at=at, steps=(*progress.steps, *steps))
+            progress = replace(progress, problem=problem, at=at, steps=(*progress.steps, *steps))
             return progress, reduced if damping == 0.0 else reduce_normals(normals)
         damping = damping / 10.0 if damping > 10.0 * _DAMPING else 0.0
         del normals, reduced  # the next ones take as much

@@ -14,7 +14,8 @@ from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate, Step, Unknowns
 from geomosaic.adjustment.terms.term import Components, Term
 from geomosaic.arrays import Bools, Floats
-from geomosaic.estimation.robust import cauchy_cost, cauchy_weight
+from geomosaic.constants import MEDIAN_ONE
+from geomosaic.estimation.robust import cauchy_cost, cauchy_weight, median_of_known
 from geomosaic.projection.ground import GroundSurface
 
 LEVEL = "ground level"
@@ -27,11 +28,13 @@ def level_unknown(sd_m: float) -> Unknowns:
 
 @dataclass(frozen=True)
 class Terrain(Term):
-    """Tie points lie on a surface, up to one common level. Cauchy's function outweighs trees and roofs.
+    """Tie points lie on a surface, up to one common level. Cauchy's function outweighs trees and roofs, which
+    are far against the bulk of the points, never all at once: else land would free itself from its level.
     sd_share: deviation of a point from the surface by the frames' mean height above it (in metres it would be
     smaller for a shrinking block). level_sd_m: of the surface as a whole. bound (p,): which points lie on it.
     frame_share (f,): each frame's share of all observations, its weight in the mean height. places: how many
-    independent points all of them together count as, since near ones err alike; at most their number."""
+    independent points all of them together count as, since near ones err alike; at most their number. bulk:
+    the points' usual deviation, 1 or more stated ones, see `weighed`."""
 
     ground: GroundSurface
     sd_share: float
@@ -39,6 +42,7 @@ class Terrain(Term):
     bound: Bools
     frame_share: Floats
     places: float = np.inf
+    bulk: float = 1.0
 
     name: ClassVar[str] = "terrain"
 
@@ -55,6 +59,14 @@ class Terrain(Term):
         """Deviation of a point from the surface."""
         return self.sd_share * self.height_m(at)
 
+    def weighed(self, at: Estimate) -> Terrain:
+        """With the bulk of an estimate, where all points count as one. Of a DEM, woods may cover all."""
+        if self.places > 1.0:
+            return self
+        miss_m = np.abs(self.miss_m(at.points_m[self.bound], at.level_m))
+        bulk = max(1.0, median_of_known(miss_m) / (MEDIAN_ONE * self.sd_m(at)))
+        return self if bulk == self.bulk else replace(self, bulk=bulk)
+
     @cached_property
     def point_weight(self) -> float:
         """What the cost of a point counts for."""
@@ -65,7 +77,8 @@ class Terrain(Term):
 
     def cost_of(self, points_m: Floats, sd_m: float, level_m: float) -> Floats:
         """Of each of some points (p, 3) on the surface, (p,)."""
-        return self.point_weight * cauchy_cost(self.miss_m(points_m, level_m) / sd_m)
+        length = self.miss_m(points_m, level_m) / (self.bulk * sd_m)
+        return self.point_weight * self.bulk**2 * cauchy_cost(length)
 
     def add_to(self, normals: Normals, at: Estimate, components: Components) -> Normals:
         """Adds each point's equation: up minus slope times place minus level, observed as the surface. The
@@ -116,7 +129,8 @@ class Terrain(Term):
     ) -> tuple[Floats, Floats, Floats]:
         """Weights (p,), residuals in m (p,) and the surface's normals with up 1 (p, 3)."""
         miss = self.miss_m(points_m, level_m)
-        weight = np.where(bound, self.point_weight * cauchy_weight(miss / sd_m) / sd_m**2, 0.0)
+        weight = self.point_weight * cauchy_weight(miss / (self.bulk * sd_m)) / sd_m**2
+        weight = np.where(bound, weight, 0.0)
         step, (e, n) = self.ground.spacing_m, points_m[:, :2].T
         up = self.ground.up_at
         normal = np.column_stack(
