@@ -11,7 +11,7 @@ import numpy as np
 
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Adjusted, Block, Settings
-from geomosaic.adjustment.procedure.changed_part import EarlierBlock
+from geomosaic.adjustment.procedure.changed_part import SHIFT, EarlierBlock
 from geomosaic.adjustment.procedure.control_points import ground_control
 from geomosaic.adjustment.procedure.lens_start import lens_notes
 from geomosaic.adjustment.procedure.local_adjustment import adjusted_in_part, kept_poses
@@ -86,7 +86,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=126, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=127, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -134,7 +134,8 @@ def adjustment_solve(
 
 def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Context) -> Adjusted:
     """By the method of choice; a bundle goes on from the run before where all but the changed part would stay
-    within `MOST_MOVED_PX`. Otherwise it begins anew and ends as in a fresh run. Where it begins decides on
+    within `MOST_MOVED_PX`, but for a shift, turn or scale of the whole that is less than what its place is
+    known to. Otherwise it begins anew and ends as in a fresh run. Where it begins decides on
     the model of lens and shutter, on what of it counts, and on weights."""
     settings, before = Settings(**params.model_dump(exclude={"method"})), context.earlier
     if before is None:
@@ -153,6 +154,12 @@ def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Contex
     kept = int(kept_poses(found, earlier).sum())
     context.metric("reused.poses", kept)
     context.inform(f"{kept:,} of {len(block.names):,} frames stay where they are")
+    shift_m = found.figures.get(SHIFT, 0.0)
+    if shift_m > earlier.bound_m:
+        text = (
+            f"the map stays where it is: all positions together would move it by {shift_m:.2g} m, less than "
+        )
+        context.inform(f"{text}its deviation of {earlier.datum_sd_m:.2g} m; without --incremental it moves")
     return found
 
 

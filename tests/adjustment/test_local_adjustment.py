@@ -107,8 +107,10 @@ def test_corrected_positions_move_the_block(flown: Flown) -> None:
     corrected = poses.positions_m.copy()
     corrected[20:23, 0] += 3.0
     moved = replace(block, poses=replace(block.poses, positions_m=corrected))
-    assert whole_block_shift_m(block, earlier.adjusted.poses, earlier) == pytest.approx(0.0, abs=1e-9)
-    assert whole_block_shift_m(moved, earlier.adjusted.poses, earlier) > 0.3
+    assert whole_block_shift_m(block, (earlier.adjusted.poses, np.arange(24)), earlier) == pytest.approx(
+        0.0, abs=1e-9
+    )
+    assert whole_block_shift_m(moved, (earlier.adjusted.poses, np.arange(24)), earlier) > 0.3
     assert adjusted_in_part(moved, earlier) is None
 
 
@@ -116,16 +118,54 @@ def test_small_steps_add_up(flown: Flown) -> None:
     """What each run leaves undone counts for the next; a whole adjustment begins anew."""
     earlier = of_earlier(part_of_block(flown.block, np.arange(22)))
     found = adjusted_in_part(flown.block, earlier)
-    assert found is not None and 0.0 < found.figures[SHIFT] < earlier.bound_m
+    most_m = earlier.datum_sd_m
+    assert found is not None and 0.0 < found.figures[SHIFT] < most_m
     left = 1.5 * found.figures[SHIFT]
-    figures = earlier.adjusted.figures | {SHIFT: earlier.bound_m - left}
+    figures = earlier.adjusted.figures | {SHIFT: most_m - left}
     again = replace(earlier, adjusted=replace(earlier.adjusted, figures=figures))
     found = adjusted_in_part(flown.block, again)
-    assert found is not None and found.figures[SHIFT] > earlier.bound_m - left
-    figures |= {SHIFT: earlier.bound_m - left / 2.0}
+    assert found is not None and found.figures[SHIFT] > most_m - left
+    figures |= {SHIFT: most_m - left / 2.0}
     again = replace(earlier, adjusted=replace(earlier.adjusted, figures=figures))
     assert adjusted_in_part(flown.block, again) is None
     assert SHIFT not in BUNDLE(flown.block, Settings()).figures
+
+
+def over_similarity_m(one: Adjusted, other: Adjusted) -> np.ndarray:
+    """How far frames lie apart in plan, (n,), once one block is shifted, turned and scaled onto the other."""
+    here, there = (a.poses.positions_m[:, :2] @ [1.0, 1.0j] for a in (one, other))
+    design = np.column_stack([here, np.ones(len(here))])
+    return np.abs(design @ np.linalg.lstsq(design, there, rcond=None)[0] - there)
+
+
+def test_a_map_placed_by_gnss_stays_where_it_is() -> None:
+    """New positions with errors of metres move a whole block by decimetres, which is less than it is known to.
+    But for that the part comes within the bound of a whole adjustment."""
+    flown = fly(4, per_line=8)
+    earlier = of_earlier(part_of_block(flown.block, np.arange(22)))
+    found, whole = adjusted_in_part(flown.block, earlier), BUNDLE(flown.block, Settings())
+    assert found is not None
+    assert earlier.bound_m < found.figures[SHIFT] < earlier.datum_sd_m
+    assert off_px(found, whole) > 0.3
+    assert np.sqrt((over_similarity_m(found, whole) ** 2).mean()) < earlier.bound_m
+    kept = kept_poses(found, earlier)
+    assert kept.sum() > 12 and not kept[22:].any()
+
+
+def test_a_new_flight_has_an_offset_of_its_own() -> None:
+    """All positions of the last line are off by 4 m in common. Its frames come where the images put them, and
+    those of the flights before stay."""
+    flown, line = fly(4, lines=9, per_line=5, points=2000), np.arange(45) // 5
+    poses = flown.block.poses
+    off_m = poses.positions_m + (line == 8)[:, None] * [4.0, 0.0, 0.0]
+    flights = tuple(np.array([0, 0, 0, 0, 1, 1, 1, 1, 2])[line].tolist())
+    block = replace(flown.block, poses=replace(poses, positions_m=off_m), flights=flights)
+    earlier = of_earlier(part_of_block(block, np.arange(40)))
+    found = adjusted_in_part(block, earlier)
+    assert found is not None
+    assert kept_poses(found, earlier).sum() >= 20
+    east_m = (found.poses.positions_m - flown.truth.positions_m)[:, 0]
+    assert east_m[line == 8].mean() - east_m[line == 7].mean() == pytest.approx(0.0, abs=0.3)
 
 
 def test_another_dem_needs_a_whole_adjustment(flown: Flown) -> None:

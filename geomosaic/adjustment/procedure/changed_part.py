@@ -10,6 +10,7 @@ import numpy as np
 
 from geomosaic.adjustment.model import Adjusted, Block, SolvedBlock
 from geomosaic.adjustment.procedure.block_part import part_of_block
+from geomosaic.adjustment.terms.gnss_positions import OFFSET
 from geomosaic.arrays import Bools, Floats, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.constants import SLIGHT
@@ -47,6 +48,14 @@ class EarlierBlock:
     def shift_m(self) -> float:
         """By how much runs before this one would have moved its frames, see `SHIFT`."""
         return self.adjusted.figures.get(SHIFT, 0.0)
+
+    @property
+    def datum_sd_m(self) -> float:
+        """How well the place of the whole block is known: the least stated deviation of a frame's position,
+        which holds what all have in common. Never below the bound."""
+        sd_m = np.linalg.norm(self.adjusted.poses.positions_sd_m, axis=1)
+        known = sd_m[np.isfinite(sd_m) & (sd_m > 0.0)]
+        return max(self.bound_m, float(known.min()) if known.size else 0.0)
 
     @property
     def number(self) -> dict[str, int]:
@@ -93,6 +102,28 @@ def changed_frames(block: Block, earlier: EarlierBlock) -> tuple[Ints, Bools]:
     return was, changed
 
 
+def by_known_flights(block: Block, was: Ints, earlier: EarlierBlock) -> Block:
+    """The block whose flights with earlier frames are one, number 0. Of an earlier
+    solution with an offset of each flight, their positions are freed of it. Other flights keep their own."""
+    flights, known = block.flight_of, was >= 0
+    if not flights.any():
+        return block
+    positions_m = block.poses.positions_m.copy()
+    old = np.unique(flights[known])
+    counts = np.flatnonzero(known & ~position_assumed(block.poses))
+    found_m: Floats = earlier.adjusted.poses.positions_m[was[counts]]
+    off_m = found_m[:, :2] - positions_m[counts, :2]
+    if earlier.solved is not None and OFFSET in earlier.solved.shared:
+        for flight in old.tolist():
+            its = off_m[flights[counts] == flight]
+            if len(its):
+                positions_m[flights == flight, :2] += np.median(its, axis=0)
+    numbers = np.where(np.isin(flights, old), -1, flights)
+    numbers = np.unique(np.append(-1, numbers), return_inverse=True)[1][1:]
+    poses = replace(block.poses, positions_m=positions_m)
+    return replace(block, poses=poses, flights=tuple(numbers.tolist()))
+
+
 def _ties_by_frame(names: tuple[str, ...], ties: TiePoints) -> Mapping[str, dict[str, int]]:
     """Of each frame the number of tie points with others, by their names."""
     pairs, out = TiePairs.of(ties.pairs), dict[str, dict[str, int]]()
@@ -124,29 +155,39 @@ def moved_m(one: Adjusted, other: tuple[Poses, Ints], frames: Ints) -> Floats:
     return out
 
 
-def whole_block_shift_m(block: Block, poses: Poses, earlier: EarlierBlock) -> float:
+def whole_block_shift_m(
+    block: Block, found: tuple[Poses, Ints], earlier: EarlierBlock, corrected: bool = False
+) -> float:
     """By how much, in m, the positions reported now would move the earlier frames. In plan they move as a
     similarity, whose turn is bound by headings. In height they move by a level and a slope, which is bound by
     attitudes. The fit to all positions of now is compared with the fit to those of then, at the earlier
-    frames. Frames that are gone, and positions that were corrected, count as well as new ones.
+    frames. Frames that are gone count as well as new ones, but those of flights all of whose frames are new:
+    their positions are off in common by an error of their own.
 
-    Args: poses: all as found.
+    Args: found: all poses, and `ChangedPart.was`. corrected: of frames that are in both alone, whose reported
+    positions may be others now.
     """
+    poses, was = found
     certain = frozenset() if earlier.solved is None else frozenset(earlier.solved.names)
-    was = np.array([name in certain for name in earlier.names])
-    old_m = earlier.adjusted.poses.positions_m
+    old_m, both = earlier.adjusted.poses.positions_m, was >= 0
+    known = np.array([name in certain for name in earlier.names])
     now, then = _placed(block.poses, poses.positions_m), _placed(earlier.given, old_m)
-    if not (was & then).any():
+    if corrected:
+        now &= both
+        then &= np.isin(np.arange(len(then)), was[both])
+    else:
+        now &= np.isin(block.flight_of, block.flight_of[both])
+    if not (known & then).any():
         return np.inf
     middle_m, moves_m = old_m[then].mean(axis=0), []
     for designs, turns in ((_plan, [(2, 2)]), (_heights, [(1, 1), (2, 0)])):
-        found = [
+        fits = [
             _fitted(designs(at_m - middle_m), (reported, at_m, some), turns)
             for reported, at_m, some in (
                 (block.poses, poses.positions_m, now), (earlier.given, old_m, then)
             )
         ]  # fmt: skip
-        moves_m.append(np.linalg.norm(designs(old_m[was] - middle_m) @ (found[0] - found[1]), axis=1))
+        moves_m.append(np.linalg.norm(designs(old_m[known] - middle_m) @ (fits[0] - fits[1]), axis=1))
     aside = max(float(np.hypot(c.width_px, c.height_px)) / 2.0 / c.focal_length_px for c in block.cameras)
     return float((moves_m[0] + aside * moves_m[1]).max())
 

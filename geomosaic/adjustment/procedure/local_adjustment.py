@@ -15,18 +15,25 @@ import numpy as np
 from geomosaic.adjustment.ground.ground_choice import flying_height_m, off_ground_m, surface_of
 from geomosaic.adjustment.model import Adjusted, Block
 from geomosaic.adjustment.paper.misalignment import offset_net
-from geomosaic.adjustment.procedure.block_problem import block_problem, near_ground, part_of_frames
+from geomosaic.adjustment.procedure.block_problem import (
+    block_problem,
+    near_ground,
+    part_of_frames,
+    with_offset,
+)
 from geomosaic.adjustment.procedure.block_solution import points_on_ground
 from geomosaic.adjustment.procedure.blunder_detection import contradicted_frames, counted_shares
 from geomosaic.adjustment.procedure.changed_part import (
     SHIFT,
     ChangedPart,
     EarlierBlock,
+    by_known_flights,
     changed_frames,
     moved_m,
     tied_with,
     whole_block_shift_m,
 )
+from geomosaic.adjustment.procedure.common_offsets import flights_error_sd_m
 from geomosaic.adjustment.procedure.earlier_solution import start_from_earlier, with_earlier_poses
 from geomosaic.adjustment.procedure.initialisation import start_poses
 from geomosaic.adjustment.procedure.merged_blocks import SolvedPart, merged, merged_surface
@@ -34,6 +41,7 @@ from geomosaic.adjustment.solver.problem import BlockProblem
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.solver.solve import converged_solution
 from geomosaic.adjustment.solver.variance_components import local_factors
+from geomosaic.adjustment.terms.gnss_positions import OFFSET
 from geomosaic.arrays import Bools
 from geomosaic.camera.exterior import Poses
 from geomosaic.errors import NotSolvableError
@@ -48,10 +56,11 @@ CHANGED: Final = "the changed part"
 
 def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
     """The block with the earlier poses, but for frames whose tie points changed and as many about them as
-    move by more than the bound. None where a whole adjustment is needed. It is needed where the positions
-    reported now would move the earlier frames by more than the bound, in this run and those before together.
-    It is also needed where new images fit the earlier lenses badly, or a DEM is another one or shows more
-    land. Control points, rolling shutters and unknowns of the platform tie all frames together."""
+    move by more than the bound. None where a whole adjustment is needed. It is needed where corrected
+    positions would move the earlier frames by more than the bound, or all positions by more than the map's
+    place is known to, in this run and those before together. It is also needed where new images fit the
+    earlier lenses badly, or a DEM is another one or shows more land. Control points, rolling shutters and
+    unknowns of the platform tie all frames together."""
     if earlier.solved is None or _ties_all(block, earlier):
         return None
     if block.ground.kind == "dem" and not _alike(block.ground, earlier.prior_ground):
@@ -68,8 +77,10 @@ def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
             found = _adjusted(block, part, earlier)
             if found is None:
                 return None
-            shift_m = earlier.shift_m + whole_block_shift_m(block, found.poses, earlier)
-            if shift_m > earlier.bound_m:
+            at = found.poses, was
+            shift_m = earlier.shift_m + whole_block_shift_m(block, at, earlier)
+            corrected_m = whole_block_shift_m(block, at, earlier, corrected=True)
+            if shift_m > earlier.datum_sd_m or corrected_m > earlier.bound_m:
                 return None
             known = np.flatnonzero(changed & (was >= 0))
             moved = known[moved_m(found, (earlier.adjusted.poses, was), known) > earlier.bound_m]
@@ -103,7 +114,7 @@ def _ties_all(block: Block, earlier: EarlierBlock) -> bool:
     settings = solved.settings
     turned = any(block.turned) or block.poses.turns is not None
     rolling = settings.rolling_shutter or any(c.readout_s for c in (*block.cameras, *adjusted.cameras))
-    platform = settings.boresight or settings.lever_arm or settings.gps_lag or bool(block.flight_of.any())
+    platform = settings.boresight or settings.lever_arm or settings.gps_lag
     unlike = not known.issuperset(camera.name for camera in block.cameras)
     return bool(block.control or turned or rolling or platform or unlike or adjusted.control)
 
@@ -114,7 +125,7 @@ def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adju
     assert solved is not None
     lenses = {c.name: c for c in adjusted.cameras}
     part = replace(
-        changed.of(block),
+        changed.of(by_known_flights(block, changed.was, earlier)),
         cameras=tuple(lenses[block.cameras[i].name] for i in changed.frames),
     )
     if adjusted.ground.kind != "tie_surface":
@@ -163,10 +174,16 @@ def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) 
     effect = earlier.adjusted.figures.get("design_effect", 1.0)
     image = replace(problem.image, design_effect=effect)
     problem = replace(problem, interior=known, image=image)
+    new_flights = bool(part.flight_of.any())
+    if new_flights:
+        problem = with_offset(problem, flights_error_sd_m(part.poses) * [1.0, 1.0, 0.0])
     solved = replace(solved, cameras=earlier.adjusted.cameras)
     start = start_from_earlier(part, solved, ties, poses)
     estimate = replace(start.estimate, layout=problem.layout, shared=problem.layout.given, points_m=points)
-    start = replace(start, estimate=estimate, fixed=np.zeros(problem.layout.size, dtype=bool))
+    fixed = np.zeros(problem.layout.size, dtype=bool)
+    if new_flights:  # the kept frames are where they are
+        fixed[problem.layout.slices[OFFSET]] = np.arange(3 * (1 + part.flight_of.max())) < 3
+    start = replace(start, estimate=estimate, fixed=fixed)
     found = converged_solution(problem, start)
     problem, ground = found.problem, earlier.adjusted.ground
     if ground.kind != "tie_surface":
