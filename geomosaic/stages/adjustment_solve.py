@@ -156,10 +156,9 @@ def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Contex
     context.inform(f"{kept:,} of {len(block.names):,} frames stay where they are")
     shift_m = found.figures.get(SHIFT, 0.0)
     if shift_m > earlier.bound_m:
-        text = (
-            f"the map stays where it is: all positions together would move it by {shift_m:.2g} m, less than "
-        )
-        context.inform(f"{text}its deviation of {earlier.datum_sd_m:.2g} m; without --incremental it moves")
+        by, known = f"{shift_m:.2g} m", f"{earlier.datum_sd_m:.2g} m"
+        text = f"the map stays in its place, known to {known}; all positions together would move it by {by}"
+        context.inform(f"{text}, as a run without --incremental does")
     return found
 
 
