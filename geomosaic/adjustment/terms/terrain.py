@@ -14,7 +14,6 @@ from geomosaic.adjustment.kernels.reduced_equations import Reduced
 from geomosaic.adjustment.problem.estimate import Estimate, Step, Unknowns
 from geomosaic.adjustment.terms.term import Components, Term
 from geomosaic.arrays import Bools, Floats
-from geomosaic.constants import MEDIAN_ONE
 from geomosaic.estimation.robust import cauchy_cost, cauchy_weight, median_of_known
 from geomosaic.projection.ground import GroundSurface
 
@@ -34,7 +33,7 @@ class Terrain(Term):
     smaller for a shrinking block). level_sd_m: of the surface as a whole. bound (p,): which points lie on it.
     frame_share (f,): each frame's share of all observations, its weight in the mean height. places: how many
     independent points all of them together count as, since near ones err alike; at most their number. bulk:
-    the points' usual deviation, 1 or more stated ones, see `weighed`."""
+    what the points are off by in common, 1 or more stated deviations, see `weighed`."""
 
     ground: GroundSurface
     sd_share: float
@@ -63,8 +62,8 @@ class Terrain(Term):
         """With the bulk of an estimate, where all points count as one. Of a DEM, woods may cover all."""
         if self.places > 1.0:
             return self
-        miss_m = np.abs(self.miss_m(at.points_m[self.bound], at.level_m))
-        bulk = max(1.0, median_of_known(miss_m) / (MEDIAN_ONE * self.sd_m(at)))
+        common_m = median_of_known(self.miss_m(at.points_m[self.bound], at.level_m))
+        bulk = max(1.0, abs(common_m) / self.sd_m(at))
         return self if bulk == self.bulk else replace(self, bulk=bulk)
 
     @cached_property
