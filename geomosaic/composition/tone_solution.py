@@ -8,13 +8,13 @@ from typing import Final
 
 import cv2
 import numpy as np
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix, diags, eye
 
 from geomosaic.arrays import Floats, Floats32
 from geomosaic.composition.hot_spot import SunBehind, TonesLeft, can_be_spot, hot_spot, shown_spot
 from geomosaic.composition.tone_deviations import GAIN_SD, Exposures, Scatter
 from geomosaic.composition.tone_equations import OF_A_FRAME, ToneDesign
-from geomosaic.composition.tones import ACROSS, GREYS, Tones, ToneSightings, powers
+from geomosaic.composition.tones import ACROSS, BUMPS, GREYS, Tones, ToneSightings, powers, radial
 from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.linear import least_squares
 from geomosaic.estimation.robust import cauchy_weight
@@ -87,8 +87,8 @@ def _by_response(
     """The solution by one response: see `Tones`. spot (m,): `hot_spot` of the sightings, where it counts.
 
     Least squares of logarithms, whose brightness at each place is eliminated; Cauchy weights, since parked
-    cars drive off and water shines from one side. Gains scatter about what exposures report, by a
-    variance component.
+    cars drive off and water shines from one side. Gains scatter about what exposures report, and bumps in
+    the frames' middle about nothing, by variance components.
     """
     of_frame = exposures.camera
     n, bands = len(of_frame), values.shape[1]
@@ -106,8 +106,7 @@ def _by_response(
     shared = (
         (camera, nothing, cameras, _LINEAR),
         (camera, nothing, cameras, _SHARED_SD),
-        (camera, radius2, cameras, _SHARED_SD),
-        (camera, radius2**2, cameras, _SHARED_SD),
+        *((camera, by, cameras, _SHARED_SD) for by in radial(radius2)),
         *([] if spot is None else [(np.zeros_like(frame), spot[known], 1, _SHARED_SD)]),
     )
     by_shared = [(np.arange(count) == of[:, None]) * by[:, None] for of, by, count, _ in shared]
@@ -116,10 +115,13 @@ def _by_response(
     bent = float(np.median(1.0 / below)) if len(frame) else 1.0
     of_frames = np.tile([np.inf, _SLOPE_SD * bent, _SLOPE_SD * bent], n)
     deviations = np.concatenate([of_frames, *(np.full(count, sd * bent) for _, _, count, sd in shared)])
+    bumps = len(of_frames) + 4 * cameras + np.arange(len(BUMPS) * cameras)
+    deviations[bumps] = np.inf
     errors, reported = design.of_gains(exposures.gain_errors()), np.isfinite(exposures.log_exposure)
     linear = _LINEAR * bent * exposures.about_mean
     scatters = [
         Scatter(diags(1.0 / deviations, format="csr"), np.zeros(design.unknowns), 1.0, True),
+        Scatter(eye(design.unknowns, format="csr")[bumps], np.zeros(len(bumps)), _SHARED_SD * bent, False),
         *(
             Scatter(errors[of], linear[of], GAIN_SD * bent, not its)
             for of, its in ((reported, True), (~reported, False))
@@ -133,13 +135,13 @@ def _by_response(
         priors.append(its)
     of_frame_itself, of_all = np.split(found.T, [OF_A_FRAME * n])
     itself = np.where((seen > 0)[:, None, None], of_frame_itself.reshape(n, OF_A_FRAME, bands), 0.0)
-    contrast, _, second, fourth, *rest = np.split(of_all, cameras * np.arange(1, 5))
+    contrast, _, *vignette = np.split(of_all, cameras * np.arange(1, 5 + len(BUMPS)))
     tones = Tones(
         itself[:, 0],
         np.swapaxes(itself[:, 1:], 1, 2),
-        np.stack([second[of_frame], fourth[of_frame]], axis=-1),
+        np.stack([its[of_frame] for its in vignette[: 2 + len(BUMPS)]], axis=-1),
         white,
-        spot=None if spot is None else rest[0][0],
+        spot=None if spot is None else vignette[-1][0],
         reported=exposures.about_mean[:, None] * (_LINEAR * bent + contrast[of_frame]),
     )
     before = logs - design.means(np.ones(len(frame)), logs)

@@ -7,7 +7,7 @@ from its frames: the one by which they can be made alike.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +34,7 @@ GREYS = float(np.iinfo(np.uint8).max)
 _FARTHEST = tuned(8, "frames' sides", "that one sees all nodes along; more: its nodes fill the memory")
 ACROSS = tuned(24, "places", "along a frame: some hundred in an overlap; fewer make gains noisy")
 _LEAST_SIDE_PX = tuned(64, "px", "of the sampled image: smaller mixes a tree with the field next to it")
+BUMPS = tuned((0.1, 0.2, 0.4), "half diagonals", "deviations of bumps; one alone has another shape")
 _TELLING = tuned((6.0, 249.0), "grey levels", "usable: below is noise; above may be saturated")
 
 
@@ -46,13 +47,13 @@ class Tones:
     Driffield 1890), which cameras draw by. More light multiplies odds by a factor.
 
     gain (n, b): of each frame and band. slope (n, b, 2): times what a place lies to the right of the frame's
-    middle and below it, in half diagonals. vignette (n, b, 2): times the squared and the fourth power of its
-    distance from there. level (n, b, 6): of what all frames show together there, by these offsets' `powers`;
-    the map keeps it. None where it shows one exposure throughout. level_box (n, 2, 2): the least and
-    the greatest offsets to the right and below of each frame's sightings; beyond, its level is that of the
-    box's edge. spot (b,): times a `hot_spot` of this width about the direction away from the sun in each
-    camera's axes, away (n, 3); None where none shows. reported (n, b): the part of the gains that frames'
-    exposures account for. curve: of the whole map, see `tone_curve.curve_to_mid_grey`.
+    middle and below it, in half diagonals. vignette (n, b, k): times the first k functions of its distance
+    from there, see `radial`. level (n, b, 6): of what all frames show together there, by the `powers` of
+    these offsets; the map keeps it. None where it shows one exposure throughout. level_box (n, 2, 2): the
+    least and the greatest offsets to the right and below of each frame's sightings; beyond, its level is that
+    of the box's edge. spot (b,): times a `hot_spot` of this width about the direction away from the sun in
+    each camera's axes, away (n, 3); None where none shows. reported (n, b): the part of the gains that
+    frames' exposures account for. curve: of the whole map, see `tone_curve.curve_to_mid_grey`.
     """
 
     gain: Floats
@@ -90,10 +91,12 @@ class Tones:
         """As `brighter`, at places (..., 1) to the right of the frame's middle and below it, in half
         diagonals. seen (...): of the hot spot."""
         across, along = self.slope[frame].astype(np.float32).T
-        second, fourth = self.vignette[frame].astype(np.float32).T
-        radius2 = right * right + below * below
-        out = radius2 * (second + fourth * radius2)
-        out += self.gain[frame].astype(np.float32)
+        vignette = self.vignette[frame].astype(np.float32).T
+        gain = self.gain[frame].astype(np.float32)
+        out = np.broadcast_to(gain, (*right.shape[:-1], *gain.shape)).copy()
+        for its, by in zip(vignette, radial(right * right + below * below), strict=False):
+            if its.any():
+                out += its * by
         if across.any() or along.any():
             out += right * across + below * along
         if self.spot is not None and seen is not None:
@@ -104,6 +107,16 @@ class Tones:
                 right, below = np.clip(right, first, last), np.clip(below, top, bottom)
             out -= powers(right, below) @ self.level[frame].astype(np.float32).T
         return np.asarray(out)
+
+
+def radial(radius2: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Functions (...) of squared distances (...) from a frame's middle, in half diagonals: the square, its
+    square, and bumps in the middle. Lenses darken as the former do; cameras that correct this too much, or by
+    a table, leave the latter."""
+    yield radius2
+    yield radius2 * radius2
+    for width in BUMPS:
+        yield np.exp(radius2 * np.float32(-0.5 / width**2))
 
 
 def powers(right: NDArray[Any], below: NDArray[Any]) -> NDArray[Any]:

@@ -77,7 +77,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.tones", "Even the tones", group="Mosaic", version=22, outputs="tones", conclusions=_conclusions,
+    "mosaic.tones", "Even the tones", group="Mosaic", version=23, outputs="tones", conclusions=_conclusions,
     goes_on=True,
 )  # fmt: skip
 def mosaic_tones(
