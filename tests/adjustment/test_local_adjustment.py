@@ -152,6 +152,31 @@ def test_a_map_placed_by_gnss_stays_where_it_is() -> None:
     assert kept.sum() > 12 and not kept[22:].any()
 
 
+@pytest.mark.parametrize(
+    ("readout_s", "rate_sd"),
+    [(0.03, 0.0), pytest.param(0.1, 0.2, marks=pytest.mark.proof)],
+)
+def test_frames_with_rolling_shutters_turn_as_before(readout_s: float, rate_sd: float) -> None:
+    """Earlier frames keep how they moved and turned while their rows were read; new ones are solved."""
+    flown = fly(
+        4, lines=4, per_line=8, points=1200, readout_s=readout_s, rate_sd_rad_per_s=rate_sd,
+        position_sd_m=np.array([0.02, 0.02, 0.03]),
+    )  # fmt: skip
+    earlier = of_earlier(part_of_block(flown.block, np.arange(30)))
+    found, whole = adjusted_in_part(flown.block, earlier), BUNDLE(flown.block, Settings())
+    assert found is not None
+    assert kept_poses(found, earlier).sum() >= 16
+    assert off_px(found, whole) < 0.1
+    turns, of_whole, before = found.poses.turns, whole.poses.turns, earlier.adjusted.poses.turns
+    assert turns is not None and of_whole is not None and before is not None
+    assert turns.rad[:30] == pytest.approx(before.rad)
+    ends = np.s_[:, [0, -1]]
+    assert turns.rad[ends] == pytest.approx(of_whole.rad[ends], abs=max(1e-5, 0.05 * rate_sd * readout_s))
+    assert found.poses.velocities_m_per_s == pytest.approx(whole.poses.velocities_m_per_s, abs=0.15)
+    assert found.solved is not None and earlier.adjusted.solved is not None
+    assert (found.solved.rotation_terms_rad[:30] == earlier.adjusted.solved.rotation_terms_rad).all()
+
+
 def test_a_new_flight_has_an_offset_of_its_own() -> None:
     """All positions of the last line are off by 4 m in common. Its frames come where the images put them, and
     those of the flights before stay."""

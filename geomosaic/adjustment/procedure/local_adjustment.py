@@ -34,6 +34,11 @@ from geomosaic.adjustment.procedure.changed_part import (
     whole_block_shift_m,
 )
 from geomosaic.adjustment.procedure.common_offsets import flights_error_sd_m
+from geomosaic.adjustment.procedure.earlier_motion import (
+    with_earlier_turns,
+    with_earlier_velocities,
+    with_motion_of_before,
+)
 from geomosaic.adjustment.procedure.earlier_solution import start_from_earlier, with_earlier_poses
 from geomosaic.adjustment.procedure.initialisation import start_poses
 from geomosaic.adjustment.procedure.merged_blocks import SolvedPart, merged, merged_surface
@@ -42,7 +47,7 @@ from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.solver.solve import converged_solution
 from geomosaic.adjustment.solver.variance_components import local_factors
 from geomosaic.adjustment.terms.gnss_positions import OFFSET
-from geomosaic.arrays import Bools
+from geomosaic.arrays import Bools, Ints
 from geomosaic.camera.exterior import Poses
 from geomosaic.errors import NotSolvableError
 from geomosaic.estimation.robust import THREE_SIGMA
@@ -59,8 +64,8 @@ def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
     move by more than the bound. None where a whole adjustment is needed. It is needed where corrected
     positions would move the earlier frames by more than the bound, or all positions by more than the map's
     place is known to, in this run and those before together. It is also needed where new images fit the
-    earlier lenses badly, or a DEM is another one or shows more land. Control points, rolling shutters and
-    unknowns of the platform tie all frames together."""
+    earlier lenses badly, or a DEM is another one or shows more land. Control points, gyroscopes and unknowns
+    of the platform tie all frames together."""
     if earlier.solved is None or _ties_all(block, earlier):
         return None
     if block.ground.kind == "dem" and not _alike(block.ground, earlier.prior_ground):
@@ -113,10 +118,9 @@ def _ties_all(block: Block, earlier: EarlierBlock) -> bool:
     known = {camera.name for camera in adjusted.cameras}
     settings = solved.settings
     turned = any(block.turned) or block.poses.turns is not None
-    rolling = settings.rolling_shutter or any(c.readout_s for c in (*block.cameras, *adjusted.cameras))
     platform = settings.boresight or settings.lever_arm or settings.gps_lag
     unlike = not known.issuperset(camera.name for camera in block.cameras)
-    return bool(block.control or turned or rolling or platform or unlike or adjusted.control)
+    return bool(block.control or turned or platform or unlike or adjusted.control)
 
 
 def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adjusted | None:
@@ -124,8 +128,9 @@ def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adju
     solved, adjusted = earlier.solved, earlier.adjusted
     assert solved is not None
     lenses = {c.name: c for c in adjusted.cameras}
+    block_now = by_known_flights(block, changed.was, earlier)
     part = replace(
-        changed.of(by_known_flights(block, changed.was, earlier)),
+        changed.of(with_earlier_velocities(block_now, changed.was, adjusted.poses)),
         cameras=tuple(lenses[block.cameras[i].name] for i in changed.frames),
     )
     if adjusted.ground.kind != "tie_surface":
@@ -136,7 +141,8 @@ def _adjusted(block: Block, changed: ChangedPart, earlier: EarlierBlock) -> Adju
     tracks = thin_tracks(join_tracks(part.ties), sizes, solved.settings.observations_per_frame)
     if not tracks.points:
         return None
-    solution, ties = _solution(_kept(part, poses, changed.free, earlier.bound_m), poses, tracks, earlier)
+    kept = _kept(part, poses, changed.free, earlier.bound_m)
+    solution, ties = _solution(kept, (poses, was), tracks, earlier)
     shares = counted_shares(ties, solution, len(part.names))
     wrong = contradicted_frames(part, solution.poses, shares)
     if (shares[changed.free] < 0.5).any() or any(changed.free[i] for i in wrong):
@@ -162,10 +168,13 @@ def _kept(part: Block, poses: Poses, free: Bools, bound_m: float) -> Block:
     return replace(part, poses=reported)
 
 
-def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) -> tuple[Solution, Tracks]:
+def _solution(
+    part: Block, begun: tuple[Poses, Ints], tracks: Tracks, earlier: EarlierBlock
+) -> tuple[Solution, Tracks]:
     """The part solved with free points, then bound to the ground if the block lies on one; and its tracks.
-    Lenses are known. Raises: NotSolvableError."""
-    solved = earlier.solved
+    Lenses are known, and so is how earlier frames turned while they were read. begun: initial poses, and the
+    frames' numbers in the earlier block. Raises: NotSolvableError."""
+    (poses, was), solved = begun, earlier.solved
     assert solved is not None
     points, ties = points_on_ground(poses, part.cameras, part.ground, tracks)
     points = nearest_to_rays(ties, poses, part.cameras, points)
@@ -174,12 +183,20 @@ def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) 
     effect = earlier.adjusted.figures.get("design_effect", 1.0)
     image = replace(problem.image, design_effect=effect)
     problem = replace(problem, interior=known, image=image)
+    problem = with_earlier_turns(problem, was, (earlier.adjusted.poses, solved))
     new_flights = bool(part.flight_of.any())
     if new_flights:
         problem = with_offset(problem, flights_error_sd_m(part.poses) * [1.0, 1.0, 0.0])
     solved = replace(solved, cameras=earlier.adjusted.cameras)
     start = start_from_earlier(part, solved, ties, poses)
-    estimate = replace(start.estimate, layout=problem.layout, shared=problem.layout.given, points_m=points)
+    estimate = replace(
+        start.estimate,
+        layout=problem.layout,
+        shared=problem.layout.given,
+        points_m=points,
+        rotation_terms_rad=np.zeros_like(start.estimate.rotation_terms_rad),
+        drift=np.zeros_like(start.estimate.drift),
+    )
     fixed = np.zeros(problem.layout.size, dtype=bool)
     if new_flights:  # the kept frames are where they are
         fixed[problem.layout.slices[OFFSET]] = np.arange(3 * (1 + part.flight_of.max())) < 3
@@ -190,7 +207,8 @@ def _solution(part: Block, poses: Poses, tracks: Tracks, earlier: EarlierBlock) 
         off_m = off_ground_m(part, ground, found, part_of_frames(part)[ties.frame[_first(ties)]])
         near = near_ground(part, problem, off_m)
         problem = replace(problem, terrain=near)
-    return converged_solution(_weighed(problem, found), found), ties
+    found = converged_solution(_weighed(problem, found), found)
+    return with_motion_of_before(found, part.names, solved), ties
 
 
 def _weighed(problem: BlockProblem, found: Solution) -> BlockProblem:

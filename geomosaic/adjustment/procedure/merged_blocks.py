@@ -11,6 +11,7 @@ from geomosaic.adjustment.model import Adjusted, Block, ImageResiduals, Round, S
 from geomosaic.adjustment.paper.misalignment import keypoints_on_ground, offset_net
 from geomosaic.adjustment.procedure.blunder_detection import wrong_tags
 from geomosaic.adjustment.procedure.changed_part import ChangedPart, EarlierBlock
+from geomosaic.adjustment.procedure.earlier_motion import merged_motion
 from geomosaic.adjustment.solver.solution import Solution
 from geomosaic.adjustment.terms.gnss_positions import HORIZONTAL
 from geomosaic.arrays import Bools, Floats, Ints
@@ -100,7 +101,8 @@ def _poses(
         positions_sd_m=positions_sd_m,
         rotations_sd_rad=rotations_sd_rad,
     )
-    return poses, covariance
+    found_part = None if part is None else (part.solution.poses, changed.frames)
+    return merged_motion(poses, was, before.poses, found_part), covariance
 
 
 def _residuals(
