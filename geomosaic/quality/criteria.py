@@ -271,7 +271,7 @@ WARNED: Mapping[str, tuple[str, str, str]] = {
         "check the datum and the height system of both",
     ),
     "pose-not-determined": (
-        "doubtful",
+        NOTED,
         "tie points don't determine the poses of some frames",
         "look at those frames; more overlap there",
     ),

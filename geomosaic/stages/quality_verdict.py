@@ -69,7 +69,7 @@ def _shortcoming(summary: Mapping[str, Any]) -> str:
 
 
 @stage(
-    "quality.verdict", "Judge the mosaic", group="Quality", version=33, outputs="verdict", wants_frames=True,
+    "quality.verdict", "Judge the mosaic", group="Quality", version=34, outputs="verdict", wants_frames=True,
     concurrent=True, conclusions=_conclusions, shortcoming=_shortcoming,
 )  # fmt: skip
 def quality_verdict(
