@@ -51,11 +51,11 @@ class EarlierBlock:
 
     @property
     def datum_sd_m(self) -> float:
-        """How well the place of the whole block is known: the least stated deviation of a frame's position,
-        which holds what all have in common. Never below the bound."""
-        sd_m = np.linalg.norm(self.adjusted.poses.positions_sd_m, axis=1)
+        """How well the place of the whole block is known: the median of the stated deviations of its frames'
+        positions in plan, which hold what all have in common. Never below the bound."""
+        sd_m = np.linalg.norm(self.adjusted.poses.positions_sd_m[:, :2], axis=1)
         known = sd_m[np.isfinite(sd_m) & (sd_m > 0.0)]
-        return max(self.bound_m, float(known.min()) if known.size else 0.0)
+        return max(self.bound_m, float(np.median(known)) if known.size else 0.0)
 
     @property
     def number(self) -> dict[str, int]:
@@ -164,14 +164,18 @@ def whole_block_shift_m(
     frames. Frames that are gone count as well as new ones, but those of flights all of whose frames are new:
     their positions are off in common by an error of their own.
 
-    Args: found: all poses, and `ChangedPart.was`. corrected: of frames that are in both alone, whose reported
-    positions may be others now.
+    Args: found: all poses, and `ChangedPart.was`. corrected: of frames that are in both alone, where they
+    were found then; their reported positions may be others now.
     """
     poses, was = found
     certain = frozenset() if earlier.solved is None else frozenset(earlier.solved.names)
     old_m, both = earlier.adjusted.poses.positions_m, was >= 0
     known = np.array([name in certain for name in earlier.names])
-    now, then = _placed(block.poses, poses.positions_m), _placed(earlier.given, old_m)
+    at_m = poses.positions_m
+    if corrected:
+        at_m = at_m.copy()
+        at_m[both] = old_m[was[both]]
+    now, then = _placed(block.poses, at_m), _placed(earlier.given, old_m)
     if corrected:
         now &= both
         then &= np.isin(np.arange(len(then)), was[both])
@@ -184,7 +188,7 @@ def whole_block_shift_m(
         fits = [
             _fitted(designs(at_m - middle_m), (reported, at_m, some), turns)
             for reported, at_m, some in (
-                (block.poses, poses.positions_m, now), (earlier.given, old_m, then)
+                (block.poses, at_m, now), (earlier.given, old_m, then)
             )
         ]  # fmt: skip
         moves_m.append(np.linalg.norm(designs(old_m[known] - middle_m) @ (fits[0] - fits[1]), axis=1))

@@ -61,11 +61,11 @@ CHANGED: Final = "the changed part"
 
 def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
     """The block with the earlier poses, but for frames whose tie points changed and as many about them as
-    move by more than the bound. None where a whole adjustment is needed. It is needed where corrected
-    positions would move the earlier frames by more than the bound, or all positions by more than the map's
-    place is known to, in this run and those before together. It is also needed where new images fit the
-    earlier lenses badly, or a DEM is another one or shows more land. Control points, gyroscopes and unknowns
-    of the platform tie all frames together."""
+    move by more than an image point is known to, or by more than the bound. None where a whole adjustment is
+    needed. It is needed where corrected positions would move the earlier frames by more than the bound, or
+    all positions by more than the map's place is known to, in this run and those before together. It is also
+    needed where new images fit the earlier lenses badly, or a DEM is another one or shows more land. Control
+    points, gyroscopes and unknowns of the platform tie all frames together."""
     if earlier.solved is None or _ties_all(block, earlier):
         return None
     if block.ground.kind == "dem" and not _alike(block.ground, earlier.prior_ground):
@@ -73,6 +73,8 @@ def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
     was, changed = changed_frames(block, earlier)
     if position_assumed(block.poses)[was < 0].any():
         return None
+    image_sd_px = earlier.adjusted.figures.get("sigma_px", 0.0)
+    most_m = max(earlier.bound_m, image_sd_px * block.ground_pixel_m)
     with suppress(NotSolvableError):
         while changed.any():
             frames = np.flatnonzero(tied_with(block, changed))
@@ -88,7 +90,7 @@ def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
             if shift_m > earlier.datum_sd_m or corrected_m > earlier.bound_m:
                 return None
             known = np.flatnonzero(changed & (was >= 0))
-            moved = known[moved_m(found, (earlier.adjusted.poses, was), known) > earlier.bound_m]
+            moved = known[moved_m(found, (earlier.adjusted.poses, was), known) > most_m]
             grown = np.isin(np.arange(len(was)), moved)
             grown = changed | tied_with(block, grown)
             if (grown == changed).all():
