@@ -16,7 +16,7 @@ class TerrainParams(StageParams):
     )
 
 
-@stage("surface.terrain", "Find the ground below the surface", group="Surface", version=3, outputs="terrain")
+@stage("surface.terrain", "Find the ground below the surface", group="Surface", version=4, outputs="terrain")
 def surface_terrain(surface: DenseSurface, params: TerrainParams, context: Context) -> TerrainModel:
     """Takes houses and trees off the surface."""
     terrain = terrain_model(surface, params.widest_m)

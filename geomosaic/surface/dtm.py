@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from geomosaic.arrays import Bools, Floats32
-from geomosaic.constants import sourced, tuned
+from geomosaic.constants import NORMAL_PER_MAD, sourced, tuned
 from geomosaic.estimation.robust import THREE_SIGMA
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.surface.cells import Cells
@@ -33,6 +33,7 @@ _SQUARE_M = sourced(1.0, "m", "larger loses lanes; smaller shows noise and rims"
 _LOW = tuned(0.25, "share", "quantile that stands for a square: lower takes blunders for ground; 0.5 shrubs")
 _SLOPES = tuned((0.5, 0.2), "m per m", "by pass: 0.2 alone cuts steep hills, 0.5 alone keeps leaves in woods")
 _STEP_M = sourced(0.2, "m", "rise besides slope: less loses rough land", "Zhang et al. 2003, table 2")
+_MOST_NOISE_CELLS = tuned(0.3, "cells", "most noise of heights: more keeps crowns in woods; less loses land")
 _HILLS_M = tuned(10.0, "m", "Gaussian that makes hills: narrower keeps objects; wider leaves hillsides")
 _EVENED = tuned(30, "rounds", "smoothing passes a level: fewer show coarse squares; more change nothing")
 _BEND = tuned(0.008, "1 / m", "curvature of unseen land: 68 % within 0.08 m at 5 to 8 m, 0.28 at 12 to 20")
@@ -73,9 +74,8 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
     """
     cell_m = surface.cells.cell_m
     matched = surface.views > 0
-    sd = surface.sd_m[matched & np.isfinite(surface.sd_m)]
-    noise_m = THREE_SIGMA * float(np.median(sd)) if sd.size else 0.0
     squares = _Squares(surface.up_m.shape, max(1, round(_SQUARE_M / cell_m)))
+    noise_m = THREE_SIGMA * min(_noise_m(surface.up_m, matched, squares.by), _MOST_NOISE_CELLS * cell_m)
     low_m, square_m = squares.low(surface.up_m), cell_m * squares.by
     hills_m = np.zeros_like(low_m)
     for slope in _SLOPES:
@@ -86,6 +86,18 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
     ground = _is_ground(surface.up_m, squares.between(_continued(ground_m, 1), 1), cell_m, noise_m)
     ground &= known.any()
     return _interpolated(surface, ground, ground & matched)
+
+
+def _noise_m(up_m: Floats32, matched: Bools, apart: int) -> float:
+    """The deviation of matched heights from even land, by the median second difference of cells that lie so
+    many cells apart; slopes do not count, edges of what stands are outliers. 0 without such cells."""
+    bends = []
+    for heights, known in ((up_m, matched), (up_m.T, matched.T)):
+        low, middle, high = (slice(k * apart, len(heights) - (2 - k) * apart) for k in range(3))
+        bend = heights[low] + heights[high] - 2.0 * heights[middle]
+        bends.append(np.abs(bend[known[low] & known[middle] & known[high]]))
+    bend = np.concatenate(bends)
+    return float(NORMAL_PER_MAD * np.median(bend) / np.sqrt(6.0)) if bend.size else 0.0
 
 
 def _is_ground(up_m: Floats32, about_m: Floats32, cell_m: float, noise_m: float) -> Bools:

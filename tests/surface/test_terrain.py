@@ -204,6 +204,18 @@ def test_coarse_cells_keep_their_noise_and_lose_their_houses():
     assert model.seen.mean() > 0.95
 
 
+@pytest.mark.parametrize("sd_m", [0.05, 3.0])
+def test_houses_go_whatever_the_stated_deviation(sd_m: float):
+    """Stated deviations include what all heights have in common; the noise is that of neighbours."""
+    rng = np.random.default_rng(4)
+    land = 0.1 * np.add.outer(np.arange(120.0), np.arange(150.0)) + rng.normal(0.0, 0.05, (120, 150))
+    up = land.copy()
+    up[40:60, 50:80] += 8.0
+    model = terrain_model(surface_of(up, cell_m=1.0, sd_m=sd_m))
+    assert np.abs(model.up_m - land).max() < 0.5
+    assert model.seen.mean() > 0.9
+
+
 def test_a_gap_is_filled_evenly_from_its_border():
     slope = np.add.outer(0.3 * np.arange(64.0), 0.1 * np.arange(50.0)).astype(np.float32)
     known = np.ones(slope.shape, dtype=bool)
