@@ -26,6 +26,7 @@ from geomosaic.composition.window import Window
 from geomosaic.constants import tuned
 from geomosaic.geodesy.local import LocalFrame
 from geomosaic.placement.reach import half_extent_m
+from geomosaic.projection.footprint import ground_from_image
 from geomosaic.projection.ground import GroundSurface
 from geomosaic.projection.map_grid import MapGrid
 from geomosaic.projection.warp import ground_window
@@ -34,6 +35,7 @@ OFF_PX = tuned(3.0, "px", "shift that makes land wrong: less trims roof rims, un
 _MOST_PLACES = tuned(1_000_000, "places", "where angles and deviations are computed: more take time and room")
 _WIDE_CELLS = tuned(1000, "cells", "along the seen area, to measure it: fewer are coarse; more take time")
 _SLIVER = tuned(1e-3, "of a neighbour's area", "left alone by trimming; less keeps specks")
+_ASIDE = tuned(0.5, "of a level frame's reach", "aside in a nadir view: more keeps rims of oblique frames")
 _HORIZON_DEG = tuned(85.0, "degrees", "of the horizon, which is no land: more makes any trimmed share 100 %")
 HORIZON: Final = Limits(float(np.tan(np.radians(_HORIZON_DEG))), np.inf)
 
@@ -103,9 +105,9 @@ class ViewingGeometry:
 
 
 def mosaic_edges(scene: Scene, looks: ViewingGeometry) -> Edges:
-    """What of all that frames see is left out. That is what no frame sees within the limits, and ground whose
-    deviation moves it by more than `OFF_PX`. The latter is left out only beyond the land that was flown over,
-    and only as far as it reaches the mosaic's outside.
+    """What of all that frames see is left out: what no frame sees within the limits, and extrapolated ground.
+    There the growth of its deviation moves it by more than `OFF_PX`. It is left out only beyond the land that
+    was flown over, and only as far as it reaches the mosaic's outside.
 
     Of a matched surface and the ground known before it, the surer counts. scene: its views are of what is
     seen well.
@@ -180,14 +182,18 @@ def looked_at(
 
 
 def _flown_over(scene: Scene) -> Bools:
-    """Cells no farther from below a frame than a level frame would reach: seen by one frame alone, say, but
-    not extrapolated far. The frames need no tie points: positions alone place those without, metres off as
-    the verdict says, and a rim cut off makes them no better."""
+    """Cells no farther from below a frame, or from where it looks, than a level frame would reach: seen by
+    one frame alone, say, but not extrapolated far. Where a frame looks counts if that is nearly below it.
+    The frames need no tie points: positions alone place those without, metres off as the verdict says, and a
+    rim cut off makes them no better."""
     circles = []
     for view in scene.views:
-        east, north, up = view.pose.position_m.tolist()
-        above_m = max(up - float(scene.ground.up_at(east, north)), 0.0)
-        circles.append(shapely.Point(view.nadir_m).buffer(half_extent_m(view.camera, above_m)))
+        camera, (east, north, up) = view.camera, view.pose.position_m.tolist()
+        reach_m = half_extent_m(camera, max(up - float(scene.ground.up_at(east, north)), 0.0))
+        middle_px = np.array([[camera.width_px / 2.0, camera.height_px / 2.0]])
+        aside_m = ground_from_image(view.pose, camera, scene.ground, middle_px)[0, :2] - [east, north]
+        looked_m = view.nadir_m + (aside_m if np.hypot(*aside_m) <= _ASIDE * reach_m else 0.0)
+        circles.append(shapely.MultiPoint([view.nadir_m, looked_m]).buffer(reach_m))
     over = Area(rings_of(shapely.union_all(circles)))
     return over.cells(scene.grid, whole_of(scene.grid), cell_px_of(scene))
 
@@ -215,11 +221,17 @@ def _why(seen: Ownership, scene: Scene, looks: ViewingGeometry) -> Bytes:
 
 
 def _off_px(well: Ownership, scene: Scene, looks: ViewingGeometry) -> Floats:
-    """By how much the ground's stated deviation, one sigma, moves cells, NaN where it isn't known."""
+    """By how much the growth of the ground's deviation, one sigma, moves cells, NaN where it isn't known."""
     at_m, tangent, step = _looked_at(well, scene, looks)
-    at = at_m[..., 0], at_m[..., 1]
-    sd_m = np.fmin(scene.ground.sd_at(*at), looks.known.sd_at(*at))
-    return _at_all(sd_m * tangent / looks.limits.own_m, step, well)
+    growth_m = np.fmin(_sd_growth_m(scene.ground, at_m), _sd_growth_m(looks.known, at_m))
+    return _at_all(growth_m * tangent / looks.limits.own_m, step, well)
+
+
+def _sd_growth_m(ground: GroundSurface, at_m: Floats) -> Floats:
+    """Deviations of heights (h, w) at places (h, w, 3), beyond the least one, common to all places; in m."""
+    sd_m = ground.sd_at(at_m[..., 0], at_m[..., 1])
+    least_m = 0.0 if ground.sd_m is None else np.nanmin(ground.sd_m, initial=np.inf)
+    return np.sqrt(np.maximum(sd_m**2 - least_m**2, 0.0))
 
 
 def whole_of(grid: OutputGrid) -> Window:

@@ -1,4 +1,4 @@
-"""What a mosaic is judged by: figures with limits, and warnings of the adjustment."""
+"""What a mosaic is judged by: figures with limits."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from geomosaic.composition.trim import REASONS
+
 ASKED: Final = "{asked}"
 """Where a cause says how far land may lie off."""
 GRADES: Final = ("good", "doubtful", "bad")
@@ -16,7 +18,10 @@ NOTED: Final = "noted"
 HOUSES: Final = "houses-lean"
 """The warning that tall houses lean. Then jumps at seams don't show a wrong map."""
 JUMPS: Final = ("seams", "worst tenth of the seams")
-FIRST: Final = ("frames left out", "frames not tied", HOUSES)
+TRIMMED: Final = "land left out"
+WHY: Final = "{why}"
+"""Where a cause says why land was trimmed."""
+FIRST: Final = ("frames left out", "frames not tied", TRIMMED, HOUSES)
 """Of figures with the worst grade, these are named before others: they explain seams and deviations."""
 
 
@@ -68,7 +73,8 @@ CRITERIA: Mapping[str, Criterion] = {
         3.0,
         "px",
         "the ground jumps at the seams",
-        "see the other figures; on relief take --surface dense, or give an elevation model (--dem)",
+        "take --surface dense or an elevation model (--dem); over flat land give the lens and the readout "
+        "time (--camera)",
         "the median of all places, as for the image deviation",
     ),
     "worst tenth of the seams": Criterion(
@@ -124,6 +130,15 @@ CRITERIA: Mapping[str, Criterion] = {
         "frames without a position, which no tie points join to the others, are missing with their ground",
         "give their positions with --pos, or fly with more overlap",
         "as for frames that are not tied",
+    ),
+    TRIMMED: Criterion(
+        0.5,
+        0.9,
+        "share",
+        f"most of the land in the frames is trimmed: {WHY}",
+        "--edges keep maps it all, less accurately",
+        "by pixels of the frames: a map of less than half of them is not what they were taken for, and of a "
+        "tenth it is a remainder",
     ),
     "frames in other parts": Criterion(
         0.01,
@@ -194,106 +209,17 @@ CRITERIA: Mapping[str, Criterion] = {
     ),
 }
 
-WARNED: Mapping[str, tuple[str, str, str]] = {
-    "bundle-failed": (
-        "bad",
-        "the adjustment failed; frames are placed by similarities alone",
-        "more overlap, or positions of more frames",
-    ),
-    "self-calibration-failed": (
-        "doubtful",
-        "lens and shutter could not be solved for and are as given",
-        "give a calibrated lens (--camera), or more overlap",
-    ),
-    HOUSES: (
-        "doubtful",
-        "tall houses lean and are cut off at the seams; jumps there say nothing of the ground between them",
-        "fly higher, with more overlap, to see less of their walls",
-    ),
-    "positions-mirrored": (
-        "bad",
-        "the positions are a mirror image of what the frames show: exchanged columns, or a lost sign",
-        "correct longitude and latitude in --pos or in the frames' tags",
-    ),
-    "positions-out-of-step": (
-        "bad",
-        "the positions are one frame out of step: each frame has that of its neighbour",
-        "shift the names in --pos by one line",
-    ),
-    "positions-contradicted": (
-        "bad",
-        "the positions contradict the images: they may belong to other frames",
-        "check the names and their order in --pos, or the frames' tags",
-    ),
-    "positions-elsewhere": (
-        "doubtful",
-        "the POS file and the positions in the frames' tags lie kilometres apart",
-        "check the columns of the file and its reference system (--pos-crs)",
-    ),
-    "positions-in-other-order": (
-        "doubtful",
-        "the positions of the POS file do not fit the frames' tags, or only in another order",
-        "check the names in --pos and their order",
-    ),
-    "heights-elsewhere": (
-        "doubtful",
-        "the heights of the POS file agree with those in the frames' tags only if they are feet",
-        "name the column of the heights height_ft, or correct the heights",
-    ),
-    "headings-reversed": (
-        "doubtful",
-        "all headings of the POS file are off by 180 degrees: its rows may be in reverse order",
-        "check the names in --pos; of a camera mounted the other way round, give its own headings",
-    ),
-    "dem-heights-off": (
-        "doubtful",
-        "the elevation model lies hundreds of metres off the ground by the frames' altitudes",
-        "check the unit of its heights and what they count from (--dem-offset)",
-    ),
-    "pixels-turned": (
-        "doubtful",
-        "the frames' pixels were turned after the flight: how the rolling shutter bends the map is unknown",
-        "give the files as the camera wrote them",
-    ),
-    "velocity-unknown": (
-        "doubtful",
-        "rolling shutter: how fast the frames flew is unknown, and the map may be stretched along the lines",
-        "give the files as the camera wrote them, with their times",
-    ),
-    "scale-doubtful": (
-        "doubtful",
-        "the block's scale disagrees with the positions",
-        "check the focal length and the positions, or give control points",
-    ),
-    "positions-shifted": (
-        NOTED,
-        "positions and control lie apart",
-        "check the datum and the height system of both",
-    ),
-    "pose-not-determined": (
-        NOTED,
-        "tie points don't determine the poses of some frames",
-        "look at those frames; more overlap there",
-    ),
-    "shutter-doubtful": (
-        NOTED,
-        "the frames' rows were read one after the other while the camera turned, in a way that no tag states",
-        "a camera with a global shutter or a gyroscope in its tags, or control points",
-    ),
-    "adjustment-step-failed": (
-        NOTED,
-        "a step of the adjustment could not be solved and was left out",
-        "more overlap, or positions of more frames",
-    ),
-    "control-unused": (
-        "doubtful",
-        "no control or check point could be used",
-        "mark the points in images of this survey, or leave --gcp out",
-    ),
-    "lens-strayed": (
-        "doubtful",
-        "the estimated lens is impossible: distances may be wrong",
-        "give the lens and the readout time (--camera)",
-    ),
+MATCHED_SEAMS: Final = (
+    "leave out frames that are blurred or out of place at the largest jumps (see the report), or fly with "
+    "more overlap"
+)
+"""The fix for jumps at the seams where the surface is matched already."""
+
+_ASLANT, _COARSE, _GUESSED = REASONS.values()
+TRIM_FIXES: Final = {
+    _ASLANT: "point the camera straight down; --edges keep maps this land, stretched",
+    _COARSE: "leave out frames that look into the distance; --edges keep maps this land, blurred",
+    _GUESSED: "more overlap and one more line on each side, or an elevation model (--dem); --edges keep maps "
+    "this land, displaced",
 }
-"""Warnings that bear on the map as a whole: grade, cause and fix."""
+"""The fix for land that is left out, by the reason for most of it."""

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from geomosaic.constants import sourced
 from geomosaic.quality.accuracy import (
     LEAST_CHECK_POINTS,
     AbsoluteAccuracy,
@@ -20,6 +21,7 @@ from geomosaic.quality.seam_check import SeamCheck
 
 _STANDARD: Final = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023)"
 NO_RELATIVE: Final = "not stated by this adjustment method"
+_WHOLE_PERMILLE = sourced(1000.0, "per mille", "error as long as the distance", "definition")
 UNDETERMINED: Final = "not determined: give a calibrated lens with --camera, or positions with --pos"
 NO_ABSOLUTE: Final = "not stated: no positions, no control points, or an adjustment method without deviations"
 
@@ -43,7 +45,10 @@ def _required(required: Requirement) -> str:
         for name, value in (("horizontal", required.rmse_h_m), ("vertical", required.rmse_v_m))
         if math.isfinite(value)
     ]
-    asked += [f"distances {required.permille:.2g} per mille"] * math.isfinite(required.permille)
+    if required.permille >= _WHOLE_PERMILLE:
+        asked.append("distances none, since the frames lie too close together to scale the map")
+    elif math.isfinite(required.permille):
+        asked.append(f"distances {float(f'{required.permille:.2g}'):g} per mille")
     return f"{', '.join(asked) or 'nothing'}: {required.why}"
 
 

@@ -4,26 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
-from scipy.special import bdtr, ndtr, ndtri  # those of scipy.stats take half a second to import
 
-from geomosaic.adjustment.model import Adjusted, ControlResidual
+from geomosaic.adjustment.model import Adjusted
 from geomosaic.adjustment.procedure.residual_pattern import ResidualPattern
-from geomosaic.constants import sourced, tuned
-from geomosaic.estimation.robust import THREE_SIGMA
-from geomosaic.quality.accuracy import LEAST_POINTS, Accuracy, Requirement, metres
-from geomosaic.quality.check_points import check_points
-from geomosaic.quality.control import control_blunders
-from geomosaic.quality.criteria import ASKED, CRITERIA, FIRST, GRADES, HOUSES, JUMPS, NOTED, WARNED
+from geomosaic.constants import tuned
+from geomosaic.quality.accuracy import Accuracy, Requirement, metres
+from geomosaic.quality.criteria import (
+    ASKED,
+    CRITERIA,
+    FIRST,
+    GRADES,
+    HOUSES,
+    JUMPS,
+    MATCHED_SEAMS,
+    NOTED,
+    TRIM_FIXES,
+    TRIMMED,
+    WHY,
+)
 from geomosaic.quality.ground_doubt import LandDoubt
+from geomosaic.quality.mapped_land import NOT_TRIMMED, LeftOutLand
 from geomosaic.quality.seam_check import SeamCheck
+from geomosaic.quality.verdict_figures import (
+    OF_LAND,
+    agreement,
+    connection,
+    land_off,
+    left_out,
+    seam_mismatch,
+)
+from geomosaic.quality.warned import WARNED
 from geomosaic.survey.names import some
 
-_DISREGARDED = sourced(0.1, "full weight", "3 in 1000 are below by chance", "Student's pairs: 10^(-5 / 2)")
-_CHANCE = sourced(0.05, "share", "of medians below their lower limit", "the usual one-sided level")
-OF_LAND: Final = ("ground unknown", "rim", "surface unsure")
 _WORTH_A_WORD = tuned(0.01, "share", "of land off that a good verdict mentions: less is a corner")
 
 
@@ -81,7 +96,8 @@ class Verdict:
 class VerdictInputs:
     """What is known of a mosaic without its truth. parts: frames that tie points connect; land:
     the share of the mosaic's land that each frame gives, by frame; doubt: of the ground and of what was
-    matched; warned: codes of the run's warnings; names of the frames; pixel_m: the mosaic's."""
+    matched; warned: codes of the run's warnings; names of the frames; pixel_m: the mosaic's; trimmed: the
+    share of the frames' land that is left out."""
 
     seams: SeamCheck
     patterns: tuple[ResidualPattern, ...]
@@ -91,17 +107,20 @@ class VerdictInputs:
     warned: Collection[str] = ()
     names: Sequence[str] = ()
     pixel_m: float = float("nan")
+    trimmed: LeftOutLand = NOT_TRIMMED
 
 
 def verdict_of(adjusted: Adjusted, seen: VerdictInputs, accuracy: Accuracy, required: Requirement) -> Verdict:
     """Grades a mosaic: whether a fault was found, and whether it is as accurate as is required."""
-    figures = _agreement(adjusted, seen.patterns) | _seams(seen.seams)
-    figures |= _connection(adjusted, seen.parts, seen.land, required.local_m)
-    figures |= _land(seen.doubt)
+    figures = agreement(adjusted, seen.patterns) | seam_mismatch(seen.seams)
+    figures |= connection(adjusted, seen.parts, seen.land, required.local_m)
+    figures |= land_off(seen.doubt)
+    if np.isfinite(seen.trimmed.share):
+        figures[TRIMMED] = seen.trimmed.share
     warned = {w.code for w in adjusted.warnings} | {*seen.warned}
     if "not-placed" in warned:
-        figures["frames left out"] = _left_out(adjusted, seen.parts)
-    judged = [_judged(name, value, required, seen.pixel_m) for name, value in figures.items()]
+        figures["frames left out"] = left_out(adjusted, seen.parts)
+    judged = [_judged(name, value, required, seen) for name, value in figures.items()]
     good, doubtful, _ = GRADES
     if HOUSES in warned:
         judged = [
@@ -147,6 +166,8 @@ def _effect(of: Evidence, adjusted: Adjusted, seen: VerdictInputs, required: Req
         said += [f"most between {' and '.join(ends)}"] * bool(ends)
     elif of.name == "frames not tied" and seen.names:
         said.append(some([seen.names[i] for i in sorted(seen.land) if adjusted.status[i] != "tied"]))
+    elif of.name == TRIMMED:
+        said.append("layer trimmed of layers.gpkg shows where")
     elif of.name in OF_LAND:
         said.append("accuracy.tif shows where")
     elif of.name == "control points":
@@ -155,11 +176,17 @@ def _effect(of: Evidence, adjusted: Adjusted, seen: VerdictInputs, required: Req
     return ", ".join(said)
 
 
-def _judged(name: str, value: float, required: Requirement, pixel_m: float) -> Evidence:
-    criterion, asked = CRITERIA[name], required.length(required.local_m, pixel_m)
-    grade = criterion.grade(value, required.local_m / pixel_m)
-    words = ("", "") if grade == GRADES[0] else (criterion.cause.replace(ASKED, asked), criterion.fix)
-    return Evidence(name, value, criterion.unit, grade, *words)
+def _judged(name: str, value: float, required: Requirement, seen: VerdictInputs) -> Evidence:
+    criterion, asked = CRITERIA[name], required.length(required.local_m, seen.pixel_m)
+    grade = criterion.grade(value, required.local_m / seen.pixel_m)
+    if grade == GRADES[0]:
+        return Evidence(name, value, criterion.unit, grade)
+    cause, fix = criterion.cause.replace(ASKED, asked), criterion.fix
+    if name == TRIMMED:
+        cause, fix = cause.replace(WHY, seen.trimmed.reason), TRIM_FIXES.get(seen.trimmed.reason, fix)
+    elif name in JUMPS and np.isfinite(seen.doubt.surface_share):
+        fix = MATCHED_SEAMS
+    return Evidence(name, value, criterion.unit, grade, cause, fix)
 
 
 def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
@@ -188,101 +215,6 @@ def _against(accuracy: Accuracy, required: Requirement) -> list[Evidence]:
             effect = over_100_m if missed and unit == "per mille" else ""
             out.append(Evidence(name, value, unit, GRADES[int(missed)], cause, fix if missed else "", effect))
     return out
-
-
-def _connection(
-    adjusted: Adjusted, parts: Sequence[Sequence[int]], land: Mapping[int, float], local_m: float
-) -> dict[str, float]:
-    """Shares of the mosaic's land that frames give which hang on their own positions, or in another part than
-    most. A part doesn't count if its place and that of most are known better than land may lie off relative
-    to other land, as by RTK positions or control points."""
-    tied = {i: share for i, share in land.items() if adjusted.status[i] == "tied"}
-    shares = [sum(tied.get(i, 0.0) for i in part) for part in parts]
-    apart = sum(tied.values()) - max(shares, default=0.0)
-    if len(parts) > 1:
-        off_m = np.linalg.norm(adjusted.poses.positions_sd_m[:, :2], axis=1)
-        well = [bool(np.median(off_m[list(part)]) <= local_m) for part in parts]
-        main = int(np.argmax(shares))
-        apart -= sum(s for k, s in enumerate(shares) if k != main and well[k] and well[main])
-    alone = sum(share for i, share in land.items() if i not in tied)
-    return {"frames not tied": alone, "frames in other parts": max(apart, 0.0)}
-
-
-def _left_out(adjusted: Adjusted, parts: Sequence[Sequence[int]]) -> float:
-    """The share of the frames that have no place, since they are in none but the largest part."""
-    largest = {*max(parts, key=len, default=())}
-    lost = [i for i, status in enumerate(adjusted.status) if status == "rejected" and i not in largest]
-    return len(lost) / max(len(adjusted.status), 1)
-
-
-def _land(doubt: LandDoubt) -> dict[str, float]:
-    """Shares of the land that have to be expected off by more than is asked, as far as they are known."""
-    shares = zip(OF_LAND, (doubt.ground_share, doubt.rim_share, doubt.surface_share), strict=True)
-    return {name: share for name, share in shares if np.isfinite(share)}
-
-
-def _agreement(adjusted: Adjusted, patterns: tuple[ResidualPattern, ...]) -> dict[str, float]:
-    """How far images, camera and control agree in the adjustment, as far as the method says."""
-    names = {"image deviation": "sigma_px", "shape": "shape_sd_px", "tilts": "sigma_tilt"}
-    found = {name: adjusted.figures[of] for name, of in names.items() if of in adjusted.figures}
-    if adjusted.shared is not None:
-        found["principal point"] = _principal_point_off(adjusted)
-    if patterns:
-        found["pattern of residuals"] = max(p.systematic_px for p in patterns)
-    if adjusted.image_residuals is not None and len(adjusted.image_residuals.weight):
-        disregarded = adjusted.image_residuals.weight < _DISREGARDED
-        found["tie points disregarded"] = float(disregarded.mean())
-    found |= _control(adjusted.control)
-    return found
-
-
-def _control(points: Sequence[ControlResidual]) -> dict[str, float]:
-    """Control points by what none of as many exceeds by chance; the shift of check points in common by its
-    stated deviation; and how many points contradict the others."""
-    found = {}
-    used, figures = [p for p in points if not p.check], check_points(points)
-    wrong = control_blunders(used)
-    if points:
-        found["blunders"] = float(wrong.sum() + (0 if figures is None else len(figures.blunders)))
-    good = [p for p, its in zip(used, wrong, strict=True) if not its]
-    known = np.concatenate([np.abs(p.residual_m / p.sd_m) for p in good]) if good else np.zeros(0)
-    known = known[np.isfinite(known)]
-    if known.size:
-        found["control points"] = float(known.max() / -ndtri(ndtr(-THREE_SIGMA) / known.size))
-    if figures is not None and figures.count >= LEAST_POINTS:
-        sd_m = np.median([p.sd_m for p in points if p.check], axis=0)
-        found["check points"] = float(np.abs(figures.mean_shift_m / sd_m)[:2].max())
-    return found
-
-
-def _principal_point_off(adjusted: Adjusted) -> float:
-    """By how much principal points moved from what was given, in % of the longer side; the worst camera's."""
-    shared, side = adjusted.shared, {c.name: max(c.width_px, c.height_px) for c in adjusted.cameras}
-    if shared is None:
-        return 0.0
-    moved: dict[str, float] = {}
-    for of, name, given, found in zip(shared.of, shared.names, shared.given, shared.found, strict=True):
-        if name in ("principal_col_px", "principal_row_px") and of in side:
-            moved[of] = float(np.hypot(moved.get(of, 0.0), 100.0 * (found - given) / side[of]))
-    return max(moved.values(), default=0.0)
-
-
-def _seams(seams: SeamCheck) -> dict[str, float]:
-    """The median mismatch and the worst tenth. A map is not called bad by a median that so few places may
-    show by chance. Its lower limit of 95 % must be bad, too (David and Nagaraja 2003, Order Statistics,
-    section 7.1)."""
-    length = np.sort(seams.length_px[np.isfinite(seams.length_px)])
-    if not length.size:
-        return {}
-    median, bad = float(np.median(length)), CRITERIA["seams"].bad
-    below = bdtr(np.arange(length.size + 1), length.size, 0.5)
-    lower = int(np.searchsorted(below, _CHANCE, side="right")) - 1
-    limited = lower >= 0 or 2 * length.size > len(seams.length_px)  # fewer than five of many have no limit
-    surely = length[max(lower, 0)] if limited else 0.0
-    return {
-        "seams": median if surely > bad else min(median, bad),
-        "worst tenth of the seams": float(np.quantile(length, 0.9)),
-    }
 
 
 def _text(adjusted: Adjusted, figures: Mapping[str, float], asked: str) -> str:

@@ -86,7 +86,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=130, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=131, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(
@@ -133,10 +133,10 @@ def adjustment_solve(
 
 
 def _adjusted(block: Block, survey: Survey, params: SolveParams, context: Context) -> Adjusted:
-    """By the method of choice; a bundle goes on from the run before where all but the changed part would stay
-    within `MOST_MOVED_PX`, but for a shift, turn or scale of the whole that is less than what its place is
-    known to. Otherwise it begins anew and ends as in a fresh run. Where it begins decides on
-    the model of lens and shutter, on what of it counts, and on weights."""
+    """By the method of choice; a bundle goes on from the run before where all but the changed part would
+    stay. A shift, turn or scale of the whole may be as large as what its place is known to. Otherwise it
+    begins anew and ends as in a fresh run. Where it begins decides on the model of lens and shutter, on what
+    of it counts, and on weights."""
     settings, before = Settings(**params.model_dump(exclude={"method"})), context.earlier
     if before is None:
         return METHODS[params.method](block, settings, context)

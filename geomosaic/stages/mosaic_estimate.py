@@ -20,7 +20,7 @@ from geomosaic.stages.surface_dense import surface_dense
 from geomosaic.survey.model import Survey
 
 
-@stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=4, cached=False, looks_ahead=True)
+@stage("mosaic.estimate", "Estimate the mosaic", group="Mosaic", version=5, cached=False, looks_ahead=True)
 def mosaic_estimate(
     survey: Survey, prior_ground: GroundSurface, prior_placement: Placement, context: Context
 ) -> None:

@@ -100,7 +100,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "mosaic.seams", "Place the seamlines", group="Mosaic", version=22, outputs="ownership",
+    "mosaic.seams", "Place the seamlines", group="Mosaic", version=23, outputs="ownership",
     check=_check, plugged=lambda params: [(SEAMS_GROUP, params.seam)], conclusions=_conclusions,
     goes_on=True,
 )  # fmt: skip

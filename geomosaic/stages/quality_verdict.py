@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +21,7 @@ from geomosaic.placement.graph import connected_parts
 from geomosaic.quality import statement
 from geomosaic.quality.accuracy import Requirement, accuracy_of, usual_requirement
 from geomosaic.quality.ground_doubt import Land, land_doubt
+from geomosaic.quality.mapped_land import left_out_land
 from geomosaic.quality.seam_check import check_seams
 from geomosaic.quality.verdict import Verdict, VerdictInputs, verdict_of
 from geomosaic.stages.chips import Chips
@@ -69,7 +70,7 @@ def _shortcoming(summary: Mapping[str, Any]) -> str:
 
 
 @stage(
-    "quality.verdict", "Judge the mosaic", group="Quality", version=34, outputs="verdict", wants_frames=True,
+    "quality.verdict", "Judge the mosaic", group="Quality", version=35, outputs="verdict", wants_frames=True,
     concurrent=True, conclusions=_conclusions, shortcoming=_shortcoming,
 )  # fmt: skip
 def quality_verdict(
@@ -93,6 +94,7 @@ def quality_verdict(
         {warning["code"] for warning in context.summary().get("warnings", ())},
         [f.name for f in survey.frames],
         pixel_m,
+        left_out_land(replace(frames, used=[s != "rejected" for s in adjusted.status]), ownership),
     )
     known = seams.length_px[np.isfinite(seams.length_px)]
     median_px, most_px = np.quantile(known, [0.5, 0.95]).tolist() if known.size else (None, None)

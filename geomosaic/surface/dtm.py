@@ -89,8 +89,8 @@ def terrain_model(surface: DenseSurface, widest_m: float = WIDEST_M) -> TerrainM
 
 
 def _noise_m(up_m: Floats32, matched: Bools, apart: int) -> float:
-    """The deviation of matched heights from even land, by the median second difference of cells that lie so
-    many cells apart; slopes do not count, edges of what stands are outliers. 0 without such cells."""
+    """The deviation of matched heights from even land, 0 where none are known. It is by the median second
+    difference of cells that lie so many cells apart: slopes do not count, edges are outliers."""
     bends = []
     for heights, known in ((up_m, matched), (up_m.T, matched.T)):
         low, middle, high = (slice(k * apart, len(heights) - (2 - k) * apart) for k in range(3))

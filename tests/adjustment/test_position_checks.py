@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geomosaic.adjustment.methods import METHODS
 from geomosaic.adjustment.model import Settings
 from geomosaic.adjustment.procedure.position_checks import shift_and_scale
-from geomosaic.quality.criteria import WARNED
+from geomosaic.quality.warned import WARNED
 
 Floats = NDArray[np.float64]
 

@@ -291,7 +291,7 @@ def test_points_far_below_unknown_ground_do_not_draw_its_level_down() -> None:
 
 
 def test_land_far_from_its_level_as_a_whole_is_drawn_to_it_in_full() -> None:
-    """Of points that count as one, the bulk isn't far: each had a tenth of its weight, and models that turn
+    """Of points that count as one, the bulk isn't far. Each had a tenth of its weight, and models that turn
     frames came to land 30 m off in their first steps."""
     problem, at = flown_problem()
     points_m = at.points_m.copy()

@@ -113,6 +113,29 @@ def test_an_image_on_its_head_whose_heading_fits_its_line_was_turned() -> None:
         assert [(w.code, w.frame) for w in said] == [(code, "003.jpg")]
 
 
+@pytest.mark.parametrize("given_tilt_deg", [0.0, 88.0])
+def test_a_roll_about_the_view_at_the_horizon_is_no_wrong_heading(given_tilt_deg: float) -> None:
+    """The frame looks north as given, rolled by 100 degrees about its view: there yaw and roll are one."""
+    flown = fly(4, lines=2, per_line=6)
+    given, found = flown.truth.rotations.copy(), flown.truth.rotations.copy()
+    given[3] = Rotation.from_yaw_pitch_roll(0.0, np.radians(given_tilt_deg), 0.0).matrix
+    ahead = Rotation.from_yaw_pitch_roll(0.0, np.radians(80.0), 0.0).matrix
+    found[3] = exp_turn(np.radians(-100.0) * ahead[None, :, 2])[0] @ ahead
+    reported = replace(flown.truth, rotations=given, rotations_sd_rad=np.radians(np.full((12, 3), 2.0)))
+    assert not wrong_tags(replace(flown.block, poses=reported), replace(reported, rotations=found))
+
+
+def test_an_oblique_frame_that_looks_elsewhere_has_a_wrong_heading() -> None:
+    flown = fly(4, lines=2, per_line=6)
+    given, found = flown.truth.rotations.copy(), flown.truth.rotations.copy()
+    given[3] = Rotation.from_yaw_pitch_roll(0.0, np.radians(70.0), 0.0).matrix
+    found[3] = Rotation.from_yaw_pitch_roll(np.radians(60.0), np.radians(70.0), 0.0).matrix
+    reported = replace(flown.truth, rotations=given, rotations_sd_rad=np.radians(np.full((12, 3), 2.0)))
+    (warning,) = wrong_tags(replace(flown.block, poses=reported), replace(reported, rotations=found))
+    assert (warning.code, warning.frame) == ("yaw-wrong", "003.jpg")
+    assert "given as 0 degrees and is 60" in warning.text
+
+
 @pytest.mark.parametrize("relief", [pytest.param(level, marks=pytest.mark.proof), hills])
 def test_attitudes_of_the_platform_given_for_the_cameras_do_no_harm(relief) -> None:  # type: ignore[no-untyped-def]
     """The camera is mounted 3 degrees aside and 4 aslant, and nobody says so. Tilts that all frames miss in

@@ -119,16 +119,39 @@ def test_land_inside_that_no_frame_sees_well_is_no_hole(tmp_path: Path, flown: d
     assert owned.trimmed.parts == ()
 
 
+def with_ground_sd(
+    given: dict[str, Any], sd_m: np.ndarray | float, least_m: float | None = None
+) -> dict[str, Any]:
+    """Heights of the ground have these deviations, and the least one at a corner far away."""
+    sd = np.broadcast_to(sd_m, given["ground"].up_m.shape).astype(np.float64)
+    sd[0, 0] = sd[0, 0] if least_m is None else least_m
+    ground = replace(given["ground"], sd_m=sd)
+    return {**given, "ground": ground, "adjusted": replace(given["adjusted"], ground=ground)}
+
+
 def test_beyond_what_was_flown_over_guessed_ground_is_trimmed(tmp_path: Path, flown: dict[str, Any]) -> None:
-    """A frame that looks 45 degrees aside shows land beyond a level frame's reach, good to 5 m only."""
-    ground = replace(flown["ground"], sd_m=np.full_like(flown["ground"].up_m, 5.0))
-    given = turned({**flown, "ground": ground}, {7: 40.0})
-    given["adjusted"] = replace(given["adjusted"], ground=ground)
+    """A frame that looks 40 degrees aside shows land beyond a level frame's reach, good to 5 m only."""
+    given = turned(with_ground_sd(flown, 5.0, least_m=0.01), {7: 40.0})
+    assert reasons(seams(tmp_path, given)[0])[GUESSED] > 100.0
+    sure = with_ground_sd(given, 0.01)
+    assert GUESSED not in reasons(seams(tmp_path / "sure", sure)[0])
+
+
+def test_a_deviation_that_all_ground_has_in_common_trims_nothing(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    """Five thermal frames with GNSS positions: heights of tied land were good to 5 m, and half was trimmed."""
+    given = turned(with_ground_sd(flown, 5.0), {7: 40.0})
+    assert GUESSED not in reasons(seams(tmp_path, given)[0])
+
+
+def test_frames_that_look_a_little_aside_keep_the_land_they_look_at(
+    tmp_path: Path, flown: dict[str, Any]
+) -> None:
+    """By 15 degrees: all land that a level frame would reach about the middle of each frame's view is kept."""
+    given = turned(with_ground_sd(flown, 50.0, least_m=0.01), dict.fromkeys(range(8), 15.0))
     owned, _ = seams(tmp_path, given)
-    assert reasons(owned)[GUESSED] > 100.0
-    sure = replace(ground, sd_m=np.full_like(ground.up_m, 0.01))
-    given |= {"ground": sure, "adjusted": replace(given["adjusted"], ground=sure)}
-    assert GUESSED not in reasons(seams(tmp_path / "sure", given)[0])
+    assert owned.trimmed.share < 0.03
 
 
 def test_a_frame_without_tie_points_shows_all_it_sees_from_above(

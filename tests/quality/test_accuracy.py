@@ -118,6 +118,10 @@ def test_what_nothing_states_is_not_stated() -> None:
     assert said["required"] == "horizontal RMSE 5.0 cm, distances 1 per mille: as asked for"
     assert said["absolute accuracy"].startswith("not stated: ")
     assert said["relative accuracy"] == "not stated by this adjustment method"
+    some = dict(answers(found, replace(asked, permille=147.3), NO_SEAMS, 0.02))["required"]
+    assert "distances 150 per mille" in some
+    at_one_place = dict(answers(found, replace(asked, permille=3800.0), NO_SEAMS, 0.02))["required"]
+    assert "distances none" in at_one_place and "3.8e+03" not in at_one_place
     assert asprs_statement(found.absolute) == ""
 
 

@@ -17,9 +17,10 @@ from geomosaic.adjustment.model import Adjusted, ControlResidual, ImageResiduals
 from geomosaic.adjustment.procedure.residual_pattern import CELLS, residual_patterns
 from geomosaic.camera.exterior import Poses
 from geomosaic.camera.interior import Camera
+from geomosaic.composition.area import Area
 from geomosaic.composition.compose import compose
 from geomosaic.composition.grid import output_grid
-from geomosaic.composition.model import MapPixels, Mosaic
+from geomosaic.composition.model import MapPixels, Mosaic, Trimmed, TrimmedPart
 from geomosaic.composition.ownership import by_nearest_nadir
 from geomosaic.composition.raster import MosaicFiles
 from geomosaic.composition.views import PosedFrames, frame_views
@@ -27,6 +28,7 @@ from geomosaic.projection.ground import flat_ground
 from geomosaic.quality.accuracy import AbsoluteAccuracy, Accuracy, RelativeAccuracy, Requirement
 from geomosaic.quality.criteria import CRITERIA
 from geomosaic.quality.ground_doubt import LandDoubt
+from geomosaic.quality.mapped_land import LeftOutLand, left_out_land
 from geomosaic.quality.seam_check import SeamCheck, check_seams, seam_places
 from geomosaic.quality.verdict import Verdict, VerdictInputs, verdict_of
 from geomosaic.spread import AtOnce
@@ -383,3 +385,55 @@ def test_frames_count_by_the_land_that_they_give() -> None:
         return verdict_of(lost, seen, NOT_STATED, NOTHING_ASKED).grade
 
     assert [judged_by(land) for land in (0.005, 0.05, 0.4)] == ["good", "doubtful", "bad"]
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.4, "good"), (0.6, "doubtful"), (0.95, "bad")])
+def test_a_map_of_little_of_what_the_frames_show_is_not_good(share: float, expected: str) -> None:
+    """Of two public flights 0 and 13 % of the land was mapped, and the verdict named the rim."""
+    trimmed = LeftOutLand(share, "ground extrapolated too far")
+    seen = VerdictInputs(NO_SEAMS, (), (range(5),), FIFTHS, NO_DOUBT, trimmed=trimmed)
+    verdict = verdict_of(outcome(), seen, NOT_STATED, NOTHING_ASKED)
+    assert verdict.grade == expected
+    if expected != "good":
+        trimmed_for = "most of the land in the frames is trimmed: ground extrapolated too far"
+        assert verdict.cause.startswith(trimmed_for)
+        assert f"land left out {100.0 * share:.0f} %" in verdict.cause and "--dem" in verdict.fix
+    kept = replace(seen, trimmed=replace(trimmed, share=NAN))
+    evidence = verdict_of(outcome(), kept, NOT_STATED, NOTHING_ASKED).evidence
+    assert "land left out" not in {e.name for e in evidence}
+
+
+def test_land_left_out_counts_by_the_pixels_of_the_frames(tmp_path: Path) -> None:
+    """Six nadir frames; what lies west of their middle is trimmed."""
+    survey, poses, ground = make_survey(tmp_path / "frames")
+    frames = PosedFrames(survey, poses, [survey.camera_of(i) for i in range(6)], [True] * 6, ground)
+    names = [f.name for f in survey.frames]
+    owned = by_nearest_nadir(frames, output_grid(MapPixels(CRS, GSD_M), frame_views(frames, CRS), names))
+    grid = owned.grid
+    middle_m = (grid.west_m + grid.east_m) / 2.0
+
+    def half(west_m: float, east_m: float) -> tuple[tuple[np.ndarray, ...], ...]:
+        corners = [
+            (west_m, grid.south_m),
+            (east_m, grid.south_m),
+            (east_m, grid.north_m),
+            (west_m, grid.north_m),
+        ]
+        return ((np.array([*corners, corners[0]]),),)
+
+    part = TrimmedPart("seen too coarsely", 1.0, half(grid.west_m, middle_m))
+    trimmed = replace(
+        owned, area=Area(half(middle_m, grid.east_m), asked=False), trimmed=Trimmed(2.0, (part,))
+    )
+    found = left_out_land(frames, trimmed)
+    assert found.reason == "seen too coarsely" and found.share == pytest.approx(0.5, abs=0.03)
+    assert left_out_land(frames, replace(owned, trimmed=Trimmed(2.0))) == LeftOutLand(0.0)
+    assert np.isnan(left_out_land(frames, owned).share), "with --edges keep nothing is left out by choice"
+
+
+def test_jumps_at_the_seams_come_with_a_fix_that_can_be_done() -> None:
+    """Where no other figure is bad, other figures are no help; a matched surface needs no --surface dense."""
+    jumps = seams_of(2.0, 2.1, 2.2)
+    verdict = judged(outcome(), jumps)
+    assert "other figures" not in verdict.fix and "--surface dense" in verdict.fix
+    assert "--surface dense" not in judged(outcome(), jumps, doubt=LandDoubt(0.0, 0.0, 0.0)).fix

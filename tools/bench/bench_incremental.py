@@ -132,8 +132,8 @@ def differences(one: Path, other: Path) -> Row:
 def in_place(
     one: NDArray[np.float32], other: NDArray[np.float32], valid: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
-    """The other mosaic (bands, rows, cols) by the affine transform that brings it onto the first, what both
-    then show, and the most that it moves a pixel, 0 where that is below the target. The transform maximises
+    """The other mosaic (bands, rows, cols) by the affine transform that brings it onto the first, and what
+    both then show. Third is the most that it moves a pixel, 0 below the target. The transform maximises
     the enhanced correlation coefficient (Evangelidis and Psarakis 2008)."""
     small = 1.0 / max(1.0, max(valid.shape) / ALIGN_PX)
     a, b, seen = (

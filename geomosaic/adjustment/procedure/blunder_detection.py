@@ -37,6 +37,7 @@ _LEFT_OUT = (
 )
 _TURNED_BACK = "turned back: nothing to do"
 _UPRIGHT_DEG = tuned(20.0, "degrees", "most tilt of a nadir view")
+_OBLIQUE_DEG = tuned(45.0, "degrees", "tilt from which the view has a heading; at 90, yaw and roll are one")
 
 
 def counted_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
@@ -47,9 +48,9 @@ def counted_shares(tracks: Tracks, bundle: Solution, frames: int) -> Floats:
 
 
 def undetermined_frames(tracks: Tracks, bundle: Solution, frames: int) -> Bools:
-    """Which frames (n,) of tie points have too few of more than half the full weight for the six unknowns
-    of a pose, and no control points: their own positions say more than wrong matches do. A point that one
-    other frame sees gives one equation, one that more see gives two."""
+    """Which frames (n,) of tie points have too few good ones for the six unknowns of a pose, and no control
+    points. Their own positions say more than wrong matches do. Good are points of more than half the full
+    weight. One that one other frame sees gives one equation, one that more see gives two."""
     good = bundle.weight[: len(tracks.frame)] > 0.5
     seen = np.bincount(tracks.point, good, minlength=tracks.points)[tracks.point]
     equations = np.bincount(tracks.frame, good * np.clip(seen - 1.0, 0.0, 2.0), minlength=frames)
@@ -143,7 +144,7 @@ def wrong_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
     known_m = np.hypot(scatter * block.poses.positions_sd_m[:, 0], poses.positions_sd_m[:, 0])
     limit = np.minimum(limit, BLUNDER * np.maximum(np.median(far), known_m))
     off_deg, most_deg = headings_off_deg(block.poses, poses)
-    given_rad, found_rad = (Rotation(p.rotations).yaw_pitch_roll()[0] for p in (block.poses, poses))
+    given_rad, found_rad = (_headings_rad(p) for p in (block.poses, poses))
     given, found = (np.degrees(yaw_rad) % 360.0 for yaw_rad in (given_rad, found_rad))
     course_rad = np.radians(smooth_courses_deg(poses.positions_m))
     evidence = HeadingEvidence(
@@ -153,7 +154,7 @@ def wrong_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
         heading_limits_rad(block.poses) / 4.0,
         np.tile([True, False, True, False], (len(given), 1)),
     )
-    causes = explained(evidence).reshape(len(given), 8).argmax(axis=1)
+    causes, oblique = explained(evidence).reshape(len(given), 8).argmax(axis=1), _oblique(poses)
     out = []
     for i in np.flatnonzero(far > limit).tolist():
         text = (
@@ -162,7 +163,7 @@ def wrong_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
         text += "frame; for many check names and order in --pos"
         out.append((i, "position-wrong", text))
     for i in np.flatnonzero((np.abs(off_deg) > most_deg) & ~heading_assumed(block.poses)).tolist():
-        turned = causes[i] % 4 == 2
+        turned = causes[i] % 4 == 2 and not oblique[i]
         if turned:
             out.append(
                 (i, "frame-turned", f"its pixels were turned by 180 degrees after the flight; {_TURNED_BACK}")
@@ -174,9 +175,27 @@ def wrong_tags(block: Block, poses: Poses, strayed: Collection[int] = (), scatte
 
 
 def headings_off_deg(given: Poses, found: Poses) -> tuple[Floats, Floats]:
-    """Differences of headings (n,), found minus given, and their limits (n,), in degrees."""
+    """Differences of headings (n,), found minus given, and their limits (n,), in degrees. Of oblique frames
+    the directions of view are compared. NaN where one pose is oblique and the other is not: then nothing says
+    what part of the rotation is a change of heading."""
     turned = log_turn(found.rotations @ np.swapaxes(given.rotations, 1, 2))[:, 2]
+    aside = [_oblique(poses) for poses in (given, found)]
+    viewed = np.angle(np.exp(1j * (_headings_rad(given) - _headings_rad(found))))
+    turned = np.where(aside[0] & aside[1], viewed, turned)
+    turned[aside[0] != aside[1]] = np.nan
     return np.degrees(turned), np.degrees(heading_limits_rad(given))
+
+
+def _oblique(poses: Poses) -> Bools:
+    """Frames (n,) that look so far aside that their yaw is not the direction they look in."""
+    return np.asarray(poses.rotations[:, 2, 2] < np.cos(np.radians(_OBLIQUE_DEG)))
+
+
+def _headings_rad(poses: Poses) -> Floats:
+    """Yaw (n,) from north, clockwise; of oblique frames the direction of view."""
+    east, north = -poses.rotations[:, :2, 2].T
+    yaw_rad = Rotation(poses.rotations).yaw_pitch_roll()[0]
+    return np.where(_oblique(poses), np.arctan2(east, north), yaw_rad)
 
 
 def implausible_lenses(cameras: Sequence[Camera], strayed: Bools) -> list[Warn]:

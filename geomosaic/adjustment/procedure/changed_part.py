@@ -161,8 +161,8 @@ def whole_block_shift_m(
     """By how much, in m, the positions reported now would move the earlier frames. In plan they move as a
     similarity, whose turn is bound by headings. In height they move by a level and a slope, which is bound by
     attitudes. The fit to all positions of now is compared with the fit to those of then, at the earlier
-    frames. Frames that are gone count as well as new ones, but those of flights all of whose frames are new:
-    their positions are off in common by an error of their own.
+    frames. Frames that are gone count as well as new ones. Flights all of whose frames are new do not: their
+    positions are off in common by an error of their own.
 
     Args: found: all poses, and `ChangedPart.was`. corrected: of frames that are in both alone, where they
     were found then; their reported positions may be others now.

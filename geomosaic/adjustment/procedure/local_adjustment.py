@@ -60,12 +60,14 @@ CHANGED: Final = "the changed part"
 
 
 def adjusted_in_part(block: Block, earlier: EarlierBlock) -> Adjusted | None:
-    """The block with the earlier poses, but for frames whose tie points changed and as many about them as
-    move by more than an image point is known to, or by more than the bound. None where a whole adjustment is
-    needed. It is needed where corrected positions would move the earlier frames by more than the bound, or
-    all positions by more than the map's place is known to, in this run and those before together. It is also
-    needed where new images fit the earlier lenses badly, or a DEM is another one or shows more land. Control
-    points, gyroscopes and unknowns of the platform tie all frames together."""
+    """The block with the earlier poses, but for frames whose tie points changed. As many about them are
+    solved as move by more than the bound, and by more than an image point is known to.
+
+    None where a whole adjustment is needed. That is where corrected positions would move the earlier frames
+    by more than the bound. It is also where all positions would move them by more than the map's place is
+    known to, in this run and those before together. The same holds where new images fit the earlier lenses
+    badly, or a DEM is another one or shows more land. Control points, gyroscopes and unknowns of the platform
+    tie all frames together."""
     if earlier.solved is None or _ties_all(block, earlier):
         return None
     if block.ground.kind == "dem" and not _alike(block.ground, earlier.prior_ground):
