@@ -86,7 +86,7 @@ def _conclusions(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 @stage(
-    "adjustment.solve", "Adjust the frames", group="Adjustment", version=131, outputs=("adjusted", "ground"),
+    "adjustment.solve", "Adjust the frames", group="Adjustment", version=132, outputs=("adjusted", "ground"),
     conclusions=_conclusions, goes_on=True,
 )  # fmt: skip
 def adjustment_solve(

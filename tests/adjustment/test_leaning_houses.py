@@ -7,7 +7,7 @@ import pytest
 
 from geomosaic.adjustment.ground.tie_surface import tie_surface
 from geomosaic.adjustment.ground.trial_surface import Heights
-from geomosaic.adjustment.ground.walls import points_on_walls
+from geomosaic.adjustment.ground.walls import leaning_houses, points_on_walls
 
 LOW, HIGH = np.array([-130.0, -110.0]), np.array([130.0, 110.0])
 Relief = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -71,3 +71,10 @@ def test_land_stays_land(relief: Relief, seed: int) -> None:
     heights = seen(relief, seed)
     on_walls, share = points_on_walls(tie_surface(heights), heights.points_m, heights.height_m)
     assert not on_walls.any() and share == 0.0
+
+
+def test_a_thing_on_a_hundredth_of_the_land_is_no_town() -> None:
+    """Photos by hand of a sandbox had one, and seams of 13 px passed for leaning houses."""
+    assert leaning_houses(0.0) == leaning_houses(0.01) == []
+    (warning,) = leaning_houses(0.08)
+    assert warning.code == "houses-lean" and "8 % of the land" in warning.text

@@ -76,8 +76,9 @@ def points_on_walls(surface: GroundSurface, points_m: Floats, height_m: float) -
 
 
 def leaning_houses(share: float) -> list[Warn]:
-    """A warning where such houses take a share of the land."""
-    if not share:
+    """A warning where such houses take a share of the land. A single thing on less than walls need to count
+    explains no seams."""
+    if share < _WALLS:
         return []
     text = (
         f"tall houses stand on {100.0 * share:.0f} % of the land: the map lies on the ground between them, "
