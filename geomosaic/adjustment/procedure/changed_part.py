@@ -103,8 +103,8 @@ def changed_frames(block: Block, earlier: EarlierBlock) -> tuple[Ints, Bools]:
 
 
 def by_known_flights(block: Block, was: Ints, earlier: EarlierBlock) -> Block:
-    """The block whose flights with earlier frames are one, number 0. Of an earlier
-    solution with an offset of each flight, their positions are freed of it. Other flights keep their own."""
+    """The block whose flights with earlier frames are one, number 0. Where an earlier solution has an offset
+    of each flight, their positions are freed of it. Other flights keep their own."""
     flights, known = block.flight_of, was >= 0
     if not flights.any():
         return block

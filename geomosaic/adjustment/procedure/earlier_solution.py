@@ -47,14 +47,13 @@ def with_earlier_poses(begun: Poses, earlier: SolvedBlock, block: Block, known: 
 
 
 def start_from_earlier(block: Block, earlier: SolvedBlock, tracks: Tracks, poses: Poses) -> Start:
-    """What a solve of the block goes on from; points begin where the rays of these poses meet."""
+    """What a solve of the block goes on from; points begin where the rays of these poses meet. Rotation and
+    drift begin at 0: the reported turns of earlier frames hold theirs, see `with_earlier_turns`."""
     layout = block_problem(block, earlier.settings, tracks, np.zeros((tracks.points, 3))).layout
     known = {name: (values, earlier.fixed[name]) for name, values in earlier.shared.items()}
     shared, fixed = layout.begun_from(known)
-    at = {name: k for k, name in enumerate(earlier.names)}
-    rows = np.array([at.get(name, -1) for name in block.names])
-    rotation_terms_rad = np.where((rows >= 0)[:, None, None], earlier.rotation_terms_rad[rows], 0.0)
-    drift = np.where((rows >= 0)[:, None], earlier.drift[rows], 0.0)
+    rotation_terms_rad = np.zeros((len(block.names), *earlier.rotation_terms_rad.shape[1:]))
+    drift = np.zeros((len(block.names), 3))
     points_m = np.zeros((0, 3))
     estimate = Estimate(
         layout, poses.positions_m, poses.rotations, points_m, shared, rotation_terms_rad, drift

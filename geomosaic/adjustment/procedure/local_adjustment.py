@@ -193,14 +193,7 @@ def _solution(
         problem = with_offset(problem, flights_error_sd_m(part.poses) * [1.0, 1.0, 0.0])
     solved = replace(solved, cameras=earlier.adjusted.cameras)
     start = start_from_earlier(part, solved, ties, poses)
-    estimate = replace(
-        start.estimate,
-        layout=problem.layout,
-        shared=problem.layout.given,
-        points_m=points,
-        rotation_terms_rad=np.zeros_like(start.estimate.rotation_terms_rad),
-        drift=np.zeros_like(start.estimate.drift),
-    )
+    estimate = replace(start.estimate, layout=problem.layout, shared=problem.layout.given, points_m=points)
     fixed = np.zeros(problem.layout.size, dtype=bool)
     if new_flights:  # the kept frames are where they are
         fixed[problem.layout.slices[OFFSET]] = np.arange(3 * (1 + part.flight_of.max())) < 3
